@@ -1,0 +1,1 @@
+"""Stable-Baselines3 callbacks of sb3-options."""
