@@ -1,1 +1,6 @@
 """Stable-Baselines3 callbacks of sb3-options."""
+
+from sb3_options.callbacks.discovery import DiscoveredOption, SubgoalDiscoveryCallback
+from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
+
+__all__ = ["DiscoveredOption", "PrimitiveStepsCallback", "SubgoalDiscoveryCallback"]

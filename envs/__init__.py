@@ -1,1 +1,40 @@
-"""Environments with bottlenecks; importing this module registers them under ``sb3_options/``."""
+"""Environments with bottlenecks; importing this module registers them under ``sb3_options/``.
+
+- ``sb3_options/TwoRooms-v0``: two rooms and one doorway, McGovern & Barto (2001), §6.1.
+- ``sb3_options/FourRooms-v0``: four rooms and four hallways, Sutton, Precup & Singh (1999).
+- ``sb3_options/KeyDoor-v0``: find the key that opens the door to the goal.
+
+Each is a `GridWorld`, and `gymnasium.make` passes all of its keyword arguments on. The step limit is the
+environment's own ``max_steps``, so that ``gymnasium.make(..., max_steps=None)`` lifts it.
+"""
+
+import gymnasium
+
+from sb3_options.envs.grid_map import Direction
+from sb3_options.envs.gridworld import KEY_FEATURE_SCALE, GridWorld
+from sb3_options.envs.maps import (
+    FOUR_ROOMS,
+    FOUR_ROOMS_MAX_STEPS,
+    KEY_DOOR,
+    KEY_DOOR_MAX_STEPS,
+    TWO_ROOMS,
+    TWO_ROOMS_MAX_STEPS,
+)
+
+__all__ = ["FOUR_ROOMS", "KEY_DOOR", "KEY_FEATURE_SCALE", "TWO_ROOMS", "Direction", "GridWorld"]
+
+
+def _register(name: str, map: str, max_steps: int) -> None:
+    env_id = f"sb3_options/{name}-v0"
+    # Registering twice warns, and a reloaded module would.
+    if env_id not in gymnasium.registry:
+        gymnasium.register(
+            env_id,
+            entry_point="sb3_options.envs.gridworld:GridWorld",
+            kwargs={"map": map, "max_steps": max_steps},
+        )
+
+
+_register("TwoRooms", TWO_ROOMS, TWO_ROOMS_MAX_STEPS)
+_register("FourRooms", FOUR_ROOMS, FOUR_ROOMS_MAX_STEPS)
+_register("KeyDoor", KEY_DOOR, KEY_DOOR_MAX_STEPS)

@@ -1,1 +1,10 @@
 """Options for Stable-Baselines3 agents, discovered while they train by differentiable diverse density."""
+
+from sb3_options.bank import OptionBank
+from sb3_options.diverse_density import DiverseDensity
+from sb3_options.dqn import OptionDQN
+from sb3_options.option import Option
+from sb3_options.replay_buffer import OptionReplayBuffer
+from sb3_options.wrapper import OptionsWrapper
+
+__all__ = ["DiverseDensity", "Option", "OptionBank", "OptionDQN", "OptionReplayBuffer", "OptionsWrapper"]

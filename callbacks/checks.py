@@ -1,0 +1,85 @@
+"""What discovery needs of a model and its environment, checked before training starts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gymnasium import spaces
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.vec_env import VecEnv
+
+from sb3_options import heads
+from sb3_options.replay_buffer import OptionReplayBuffer
+from sb3_options.wrapper import OptionsWrapper
+
+
+def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
+    """Refuse what options cannot be discovered for.
+
+    Args:
+        model: About to be trained.
+        venv: Its environment.
+
+    Raises:
+        TypeError: Actions are not discrete, or the algorithm has no heads that could be opened.
+        ValueError: Wrapper, replay buffer, discount or feature map are missing or do not fit. Each text says what
+            to change.
+    """
+    if not isinstance(venv.action_space, spaces.Discrete):
+        raise TypeError(
+            f"Options need a Discrete action space, got {venv.action_space}: discretise the actions, then wrap the "
+            "environment in OptionsWrapper."
+        )
+    check_wrapped(venv, "The model's environment")
+    buffer = getattr(model, "replay_buffer", None)
+    if buffer is None:
+        raise ValueError(
+            f"Options cannot be discovered for {type(model).__name__} yet: use DQN or QRDQN with "
+            "replay_buffer_class=OptionReplayBuffer, or OptionDQN."
+        )
+    if not isinstance(buffer, OptionReplayBuffer):
+        raise ValueError(
+            f"{type(model).__name__} was built with {type(buffer).__name__}, which discounts an option of k steps "
+            f"with γ instead of γᵏ: pass {type(model).__name__}(..., replay_buffer_class=OptionReplayBuffer)."
+        )
+    heads.option_outputs(model.policy)
+    gammas: list[float] = venv.get_attr("gamma")
+    model_gamma: float = model.gamma  # type: ignore[attr-defined]  # every algorithm with a replay buffer has it
+    if any(abs(gamma - model_gamma) > 1e-12 for gamma in gammas):
+        raise ValueError(
+            f"OptionsWrapper discounts with gamma={gammas[0]}, {type(model).__name__} with gamma={model_gamma}: "
+            "give both the same."
+        )
+    if venv.env_method("feature_kind", indices=[0])[0] is None:
+        raise ValueError(
+            f"There is no default feature map for {venv.observation_space}: pass OptionsWrapper(env, "
+            "feature_map=...) a function from a batch of observations to features of shape (batch, d)."
+        )
+
+
+def check_wrapped(venv: VecEnv, whose: str) -> None:
+    """Refuse an environment without `OptionsWrapper`.
+
+    Raises:
+        ValueError: One of the environments is not wrapped.
+    """
+    if not all(venv.env_is_wrapped(OptionsWrapper)):
+        raise ValueError(
+            f"{whose} is not wrapped in OptionsWrapper: use OptionsWrapper(env, max_options=..., gamma=...) or "
+            "make_vec_env(..., wrapper_class=OptionsWrapper)."
+        )
+
+
+def check_same_slots(venv: VecEnv, eval_env: VecEnv) -> None:
+    """Refuse an evaluation environment that has other actions than the training environment.
+
+    Raises:
+        ValueError: It is not wrapped, or has another number of slots.
+    """
+    check_wrapped(eval_env, "The environment of EvalCallback")
+    actions: tuple[Any, Any] = (venv.action_space, eval_env.action_space)
+    if actions[0] != actions[1]:
+        raise ValueError(
+            f"The environment of EvalCallback has actions {actions[1]}, the training environment {actions[0]}: give "
+            "both the same max_options."
+        )

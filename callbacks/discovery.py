@@ -1,0 +1,270 @@
+"""`SubgoalDiscoveryCallback`: collects trajectories, calls discovery, installs options."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
+from stable_baselines3.common.logger import Figure, TensorBoardOutputFormat
+from stable_baselines3.common.vec_env import VecEnv
+
+from sb3_options import heads
+from sb3_options.bags import StaticFilter, SuccessRule, reported_success
+from sb3_options.bank import OptionBank
+from sb3_options.callbacks.checks import check_model, check_same_slots
+from sb3_options.callbacks.primitive_steps import all_callbacks, count_inner_steps, monitor_primitive_steps
+from sb3_options.callbacks.statistics import OptionStatistics
+from sb3_options.discovery import DiscoverySettings, SubgoalDiscovery
+from sb3_options.observations import FloatArray, Observations, take
+from sb3_options.option import Option, Region, SubgoalOption
+from sb3_options.option_learning import OptionLearningSettings, learn_option
+from sb3_options.plots import discovery_figures
+from sb3_options.replay_buffer import OptionReplayBuffer
+from sb3_options.trajectories import Trajectory
+from sb3_options.vec_env import as_wrapper_sees
+
+logger = logging.getLogger("sb3_options")
+
+AVAILABILITY_CHUNK = 4096
+"""Stored observations are sent to the environment in batches of this many when an option moves in."""
+
+
+@dataclass(frozen=True)
+class DiscoveredOption:
+    """When and where an option was made.
+
+    Attributes:
+        slot: Its slot.
+        episode: Number of episodes that had ended.
+        timestep: Primitive steps taken.
+        subgoal: The subgoal's centre in concept space, shape (d,).
+        log_density: Best log diverse density of the search that completed it.
+        initiation_states: Size of its initiation set.
+    """
+
+    slot: int
+    episode: int
+    timestep: int
+    subgoal: FloatArray
+    log_density: float
+    initiation_states: int
+
+
+class SubgoalDiscoveryCallback(BaseCallback):
+    """Lets a model discover options while it trains (McGovern & Barto 2001, Table 1).
+
+    At the end of every episode the trajectory becomes a positive or negative bag, diverse density is searched, and a
+    concept that stays a peak becomes the subgoal of a new option: initiation set and policy come from the saved
+    trajectories, the option moves into the next free slot of every environment, and its head in the network opens.
+
+    Also makes ``num_timesteps`` count primitive steps, serves the environment of an ``EvalCallback`` beside it, and
+    logs to TensorBoard. `bank` holds the options, and `discoveries` says when and where each was found.
+
+    Args:
+        settings: How subgoals are found; a mapping of fields is as good as a `DiscoverySettings`.
+        option_settings: How options are learned; likewise.
+        success: Which trajectories make positive bags; by default ``info["is_success"]``, or a positive last reward
+            in a terminal state where the environment does not say.
+        static_filter: What may be a subgoal; by default not near the start and end of a trajectory.
+        max_new_options: Most options to make; by default as many as there are slots.
+        save_path: Where to write the options each time one is made; None writes nothing.
+        seed: For option policies that are networks.
+        verbose: 1 prints each new option.
+
+    Raises:
+        TypeError: ``settings`` has an unknown field.
+        ValueError: A setting is out of its range.
+    """
+
+    def __init__(
+        self,
+        settings: DiscoverySettings | Mapping[str, Any] | None = None,
+        option_settings: OptionLearningSettings | Mapping[str, Any] | None = None,
+        *,
+        success: SuccessRule = reported_success,
+        static_filter: StaticFilter | None = None,
+        max_new_options: int | None = None,
+        save_path: str | os.PathLike[str] | None = None,
+        seed: int = 0,
+        verbose: int = 0,
+    ) -> None:
+        super().__init__(verbose)
+        self.settings = (
+            DiscoverySettings(**settings) if isinstance(settings, Mapping) else settings or DiscoverySettings()
+        )
+        self.option_settings = (
+            OptionLearningSettings(**option_settings)
+            if isinstance(option_settings, Mapping)
+            else option_settings or OptionLearningSettings()
+        )
+        if max_new_options is not None and max_new_options < 0:
+            raise ValueError(f"max_new_options must be at least 0, got {max_new_options}.")
+        self.success = success
+        self.static_filter = static_filter
+        self.max_new_options = max_new_options
+        self.save_path = save_path
+        self.episodes = 0
+        self.discoveries: list[DiscoveredOption] = []
+        self.discovery: SubgoalDiscovery | None = None
+        self._generator = torch.Generator().manual_seed(seed)
+        self._statistics = OptionStatistics()
+        self._eval_envs: list[VecEnv] = []
+        self.bank = OptionBank(1, 0)
+        self._n_primitive = 0
+
+    def _on_training_start(self) -> None:
+        venv = self.training_env
+        check_model(self.model, venv)
+        monitor_primitive_steps(venv)
+        self._n_primitive = venv.get_attr("n_primitive", [0])[0]
+        self._eval_envs = self._find_eval_envs()
+        if self.discovery is None:
+            self.discovery = SubgoalDiscovery(
+                self.settings,
+                success=self.success,
+                static_filter=self.static_filter,
+                kind=venv.env_method("feature_kind", indices=[0])[0],
+            )
+        venv.env_method("record_trajectories", True)
+        self._take_over(venv.get_attr("bank", [0])[0])
+
+    def _take_over(self, present: OptionBank) -> None:
+        """Start from the options that the training environment has already."""
+        self.bank = OptionBank(present.n_primitive, present.max_options, feature_map=self._features_of)
+        for slot, option in enumerate(present.slots):
+            if option is None:
+                heads.close_head(self.model.policy, self._n_primitive + slot)
+            else:
+                self._serve(slot, option)
+
+    def _features_of(self, observations: Observations) -> FloatArray:
+        # φ may live in a worker process only.
+        features: FloatArray = self.training_env.env_method("concept_features", observations, indices=[0])[0]
+        return features
+
+    def _find_eval_envs(self) -> list[VecEnv]:
+        found = [c.eval_env for c in all_callbacks(self.locals.get("callback")) if isinstance(c, EvalCallback)]
+        for eval_env in found:
+            check_same_slots(self.training_env, eval_env)
+            monitor_primitive_steps(eval_env)
+        return found
+
+    def _on_step(self) -> bool:
+        infos: list[dict[str, Any]] = self.locals["infos"]
+        count_inner_steps(self, infos)
+        for info in infos:
+            if info["option"]["index"] >= 0:
+                self._statistics.add(info["option"])
+            if "trajectory" in info:
+                self._episode_ended(info.pop("trajectory"))
+        return True
+
+    def _episode_ended(self, trajectory: Trajectory) -> None:
+        self.episodes += 1
+        if self._may_discover():
+            try:
+                self._discover(trajectory)
+            except ValueError as error:
+                # Training goes on without this episode rather than ending because of it.
+                logger.warning("No discovery after episode %d: %s", self.episodes, error)
+        self._log()
+
+    def _may_discover(self) -> bool:
+        if self.max_new_options is not None and len(self.discoveries) >= self.max_new_options:
+            return False
+        return len(self.bank) < self.bank.max_options
+
+    def _discover(self, trajectory: Trajectory) -> None:
+        assert self.discovery is not None  # made when training started
+        labelled = self.discovery.add(trajectory, self._features_of(trajectory.states))
+        if not labelled.success and not self.settings.negative_bags:
+            return  # no bag has changed
+        subgoal = self.discovery.search()
+        if subgoal is not None:
+            self._make_option(subgoal)
+
+    def _make_option(self, subgoal: Region) -> None:
+        assert self.discovery is not None  # made when training started
+        centre = subgoal.points[0]
+        name = "reach " + ", ".join(f"{x:g}" for x in centre[:4]) + (", …" if len(centre) > 4 else "")
+        option = learn_option(
+            subgoal,
+            self.discovery.database,
+            self._n_primitive,
+            self.option_settings,
+            self._generator,
+            name=name,
+        )
+        if option is None:
+            logger.warning("No option for the subgoal at %s: no saved trajectory leads to it.", centre)
+            return
+        slot = self.bank.slots.index(None)
+        self._serve(slot, option)
+        self.discoveries.append(
+            DiscoveredOption(
+                slot,
+                self.episodes,
+                self.num_timesteps,
+                centre,
+                self.discovery.found[-1].log_density,
+                len(option.initiation_set.points),
+            )
+        )
+        if self.verbose:
+            print(f"Option {slot}: {option.name}, after {self.episodes} episodes and {self.num_timesteps:,} steps")
+        if self.save_path is not None:
+            self.bank.save(self.save_path)
+        self._draw()
+
+    def _serve(self, slot: int, option: Option) -> None:
+        """Put an option into every environment, and open its head."""
+        self.bank.add(option, slot)
+        travelling = option.bind(None) if isinstance(option, SubgoalOption) else option
+        for venv in [self.training_env, *self._eval_envs]:
+            venv.env_method("set_option", slot, travelling)
+        action = self._n_primitive + slot
+        if heads.is_closed(self.model.policy, action):
+            heads.open_head(self.model.policy, action, self._n_primitive)
+        buffer = getattr(self.model, "replay_buffer", None)
+        if isinstance(buffer, OptionReplayBuffer) and buffer.next_available.shape[1]:
+            buffer.set_next_available(slot, self._available_in(buffer, action))
+
+    def _available_in(self, buffer: OptionReplayBuffer, action: int) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        available = [np.zeros(0, dtype=bool)]
+        stored = buffer.next_observations_stored()
+        for start in range(0, buffer.size(), AVAILABILITY_CHUNK):
+            chunk = as_wrapper_sees(self.training_env, take(stored, slice(start, start + AVAILABILITY_CHUNK)))
+            available.append(self.training_env.env_method("available", chunk, indices=[0])[0][:, action])
+        return np.concatenate(available)
+
+    def _log(self) -> None:
+        assert self.discovery is not None  # made when training started
+        record = self.logger.record
+        record("time/primitive_steps", self.num_timesteps)
+        record("options/count", len(self.bank))
+        record("discovery/seconds", self.discovery.seconds)
+        leading = self.discovery.tracker.leading()
+        record("discovery/leading_average", 0.0 if leading is None else leading.average)
+        if self.discovery.last.peaks:
+            record("discovery/best_log_density", self.discovery.last.peaks[0].log_density)
+        for tag, value in self._statistics.values().items():
+            record(tag, value)
+
+    def _draw(self) -> None:
+        if not any(isinstance(output, TensorBoardOutputFormat) for output in self.logger.output_formats):
+            return
+        assert self.discovery is not None  # made when training started
+        for name, figure in discovery_figures(self.discovery, self.bank).items():
+            self.logger.record(
+                f"discovery/{name}", Figure(figure, close=True), exclude=("stdout", "log", "json", "csv")
+            )
+
+    def _on_training_end(self) -> None:
+        self._draw()
+        self.logger.dump(self.num_timesteps)

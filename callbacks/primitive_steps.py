@@ -1,0 +1,76 @@
+"""Counting in primitive steps, whatever the algorithm chooses among."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from stable_baselines3.common.callbacks import (
+    BaseCallback,
+    CallbackList,
+    ConvertCallback,
+    EventCallback,
+    ProgressBarCallback,
+)
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+
+from sb3_options.wrapper import OptionsWrapper
+
+
+class PrimitiveStepsCallback(BaseCallback):
+    """Makes ``num_timesteps``, and with it budget, schedules and every x-axis, count primitive steps.
+
+    SB3 counts calls of ``step``; an option of k primitive steps is one call, so k − 1 are added. A progress bar among
+    the other callbacks is moved along. Use it alone with hand-made options; `SubgoalDiscoveryCallback` does the same.
+    """
+
+    def _on_training_start(self) -> None:
+        monitor_primitive_steps(self.training_env)
+
+    def _on_step(self) -> bool:
+        count_inner_steps(self, self.locals["infos"])
+        return True
+
+
+def count_inner_steps(callback: BaseCallback, infos: list[dict[str, Any]]) -> None:
+    """Add to the model's ``num_timesteps`` what one call of ``step`` left out."""
+    extra = sum(info["option"]["duration"] for info in infos) - len(infos)
+    if extra == 0:
+        return
+    callback.model.num_timesteps += extra
+    callback.num_timesteps = callback.model.num_timesteps
+    for sibling in all_callbacks(callback.locals.get("callback")):
+        if isinstance(sibling, ProgressBarCallback):
+            sibling.pbar.update(extra)
+
+
+def all_callbacks(root: BaseCallback | None) -> Iterator[BaseCallback]:
+    """Every callback in the tree that ``learn`` was given."""
+    if root is None:
+        return
+    yield root
+    children: list[BaseCallback | None] = []
+    if isinstance(root, CallbackList):
+        children += root.callbacks
+    if isinstance(root, EventCallback):
+        children += [root.callback, getattr(root, "callback_on_new_best", None)]
+    if not isinstance(root, ConvertCallback):
+        for child in children:
+            yield from all_callbacks(child)
+
+
+def monitor_primitive_steps(venv: VecEnv) -> None:
+    """Move a ``Monitor`` that stands above the `OptionsWrapper` beneath it.
+
+    SB3 puts a ``Monitor`` around an environment that has none. There it would count decisions and sum discounted
+    rewards; beneath the options it counts primitive steps and undiscounted rewards.
+    """
+    inner = venv.unwrapped
+    if not isinstance(inner, DummyVecEnv):
+        return  # worker processes make their own environments, and SB3 puts no Monitor around those
+    for i, env in enumerate(inner.envs):
+        if isinstance(env, Monitor) and isinstance(env.env, OptionsWrapper):
+            options = env.env
+            env.env, options.env = options.env, env
+            inner.envs[i] = options

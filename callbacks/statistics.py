@@ -1,0 +1,35 @@
+"""How the options are used, for TensorBoard."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from typing import Any
+
+import numpy as np
+
+WINDOW = 100
+"""Durations and endings are averaged over this many last uses of a slot."""
+
+
+class OptionStatistics:
+    """Uses of each slot, and how long the last of them took and why they ended."""
+
+    def __init__(self) -> None:
+        self._uses: Counter[int] = Counter()
+        self._last: dict[int, deque[tuple[int, str]]] = {}
+
+    def add(self, option: dict[str, Any]) -> None:
+        """Count one ``info["option"]`` that ran a filled slot."""
+        slot = option["index"]
+        self._uses[slot] += 1
+        self._last.setdefault(slot, deque(maxlen=WINDOW)).append((option["duration"], option["termination"]))
+
+    def values(self) -> dict[str, float]:
+        """By TensorBoard tag: uses so far; mean duration and the share of each ending over the last uses."""
+        values: dict[str, float] = {}
+        for slot, last in self._last.items():
+            values[f"options/slot_{slot}/uses"] = self._uses[slot]
+            values[f"options/slot_{slot}/mean_duration"] = float(np.mean([duration for duration, _ in last]))
+            for ending, count in Counter(why for _, why in last).items():
+                values[f"options/slot_{slot}/ended_{ending}"] = count / len(last)
+        return values

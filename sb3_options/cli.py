@@ -1,0 +1,177 @@
+"""The command line: train a run, evaluate a run."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
+
+import sb3_options.envs  # noqa: F401  # registers them
+from sb3_options import config as configs
+from sb3_options import evaluation, runs
+from sb3_options.atomic import whole_file
+from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.config import TrainConfig
+from sb3_options.plots import subgoals_figure
+
+console = Console(highlight=False, soft_wrap=True)
+
+EVAL_SEED = 10_000
+"""Evaluation environments count their seeds from here, so that none equals a training seed."""
+
+FIGURE_DPI = 110
+
+
+@dataclass(frozen=True)
+class EvaluateConfig:
+    """Load a run in a new process and act greedily: mean return, success rate and primitive steps an episode.
+
+    Attributes:
+        run: The run folder that training named.
+        episodes: How many to play.
+        seed: Of the environment.
+        video: Write what was played to this MP4 file.
+    """
+
+    run: Annotated[Path, tyro.conf.Positional]
+    episodes: int = 100
+    seed: int = EVAL_SEED
+    video: Path | None = None
+
+
+def main(args: Sequence[str] | None = None) -> None:
+    """Run a command line: ``evaluate RUN …`` or the flags of `TrainConfig`.
+
+    Args:
+        args: Without the program's name; by default those of the process.
+    """
+    args = sys.argv[1:] if args is None else list(args)
+    try:
+        if args[:1] == ["evaluate"]:
+            evaluate(tyro.cli(EvaluateConfig, prog="train.py evaluate", args=args[1:]))
+        else:
+            train(configs.parse(args))
+    except (ValueError, TypeError, OSError, ModuleNotFoundError) as error:
+        console.print(f"[bold red]Error:[/] {error}")
+        sys.exit(1)
+
+
+def train(config: TrainConfig) -> Path:
+    """Train, and leave a run folder.
+
+    An interrupt ends training early; what was learned until then is kept.
+
+    Args:
+        config: Of the run.
+
+    Returns:
+        The run folder.
+
+    Raises:
+        ValueError: Something in the configuration does not fit.
+        OSError: The run folder cannot be written.
+    """
+    runs.check_env_id(config.env)
+    runs.make_env(config, 1, config.seed).close()  # what cannot be made leaves no folder behind
+    folder = runs.new_run_folder(config)
+    env = runs.make_env(config, config.n_envs, config.seed, monitor_dir=folder / runs.MONITOR)
+    configs.save(config, folder / runs.CONFIG)
+    model = runs.make_model(config, env)
+    model.tensorboard_log = str(folder)
+    discovery = SubgoalDiscoveryCallback(
+        config.discovery,
+        config.option,
+        max_new_options=config.max_new_options if config.discover else 0,
+        save_path=folder / runs.OPTIONS,
+        seed=config.seed,
+        verbose=1,
+    )
+    callbacks: list[BaseCallback] = [discovery]
+    if config.eval_freq > 0:
+        callbacks.append(
+            EvalCallback(
+                runs.make_env(config, 1, EVAL_SEED + config.seed),
+                n_eval_episodes=config.eval_episodes,
+                eval_freq=max(config.eval_freq // config.n_envs, 1),
+                log_path=str(folder),
+                verbose=0,
+            )
+        )
+    console.print(f"Training {config.algo.upper()} on {config.env} for {config.n_timesteps:,} primitive steps.")
+    finished = True
+    try:
+        model.learn(config.n_timesteps, callback=callbacks, progress_bar=config.progress, tb_log_name="tensorboard")
+    except KeyboardInterrupt:
+        finished = False
+    with whole_file(folder / runs.MODEL) as temporary:
+        model.save(temporary)
+    discovery.bank.save(folder / runs.OPTIONS)
+    if discovery.discovery is not None:
+        with whole_file(folder / runs.SUBGOALS) as temporary:
+            subgoals_figure(discovery.discovery, discovery.bank).savefig(temporary, dpi=FIGURE_DPI)
+    env.close()
+    _report(discovery, folder, finished=finished)
+    return folder
+
+
+def _report(discovery: SubgoalDiscoveryCallback, folder: Path, *, finished: bool) -> None:
+    took = f"{discovery.num_timesteps:,} primitive steps, {discovery.episodes:,} episodes"
+    console.print(f"\n[bold]{'Finished' if finished else 'Interrupted'}[/] after {took}.")
+    if discovery.discoveries:
+        table = Table("option", "subgoal", "found after episode", "primitive steps", "initiation states")
+        for found in discovery.discoveries:
+            where = ", ".join(f"{x:g}" for x in found.subgoal[:6]) + (", …" if len(found.subgoal) > 6 else "")
+            table.add_row(
+                str(found.slot),
+                f"({where})",
+                str(found.episode),
+                f"{found.timestep:,}",
+                str(found.initiation_states),
+            )
+        console.print("Subgoals discovered:")
+        console.print(table)
+    else:
+        console.print("No subgoal was discovered: no peak of diverse density persisted long enough.")
+    console.print(f"Run folder:   {folder}")
+    console.print(f"TensorBoard:  tensorboard --logdir {folder}")
+    console.print(f"Evaluate:     python train.py evaluate {folder} --video {folder / 'video.mp4'}")
+
+
+def evaluate(config: EvaluateConfig) -> evaluation.Evaluation:
+    """Evaluate a run, print the result, and write it to ``evaluation.json`` in the run folder.
+
+    Args:
+        config: Which run, and how.
+
+    Returns:
+        The evaluation.
+
+    Raises:
+        ValueError: Something does not fit.
+        OSError: A file is missing or cannot be written.
+    """
+    result = evaluation.evaluate_run(config.run, episodes=config.episodes, seed=config.seed, video=config.video)
+    table = Table("", "mean", "95 % confidence interval", title=f"{config.run}: {result.episodes} episodes")
+    rows = {
+        "return": result.mean_return,
+        "success rate": result.success_rate,
+        "primitive steps": result.steps,
+    }
+    for name, interval in rows.items():
+        table.add_row(name, f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}")
+    console.print(table)
+    content = {"episodes": result.episodes, "seed": config.seed}
+    content |= {name.replace(" ", "_"): interval._asdict() for name, interval in rows.items()}  # type: ignore[misc]  # values of two kinds
+    with whole_file(config.run / "evaluation.json") as temporary:
+        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    if config.video is not None:
+        console.print(f"Video: {config.video}")
+    return result

@@ -1,0 +1,180 @@
+"""What a training run is made of: one documented dataclass, from flags, from YAML, and back."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import tyro
+import yaml
+
+from sb3_options.discovery import DiscoverySettings
+from sb3_options.option_learning import OptionLearningSettings
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Train an agent that discovers its own options.
+
+    The defaults are tuned for the two-room gridworld. A second command, `evaluate RUN`, loads a run: see
+    `evaluate --help`. `--config FILE` reads any of these settings from YAML; flags win over the file.
+
+    Attributes:
+        algo: Algorithm; "optiondqn" is DQN that keeps to the options' initiation sets.
+        env: Gymnasium environment id, with Discrete actions.
+        env_kwargs: Keyword arguments of the environment, as `name:value`.
+        n_timesteps: Length of training, primitive steps over all environments.
+        seed: Of everything random.
+        tensorboard_log: Folder in which the run folder is made.
+        n_envs: Number of parallel environments.
+        eval_freq: Evaluate every so many primitive steps; 0 never does.
+        eval_episodes: Episodes of each evaluation.
+        progress: Show a progress bar.
+        max_options: Number of option slots.
+        max_new_options: Most options to discover; by default one, as in the paper.
+        discover: Discover options; without it the slots stay empty.
+        gamma: Discount per primitive step.
+        learning_rate: Of Adam.
+        buffer_size: Transitions in the replay buffer.
+        learning_starts: Random primitive steps before learning starts.
+        batch_size: Transitions a gradient step.
+        train_freq: Decisions between gradient steps.
+        target_update_interval: Decisions between updates of the target network.
+        exploration_fraction: Share of training over which ε falls.
+        exploration_final_eps: ε after that.
+        net_arch: Hidden layers of the network.
+        discovery: How subgoals are found.
+        option: How options are learned.
+    """
+
+    algo: Literal["dqn", "qrdqn", "optiondqn"] = "dqn"
+    env: str = "sb3_options/TwoRooms-v0"
+    env_kwargs: tuple[str, ...] = ()
+    n_timesteps: int = 60_000
+    seed: int = 0
+    tensorboard_log: Path = Path("runs")
+    n_envs: int = 1
+    eval_freq: int = 0
+    eval_episodes: int = 10
+    progress: bool = True
+    max_options: int = 4
+    max_new_options: int | None = 1
+    discover: bool = True
+    gamma: float = 0.97
+    learning_rate: float = 5e-4
+    buffer_size: int = 50_000
+    learning_starts: int = 500
+    batch_size: int = 64
+    train_freq: int = 4
+    target_update_interval: int = 500
+    exploration_fraction: float = 0.5
+    exploration_final_eps: float = 0.05
+    net_arch: tuple[int, ...] = (64, 64)
+    discovery: DiscoverySettings = field(default_factory=DiscoverySettings)
+    option: OptionLearningSettings = field(default_factory=OptionLearningSettings)
+
+    def __post_init__(self) -> None:
+        """Refuse values out of range, by flag."""
+        for name in ("n_timesteps", "n_envs", "eval_episodes", "buffer_size", "batch_size", "train_freq"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"--{name.replace('_', '-')} must be at least 1, got {getattr(self, name)}.")
+        if self.eval_freq < 0 or self.max_options < 0:
+            raise ValueError("--eval-freq and --max-options must be at least 0.")
+        if not 0.0 < self.gamma <= 1.0:
+            raise ValueError(f"--gamma must be in (0, 1], got {self.gamma}.")
+        if any(":" not in pair for pair in self.env_kwargs):
+            raise ValueError(f"--env-kwargs takes pairs name:value, got {' '.join(self.env_kwargs)}.")
+
+    def env_keywords(self) -> dict[str, Any]:
+        """``env_kwargs`` as keyword arguments; values are read as YAML, so that 3 is a number."""
+        return {name: yaml.safe_load(value) for name, _, value in (pair.partition(":") for pair in self.env_kwargs)}
+
+
+def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
+    """Flags → configuration. Exits with a message where they make no sense.
+
+    Args:
+        args: Without the program's name.
+        prog: For the help text.
+
+    Returns:
+        The resolved configuration.
+    """
+    config_file, rest = _split_config_flag(args)
+    try:
+        from_file = [] if config_file is None else list(_flags(read_yaml(config_file)))
+        return tyro.cli(TrainConfig, prog=prog, args=[*from_file, *rest])
+    except (ValueError, OSError) as error:
+        sys.exit(f"{prog}: {error}")
+
+
+def load(path: Path) -> TrainConfig:
+    """The configuration that `save` wrote.
+
+    Raises:
+        OSError: The file cannot be read.
+        ValueError: It is no mapping of settings.
+    """
+    return tyro.cli(TrainConfig, args=list(_flags(read_yaml(path))))
+
+
+def save(config: TrainConfig, path: Path) -> None:
+    """Write a configuration as YAML that `--config` reads back."""
+    path.write_text(yaml.safe_dump(_plain(dataclasses.asdict(config)), sort_keys=False), encoding="utf-8")
+
+
+def read_yaml(path: Path) -> Mapping[str, Any]:
+    """A YAML file with a mapping at its top, read without running anything in it.
+
+    Raises:
+        OSError: The file cannot be read.
+        ValueError: It is no YAML, or no mapping.
+    """
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except yaml.YAMLError as error:
+        raise ValueError(f"{path} is no YAML that can be read safely: {error}") from error
+    if content is None:
+        return {}
+    if not isinstance(content, dict):
+        raise ValueError(f"{path} must hold `name: value` lines, got a {type(content).__name__}.")
+    return content
+
+
+def _split_config_flag(args: Sequence[str]) -> tuple[Path | None, list[str]]:
+    rest, config_file = list(args), None
+    for i, arg in enumerate(args):
+        if arg == "--config":
+            if i + 1 == len(args):
+                sys.exit("--config needs a file.")
+            config_file, rest = args[i + 1], [*args[:i], *args[i + 2 :]]
+        elif arg.startswith("--config="):
+            config_file, rest = arg.partition("=")[2], [*args[:i], *args[i + 1 :]]
+    return (None if config_file is None else Path(config_file)), rest
+
+
+def _flags(settings: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    """A mapping as the flags that say the same, so that a file is checked just as flags are."""
+    for name, value in settings.items():
+        flag = f"{prefix}{str(name).replace('_', '-')}"
+        if isinstance(value, Mapping):
+            yield from _flags(value, f"{flag}.")
+        elif isinstance(value, bool):
+            head, _, last = flag.rpartition(".")
+            yield f"--{head}{'.' if head else ''}{'' if value else 'no-'}{last}"
+        elif isinstance(value, list | tuple):
+            yield from (f"--{flag}", *map(str, value))
+        else:
+            yield from (f"--{flag}", str(value))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(v) for key, v in value.items()}
+    if isinstance(value, tuple):
+        return [_plain(v) for v in value]
+    return str(value) if isinstance(value, Path) else value

@@ -1,0 +1,263 @@
+"""Subgoal discovery: trajectories in, persistent peaks of diverse density out (McGovern & Barto 2001, Table 1)."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from sb3_options.bags import StaticFilter, SuccessRule, bag_of, near_start_and_goal, reported_success
+from sb3_options.diverse_density import Bags, DiverseDensity, Peak
+from sb3_options.observations import FloatArray
+from sb3_options.option import Region
+from sb3_options.peaks import PeakTracker, plateau_centres
+from sb3_options.trajectories import LabelledTrajectory, Trajectory, TrajectoryDatabase
+
+
+@dataclass(frozen=True)
+class DiscoverySettings:
+    """How subgoals are found (McGovern & Barto 2001, §4–5). Distances are in scaled units of concept space.
+
+    Attributes:
+        capacity: How many trajectories are kept: the last n.
+        min_positive: Positive bags needed before the first search: over a few bags, accidents tie with bottlenecks.
+        negative_bags: Whether unsuccessful trajectories become negative bags.
+        negative_strength: η in (0, 1]: how strongly an instance of a negative bag speaks against a concept near it.
+            Below 1 because an unsuccessful trajectory may well pass a bottleneck (the paper's §8).
+        search: ``gradient`` ascent from many starts, or ``exhaustive`` over the instances of positive bags.
+        scale: Factor for every feature, 1/width of the Gaussians; None takes `default_scale`.
+        start_radius: The default static filter keeps subgoals this far from where a trajectory began.
+        goal_radius: … and this far from where it ended.
+        decay: λ of the running averages.
+        threshold: Share of the limit λ/(1−λ) that makes a concept persistent.
+        peak_radius: A peak belongs to the nearest known concept within this distance.
+        peak_tolerance: Peaks whose log diverse density is within this of the best one count as found, in nats.
+        subgoal_radius: The subgoal is everything within this distance of the persistent peak.
+        spacing: A new subgoal must be farther than this from those that have an option.
+    """
+
+    capacity: int = 100
+    min_positive: int = 8
+    negative_bags: bool = True
+    negative_strength: float = 0.1
+    search: Literal["gradient", "exhaustive"] = "gradient"
+    scale: float | None = None
+    start_radius: float = 2.0
+    goal_radius: float = 5.0
+    decay: float = 0.9
+    threshold: float = 0.6
+    peak_radius: float = 1.5
+    peak_tolerance: float = 1e-3
+    subgoal_radius: float = 0.5
+    spacing: float = 3.0
+
+    def __post_init__(self) -> None:
+        """Refuse values out of range, by name."""
+        for name in ("capacity", "min_positive"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}.")
+        for name in (
+            "start_radius",
+            "goal_radius",
+            "peak_radius",
+            "peak_tolerance",
+            "subgoal_radius",
+            "spacing",
+        ):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} must be at least 0, got {getattr(self, name)}.")
+        if self.scale is not None and not self.scale > 0:
+            raise ValueError(f"scale must be positive, got {self.scale}.")
+        if self.search not in ("gradient", "exhaustive"):
+            raise ValueError(f"search must be 'gradient' or 'exhaustive', got {self.search!r}.")
+
+
+CATEGORICAL_SCALE = 6.0
+"""One-hot codes of two states are then 6√2 = 8.5 units apart, farther than any default radius: equal or not."""
+
+UNITS_PER_RANGE = 20.0
+"""Features nobody scaled are taken to have this many distinguishable values along the range seen so far."""
+
+
+def default_scale(kind: str | None, features: FloatArray) -> FloatArray:
+    """The scale that makes one unit of concept space one step, as far as that can be known.
+
+    Args:
+        kind: Where φ comes from (`features.FeatureKind`). A user's φ and an environment's own are taken to be in
+            such units already.
+        features: All that was seen so far, shape (m, d).
+
+    Returns:
+        Factors, shape (d,): 1, or `CATEGORICAL_SCALE`, or `UNITS_PER_RANGE` over the range of each feature.
+    """
+    d = features.shape[1]
+    if kind == "categorical":
+        return np.full(d, CATEGORICAL_SCALE)
+    if kind == "identity":
+        extent = np.ptp(features, axis=0)
+        return UNITS_PER_RANGE / np.where(extent > 0, extent, UNITS_PER_RANGE)
+    return np.ones(d)
+
+
+WARM_STARTS = 4
+"""A search also starts from this many peaks of the one before."""
+
+
+class Search(NamedTuple):
+    """What one search found.
+
+    Attributes:
+        peaks: Best first; empty if there was nothing to search.
+        bags: What was searched; None if there was nothing.
+        seconds: Wall time.
+    """
+
+    peaks: list[Peak]
+    bags: Bags | None
+    seconds: float
+
+
+class Finding(NamedTuple):
+    """A subgoal, with the bags it was found in.
+
+    Attributes:
+        subgoal: In concept space.
+        bags: Of the search that completed it.
+        log_density: Best log diverse density of that search.
+    """
+
+    subgoal: Region
+    bags: Bags
+    log_density: float
+
+
+@dataclass
+class SubgoalDiscovery:
+    """The state of discovery: what was lived through, which peaks persist, which subgoals were taken.
+
+    Args:
+        settings: How.
+        success: Which trajectories make positive bags; by default what the environment reports.
+        static_filter: What may be a subgoal; by default not near start and goal.
+        kind: Where φ comes from, for `default_scale`.
+    """
+
+    settings: DiscoverySettings = field(default_factory=DiscoverySettings)
+    success: SuccessRule = reported_success
+    static_filter: StaticFilter | None = None
+    kind: str | None = None
+
+    def __post_init__(self) -> None:
+        """Set up what grows with experience."""
+        s = self.settings
+        self.database = TrajectoryDatabase(s.capacity)
+        self.tracker = PeakTracker(decay=s.decay, threshold=s.threshold, radius=s.peak_radius)
+        self.found: list[Finding] = []
+        self.last = Search([], None, 0.0)
+        self.seconds = 0.0
+        self.scale: FloatArray | None = None
+        self._filter = self.static_filter or near_start_and_goal(s.start_radius, s.goal_radius)
+
+    def add(self, trajectory: Trajectory, features: FloatArray) -> LabelledTrajectory:
+        """Put a trajectory into the database.
+
+        Args:
+            trajectory: One episode.
+            features: φ of its distinct observations, shape (m, d).
+
+        Returns:
+            The trajectory with its label.
+
+        Raises:
+            ValueError: ``features`` does not fit the trajectory, or is not finite.
+        """
+        features = np.asarray(features, dtype=np.float64)
+        if not np.isfinite(features).all():
+            raise ValueError("the feature map gave NaN or infinite features for a trajectory")
+        labelled = LabelledTrajectory(trajectory, features, bool(self.success(trajectory)))
+        self.database.add(labelled)
+        return labelled
+
+    def search(self) -> Region | None:
+        """Search the bags once and update the running averages.
+
+        Returns:
+            A new subgoal, if a concept has become persistent. It counts as taken from then on.
+        """
+        began = time.perf_counter()
+        bags = self.bags()
+        peaks: list[Peak] = []
+        if bags is not None:
+            assert self.scale is not None  # set by bags()
+            engine = self.engine()
+            peaks = engine.search(bags, starts=self._warm_starts(engine))
+            tied = [p.point for p in peaks if p.log_density >= peaks[0].log_density - self.settings.peak_tolerance]
+            self.tracker.update(plateau_centres(np.array(tied), self.scale, self.settings.peak_radius), self.scale)
+        self.last = Search(peaks, bags, time.perf_counter() - began)
+        self.seconds += self.last.seconds
+        return self._new_subgoal()
+
+    def _warm_starts(self, engine: DiverseDensity) -> FloatArray | None:
+        """The best peaks of the last search, for a search that can start from them."""
+        if engine.method == "exhaustive" or not self.last.peaks:
+            return None
+        return np.array([peak.point for peak in self.last.peaks[:WARM_STARTS]])
+
+    def bags(self) -> Bags | None:
+        """The bags of the database; None while there are too few positive ones to search."""
+        positive = [t for t in self.database if t.success]
+        if len(positive) < self.settings.min_positive:
+            return None
+        if self.scale is None:
+            seen = np.concatenate([t.features for t in self.database])
+            given = self.settings.scale
+            self.scale = default_scale(self.kind, seen) if given is None else np.full(seen.shape[1], given)
+        positive_bags = [bag for t in positive if len(bag := self._bag(t))]
+        if len(positive_bags) < self.settings.min_positive:
+            return None
+        negative_bags = []
+        if self.settings.negative_bags:
+            negative_bags = [bag for t in self.database if not t.success and len(bag := self._bag(t))]
+        return Bags.pack(positive_bags, negative_bags)
+
+    def engine(self) -> DiverseDensity:
+        """The diverse density these settings mean."""
+        return DiverseDensity(
+            scale=1.0 if self.scale is None else self.scale,
+            negative_strength=self.settings.negative_strength,
+            method=self.settings.search if self.kind != "categorical" else "exhaustive",
+        )
+
+    def _bag(self, labelled: LabelledTrajectory) -> FloatArray:
+        assert self.scale is not None  # set by bags() before any bag is made
+        bag = bag_of(labelled.features, int(labelled.trajectory.visits[-1]), self.scale, self._filter)
+        for finding in self.found:
+            centre = finding.subgoal.points[0]
+            bag = bag[np.linalg.norm((bag - centre) * self.scale, axis=1) > self.settings.spacing]
+        return bag
+
+    def _new_subgoal(self) -> Region | None:
+        for concept in self.tracker.persistent():
+            point = self._nearest_instance(concept.point)
+            if point is None:
+                continue
+            assert self.scale is not None  # a concept is tracked only after a search
+            assert self.last.bags is not None
+            subgoal = Region(point[None], self.scale, self.settings.subgoal_radius)
+            self.found.append(Finding(subgoal, self.last.bags, self.last.peaks[0].log_density))
+            self.tracker = PeakTracker(
+                decay=self.settings.decay, threshold=self.settings.threshold, radius=self.settings.peak_radius
+            )
+            self.last = Search([], self.last.bags, self.last.seconds)
+            return subgoal
+        return None
+
+    def _nearest_instance(self, point: FloatArray) -> FloatArray | None:
+        """The instance of a positive bag nearest to ``point``: a peak may lie where nobody can stand."""
+        instances = [bag for t in self.database if t.success and len(bag := self._bag(t))]
+        if not instances or self.scale is None:
+            return None
+        candidates = np.concatenate(instances)
+        return np.array(candidates[np.linalg.norm((candidates - point) * self.scale, axis=1).argmin()])

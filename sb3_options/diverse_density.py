@@ -1,0 +1,486 @@
+"""Diverse density of a concept over bags of instances, and the search for its peaks.
+
+A concept is a point t with a scale s (one over its width) per feature, in the feature space of the instances. Its
+diverse density is high where many positive bags, and no negative bag, have an instance nearby.
+Sources: Maron and Lozano-Pérez, "A framework for multiple-instance learning" (1998); McGovern and Barto,
+"Accelerating reinforcement learning through the discovery of useful subgoals" (2001), section 4.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple, Self, cast
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
+
+# (points × instances) held at once: a few such arrays in single precision fit the level-2 cache of a core.
+MAX_PAIRS = 1 << 16
+# Up to this many features a loop of differences is faster than a matrix product with its corrections.
+MAX_LOOPED_FEATURES = 8
+# What a row of the padded layout costs beside its instances, in instances.
+ROW_COST = 8
+# A start whose step is shorter than this, in widths of the concept or e-folds of the scale, has arrived.
+ARRIVED = 1e-4
+# Longest step of the scale, in e-folds.
+LOG_SCALE_STEP = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Bags:
+    """Bags of instances, packed once and searched many times; made by :meth:`pack`.
+
+    Attributes:
+        instances: (N, d) in float64, bag after bag, the positive bags first.
+        lengths: Number of instances in each bag.
+        n_positive: Number of positive bags.
+        dtype: Precision in which densities are computed.
+    """
+
+    instances: Tensor
+    lengths: tuple[int, ...]
+    n_positive: int
+    dtype: torch.dtype
+    _layouts: "dict[torch.dtype, _Layout]" = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def pack(
+        cls,
+        positive: Sequence[ArrayLike],
+        negative: Sequence[ArrayLike] = (),
+        *,
+        dtype: torch.dtype = torch.float64,
+        device: torch.device | str = "cpu",
+    ) -> Self:
+        """Pack bags of shape (n_i, d). An instance given twice counts twice: pass first visits only.
+
+        Raises:
+            ValueError: No bag at all, an empty bag, bags that disagree about d, or NaN or infinite features.
+        """
+        names = [f"positive bag {i}" for i in range(len(positive))]
+        names += [f"negative bag {i}" for i in range(len(negative))]
+        if not names:
+            raise ValueError("there are no bags: pass at least one positive or negative bag")
+        arrays = [np.asarray(bag, dtype=np.float64) for bag in (*positive, *negative)]
+        for name, array in zip(names, arrays, strict=True):
+            if array.size == 0:
+                raise ValueError(f"{name} is empty, of shape {array.shape}: leave empty bags out")
+            if array.ndim != 2:
+                raise ValueError(f"{name} must have shape (instances, features), got {array.shape}")
+            if array.shape[1] != arrays[0].shape[1]:
+                raise ValueError(f"{name} has {array.shape[1]} features, {names[0]} has {arrays[0].shape[1]}")
+            if not np.isfinite(array).all():
+                raise ValueError(f"{name} holds NaN or infinite features")
+        instances = torch.from_numpy(np.concatenate(arrays)).to(device)
+        return cls(instances, tuple(map(len, arrays)), len(positive), dtype)
+
+    @property
+    def n_features(self) -> int:
+        """The dimension d of the feature space."""
+        return int(self.instances.shape[1])
+
+    def smallest_positive(self, n: int) -> NDArray[np.float64]:
+        """Distinct instances (m, d) of the `n` positive bags with the fewest, in the order they were packed."""
+        ends = np.cumsum(self.lengths)
+        instances = self.instances.cpu().numpy()
+        smallest = np.sort(np.argsort(self.lengths[: self.n_positive], kind="stable")[:n])
+        return _distinct(np.concatenate([instances[:0], *(instances[: ends[i]][-self.lengths[i] :] for i in smallest)]))
+
+    def _layout(self, dtype: torch.dtype) -> "_Layout":
+        if dtype not in self._layouts:
+            self._layouts[dtype] = _Layout.of(self, dtype)
+        return self._layouts[dtype]
+
+
+class _Layout(NamedTuple):
+    """Bags as the kernels read them: feature by feature, each positive bag padded to as many rows as it needs."""
+
+    origin: Tensor  # (d,): an instance, so that integers stay integers and a common offset costs no digits
+    powers: Tensor  # (1 + 2 d, rows * width + n_negative): 1, x_k and x_k², relative to the origin
+    padding: Tensor  # (rows * width + n_negative,): 0, or -inf for a place without an instance
+    rows: tuple[int, int]  # rows, width
+    bag_of_row: Tensor | None  # (rows,), or None where every bag is one row
+    n_bags: int
+
+    @classmethod
+    def of(cls, bags: Bags, dtype: torch.dtype) -> "_Layout":
+        lengths = np.array(bags.lengths[: bags.n_positive], dtype=np.int64)
+        n_instances, n_positive = len(bags.instances), int(lengths.sum())
+        widths = np.unique(np.append(lengths, 2 ** np.arange(int(lengths.max(initial=1)).bit_length())))
+        rows = -(-lengths // widths[:, None])
+        best = int(np.argmin(rows.sum(1) * (widths + ROW_COST)))
+        width, rows = int(widths[best]), rows[best]
+        bag = np.repeat(np.arange(len(lengths)), rows)
+        row_in_bag = np.arange(len(bag)) - np.repeat(np.cumsum(rows) - rows, rows)
+        place, length = row_in_bag[:, None] * width + np.arange(width), lengths[bag, None]
+        index = (np.cumsum(lengths) - lengths)[bag, None] + np.minimum(place, length - 1)
+        padding = np.where(place < length, 0.0, -np.inf).ravel()
+
+        device = bags.instances.device
+        columns = torch.from_numpy(np.append(index.ravel(), np.arange(n_positive, n_instances))).to(device)
+        x = (bags.instances - bags.instances[0])[columns].T
+        return cls(
+            origin=bags.instances[0],
+            powers=torch.cat([torch.ones_like(x[:1]), x, x * x]).to(dtype),
+            padding=torch.from_numpy(np.append(padding, np.zeros(n_instances - n_positive))).to(device, dtype),
+            rows=(len(bag), width),
+            bag_of_row=None if len(bag) == len(lengths) else torch.from_numpy(bag).to(device),
+            n_bags=len(lengths),
+        )
+
+    def per_bag(self, rows: Tensor, reduce: Literal["amax", "prod", "sum"]) -> Tensor:
+        """Reduce (S, rows) to (S, bags)."""
+        if self.bag_of_row is None:
+            return rows
+        out = rows.new_empty(len(rows), self.n_bags)
+        return out.scatter_reduce_(1, self.bag_of_row.expand_as(rows), rows, reduce, include_self=False)
+
+    def per_row(self, bags: Tensor) -> Tensor:
+        """Spread (S, bags) to (S, rows, 1)."""
+        return (bags if self.bag_of_row is None else bags[:, self.bag_of_row])[..., None]
+
+
+def _log2_membership(points: Tensor, scales: Tensor, layout: _Layout) -> Tensor:
+    """log₂ Pr(B_ij ∈ c) = −log₂(e) D_ij with D_ij = Σ_k (s_k (x_ijk − t_k))², shape (S, places); exactly 0 on a hit.
+
+    In powers of two because `torch.exp2` takes a fraction of the time of `torch.exp`.
+    """
+    roots = scales * math.sqrt(math.log2(math.e))
+    d = points.shape[1]
+    features = layout.powers[1 : d + 1]
+    if d <= MAX_LOOPED_FEATURES:
+        out = layout.padding.expand(len(points), -1).clone()
+        for feature, t, root in zip(features, points.T, roots.T, strict=True):
+            difference = (feature - t[:, None]).mul_(root[:, None])
+            out.addcmul_(difference, difference, value=-1)
+        return out
+    squares = roots.square()
+    size = squares @ layout.powers[d + 1 :] + (squares * points.square()).sum(1, keepdim=True)
+    out = torch.addmm(layout.padding, squares * points, features, alpha=2).sub_(size)
+    # The products round relative to the size of the coordinates: pairs that lie close are done by differences.
+    close = out > size.mul_(-(torch.finfo(out.dtype).eps ** 0.375))
+    for pairs in close.nonzero().split(max(1, MAX_PAIRS // d)):
+        point, place = pairs.T
+        difference = (features[:, place] - points[point].T).mul_(roots[point].T)
+        out[point, place] = -difference.square().sum(0)
+    return out
+
+
+def _noisy_or(log2_p: Tensor, layout: _Layout) -> tuple[Tensor, Tensor]:
+    """Log Pr(t | B⁺) = log(1 − Π_j (1 − p_j)) summed over bags, (S,), and weights w_ij = −∂/∂D_ij, (S, places).
+
+    w_ij = p_ij Π_{k≠j} (1 − p_ik) / Pr(t | B_i⁺) is in [0, 1] and tends to the soft-max of −D_ij as the bag
+    recedes. The bag's largest p is factored out, so that nothing underflows at any distance. Where it is small,
+    1 − Π would cancel and Π (1 − p_j) = exp(−Σ p_j − Σ p_j² / 2 − …) takes its place; the cube root of the
+    precision balances the two errors. Overwrites its argument.
+    """
+    precision = torch.finfo(log2_p.dtype)
+    floor = math.log2(precision.tiny) / 2  # keeps squares above the subnormal numbers, which are slow
+    log2_p = log2_p.view(len(log2_p), *layout.rows)
+    top = layout.per_bag(log2_p.amax(-1), "amax")
+    # Kept below 1: on a hit 1 − p = 0 would make the weight 0/0.
+    largest = torch.exp2(top).clamp_(2.0**floor, 1 - precision.eps)
+    share = log2_p.sub_(layout.per_row(top)).clamp_(min=floor).exp2_()
+    linear = layout.per_bag(share.sum(-1), "sum")
+    quadratic = layout.per_bag(torch.linalg.vecdot(share, share), "sum")
+    miss = (share * -layout.per_row(largest)).add_(1)
+    all_miss = layout.per_bag(miss.prod(-1), "prod")
+    near = largest > precision.eps ** (1 / 3)
+    series = (linear + quadratic * largest / 2) * largest
+    hit = torch.where(near, 1 - all_miss, -torch.expm1(-series))
+    log_hit = torch.where(near, torch.log1p(-all_miss), hit.log()).masked_fill_(top == 0, 0)
+    log_hit += (top - floor).clamp_(max=0) * math.log(2)
+    weights = share.div_(miss).mul_(layout.per_row(all_miss * largest / hit))
+    return log_hit.sum(1), weights.flatten(1)
+
+
+def _noisy_nor(log2_p: Tensor, strength: float) -> tuple[Tensor, Tensor]:
+    """Log Pr(t | B⁻) = Σ_j log(1 − η p_j) over negative bags, (S,), and weights ∂/∂D_ij = η p_ij / (1 − η p_ij).
+
+    An instance that is hit has weight 0: its distance is at its minimum, and the gradient stays finite.
+    """
+    p = torch.exp2(log2_p).mul_(strength)
+    miss = (1 - strength) - strength * torch.expm1(log2_p * math.log(2))
+    log_miss = torch.where(p < 0.5, torch.log1p(-p), miss.log())
+    return log_miss.sum(1), p * (miss > 0) / miss.clamp(min=torch.finfo(p.dtype).eps ** 2)
+
+
+class _Densities(NamedTuple):
+    """Log densities (S,), and sums over all instances x with weights w > 0 that attract and w < 0 that repel."""
+
+    log_density: Tensor
+    mass: Tensor  # (S, 1) Σ |w|
+    pull: Tensor  # (S, d) Σ w (x − t)
+    spread: Tensor  # (S, d) Σ w (x − t)²
+    total_spread: Tensor  # (S, d) Σ |w| (x − t)²
+
+
+def _evaluate(points: Tensor, scales: Tensor, layout: _Layout, strength: float) -> _Densities:
+    """Evaluate points and scales (S, d) relative to the layout's origin, as many at once as `MAX_PAIRS` allows."""
+    at_once = max(1, MAX_PAIRS // len(layout.padding))
+    if len(points) > at_once:
+        chunks = zip(points.split(at_once), scales.split(at_once), strict=True)
+        parts = [_evaluate(t, s, layout, strength) for t, s in chunks]
+        return _Densities(*map(torch.cat, zip(*parts, strict=True)))
+
+    def moments(weights: Tensor, powers: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        mass, first, second = (weights @ powers.T).split([1, points.shape[1], points.shape[1]], dim=1)
+        pull = first - points * mass
+        return mass, pull, (second - points * (first + pull)).clamp_(min=0)
+
+    n = math.prod(layout.rows)
+    log2_p = _log2_membership(points, scales, layout)
+    log_density, weights = _noisy_or(log2_p[:, :n], layout)
+    mass, pull, spread = moments(weights, layout.powers[:, :n])
+    if n == len(layout.padding):
+        return _Densities(log_density, mass, pull, spread, spread)
+    log_none, weights = _noisy_nor(log2_p[:, n:], strength)
+    mass_, pull_, spread_ = moments(weights, layout.powers[:, n:])
+    return _Densities(log_density + log_none, mass + mass_, pull - pull_, spread - spread_, spread + spread_)
+
+
+class _LogDiverseDensity(torch.autograd.Function):
+    """The closed-form gradient for autograd; no (points × instances) array outlives the forward pass."""
+
+    @staticmethod
+    def forward(ctx: Any, points: Tensor, scales: Tensor, layout: _Layout, strength: float) -> Tensor:
+        at = _evaluate(points, scales, layout, strength)
+        ctx.save_for_backward(2 * scales.square() * at.pull, -2 * scales * at.spread)
+        return at.log_density
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, Tensor, None, None]:
+        by_point, by_scale = ctx.saved_tensors
+        return grads[0][:, None] * by_point, grads[0][:, None] * by_scale, None, None
+
+
+def log_diverse_density(
+    points: ArrayLike | Tensor, scales: ArrayLike | Tensor, bags: Bags, *, negative_strength: float = 1.0
+) -> Tensor:
+    """Log diverse density log DD(t, s) = Σ_i log Pr(t | B_i⁺) + Σ_i log Pr(t | B_i⁻), at most 0.
+
+    Differentiable once in points and scales. Finite at any distance, and −inf just where a point hits an instance
+    of a negative bag at full strength. An instance that is hit exactly adds nothing to the gradient.
+
+    Args:
+        points: (S, d) concepts t, in the units of the features.
+        scales: (S, d), (d,) or a number: one over the width of the concept.
+        bags: The evidence.
+        negative_strength: η in (0, 1]; below 1 a negative instance lowers the density without ruling a point out.
+
+    Returns:
+        Shape (S,), in nats and in the precision of the bags.
+
+    Raises:
+        ValueError: Shapes that do not fit the bags, values that are not finite, scales or strength out of range.
+    """
+    if not 0 < negative_strength <= 1:
+        raise ValueError(f"negative_strength must lie in (0, 1], got {negative_strength}")
+    layout = bags._layout(bags.dtype)
+    t = torch.as_tensor(points, device=layout.origin.device).double()
+    s = torch.as_tensor(scales, device=layout.origin.device).double()
+    if t.ndim != 2 or t.shape[1] != len(layout.origin):
+        raise ValueError(f"points must have shape (S, {len(layout.origin)}) as in the bags, got {tuple(t.shape)}")
+    if s.shape not in (t.shape, t.shape[1:], ()):
+        raise ValueError(
+            f"scales must be a number or of shape {tuple(t.shape[1:])} or {tuple(t.shape)}, got {tuple(s.shape)}"
+        )
+    if not bool(t.isfinite().all()):
+        raise ValueError("points hold NaN or infinite features")
+    if not bool((s.isfinite() & (s > 0)).all()):
+        raise ValueError("scales must be positive and finite: a scale is one over a width")
+    t, s = (t - layout.origin).to(bags.dtype), s.expand_as(t).to(bags.dtype)
+    return cast(Tensor, _LogDiverseDensity.apply(t, s, layout, negative_strength))
+
+
+class Peak(NamedTuple):
+    """A concept of high diverse density.
+
+    Attributes:
+        point: (d,) in the units of the features.
+        scale: (d,) one over the width.
+        log_density: Log diverse density there, in nats.
+        converged: Whether the ascent had come to rest.
+    """
+
+    point: NDArray[np.float64]
+    scale: NDArray[np.float64]
+    log_density: float
+    converged: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DiverseDensity:
+    """Search for the concepts of highest diverse density.
+
+    "gradient" ascends from the best instances of the smallest positive bags: every positive bag holds an instance
+    of the concept, so the smallest are the cheapest complete set of starts. A step is the gradient over twice the
+    mass of its weights, which carries a point to the weighted mean of the instances that attract it. The ascent
+    runs in single precision; its best point is compared with its start in the precision of the bags, so that no
+    peak is worse than its start. "exhaustive" evaluates a finite set of candidates.
+
+    Attributes:
+        scale: Scale s of the concept, a number or (d,): one over its width.
+        method: "gradient" or "exhaustive".
+        learn_scale: Whether the gradient search learns the scale too. Without negative bags that is degenerate: the
+            scale goes to its lower bound.
+        scale_bounds: Smallest and largest learned scale, as factors of `scale`.
+        n_starts: Number of points that ascend.
+        n_smallest: Number of positive bags whose instances are starts; above 1, so that a bag whose instance of the
+            concept was filtered away does no harm.
+        steps: Largest number of steps.
+        merge_radius: A point this close to a better one is merged into it, in widths of the concept.
+        tolerance: Candidates this close to the maximum tie with it, in nats.
+        negative_strength: η of :func:`log_diverse_density`.
+
+    Raises:
+        ValueError: An argument out of its range.
+    """
+
+    scale: ArrayLike = 1.0
+    method: Literal["gradient", "exhaustive"] = "gradient"
+    learn_scale: bool = False
+    scale_bounds: tuple[float, float] = (0.1, 10.0)
+    n_starts: int = 8
+    n_smallest: int = 3
+    steps: int = 30
+    merge_radius: float = 0.5
+    tolerance: float = 1e-9
+    negative_strength: float = 1.0
+
+    def __post_init__(self) -> None:
+        scale = np.asarray(self.scale, dtype=np.float64)
+        checks = {
+            "scale": (
+                "positive and finite",
+                scale.ndim < 2 and bool(np.all((scale > 0) & np.isfinite(scale))),
+            ),
+            "method": ('"gradient" or "exhaustive"', self.method in ("gradient", "exhaustive")),
+            "learn_scale": (
+                'False with method="exhaustive"',
+                self.method == "gradient" or not self.learn_scale,
+            ),
+            "scale_bounds": (
+                "finite factors 0 < low <= 1 <= high",
+                0 < self.scale_bounds[0] <= 1 <= self.scale_bounds[1] < math.inf,
+            ),
+            "n_starts": ("at least 1", self.n_starts >= 1),
+            "n_smallest": ("at least 1", self.n_smallest >= 1),
+            "steps": ("at least 1", self.steps >= 1),
+            "merge_radius": ("at least 0", self.merge_radius >= 0),
+            "tolerance": ("at least 0", self.tolerance >= 0),
+            "negative_strength": ("in (0, 1]", 0 < self.negative_strength <= 1),
+        }
+        for name, (expected, holds) in checks.items():
+            if not holds:
+                raise ValueError(f"{name} must be {expected}, got {getattr(self, name)!r}")
+
+    def log_density(self, points: ArrayLike, bags: Bags) -> NDArray[np.float64]:
+        """Log diverse density, shape (S,), of points (S, d) at the constructor's scale.
+
+        Raises:
+            ValueError: As :func:`log_diverse_density`.
+        """
+        with torch.no_grad():
+            value = log_diverse_density(points, self.scale, bags, negative_strength=self.negative_strength)
+        return value.double().cpu().numpy()
+
+    def search(self, bags: Bags, *, starts: ArrayLike | None = None, candidates: ArrayLike | None = None) -> list[Peak]:
+        """Search for peaks, best first.
+
+        Args:
+            bags: The evidence.
+            starts: (m, d) more points for the gradient search to try, such as the peaks of the last search.
+            candidates: (m, d) what the exhaustive search evaluates, by default every distinct positive instance.
+
+        Returns:
+            The peaks of the gradient search, no two within `merge_radius`; or the candidates that tie for the
+            maximum, in their order.
+
+        Raises:
+            ValueError: No point to search from, or an argument that the method does not use or that does not fit.
+        """
+        unused = {"gradient": ("candidates", candidates), "exhaustive": ("starts", starts)}[self.method]
+        if unused[1] is not None:
+            raise ValueError(f"{unused[0]} must be None: {self.method} search has no use for them")
+        given = starts if candidates is None else candidates
+        points = np.empty((0, bags.n_features)) if given is None else np.asarray(given, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != bags.n_features:
+            raise ValueError(f"starts or candidates must have shape (m, {bags.n_features}), got {points.shape}")
+        if self.method == "gradient":
+            points = np.concatenate([points, bags.smallest_positive(self.n_smallest)])
+        elif given is None:
+            points = bags.smallest_positive(bags.n_positive)
+        if not len(points):
+            raise ValueError("there is nothing to search from: without positive bags pass starts or candidates")
+        points = _distinct(points)
+        if self.method == "gradient":
+            return self._ascend(points, bags)
+        value = self.log_density(points, bags)
+        scale = np.broadcast_to(np.asarray(self.scale, dtype=np.float64), points.shape)
+        ties = np.flatnonzero(value >= value.max() - self.tolerance)
+        return [Peak(points[i], scale[i], float(value[i]), True) for i in ties]
+
+    @torch.no_grad()
+    def _ascend(self, starts: NDArray[np.float64], bags: Bags) -> list[Peak]:
+        layout = bags._layout(torch.float32)
+        width = np.broadcast_to(np.asarray(self.scale, dtype=np.float64), starts.shape[1:])
+
+        def evaluate(points: Tensor, scales: Tensor) -> _Densities:
+            return _evaluate(points, scales, layout, self.negative_strength)
+
+        points = (torch.from_numpy(starts).to(layout.origin) - layout.origin).float()
+        base = torch.tensor(width, dtype=torch.float32, device=points.device)
+        value = evaluate(points, base.expand_as(points)).log_density
+        kept = _best_apart(starts * width, value.cpu().numpy(), self.merge_radius, self.n_starts)
+        starts, points = starts[kept], points[kept]
+        scales = base.repeat(len(kept), 1)
+        best, best_points, best_scales = points.new_full((len(kept),), -math.inf), points, scales
+        moved = points.new_full((len(kept),), math.inf)
+        for _ in range(self.steps):
+            at = evaluate(points, scales)
+            better = at.log_density > best
+            best = torch.where(better, at.log_density, best)
+            best_points = torch.where(better[:, None], points, best_points)
+            best_scales = torch.where(better[:, None], scales, best_scales)
+            # Where every bag is satisfied the weights vanish, and so must the step.
+            step = at.pull / at.mass.clamp(min=torch.finfo(points.dtype).eps)
+            moved = (step * scales).abs().amax(1)
+            points = points + step
+            if self.learn_scale:
+                share = at.spread / at.total_spread.clamp(min=torch.finfo(points.dtype).tiny)
+                widened = scales * torch.exp(-LOG_SCALE_STEP * share)
+                widened = torch.clamp(widened, base * self.scale_bounds[0], base * self.scale_bounds[1])
+                moved = torch.maximum(moved, (widened / scales).log_().abs_().amax(1))
+                scales = widened
+            if bool((moved < ARRIVED).all()):
+                break
+
+        ascended = (best_points.double() + layout.origin).cpu().numpy()
+        found = np.concatenate([starts, ascended])
+        scale = np.concatenate([np.broadcast_to(width, starts.shape), best_scales.double().cpu().numpy()])
+        log_density = log_diverse_density(found, scale, bags, negative_strength=self.negative_strength)
+        value_64 = log_density.double().cpu().numpy()
+        arrived = (moved < ARRIVED).cpu().numpy()
+        return [
+            Peak(found[i], scale[i], float(value_64[i]), bool(arrived[i % len(kept)]))
+            for i in _best_apart(found * width, value_64, self.merge_radius, len(found))
+        ]
+
+
+def _distinct(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Drop repeated rows, keep the order. Adding 0 makes -0 a 0, whose bytes it must share."""
+    first = {row.tobytes(): i for i, row in reversed(list(enumerate(points + 0.0)))}
+    return points[sorted(first.values())]
+
+
+def _best_apart(points: NDArray[np.float64], values: NDArray[Any], radius: float, n: int) -> list[int]:
+    """Indices of up to `n` points, best first, each further than `radius` from every better one."""
+    kept: list[int] = []
+    left = np.argsort(-values, kind="stable")
+    while len(left) and len(kept) < n:
+        kept.append(int(left[0]))
+        left = left[np.linalg.norm(points[left] - points[left[0]], axis=1) > radius]
+    return kept

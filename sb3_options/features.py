@@ -1,0 +1,98 @@
+"""Which feature map φ an environment gets when its user names none."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any, Literal, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+from sb3_options.observations import FeatureMap, FloatArray, Observations, batch_of_one, flatten
+
+MAX_FEATURES = 4096
+"""Concept spaces with more dimensions than this (images, say) are refused: distances in them mean nothing."""
+
+FeatureKind = Literal["given", "environment", "categorical", "identity"]
+
+
+class Features(NamedTuple):
+    """A feature map and where it comes from.
+
+    Attributes:
+        map: φ.
+        size: Dimensions d of concept space.
+        kind: ``given`` by the user, ``environment`` (its ``concept_features``), ``categorical`` (one-hot code of a
+            ``Discrete`` space, in which all states are equally far apart) or ``identity`` (the flat observation).
+    """
+
+    map: FeatureMap
+    size: int
+    kind: FeatureKind
+
+
+class _OneHot:
+    def __init__(self, space: spaces.Discrete) -> None:
+        self._n, self._start = int(space.n), int(space.start)
+
+    def __call__(self, observations: Observations) -> FloatArray:
+        index = np.asarray(observations).reshape(-1).astype(np.int64) - self._start
+        features = np.zeros((len(index), self._n))
+        features[np.arange(len(index)), index] = 1.0
+        return features
+
+
+def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | None) -> Features | None:
+    """The feature map to use for ``env``: the given one, else the environment's own, else one that fits its space.
+
+    Args:
+        env: Any environment.
+        feature_map: A user's φ, or None.
+
+    Returns:
+        The map, or None where there is no sensible default (``Dict`` and other composite spaces, images).
+
+    Raises:
+        TypeError: ``feature_map`` is not callable.
+        ValueError: A given map or the environment's own does not return shape (batch, d).
+    """
+    space = env.observation_space
+    if feature_map is not None:
+        if not callable(feature_map):
+            raise TypeError(
+                "feature_map must be a function from a batch of observations to features (batch, d), "
+                f"got {type(feature_map).__name__}."
+            )
+        return Features(feature_map, _size_of(feature_map, space, "feature_map"), "given")
+    if env.has_wrapper_attr("concept_features"):
+        own: FeatureMap = env.get_wrapper_attr("concept_features")
+        return Features(own, _size_of(own, space, "the environment's concept_features"), "environment")
+    if isinstance(space, spaces.Discrete) and space.n <= MAX_FEATURES:
+        return Features(_OneHot(space), int(space.n), "categorical")
+    if isinstance(space, spaces.Box | spaces.MultiBinary | spaces.MultiDiscrete):
+        size = int(np.prod(space.shape))
+        if size <= MAX_FEATURES:
+            return Features(flatten, size, "identity")
+    return None
+
+
+def flat_size(space: gym.Space[Any]) -> int:
+    """How many numbers `observations.flatten` makes of one observation of ``space``."""
+    return int(flatten(_sample(space)).shape[1])
+
+
+def _sample(space: gym.Space[Any]) -> Observations:
+    # From a copy, so that the environment's own space draws what it would have drawn without us.
+    space = copy.deepcopy(space)
+    space.seed(0)
+    return batch_of_one(space.sample())
+
+
+def _size_of(feature_map: FeatureMap, space: gym.Space[Any], name: str) -> int:
+    features = np.asarray(feature_map(_sample(space)))
+    if features.ndim != 2 or len(features) != 1:
+        raise ValueError(
+            f"{name} must return features of shape (batch, d); for a batch of one it gave shape {features.shape}."
+        )
+    return int(features.shape[1])

@@ -1,0 +1,92 @@
+"""Closed and opened heads: how a stock network learns of option slots without its old outputs changing.
+
+While a slot is empty, its outputs are closed: weights 0 and a bias that loses every comparison, so that no greedy
+choice and no bootstrap target ever names it. Its gradient is zero, because no stored transition names it either. When
+an option moves in, the outputs are opened.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+
+CLOSED_VALUE = -1e6
+"""Bias of a closed output: below any return, and far from where float32 loses a gradient to overflow."""
+
+
+def option_outputs(policy: Any) -> list[tuple[torch.nn.Linear, int]]:
+    """The last layers that give one value (or one set of quantiles) per action.
+
+    Args:
+        policy: Of an SB3 model.
+
+    Returns:
+        Pairs of a layer and its outputs per action: the online and the target network of DQN and QRDQN.
+
+    Raises:
+        TypeError: The policy is none whose heads are known.
+    """
+    networks = [getattr(policy, name, None) for name in ("q_net", "q_net_target")]
+    if all(n is not None for n in networks):
+        return [(_last_linear(n.q_net), 1) for n in networks if n is not None]
+    networks = [getattr(policy, name, None) for name in ("quantile_net", "quantile_net_target")]
+    if all(n is not None for n in networks):
+        return [(_last_linear(n.quantile_net), n.n_quantiles) for n in networks if n is not None]
+    raise TypeError(
+        f"The heads of {type(policy).__name__} are not known: options can be discovered for DQN, QRDQN and OptionDQN."
+    )
+
+
+def _last_linear(network: Any) -> torch.nn.Linear:
+    layer = list(network)[-1]
+    if not isinstance(layer, torch.nn.Linear):
+        raise TypeError(f"Expected a linear last layer, got {type(layer).__name__}.")
+    return layer
+
+
+def _rows(layer: torch.nn.Linear, outputs_per_action: int, action: int) -> torch.Tensor:
+    """Rows of the layer that belong to an action; QRDQN lays its outputs out as (quantile, action)."""
+    n_actions = layer.out_features // outputs_per_action
+    return torch.arange(outputs_per_action, device=layer.weight.device) * n_actions + action
+
+
+@torch.no_grad()
+def close_head(policy: Any, action: int) -> None:
+    """Make ``action`` lose every comparison."""
+    for layer, outputs in option_outputs(policy):
+        rows = _rows(layer, outputs, action)
+        layer.weight[rows] = 0.0
+        layer.bias[rows] = CLOSED_VALUE
+
+
+@torch.no_grad()
+def open_head(policy: Any, action: int, n_primitive: int) -> None:
+    """Start ``action`` at the mean of the primitive actions' values.
+
+    The mean never exceeds the best primitive's value, so that a new option is tried because it is explored and not
+    because of a lucky initialisation. The outputs of all other actions stay what they were, bit for bit.
+    """
+    for layer, outputs in option_outputs(policy):
+        primitive = torch.stack([_rows(layer, outputs, a) for a in range(n_primitive)])
+        rows = _rows(layer, outputs, action)
+        layer.weight[rows] = layer.weight[primitive].mean(dim=0)
+        layer.bias[rows] = layer.bias[primitive].mean(dim=0)
+
+
+def is_closed(policy: Any, action: int) -> bool:
+    """Whether ``action`` is closed."""
+    layer, outputs = option_outputs(policy)[0]
+    rows = _rows(layer, outputs, action)
+    return bool((layer.bias[rows] <= CLOSED_VALUE / 2).all())
+
+
+@torch.no_grad()
+def forget_optimizer_moments(policy: Any, action: int) -> None:
+    """Zero the optimizer's moments of one action, when a slot is emptied and may be filled by another option."""
+    layer, outputs = option_outputs(policy)[0]
+    rows = _rows(layer, outputs, action)
+    for parameter in (layer.weight, layer.bias):
+        for value in policy.optimizer.state.get(parameter, {}).values():
+            if isinstance(value, torch.Tensor) and value.shape == parameter.shape:
+                value[rows] = 0.0

@@ -1,0 +1,69 @@
+"""Batches of observations, as arrays or as dictionaries of arrays, and their way into concept space."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeAlias, cast
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray: TypeAlias = npt.NDArray[np.float64]
+IntArray: TypeAlias = npt.NDArray[np.integer[Any]]
+BoolArray: TypeAlias = npt.NDArray[np.bool_]
+
+Observations: TypeAlias = npt.NDArray[Any] | Mapping[str, npt.NDArray[Any]]
+"""A batch: an array of shape (batch, ...), or one such array for each key of a ``Dict`` space."""
+
+FeatureMap: TypeAlias = Callable[[Observations], FloatArray]
+"""φ: a batch of observations → features in concept space, shape (batch, d)."""
+
+
+def batch_size(observations: Observations) -> int:
+    """Number of observations in a batch."""
+    if isinstance(observations, Mapping):
+        return len(next(iter(observations.values())))
+    return len(observations)
+
+
+def batch_of_one(observation: Any) -> Observations:
+    """One observation, as an environment returns it, → a batch of shape (1, ...)."""
+    if isinstance(observation, Mapping):
+        return {key: np.asarray(value)[None] for key, value in observation.items()}
+    return np.asarray(observation)[None]
+
+
+def stack(observations: list[Any]) -> Observations:
+    """A list of single observations → one batch, in the same order."""
+    if isinstance(observations[0], Mapping):
+        return {key: np.stack([o[key] for o in observations]) for key in observations[0]}
+    return np.stack([np.asarray(o) for o in observations])
+
+
+def take(observations: Observations, indices: IntArray | slice) -> Observations:
+    """The observations at ``indices``, in that order."""
+    if isinstance(observations, Mapping):
+        return {key: value[indices] for key, value in observations.items()}
+    return observations[indices]
+
+
+def concatenate(batches: Sequence[Observations]) -> Observations:
+    """Several batches → one, in order."""
+    first = batches[0]
+    if isinstance(first, Mapping):
+        return {key: np.concatenate([cast("Mapping[str, Any]", b)[key] for b in batches]) for key in first}
+    return np.concatenate(cast("Sequence[npt.NDArray[Any]]", batches))
+
+
+def key_of(observation: Any) -> bytes:
+    """A key that two observations of one space share exactly if they are equal, bit for bit."""
+    if isinstance(observation, Mapping):
+        return b"".join(np.asarray(observation[k]).tobytes() for k in sorted(observation))
+    return np.asarray(observation).tobytes()
+
+
+def flatten(observations: Observations) -> FloatArray:
+    """Every observation as one row of float64: shape (batch, total size), keys in sorted order."""
+    if isinstance(observations, Mapping):
+        return np.concatenate([flatten(observations[key]) for key in sorted(observations)], axis=1)
+    return np.asarray(observations, dtype=np.float64).reshape(len(observations), -1)

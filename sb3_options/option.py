@@ -1,0 +1,176 @@
+"""Options ⟨I, π, β⟩ (Sutton, Precup & Singh 1999), hand-made or with a subgoal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.distance import cdist
+
+from sb3_options.observations import BoolArray, FeatureMap, FloatArray, IntArray, Observations, batch_size
+from sb3_options.option_policy import OptionPolicy
+
+
+class Option:
+    """A temporally extended action: where it may start, what it does, and where it ends.
+
+    All three are functions of a batch of the observations that `OptionsWrapper` sees. The wrapper ends an option in
+    the first state after at least one step where ``termination`` says so, or which lies outside the initiation set,
+    or after ``max_duration`` steps; so ``initiation`` must hold in every state where the option may go on.
+
+    Args:
+        initiation: I. Observations → bool, shape (batch,).
+        policy: π. Observations → primitive actions, shape (batch,).
+        termination: β inside I. Observations → probability of ending (or bool), shape (batch,).
+        max_duration: Longest run, in primitive steps, at least 1.
+        name: For people, in logs and figures.
+
+    Raises:
+        ValueError: ``max_duration`` < 1.
+        TypeError: One of the three is not callable.
+    """
+
+    def __init__(
+        self,
+        initiation: Callable[[Observations], npt.ArrayLike],
+        policy: Callable[[Observations], npt.ArrayLike],
+        termination: Callable[[Observations], npt.ArrayLike],
+        *,
+        max_duration: int = 100,
+        name: str = "option",
+    ) -> None:
+        for argument, value in (("initiation", initiation), ("policy", policy), ("termination", termination)):
+            if not callable(value):
+                raise TypeError(
+                    f"{argument} must be a function of a batch of observations, got {type(value).__name__}."
+                )
+        self._initiation = initiation
+        self._policy = policy
+        self._termination = termination
+        self.max_duration = checked_duration(max_duration)
+        self.name = name
+
+    def initiation(self, observations: Observations) -> BoolArray:
+        """Whether each observation lies in I, shape (batch,)."""
+        return self._checked("initiation", self._initiation(observations), observations).astype(bool)
+
+    def policy(self, observations: Observations) -> IntArray:
+        """The primitive action π takes in each observation, shape (batch,)."""
+        return self._checked("policy", self._policy(observations), observations).astype(np.int64)
+
+    def termination(self, observations: Observations) -> FloatArray:
+        """β inside I: the probability of ending in each observation, shape (batch,)."""
+        return self._checked("termination", self._termination(observations), observations).astype(np.float64)
+
+    def _checked(self, what: str, value: npt.ArrayLike, observations: Observations) -> npt.NDArray[Any]:
+        array, expected = np.asarray(value), (batch_size(observations),)
+        if array.shape != expected:
+            raise ValueError(
+                f"{what} of option {self.name!r} must return one value per observation, shape {expected}, "
+                f"got shape {array.shape}."
+            )
+        return array
+
+
+def checked_duration(max_duration: int) -> int:
+    """``max_duration`` itself, if it is a whole number of at least 1.
+
+    Raises:
+        ValueError: It is not.
+    """
+    if isinstance(max_duration, bool) or int(max_duration) != max_duration or max_duration < 1:
+        raise ValueError(f"max_duration must be a whole number of primitive steps, at least 1, got {max_duration!r}.")
+    return int(max_duration)
+
+
+@dataclass(frozen=True)
+class Region:
+    """A union of balls of one radius in concept space: a subgoal (one ball) or an initiation set (many).
+
+    Attributes:
+        points: Centres, shape (n, d).
+        scale: Factor for every feature before distances are taken, shape (d,).
+        radius: In scaled units, ≥ 0.
+    """
+
+    points: FloatArray
+    scale: FloatArray
+    radius: float
+
+    def contains(self, features: FloatArray) -> BoolArray:
+        """Whether min over centres of ‖scale · (feature − centre)‖ ≤ radius, shape (batch,)."""
+        if len(self.points) == 0:
+            return np.zeros(len(features), dtype=bool)
+        nearest: FloatArray = cdist(features * self.scale, self.points * self.scale).min(axis=1)
+        return nearest <= self.radius
+
+
+class SubgoalOption(Option):
+    """An option made of data only: reach a region of concept space, from within an initiation set.
+
+    Args:
+        subgoal: β = 1 inside it.
+        initiation_set: I is this region without the subgoal: at the subgoal there is nothing left to reach.
+        option_policy: π.
+        feature_map: φ; None until `bind` sets it, because functions do not travel in files or between processes.
+        max_duration: Longest run, in primitive steps, at least 1.
+        name: For people, in logs and figures.
+
+    Raises:
+        ValueError: ``max_duration`` < 1.
+    """
+
+    def __init__(
+        self,
+        subgoal: Region,
+        initiation_set: Region,
+        option_policy: OptionPolicy,
+        *,
+        feature_map: FeatureMap | None = None,
+        max_duration: int = 100,
+        name: str = "subgoal",
+    ) -> None:
+        self.subgoal = subgoal
+        self.initiation_set = initiation_set
+        self.option_policy = option_policy
+        self.max_duration = checked_duration(max_duration)
+        self.name = name
+        self._feature_map = feature_map
+
+    def bind(self, feature_map: FeatureMap | None) -> SubgoalOption:
+        """The same option with φ set."""
+        return SubgoalOption(
+            self.subgoal,
+            self.initiation_set,
+            self.option_policy,
+            feature_map=feature_map,
+            max_duration=self.max_duration,
+            name=self.name,
+        )
+
+    def initiation(self, observations: Observations) -> BoolArray:
+        """Whether each observation lies in I, shape (batch,)."""
+        features = self._features(observations)
+        return self.initiation_set.contains(features) & ~self.subgoal.contains(features)
+
+    def policy(self, observations: Observations) -> IntArray:
+        """The greedy action of the option's value function, shape (batch,)."""
+        return self.option_policy.actions(observations)
+
+    def termination(self, observations: Observations) -> FloatArray:
+        """1 at the subgoal, else 0, shape (batch,)."""
+        return self.subgoal.contains(self._features(observations)).astype(np.float64)
+
+    def _features(self, observations: Observations) -> FloatArray:
+        if self._feature_map is None:
+            raise ValueError(
+                f"Option {self.name!r} has no feature map: add it to the bank of an OptionsWrapper that has one, "
+                "or call option.bind(feature_map)."
+            )
+        return self._feature_map(observations)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_feature_map": None}

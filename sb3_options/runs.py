@@ -1,0 +1,148 @@
+"""Environments and models of a run, and the run folder."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+from stable_baselines3 import DQN
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.vec_env import VecEnv
+
+from sb3_options.config import TrainConfig
+from sb3_options.dqn import OptionDQN
+from sb3_options.replay_buffer import OptionReplayBuffer
+from sb3_options.wrapper import OptionsWrapper
+
+CONFIG = "config.yml"
+MODEL = "model.zip"
+OPTIONS = "options.safetensors"
+MONITOR = "monitor"
+SUBGOALS = "subgoals.png"
+
+
+def new_run_folder(config: TrainConfig) -> Path:
+    """Make the next free folder ``ALGO/ENV_N`` below ``tensorboard_log``.
+
+    Raises:
+        OSError: It cannot be made.
+    """
+    parent = config.tensorboard_log / config.algo
+    parent.mkdir(parents=True, exist_ok=True)
+    name = config.env.replace("/", "-")
+    number = 1
+    while True:
+        folder = parent / f"{name}_{number}"
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            number += 1
+        else:
+            return folder
+
+
+def check_env_id(env_id: str) -> None:
+    """Refuse an id that Gymnasium does not know, and name the nearest one it does.
+
+    Raises:
+        ValueError: The id is not registered.
+    """
+    # An id may name the module that registers it, as in "module:Env-v0".
+    if env_id in gym.registry or ":" in env_id:
+        return
+    near = difflib.get_close_matches(env_id, gym.registry, n=1, cutoff=0.0)
+    raise ValueError(f"There is no environment {env_id!r}. Did you mean {near[0]!r}?")
+
+
+def make_env(
+    config: TrainConfig,
+    n_envs: int,
+    seed: int,
+    *,
+    monitor_dir: Path | None = None,
+    beneath: type[gym.Wrapper[Any, Any, Any, Any]] | None = None,
+    render_mode: str | None = None,
+) -> VecEnv:
+    """Environments with option slots, and a ``Monitor`` beneath these, so that it counts primitive steps.
+
+    Args:
+        config: Of the run.
+        n_envs: How many.
+        seed: Of the first; the others count on from it.
+        monitor_dir: Where each writes its episodes; None writes nothing.
+        beneath: A wrapper to put beneath the options as well.
+        render_mode: For the environment.
+
+    Returns:
+        A ``DummyVecEnv``.
+    """
+    keywords = config.env_keywords()
+    if render_mode is not None:
+        keywords["render_mode"] = render_mode
+
+    def with_options(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+        if beneath is not None:
+            env = beneath(env)
+        return OptionsWrapper(env, config.max_options, gamma=config.gamma)
+
+    return make_vec_env(
+        config.env,
+        n_envs=n_envs,
+        seed=seed,
+        env_kwargs=keywords,
+        wrapper_class=with_options,
+        monitor_dir=None if monitor_dir is None else str(monitor_dir),
+    )
+
+
+def make_model(config: TrainConfig, env: VecEnv, *, buffer_size: int | None = None) -> OffPolicyAlgorithm:
+    """The untrained model of a run.
+
+    Args:
+        config: Of the run.
+        env: As `make_env` makes it.
+        buffer_size: Of the replay buffer, if another than the configuration's.
+
+    Returns:
+        An SB3 model.
+
+    Raises:
+        ModuleNotFoundError: QRDQN is asked for, and sb3-contrib is not installed.
+    """
+    image = len(env.observation_space.shape or ()) == 3
+    policy = "MultiInputPolicy" if isinstance(env.observation_space, gym.spaces.Dict) else "MlpPolicy"
+    model: OffPolicyAlgorithm = algorithm(config.algo)(
+        "CnnPolicy" if image else policy,
+        env,
+        seed=config.seed,
+        gamma=config.gamma,
+        learning_rate=config.learning_rate,
+        buffer_size=buffer_size or config.buffer_size,
+        learning_starts=config.learning_starts,
+        batch_size=config.batch_size,
+        train_freq=config.train_freq,
+        target_update_interval=config.target_update_interval,
+        exploration_fraction=config.exploration_fraction,
+        exploration_final_eps=config.exploration_final_eps,
+        replay_buffer_class=OptionReplayBuffer,
+        policy_kwargs={"net_arch": list(config.net_arch)},
+    )
+    return model
+
+
+def algorithm(name: str) -> Any:
+    """The class behind ``--algo``.
+
+    Raises:
+        ModuleNotFoundError: It is QRDQN, and sb3-contrib is not installed.
+    """
+    if name == "qrdqn":
+        try:
+            from sb3_contrib import QRDQN
+        except ModuleNotFoundError as error:
+            raise ModuleNotFoundError("QRDQN needs sb3-contrib: pip install 'sb3-options[contrib]'") from error
+        return QRDQN
+    return {"dqn": DQN, "optiondqn": OptionDQN}[name]

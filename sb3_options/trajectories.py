@@ -1,0 +1,130 @@
+"""What the agent has lived through: recording a trajectory, and the database of the last n of them."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sb3_options import observations as obs_batch
+from sb3_options.observations import FloatArray, IntArray, Observations
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """One episode in primitive steps, each distinct observation stored once.
+
+    A random walk revisits few states often, so that storing each once keeps a long episode small; and the order
+    of ``states`` is the order of first visits, which is what a bag is made of.
+
+    Attributes:
+        states: The distinct observations, in order of first visit; batch of m.
+        visits: For every time t = 0 … T the row of ``states`` the agent was in, shape (T + 1,).
+        actions: Primitive actions, shape (T,).
+        rewards: Undiscounted rewards, shape (T,).
+        terminated: Whether the episode ended in a terminal state.
+        truncated: Whether the episode was cut off from outside.
+        is_success: ``info["is_success"]`` of the last step; None where the environment does not say.
+    """
+
+    states: Observations
+    visits: IntArray
+    actions: IntArray
+    rewards: FloatArray
+    terminated: bool
+    truncated: bool
+    is_success: bool | None
+
+    def __len__(self) -> int:
+        """Duration T in primitive steps."""
+        return len(self.actions)
+
+
+class TrajectoryRecorder:
+    """Builds a `Trajectory` while an episode runs, in constant time a step."""
+
+    def __init__(self) -> None:
+        self._row_of: dict[bytes, int] = {}
+        self._states: list[Any] = []
+        self._visits: list[int] = []
+        self._actions: list[int] = []
+        self._rewards: list[float] = []
+
+    def begin(self, observation: Any) -> None:
+        """Forget what was recorded, and start an episode in ``observation``."""
+        self.__init__()  # type: ignore[misc]  # the empty recorder is the initial state
+        self._visit(observation)
+
+    def record(self, action: int, reward: float, observation: Any) -> None:
+        """Add one primitive step that led to ``observation``."""
+        self._actions.append(action)
+        self._rewards.append(reward)
+        self._visit(observation)
+
+    def end(self, *, terminated: bool, truncated: bool, is_success: bool | None) -> Trajectory:
+        """The episode as a `Trajectory`."""
+        return Trajectory(
+            states=obs_batch.stack(self._states),
+            visits=np.array(self._visits),
+            actions=np.array(self._actions),
+            rewards=np.array(self._rewards, dtype=np.float64),
+            terminated=terminated,
+            truncated=truncated,
+            is_success=is_success,
+        )
+
+    def _visit(self, observation: Any) -> None:
+        row = self._row_of.setdefault(obs_batch.key_of(observation), len(self._states))
+        if row == len(self._states):
+            # Some environments write every observation into one and the same array.
+            copied = (
+                {k: np.array(v) for k, v in observation.items()}
+                if isinstance(observation, dict)
+                else np.array(observation)
+            )
+            self._states.append(copied)
+        self._visits.append(row)
+
+
+@dataclass(frozen=True)
+class LabelledTrajectory:
+    """A trajectory with what discovery needs to know of it.
+
+    Attributes:
+        trajectory: The episode.
+        features: φ of ``trajectory.states``, shape (m, d).
+        success: Whether its bag is positive.
+    """
+
+    trajectory: Trajectory
+    features: FloatArray
+    success: bool
+
+
+class TrajectoryDatabase:
+    """The last ``capacity`` trajectories, oldest first (McGovern & Barto 2001, Table 1).
+
+    Args:
+        capacity: How many trajectories are kept, at least 1.
+
+    Raises:
+        ValueError: ``capacity`` < 1.
+    """
+
+    def __init__(self, capacity: int) -> None:
+        if capacity < 1:
+            raise ValueError(f"capacity must be at least 1 trajectory, got {capacity}.")
+        self._trajectories: deque[LabelledTrajectory] = deque(maxlen=capacity)
+
+    def add(self, trajectory: LabelledTrajectory) -> None:
+        """Append, dropping the oldest one when full."""
+        self._trajectories.append(trajectory)
+
+    def __len__(self) -> int:
+        return len(self._trajectories)
+
+    def __iter__(self) -> Iterator[LabelledTrajectory]:
+        return iter(self._trajectories)

@@ -1,0 +1,260 @@
+"""`OptionsWrapper`: an environment whose actions are primitives and options."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, SupportsFloat, TypeAlias
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import RecordConstructorArgs
+
+from sb3_options import features as feature_maps
+from sb3_options.bank import OptionBank
+from sb3_options.observations import (
+    BoolArray,
+    FeatureMap,
+    FloatArray,
+    Observations,
+    batch_of_one,
+    stack,
+)
+from sb3_options.option import Option
+from sb3_options.trajectories import TrajectoryRecorder
+
+Termination: TypeAlias = Literal[
+    "primitive", "subgoal", "left_initiation", "max_duration", "interrupted", "terminated", "truncated"
+]
+
+EMPTY_SLOT_SEED = 0x0971055
+"""Mixed into the seed of ``reset``, so that empty slots draw from a stream apart from the environment's."""
+
+StepReturn: TypeAlias = tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]
+
+
+class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
+    """Adds ``max_options`` option slots to the actions of an environment with discrete actions.
+
+    ``step(a)`` runs a primitive once, or an option to its end, and returns the last observation, the discounted sum
+    Σ γⁱ rᵢ over the k primitive steps taken, the last flags and the last inner info, to which it adds::
+
+        info["option"] = {"index": slot or -1, "duration": k, "discount": γᵏ, "termination": why it ended}
+
+    where why is one of ``primitive``, ``subgoal``, ``left_initiation``, ``max_duration``, ``interrupted``,
+    ``terminated`` and ``truncated``. An action that names a slot also leaves there what Macro-Q learning needs: the
+    primitive steps as stacked arrays ``observations`` (the k observations acted in), ``actions`` and ``rewards``;
+    and once the bank has options, ``available`` says for each of the k observations arrived in which slots may start
+    there, shape (k, max_options).
+
+    An empty slot runs one uniformly random primitive. A filled option chosen outside its initiation set runs one
+    step of its own policy. So an algorithm that cannot mask still sees a lawful semi-Markov process;
+    ``action_masks()`` gives the strict sets to one that can. With no options it is the environment itself, bit for
+    bit.
+
+    Args:
+        env: Its action space must be ``Discrete`` and start at 0.
+        max_options: Number of slots, at least 0.
+        gamma: Discount γ per primitive step, in (0, 1]; must equal the algorithm's.
+        feature_map: φ from a batch of observations to concept space, shape (batch, d). By default the environment's
+            own ``concept_features``; else a one-hot code for ``Discrete`` observations and the flat observation for
+            ``Box``. A ``Dict`` space has no default.
+
+    Raises:
+        TypeError: The action space is not ``Discrete``, or ``feature_map`` is not callable.
+        ValueError: An argument is out of its range.
+    """
+
+    def __init__(
+        self,
+        env: gym.Env[Any, Any],
+        max_options: int = 4,
+        *,
+        gamma: float = 0.99,
+        feature_map: FeatureMap | None = None,
+    ) -> None:
+        RecordConstructorArgs.__init__(self, max_options=max_options, gamma=gamma, feature_map=feature_map)
+        gym.Wrapper.__init__(self, env)
+        primitive = env.action_space
+        if not isinstance(primitive, spaces.Discrete):
+            raise TypeError(
+                f"OptionsWrapper needs a Discrete action space, got {primitive}: options choose among numbered "
+                "primitive actions. Discretise the actions first."
+            )
+        if primitive.start != 0:
+            raise ValueError(f"OptionsWrapper needs actions that start at 0, got {primitive}.")
+        if not 0.0 < gamma <= 1.0:
+            raise ValueError(f"gamma must be in (0, 1], got {gamma}.")
+        self.gamma = float(gamma)
+        self.n_primitive = int(primitive.n)
+        self.features = feature_maps.resolve(env, feature_map)
+        self.bank = OptionBank(
+            self.n_primitive,
+            max_options,
+            feature_map=self.features.map if self.features else None,
+            observation_size=feature_maps.flat_size(env.observation_space),
+            feature_size=self.features.size if self.features else None,
+        )
+        self.action_space: Any = spaces.Discrete(self.n_primitive + max_options)
+        self._random = np.random.default_rng()
+        self._observation: Any = None
+        self._recorder: TrajectoryRecorder | None = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Reset the environment; ``seed`` also seeds what empty slots draw."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        if seed is not None:
+            self._random = np.random.default_rng([seed, EMPTY_SLOT_SEED])
+        self._observation = observation
+        if self._recorder is not None:
+            self._recorder.begin(observation)
+        return observation, info
+
+    def step(self, action: int) -> StepReturn:
+        """Run one primitive action once, or one option to its end.
+
+        Args:
+            action: 0 … n_primitive − 1 for a primitive, n_primitive + i for slot i.
+
+        Returns:
+            Observation, Σ γⁱ rᵢ, terminated, truncated, info as described for the class.
+
+        Raises:
+            ValueError: There is no such action.
+        """
+        action = int(action)
+        if not 0 <= action < self.n_primitive + self.bank.max_options:
+            raise ValueError(
+                f"action must be between 0 and {self.n_primitive + self.bank.max_options - 1}, got {action}."
+            )
+        if action < self.n_primitive:
+            observation, reward, terminated, truncated, info = self._primitive_step(action)
+            info["option"] = {"index": -1, "duration": 1, "discount": self.gamma, "termination": "primitive"}
+            if self.bank.filled:
+                info["option"]["available"] = self._available(batch_of_one(observation))
+            return observation, reward, terminated, truncated, info
+        slot = action - self.n_primitive
+        return self._run(self.bank[slot], slot)
+
+    def _run(self, option: Option | None, slot: int) -> StepReturn:
+        """Run an option until β, I, its longest duration or the episode ends it; an empty slot for one step."""
+        total, discount = 0.0, 1.0
+        before: list[Any] = []
+        actions: list[int] = []
+        rewards: list[float] = []
+        termination: Termination | None = None
+        observation = self._observation
+        while termination is None:
+            if option is None:
+                action = int(self._random.integers(self.n_primitive))
+            else:
+                action = self._action_of(option, observation)
+            before.append(observation)
+            observation, reward, terminated, truncated, info = self._primitive_step(action)
+            actions.append(action)
+            rewards.append(float(reward))
+            total += discount * float(reward)
+            discount *= self.gamma
+            if option is None:
+                termination = "primitive"
+            elif terminated:
+                termination = "terminated"
+            elif truncated:
+                termination = "truncated"
+            else:
+                termination = self._why_ended(option, observation, len(actions))
+        arrived = [*before[1:], observation]
+        info["option"] = {
+            "index": -1 if option is None else slot,
+            "duration": len(actions),
+            "discount": discount,
+            "termination": termination,
+            "observations": stack(before),
+            "actions": np.array(actions),
+            "rewards": np.array(rewards),
+        }
+        if self.bank.filled:
+            info["option"]["available"] = self._available(stack(arrived))
+        return observation, total, terminated, truncated, info
+
+    def _action_of(self, option: Option, observation: Any) -> int:
+        action = int(option.policy(batch_of_one(observation))[0])
+        if not 0 <= action < self.n_primitive:
+            raise ValueError(
+                f"The policy of option {option.name!r} chose {action}; primitive actions are 0 to "
+                f"{self.n_primitive - 1}."
+            )
+        return action
+
+    def _why_ended(self, option: Option, observation: Any, duration: int) -> Termination | None:
+        batch = batch_of_one(observation)
+        probability = float(option.termination(batch)[0])
+        if probability >= 1.0 or (probability > 0.0 and self._random.random() < probability):
+            return "subgoal"
+        if not option.initiation(batch)[0]:
+            return "left_initiation"
+        return "max_duration" if duration >= option.max_duration else None
+
+    def _primitive_step(self, action: int) -> StepReturn:
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        self._observation = observation
+        if self._recorder is not None:
+            self._recorder.record(action, float(reward), observation)
+            if terminated or truncated:
+                success = info.get("is_success")
+                info["trajectory"] = self._recorder.end(
+                    terminated=terminated,
+                    truncated=truncated,
+                    is_success=None if success is None else bool(success),
+                )
+        return observation, reward, terminated, truncated, info
+
+    def _available(self, observations: Observations) -> BoolArray:
+        return self.bank.available(observations)[:, self.n_primitive :]
+
+    def action_masks(self) -> BoolArray:
+        """Which augmented actions may start now, shape (n_primitive + max_options,).
+
+        Raises:
+            gymnasium.error.ResetNeeded: Before the first ``reset``.
+        """
+        if self._observation is None:
+            raise gym.error.ResetNeeded("action_masks() needs a current observation: call reset() first.")
+        mask: BoolArray = self.bank.available(batch_of_one(self._observation))[0]
+        return mask
+
+    def available(self, observations: Observations) -> BoolArray:
+        """Which augmented actions may start in each observation, shape (batch, n_primitive + max_options)."""
+        return self.bank.available(observations)
+
+    def concept_features(self, observations: Observations) -> FloatArray:
+        """φ of a batch of observations, shape (batch, d).
+
+        Raises:
+            ValueError: There is no feature map.
+        """
+        if self.features is None:
+            raise ValueError(
+                f"There is no default feature map for {self.observation_space}: pass "
+                "OptionsWrapper(env, feature_map=...) a function from a batch of observations to features (batch, d)."
+            )
+        return self.features.map(observations)
+
+    def feature_kind(self) -> feature_maps.FeatureKind | None:
+        """Where the feature map comes from; None where there is none."""
+        return self.features.kind if self.features else None
+
+    def set_option(self, slot: int, option: Option | None) -> None:
+        """Fill slot ``slot`` with ``option``, or empty it with None; used across process borders."""
+        if option is not None:
+            self.bank.add(option, slot)
+        elif self.bank[slot] is not None:
+            self.bank.remove(slot)
+
+    def record_trajectories(self, record: bool) -> None:
+        """Whether the info that ends an episode holds it as ``info["trajectory"]``, a `Trajectory`."""
+        if record and self._recorder is None:
+            self._recorder = TrajectoryRecorder()
+            if self._observation is not None:
+                self._recorder.begin(self._observation)
+        elif not record:
+            self._recorder = None
