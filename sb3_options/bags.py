@@ -57,7 +57,7 @@ def near_start_and_goal(start_radius: float = 2.0, goal_radius: float = 5.0) -> 
     Raises:
         ValueError: A radius is negative.
     """
-    if start_radius < 0 or goal_radius < 0:
+    if not (start_radius >= 0 and goal_radius >= 0):
         raise ValueError(f"start_radius and goal_radius must be at least 0, got {start_radius} and {goal_radius}.")
 
     def keep(features: FloatArray, start: FloatArray, end: FloatArray) -> BoolArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from pathlib import Path
@@ -73,7 +74,7 @@ class OptionBank:
         """Put an option into a slot.
 
         Args:
-            option: Any option. A `SubgoalOption` is bound to the bank's feature map.
+            option: Any option. A `SubgoalOption` is bound to the bank's feature map, if it has one.
             slot: Which slot, replacing what is in it; by default the first empty one.
 
         Returns:
@@ -93,9 +94,7 @@ class OptionBank:
                 )
             slot = self._slots.index(None)
         self._check_slot(slot)
-        if isinstance(option, SubgoalOption):
-            option = option.bind(self.feature_map)
-        self._put(slot, option)
+        self._put(slot, self._bound(option))
         return slot
 
     def remove(self, slot: int) -> Option:
@@ -110,6 +109,11 @@ class OptionBank:
             raise ValueError(f"Slot {slot} is empty already.")
         self._put(slot, None)
         return option
+
+    def bind(self, feature_map: FeatureMap | None) -> None:
+        """Take ``feature_map`` for the discovered options there are and those to come."""
+        self.feature_map = feature_map
+        self._slots = [option and self._bound(option) for option in self._slots]
 
     def available(self, observations: Observations) -> BoolArray:
         """Which augmented actions may start in each observation.
@@ -146,12 +150,13 @@ class OptionBank:
                     **option.option_policy.arrays(),
                 }
                 tensors |= {f"{slot}.{k}": np.ascontiguousarray(a, dtype=np.float64) for k, a in arrays.items()}
-                radii = {"subgoal": option.subgoal.radius, "initiation": option.initiation_set.radius}
+                radii = {"subgoal": float(option.subgoal.radius), "initiation": float(option.initiation_set.radius)}
                 slots[str(slot)] = {"name": option.name, "max_duration": option.max_duration, "radius": radii}
             else:
                 slots[str(slot)] = {"name": option.name, "hand_made": True}
-        about = {"n_primitive": self.n_primitive, "max_options": self.max_options, "slots": slots}
-        content = to_safetensors(tensors, metadata={"format": FILE_FORMAT, "bank": json.dumps(about)})
+        about = json.dumps({"n_primitive": self.n_primitive, "max_options": self.max_options, "slots": slots})
+        metadata = {"format": FILE_FORMAT, "bank": about, "digest": _digest(about, tensors)}
+        content = to_safetensors(tensors, metadata=metadata)
         with whole_file(path) as temporary:
             temporary.write_bytes(content)
 
@@ -171,16 +176,18 @@ class OptionBank:
             with safe_open(path, framework="numpy") as file:
                 metadata = file.metadata() or {}
                 tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  # no dictionary
-        except (SafetensorError, OSError, ValueError) as error:
+        except (SafetensorError, OSError, ValueError, TypeError, AttributeError) as error:
             raise ValueError(f"{path} is no options file, or it is damaged: {error}") from error
         if metadata.get("format") != FILE_FORMAT:
             raise ValueError(
                 f"{path} is no options file of this version: its format is {metadata.get('format')!r}, "
                 f"expected {FILE_FORMAT!r}."
             )
+        if metadata.get("digest") != _digest(metadata.get("bank", ""), tensors):
+            raise ValueError(f"{path} is damaged: its contents are not what was written to it.")
         try:
             loaded = self._read(json.loads(metadata["bank"]), tensors)
-        except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
+        except (KeyError, TypeError, AttributeError, OverflowError, RecursionError, json.JSONDecodeError) as error:
             raise ValueError(f"{path} is damaged: {error!r}") from error
         except ValueError as error:
             raise ValueError(f"{path} does not fit: {error}.") from error
@@ -223,13 +230,28 @@ class OptionBank:
             raise ValueError(
                 f"its subgoals have {subgoal.points.shape[1]} features, the feature map here gives {self.feature_size}"
             )
+        if initiation.points.shape[1] != subgoal.points.shape[1]:
+            raise ValueError(
+                f"its initiation set has {initiation.points.shape[1]} features, its subgoal {subgoal.points.shape[1]}"
+            )
         size = self.observation_size
         if size is None:
             stored = arrays.get("table_states", arrays.get("network_mean"))
             size = 0 if stored is None else stored.shape[-1]
         policy = option_policy.from_arrays(arrays, size, self.n_primitive)
-        option = SubgoalOption(subgoal, initiation, policy, max_duration=entry["max_duration"], name=str(entry["name"]))
-        return option.bind(self.feature_map)
+        return SubgoalOption(
+            subgoal,
+            initiation,
+            policy,
+            feature_map=self.feature_map,
+            max_duration=entry["max_duration"],
+            name=str(entry["name"]),
+        )
+
+    def _bound(self, option: Option) -> Option:
+        if isinstance(option, SubgoalOption) and self.feature_map is not None:
+            return option.bind(self.feature_map)
+        return option
 
     def _put(self, slot: int, option: Option | None) -> None:
         self._slots[slot] = option
@@ -242,6 +264,15 @@ class OptionBank:
     def _check_slot(self, slot: int) -> None:
         if not 0 <= slot < self.max_options:
             raise ValueError(f"slot must be between 0 and {self.max_options - 1}, got {slot}.")
+
+
+def _digest(about: str, tensors: dict[str, Any]) -> str:
+    """SHA-256 of everything an options file says, so that a damaged one is told from a whole one."""
+    sha256 = hashlib.sha256(about.encode())
+    for name in sorted(tensors):
+        sha256.update(f"{name} {tensors[name].dtype} {tensors[name].shape}".encode())
+        sha256.update(tensors[name].tobytes())
+    return sha256.hexdigest()
 
 
 def _region(arrays: dict[str, Any], name: str, radius: float) -> Region:

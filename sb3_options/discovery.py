@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, field
+from numbers import Integral
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from sb3_options.bags import StaticFilter, SuccessRule, bag_of, near_start_and_goal, reported_success
 from sb3_options.diverse_density import Bags, DiverseDensity, Peak
-from sb3_options.observations import FloatArray
+from sb3_options.observations import FloatArray, batch_size
 from sb3_options.option import Region
 from sb3_options.peaks import PeakTracker, plateau_centres
 from sb3_options.trajectories import LabelledTrajectory, Trajectory, TrajectoryDatabase
@@ -56,8 +58,8 @@ class DiscoverySettings:
     def __post_init__(self) -> None:
         """Refuse values out of range, by name."""
         for name in ("capacity", "min_positive"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}.")
+            if not isinstance(getattr(self, name), Integral) or getattr(self, name) < 1:
+                raise ValueError(f"{name} must be a whole number of at least 1, got {getattr(self, name)}.")
         for name in (
             "start_radius",
             "goal_radius",
@@ -66,12 +68,15 @@ class DiscoverySettings:
             "subgoal_radius",
             "spacing",
         ):
-            if getattr(self, name) < 0:
+            if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} must be at least 0, got {getattr(self, name)}.")
-        if self.scale is not None and not self.scale > 0:
-            raise ValueError(f"scale must be positive, got {self.scale}.")
+        if self.scale is not None and not 0 < self.scale < math.inf:
+            raise ValueError(f"scale must be positive and finite, got {self.scale}.")
+        if not 0.0 < self.negative_strength <= 1.0:
+            raise ValueError(f"negative_strength must be in (0, 1], got {self.negative_strength}.")
         if self.search not in ("gradient", "exhaustive"):
             raise ValueError(f"search must be 'gradient' or 'exhaustive', got {self.search!r}.")
+        PeakTracker(decay=self.decay, threshold=self.threshold)  # refuses what is out of its range
 
 
 CATEGORICAL_SCALE = 6.0
@@ -174,6 +179,12 @@ class SubgoalDiscovery:
             ValueError: ``features`` does not fit the trajectory, or is not finite.
         """
         features = np.asarray(features, dtype=np.float64)
+        n_states = batch_size(trajectory.states)
+        if features.ndim != 2 or len(features) != n_states:
+            raise ValueError(
+                f"features must have shape (m, d), one row for each of the trajectory's {n_states} distinct "
+                f"observations, got {features.shape}"
+            )
         if not np.isfinite(features).all():
             raise ValueError("the feature map gave NaN or infinite features for a trajectory")
         labelled = LabelledTrajectory(trajectory, features, bool(self.success(trajectory)))

@@ -1,7 +1,7 @@
 """Diverse density of a concept over bags of instances, and the search for its peaks.
 
-A concept is a point t with a scale s (one over its width) per feature, in the feature space of the instances. Its
-diverse density is high where many positive bags, and no negative bag, have an instance nearby.
+A concept is a point t with a scale s (one over its width) per feature, in the feature space of the instances.
+Its diverse density is high where many positive bags, and no negative bag, have an instance nearby.
 Sources: Maron and Lozano-Pérez, "A framework for multiple-instance learning" (1998); McGovern and Barto,
 "Accelerating reinforcement learning through the discovery of useful subgoals" (2001), section 4.
 """
@@ -17,13 +17,13 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 # (points × instances) held at once: a few such arrays in single precision fit the level-2 cache of a core.
-MAX_PAIRS = 1 << 16
-# Up to this many features a loop of differences is faster than a matrix product with its corrections.
-MAX_LOOPED_FEATURES = 8
+MAX_PAIRS = 1 << 17
+# Up to this many features plain differences are faster than a matrix product and its corrections.
+MAX_BROADCAST_FEATURES = 4
 # What a row of the padded layout costs beside its instances, in instances.
 ROW_COST = 8
 # A start whose step is shorter than this, in widths of the concept or e-folds of the scale, has arrived.
-ARRIVED = 1e-4
+ARRIVED = 1e-3
 # Longest step of the scale, in e-folds.
 LOG_SCALE_STEP = 0.25
 
@@ -143,35 +143,32 @@ class _Layout(NamedTuple):
 
 
 def _log2_membership(points: Tensor, scales: Tensor, layout: _Layout) -> Tensor:
-    """log₂ Pr(B_ij ∈ c) = −log₂(e) D_ij with D_ij = Σ_k (s_k (x_ijk − t_k))², shape (S, places); exactly 0 on a hit.
+    """log₂ Pr(B_ij ∈ c) = −log₂(e) D_ij with D_ij = Σ_k (s_k (x_ijk − t_k))², shape (S, places); 0 on a hit.
 
     In powers of two because `torch.exp2` takes a fraction of the time of `torch.exp`.
     """
     roots = scales * math.sqrt(math.log2(math.e))
     d = points.shape[1]
     features = layout.powers[1 : d + 1]
-    if d <= MAX_LOOPED_FEATURES:
-        out = layout.padding.expand(len(points), -1).clone()
-        for feature, t, root in zip(features, points.T, roots.T, strict=True):
-            difference = (feature - t[:, None]).mul_(root[:, None])
-            out.addcmul_(difference, difference, value=-1)
-        return out
+    if d <= MAX_BROADCAST_FEATURES:
+        difference = (features - points[..., None]).mul_(roots[..., None])
+        return layout.padding - difference.square_().sum(1)
     squares = roots.square()
     size = squares @ layout.powers[d + 1 :] + (squares * points.square()).sum(1, keepdim=True)
     out = torch.addmm(layout.padding, squares * points, features, alpha=2).sub_(size)
     # The products round relative to the size of the coordinates: pairs that lie close are done by differences.
     close = out > size.mul_(-(torch.finfo(out.dtype).eps ** 0.375))
-    for pairs in close.nonzero().split(max(1, MAX_PAIRS // d)):
+    for pairs in torch.split(close.nonzero(), max(1, MAX_PAIRS // d)):
         point, place = pairs.T
         difference = (features[:, place] - points[point].T).mul_(roots[point].T)
-        out[point, place] = -difference.square().sum(0)
+        out[point, place] = -difference.square_().sum(0)
     return out
 
 
 def _noisy_or(log2_p: Tensor, layout: _Layout) -> tuple[Tensor, Tensor]:
-    """Log Pr(t | B⁺) = log(1 − Π_j (1 − p_j)) summed over bags, (S,), and weights w_ij = −∂/∂D_ij, (S, places).
+    """Σ_i log Pr(t | B_i⁺) = Σ_i log(1 − Π_j (1 − p_ij)), shape (S,), and its weights −∂/∂D_ij, shape (S, places).
 
-    w_ij = p_ij Π_{k≠j} (1 − p_ik) / Pr(t | B_i⁺) is in [0, 1] and tends to the soft-max of −D_ij as the bag
+    The weight p_ij Π_{k≠j} (1 − p_ik) / Pr(t | B_i⁺) is in [0, 1] and tends to the soft-max of −D_ij as the bag
     recedes. The bag's largest p is factored out, so that nothing underflows at any distance. Where it is small,
     1 − Π would cancel and Π (1 − p_j) = exp(−Σ p_j − Σ p_j² / 2 − …) takes its place; the cube root of the
     precision balances the two errors. Overwrites its argument.
@@ -182,17 +179,17 @@ def _noisy_or(log2_p: Tensor, layout: _Layout) -> tuple[Tensor, Tensor]:
     top = layout.per_bag(log2_p.amax(-1), "amax")
     # Kept below 1: on a hit 1 − p = 0 would make the weight 0/0.
     largest = torch.exp2(top).clamp_(2.0**floor, 1 - precision.eps)
+    minus = -largest
     share = log2_p.sub_(layout.per_row(top)).clamp_(min=floor).exp2_()
     linear = layout.per_bag(share.sum(-1), "sum")
     quadratic = layout.per_bag(torch.linalg.vecdot(share, share), "sum")
-    miss = (share * -layout.per_row(largest)).add_(1)
+    miss = (share * layout.per_row(minus)).add_(1)
     all_miss = layout.per_bag(miss.prod(-1), "prod")
-    near = largest > precision.eps ** (1 / 3)
-    series = (linear + quadratic * largest / 2) * largest
-    hit = torch.where(near, 1 - all_miss, -torch.expm1(-series))
-    log_hit = torch.where(near, torch.log1p(-all_miss), hit.log()).masked_fill_(top == 0, 0)
-    log_hit += (top - floor).clamp_(max=0) * math.log(2)
-    weights = share.div_(miss).mul_(layout.per_row(all_miss * largest / hit))
+    series = torch.addcmul(linear, quadratic, largest, value=0.5).mul_(minus)
+    minus_hit = torch.where(largest > precision.eps ** (1 / 3), all_miss - 1, series.expm1_())
+    hit_share = minus_hit.div_(minus)  # Pr(t | B⁺) over the largest p; at least 1, so a hit is clamped to log 1
+    log_hit = hit_share.log().add_(top, alpha=math.log(2)).clamp_(max=0)
+    weights = share.div_(miss).mul_(layout.per_row(all_miss.div_(hit_share)))
     return log_hit.sum(1), weights.flatten(1)
 
 
@@ -208,37 +205,44 @@ def _noisy_nor(log2_p: Tensor, strength: float) -> tuple[Tensor, Tensor]:
 
 
 class _Densities(NamedTuple):
-    """Log densities (S,), and sums over all instances x with weights w > 0 that attract and w < 0 that repel."""
+    """Log densities (S,) and moments (S, 1 + 2 d): sums over instances of the weight times 1, x_k and x_k².
+
+    The weight is the sensitivity ∂/∂D of the log density, positive for an instance that attracts in `net`, negative
+    for one that repels, and without its sign in `total`.
+    """
 
     log_density: Tensor
-    mass: Tensor  # (S, 1) Σ |w|
-    pull: Tensor  # (S, d) Σ w (x − t)
-    spread: Tensor  # (S, d) Σ w (x − t)²
-    total_spread: Tensor  # (S, d) Σ |w| (x − t)²
+    net: Tensor
+    total: Tensor
 
 
 def _evaluate(points: Tensor, scales: Tensor, layout: _Layout, strength: float) -> _Densities:
-    """Evaluate points and scales (S, d) relative to the layout's origin, as many at once as `MAX_PAIRS` allows."""
+    """Evaluate points and scales (S, d), relative to the origin, as many at once as `MAX_PAIRS` allows."""
     at_once = max(1, MAX_PAIRS // len(layout.padding))
     if len(points) > at_once:
-        chunks = zip(points.split(at_once), scales.split(at_once), strict=True)
+        chunks = zip(torch.split(points, at_once), torch.split(scales, at_once), strict=True)
         parts = [_evaluate(t, s, layout, strength) for t, s in chunks]
         return _Densities(*map(torch.cat, zip(*parts, strict=True)))
-
-    def moments(weights: Tensor, powers: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        mass, first, second = (weights @ powers.T).split([1, points.shape[1], points.shape[1]], dim=1)
-        pull = first - points * mass
-        return mass, pull, (second - points * (first + pull)).clamp_(min=0)
-
     n = math.prod(layout.rows)
     log2_p = _log2_membership(points, scales, layout)
     log_density, weights = _noisy_or(log2_p[:, :n], layout)
-    mass, pull, spread = moments(weights, layout.powers[:, :n])
+    attract = weights @ layout.powers[:, :n].T
     if n == len(layout.padding):
-        return _Densities(log_density, mass, pull, spread, spread)
+        return _Densities(log_density, attract, attract)
     log_none, weights = _noisy_nor(log2_p[:, n:], strength)
-    mass_, pull_, spread_ = moments(weights, layout.powers[:, n:])
-    return _Densities(log_density + log_none, mass + mass_, pull - pull_, spread - spread_, spread + spread_)
+    repel = weights @ layout.powers[:, n:].T
+    return _Densities(log_density.add_(log_none), attract - repel, attract + repel)
+
+
+def _pull(moments: Tensor, points: Tensor) -> Tensor:
+    """Σ w (x − t), shape (S, d): half the gradient of the log density in t, at scale 1."""
+    return torch.addcmul(moments[:, 1 : points.shape[1] + 1], points, moments[:, :1], value=-1)
+
+
+def _spread(moments: Tensor, points: Tensor) -> Tensor:
+    """Σ w (x − t)², shape (S, d): minus half the gradient of the log density in s, at scale 1."""
+    first, second = moments[:, 1 : points.shape[1] + 1], moments[:, points.shape[1] + 1 :]
+    return second - points * (first + _pull(moments, points))
 
 
 class _LogDiverseDensity(torch.autograd.Function):
@@ -246,9 +250,9 @@ class _LogDiverseDensity(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, points: Tensor, scales: Tensor, layout: _Layout, strength: float) -> Tensor:
-        at = _evaluate(points, scales, layout, strength)
-        ctx.save_for_backward(2 * scales.square() * at.pull, -2 * scales * at.spread)
-        return at.log_density
+        log_density, net, _ = _evaluate(points, scales, layout, strength)
+        ctx.save_for_backward(2 * scales.square() * _pull(net, points), -2 * scales * _spread(net, points))
+        return log_density
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, Tensor, None, None]:
@@ -345,7 +349,7 @@ class DiverseDensity:
     scale_bounds: tuple[float, float] = (0.1, 10.0)
     n_starts: int = 8
     n_smallest: int = 3
-    steps: int = 30
+    steps: int = 12
     merge_radius: float = 0.5
     tolerance: float = 1e-9
     negative_strength: float = 1.0
@@ -446,15 +450,16 @@ class DiverseDensity:
             best_points = torch.where(better[:, None], points, best_points)
             best_scales = torch.where(better[:, None], scales, best_scales)
             # Where every bag is satisfied the weights vanish, and so must the step.
-            step = at.pull / at.mass.clamp(min=torch.finfo(points.dtype).eps)
+            step = _pull(at.net, points) / at.total[:, :1].clamp(min=torch.finfo(points.dtype).eps)
             moved = (step * scales).abs().amax(1)
-            points = points + step
             if self.learn_scale:
-                share = at.spread / at.total_spread.clamp(min=torch.finfo(points.dtype).tiny)
+                spread, total = _spread(at.net, points), _spread(at.total, points)
+                share = (spread / total.clamp(min=torch.finfo(points.dtype).eps)).clamp(-1, 1)
                 widened = scales * torch.exp(-LOG_SCALE_STEP * share)
                 widened = torch.clamp(widened, base * self.scale_bounds[0], base * self.scale_bounds[1])
                 moved = torch.maximum(moved, (widened / scales).log_().abs_().amax(1))
                 scales = widened
+            points = points + step
             if bool((moved < ARRIVED).all()):
                 break
 

@@ -55,6 +55,13 @@ def concatenate(batches: Sequence[Observations]) -> Observations:
     return np.concatenate(cast("Sequence[npt.NDArray[Any]]", batches))
 
 
+def copy_of(observation: Any) -> Any:
+    """One observation that its environment cannot change any more: some write every one into the same array."""
+    if isinstance(observation, Mapping):
+        return {key: np.array(value) for key, value in observation.items()}
+    return np.array(observation)
+
+
 def key_of(observation: Any) -> bytes:
     """A key that two observations of one space share exactly if they are equal, bit for bit."""
     if isinstance(observation, Mapping):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -81,7 +82,8 @@ def checked_duration(max_duration: int) -> int:
     Raises:
         ValueError: It is not.
     """
-    if isinstance(max_duration, bool) or int(max_duration) != max_duration or max_duration < 1:
+    number = isinstance(max_duration, Real) and not isinstance(max_duration, bool)
+    if not (number and max_duration >= 1 and max_duration % 1 == 0):
         raise ValueError(f"max_duration must be a whole number of primitive steps, at least 1, got {max_duration!r}.")
     return int(max_duration)
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
+from numbers import Integral
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -29,7 +31,8 @@ class OptionLearningSettings:
         max_duration: Longest run of the option, primitive steps.
         step_reward: Reward of the option's own task for every step that goes on.
         subgoal_reward: Reward for the step that reaches the subgoal.
-        leave_reward: Reward for the step that leaves I. The default is worse than any run of ``max_duration`` steps.
+        leave_reward: Reward for the step that leaves I, or ends the episode elsewhere than at the subgoal. The default
+            is worse than any run of ``max_duration`` steps.
         gamma: Discount of the option's own task.
         value_function: ``table`` for observations that repeat, ``network`` for those that do not, or ``auto``:
             a table if the transitions of I have at most half as many distinct observations as there are transitions.
@@ -52,9 +55,12 @@ class OptionLearningSettings:
     def __post_init__(self) -> None:
         """Refuse values out of range, by name."""
         for name in ("initiation_steps", "max_duration", "sweeps", "network_updates"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}.")
-        if self.initiation_radius < 0:
+            if not isinstance(getattr(self, name), Integral) or getattr(self, name) < 1:
+                raise ValueError(f"{name} must be a whole number of at least 1, got {getattr(self, name)}.")
+        for name in ("step_reward", "subgoal_reward", "leave_reward"):
+            if not math.isfinite(getattr(self, name)):
+                raise ValueError(f"{name} must be finite, got {getattr(self, name)}.")
+        if not self.initiation_radius >= 0:
             raise ValueError(f"initiation_radius must be at least 0, got {self.initiation_radius}.")
         if not 0.0 < self.gamma <= 1.0:
             raise ValueError(f"gamma must be in (0, 1], got {self.gamma}.")
@@ -73,7 +79,7 @@ class Transitions(NamedTuple):
         actions: Primitive actions, shape (n,).
         rewards: Of the option's own task, shape (n,).
         led: Row of ``states`` where each step led, shape (n,).
-        ends: Whether the step reached the subgoal or left I, shape (n,).
+        ends: Whether the step reached the subgoal, left I or ended the episode in a terminal state, shape (n,).
     """
 
     states: Observations
@@ -122,7 +128,7 @@ def option_transitions(
 
     Args:
         subgoal: Reaching it ends the task with ``subgoal_reward``.
-        initiation: Leaving it ends the task with ``leave_reward``.
+        initiation: Leaving it ends the task with ``leave_reward``, and so does a terminal state.
         trajectories: The saved ones.
         settings: The rewards are used.
 
@@ -138,7 +144,10 @@ def option_transitions(
         inside = initiation.contains(labelled.features) & ~reached
         began, led = trajectory.visits[:-1], trajectory.visits[1:]
         keep = np.flatnonzero(inside[began])
-        began, led = began[keep], led[keep]
+        goes_on = inside[led]
+        if trajectory.terminated:
+            goes_on[-1] = False
+        began, led, goes_on = began[keep], led[keep], goes_on[keep]
         shared_row = np.zeros(len(inside), dtype=np.int64)
         for local in np.unique(np.concatenate([began, led])):
             state = obs_batch.take(trajectory.states, slice(local, local + 1))
@@ -148,9 +157,9 @@ def option_transitions(
         rewards = np.where(
             reached[led],
             settings.subgoal_reward,
-            np.where(inside[led], settings.step_reward, settings.leave_reward),
+            np.where(goes_on, settings.step_reward, settings.leave_reward),
         )
-        columns.append((shared_row[began], trajectory.actions[keep], rewards, shared_row[led], ~inside[led]))
+        columns.append((shared_row[began], trajectory.actions[keep], rewards, shared_row[led], ~goes_on))
     if not states:
         return None
     began, actions, rewards, led, ends = (np.concatenate(column) for column in zip(*columns, strict=True))
@@ -162,7 +171,8 @@ def replay_into_table(transitions: Transitions, n_primitive: int, *, gamma: floa
 
     Every sweep sets Q(s, a) to the mean of r + γ max_a' Q(s', a') over the transitions of (s, a), without the second
     term where the task ends: the fixed point of experience replay. Actions never tried in a state keep −∞, because
-    nothing is known of them.
+    nothing is known of them. A step into a state that no saved trajectory acted in counts as never tried: what comes
+    after it is not known.
 
     Args:
         transitions: Of the option's own task.
@@ -175,22 +185,35 @@ def replay_into_table(transitions: Transitions, n_primitive: int, *, gamma: floa
     """
     states = flatten(transitions.states)
     n_states = len(states)
-    pair = transitions.began * n_primitive + transitions.actions
+    known = _known(transitions, n_states)
+    began, led = transitions.began[known], transitions.led[known]
+    rewards, goes_on = transitions.rewards[known], ~transitions.ends[known]
+    pair = began * n_primitive + transitions.actions[known]
     count = np.bincount(pair, minlength=n_states * n_primitive)
     tried = count > 0
     acted_in: BoolArray = np.any(tried.reshape(n_states, n_primitive), axis=1)
-    # A step into a state that no saved trajectory acted in teaches nothing of what comes after it.
-    goes_on = ~transitions.ends & acted_in[transitions.led]
     values = np.where(tried, 0.0, -np.inf)
     for _ in range(sweeps):
         best = np.where(acted_in, values.reshape(n_states, n_primitive).max(axis=1), 0.0)
-        target = transitions.rewards + gamma * goes_on * best[transitions.led]
+        target = rewards + gamma * goes_on * best[led]
         updated = values.copy()
         updated[tried] = np.bincount(pair, weights=target, minlength=len(count))[tried] / count[tried]
         if np.array_equal(updated, values):
             break
         values = updated
     return TabularPolicy(states[acted_in], values.reshape(n_states, n_primitive)[acted_in])
+
+
+def _known(transitions: Transitions, n_states: int) -> BoolArray:
+    """Which steps end the task, or lead to a state where known steps begin, shape (n,)."""
+    known = np.ones(len(transitions.began), dtype=bool)
+    while True:
+        acted_in = np.zeros(n_states, dtype=bool)
+        acted_in[transitions.began[known]] = True
+        still = known & (transitions.ends | acted_in[transitions.led])
+        if still.sum() == known.sum():
+            return known
+        known = still
 
 
 HIDDEN = 64

@@ -31,7 +31,8 @@ def plateau_centres(points: FloatArray, scale: FloatArray, radius: float) -> Flo
     for label in range(n_plateaus):
         members = np.flatnonzero(plateau == label)
         centres.append(members[distances[np.ix_(members, members)].sum(axis=1).argmin()])
-    return points[np.array(centres)]
+    middle: FloatArray = points[np.array(centres)]
+    return middle
 
 
 @dataclass
@@ -57,7 +58,7 @@ class PeakTracker:
     peak belongs to the nearest known concept within ``radius``.
 
     Args:
-        decay: λ in [0, 1).
+        decay: λ in (0, 1).
         threshold: Share of the limit λ/(1−λ) above which a concept is persistent, in [0, 1).
         radius: In scaled units of concept space, ≥ 0.
 
@@ -69,11 +70,11 @@ class PeakTracker:
     """A concept whose average has decayed below this is dropped, so that the list stays short."""
 
     def __init__(self, *, decay: float = 0.9, threshold: float = 0.6, radius: float = 1.0) -> None:
-        if not 0.0 <= decay < 1.0:
-            raise ValueError(f"decay (λ) must be in [0, 1), got {decay}.")
+        if not 0.0 < decay < 1.0:
+            raise ValueError(f"decay (λ) must be in (0, 1), got {decay}.")
         if not 0.0 <= threshold < 1.0:
             raise ValueError(f"threshold must be a share of the limit λ/(1−λ), in [0, 1), got {threshold}.")
-        if radius < 0.0:
+        if not radius >= 0.0:
             raise ValueError(f"radius must be at least 0, got {radius}.")
         self.decay, self.threshold, self.radius = decay, threshold, radius
         self.concepts: list[TrackedConcept] = []
@@ -93,16 +94,16 @@ class PeakTracker:
         for concept in self.concepts:
             concept.found = False
         for peak in peaks:
-            concept = self._nearest(peak, scale)
-            if concept is None:
-                concept = TrackedConcept(np.array(peak, dtype=np.float64), 0.0)
-                self.concepts.append(concept)
-            if not concept.found:
-                concept.point = np.array(peak, dtype=np.float64)  # the newest search knows the most bags
-                concept.found = True
+            known = self._nearest(peak, scale)
+            if known is None:
+                known = TrackedConcept(np.array(peak, dtype=np.float64), 0.0)
+                self.concepts.append(known)
+            if not known.found:
+                known.point = np.array(peak, dtype=np.float64)  # the newest search knows the most bags
+                known.found = True
         for concept in self.concepts:
             concept.average = self.decay * (concept.average + concept.found)
-        self.concepts = [c for c in self.concepts if c.average > self.FORGOTTEN]
+        self.concepts = [c for c in self.concepts if c.found or c.average > self.FORGOTTEN]
 
     def leading(self) -> TrackedConcept | None:
         """The concept with the largest average; None before the first peak."""

@@ -68,8 +68,8 @@ class TrajectoryRecorder:
         """The episode as a `Trajectory`."""
         return Trajectory(
             states=obs_batch.stack(self._states),
-            visits=np.array(self._visits),
-            actions=np.array(self._actions),
+            visits=np.array(self._visits, dtype=np.int64),
+            actions=np.array(self._actions, dtype=np.int64),
             rewards=np.array(self._rewards, dtype=np.float64),
             terminated=terminated,
             truncated=truncated,
@@ -79,13 +79,7 @@ class TrajectoryRecorder:
     def _visit(self, observation: Any) -> None:
         row = self._row_of.setdefault(obs_batch.key_of(observation), len(self._states))
         if row == len(self._states):
-            # Some environments write every observation into one and the same array.
-            copied = (
-                {k: np.array(v) for k, v in observation.items()}
-                if isinstance(observation, dict)
-                else np.array(observation)
-            )
-            self._states.append(copied)
+            self._states.append(obs_batch.copy_of(observation))
         self._visits.append(row)
 
 

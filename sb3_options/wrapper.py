@@ -17,6 +17,7 @@ from sb3_options.observations import (
     FloatArray,
     Observations,
     batch_of_one,
+    copy_of,
     stack,
 )
 from sb3_options.option import Option
@@ -41,15 +42,15 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         info["option"] = {"index": slot or -1, "duration": k, "discount": γᵏ, "termination": why it ended}
 
     where why is one of ``primitive``, ``subgoal``, ``left_initiation``, ``max_duration``, ``interrupted``,
-    ``terminated`` and ``truncated``. An action that names a slot also leaves there what Macro-Q learning needs: the
-    primitive steps as stacked arrays ``observations`` (the k observations acted in), ``actions`` and ``rewards``;
-    and once the bank has options, ``available`` says for each of the k observations arrived in which slots may start
-    there, shape (k, max_options).
+    ``terminated`` and ``truncated``. An option also leaves there what Macro-Q learning needs: its primitive steps as
+    stacked arrays ``observations`` (the k observations acted in), ``actions`` and ``rewards``. Once the bank has
+    options, ``available`` says for each of the k observations arrived in which slots may start there, shape
+    (k, max_options).
 
-    An empty slot runs one uniformly random primitive. A filled option chosen outside its initiation set runs one
-    step of its own policy. So an algorithm that cannot mask still sees a lawful semi-Markov process;
-    ``action_masks()`` gives the strict sets to one that can. With no options it is the environment itself, bit for
-    bit.
+    An empty slot runs one uniformly random primitive, and names it as ``actions``. A filled option chosen outside its
+    initiation set runs one step of its own policy. So an algorithm that cannot mask still sees a lawful semi-Markov
+    process; ``action_masks()`` gives the strict sets to one that can. With no options it is the environment itself,
+    bit for bit.
 
     Args:
         env: Its action space must be ``Discrete`` and start at 0.
@@ -72,7 +73,10 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         gamma: float = 0.99,
         feature_map: FeatureMap | None = None,
     ) -> None:
-        RecordConstructorArgs.__init__(self, max_options=max_options, gamma=gamma, feature_map=feature_map)
+        # Not copied: a feature map may be a method of the environment, which would be copied with it.
+        RecordConstructorArgs.__init__(
+            self, _disable_deepcopy=True, max_options=max_options, gamma=gamma, feature_map=feature_map
+        )
         gym.Wrapper.__init__(self, env)
         primitive = env.action_space
         if not isinstance(primitive, spaces.Discrete):
@@ -120,6 +124,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
 
         Raises:
             ValueError: There is no such action.
+            gymnasium.error.ResetNeeded: A slot is named before the first ``reset``.
         """
         action = int(action)
         if not 0 <= action < self.n_primitive + self.bank.max_options:
@@ -127,53 +132,55 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
                 f"action must be between 0 and {self.n_primitive + self.bank.max_options - 1}, got {action}."
             )
         if action < self.n_primitive:
-            observation, reward, terminated, truncated, info = self._primitive_step(action)
-            info["option"] = {"index": -1, "duration": 1, "discount": self.gamma, "termination": "primitive"}
-            if self.bank.filled:
-                info["option"]["available"] = self._available(batch_of_one(observation))
-            return observation, reward, terminated, truncated, info
+            return self._run_primitive(action)
         slot = action - self.n_primitive
-        return self._run(self.bank[slot], slot)
+        option = self.bank[slot]
+        if option is not None:
+            return self._run_option(option, slot)
+        drawn = int(self._random.integers(self.n_primitive))
+        result = self._run_primitive(drawn)
+        result[4]["option"]["actions"] = np.array([drawn])
+        return result
 
-    def _run(self, option: Option | None, slot: int) -> StepReturn:
-        """Run an option until β, I, its longest duration or the episode ends it; an empty slot for one step."""
+    def _run_primitive(self, action: int) -> StepReturn:
+        observation, reward, terminated, truncated, info = self._primitive_step(action)
+        info["option"] = {"index": -1, "duration": 1, "discount": self.gamma, "termination": "primitive"}
+        if self.bank.filled:
+            info["option"]["available"] = self._available(batch_of_one(observation))
+        return observation, reward, terminated, truncated, info
+
+    def _run_option(self, option: Option, slot: int) -> StepReturn:
+        """Run an option until β, I, its longest duration or the episode ends it."""
         total, discount = 0.0, 1.0
-        before: list[Any] = []
+        observations: list[Any] = [copy_of(self._current_observation("step()"))]
         actions: list[int] = []
         rewards: list[float] = []
         termination: Termination | None = None
-        observation = self._observation
+        began_inside = bool(option.initiation(batch_of_one(observations[0]))[0])
         while termination is None:
-            if option is None:
-                action = int(self._random.integers(self.n_primitive))
-            else:
-                action = self._action_of(option, observation)
-            before.append(observation)
+            action = self._action_of(option, observations[-1])
             observation, reward, terminated, truncated, info = self._primitive_step(action)
+            observations.append(copy_of(observation))
             actions.append(action)
             rewards.append(float(reward))
             total += discount * float(reward)
             discount *= self.gamma
-            if option is None:
-                termination = "primitive"
-            elif terminated:
+            if terminated:
                 termination = "terminated"
             elif truncated:
                 termination = "truncated"
             else:
-                termination = self._why_ended(option, observation, len(actions))
-        arrived = [*before[1:], observation]
+                termination = self._why_ended(option, observation, len(actions), may_go_on=began_inside)
         info["option"] = {
-            "index": -1 if option is None else slot,
+            "index": slot,
             "duration": len(actions),
             "discount": discount,
             "termination": termination,
-            "observations": stack(before),
+            "observations": stack(observations[:-1]),
             "actions": np.array(actions),
             "rewards": np.array(rewards),
+            "available": self._available(stack(observations[1:])),
         }
-        if self.bank.filled:
-            info["option"]["available"] = self._available(stack(arrived))
         return observation, total, terminated, truncated, info
 
     def _action_of(self, option: Option, observation: Any) -> int:
@@ -185,18 +192,19 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             )
         return action
 
-    def _why_ended(self, option: Option, observation: Any, duration: int) -> Termination | None:
+    def _why_ended(self, option: Option, observation: Any, duration: int, *, may_go_on: bool) -> Termination | None:
         batch = batch_of_one(observation)
         probability = float(option.termination(batch)[0])
         if probability >= 1.0 or (probability > 0.0 and self._random.random() < probability):
             return "subgoal"
-        if not option.initiation(batch)[0]:
+        if not (may_go_on and option.initiation(batch)[0]):
             return "left_initiation"
         return "max_duration" if duration >= option.max_duration else None
 
     def _primitive_step(self, action: int) -> StepReturn:
         observation, reward, terminated, truncated, info = self.env.step(action)
         self._observation = observation
+        info = dict(info)  # an environment may hand out one and the same dictionary every time
         if self._recorder is not None:
             self._recorder.record(action, float(reward), observation)
             if terminated or truncated:
@@ -217,10 +225,13 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         Raises:
             gymnasium.error.ResetNeeded: Before the first ``reset``.
         """
-        if self._observation is None:
-            raise gym.error.ResetNeeded("action_masks() needs a current observation: call reset() first.")
-        mask: BoolArray = self.bank.available(batch_of_one(self._observation))[0]
+        mask: BoolArray = self.bank.available(batch_of_one(self._current_observation("action_masks()")))[0]
         return mask
+
+    def _current_observation(self, needed_by: str) -> Any:
+        if self._observation is None:
+            raise gym.error.ResetNeeded(f"{needed_by} needs a current observation: call reset() first.")
+        return self._observation
 
     def available(self, observations: Observations) -> BoolArray:
         """Which augmented actions may start in each observation, shape (batch, n_primitive + max_options)."""
@@ -247,7 +258,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         """Fill slot ``slot`` with ``option``, or empty it with None; used across process borders."""
         if option is not None:
             self.bank.add(option, slot)
-        elif self.bank[slot] is not None:
+        elif slot in self.bank.filled:
             self.bank.remove(slot)
 
     def record_trajectories(self, record: bool) -> None:
@@ -258,3 +269,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
                 self._recorder.begin(self._observation)
         elif not record:
             self._recorder = None
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        # A copied or unpickled bank has no feature map (see `OptionBank.__getstate__`); this wrapper does.
+        self.__dict__.update(state)
+        self.bank.bind(self.features.map if self.features else None)
