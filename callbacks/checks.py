@@ -9,6 +9,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_options import heads
+from sb3_options.macro_q import MacroQ
 from sb3_options.replay_buffer import OptionReplayBuffer
 from sb3_options.wrapper import OptionsWrapper
 
@@ -31,6 +32,24 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
             "environment in OptionsWrapper."
         )
     check_wrapped(venv, "The model's environment")
+    if not isinstance(model, MacroQ):
+        _check_deep(model)
+    gammas: list[float] = venv.get_attr("gamma")
+    model_gamma: float = model.gamma  # type: ignore[attr-defined]  # every algorithm that passed until here has it
+    if any(abs(gamma - model_gamma) > 1e-12 for gamma in gammas):
+        raise ValueError(
+            f"OptionsWrapper discounts with gamma={gammas[0]}, {type(model).__name__} with gamma={model_gamma}: "
+            "give both the same."
+        )
+    if venv.env_method("feature_kind", indices=[0])[0] is None:
+        raise ValueError(
+            f"There is no default feature map for {venv.observation_space}: pass OptionsWrapper(env, "
+            "feature_map=...) a function from a batch of observations to features of shape (batch, d)."
+        )
+
+
+def _check_deep(model: BaseAlgorithm) -> None:
+    """Refuse a deep algorithm without `OptionReplayBuffer`, or without heads that could be opened."""
     buffer = getattr(model, "replay_buffer", None)
     if buffer is None:
         raise ValueError(
@@ -43,18 +62,6 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
             f"with γ instead of γᵏ: pass {type(model).__name__}(..., replay_buffer_class=OptionReplayBuffer)."
         )
     heads.option_outputs(model.policy)
-    gammas: list[float] = venv.get_attr("gamma")
-    model_gamma: float = model.gamma  # type: ignore[attr-defined]  # every algorithm with a replay buffer has it
-    if any(abs(gamma - model_gamma) > 1e-12 for gamma in gammas):
-        raise ValueError(
-            f"OptionsWrapper discounts with gamma={gammas[0]}, {type(model).__name__} with gamma={model_gamma}: "
-            "give both the same."
-        )
-    if venv.env_method("feature_kind", indices=[0])[0] is None:
-        raise ValueError(
-            f"There is no default feature map for {venv.observation_space}: pass OptionsWrapper(env, "
-            "feature_map=...) a function from a batch of observations to features of shape (batch, d)."
-        )
 
 
 def check_wrapped(venv: VecEnv, whose: str) -> None:

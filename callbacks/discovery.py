@@ -21,12 +21,13 @@ from sb3_options.callbacks.checks import check_model, check_same_slots
 from sb3_options.callbacks.primitive_steps import all_callbacks, count_inner_steps, monitor_primitive_steps
 from sb3_options.callbacks.statistics import OptionStatistics
 from sb3_options.discovery import DiscoverySettings, SubgoalDiscovery
+from sb3_options.macro_q import MacroQ
 from sb3_options.observations import FloatArray, Observations, take
 from sb3_options.option import Option, Region, SubgoalOption
-from sb3_options.option_learning import OptionLearningSettings, learn_option
+from sb3_options.option_learning import OptionLearningSettings, learn_further, learn_option
 from sb3_options.plots import discovery_figures
 from sb3_options.replay_buffer import OptionReplayBuffer
-from sb3_options.trajectories import Trajectory
+from sb3_options.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.vec_env import as_wrapper_sees
 
 logger = logging.getLogger("sb3_options")
@@ -115,6 +116,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
         self._generator = torch.Generator().manual_seed(seed)
         self._statistics = OptionStatistics()
         self._eval_envs: list[VecEnv] = []
+        self._slots_just_filled: list[int] = []
         self.bank = OptionBank(1, 0)
         self._n_primitive = 0
 
@@ -138,10 +140,10 @@ class SubgoalDiscoveryCallback(BaseCallback):
         """Start from the options that the training environment has already."""
         self.bank = OptionBank(present.n_primitive, present.max_options, feature_map=self._features_of)
         for slot, option in enumerate(present.slots):
-            if option is None:
-                heads.close_head(self.model.policy, self._n_primitive + slot)
-            else:
+            if option is not None:
                 self._serve(slot, option)
+            elif not isinstance(self.model, MacroQ):
+                heads.close_head(self.model.policy, self._n_primitive + slot)
 
     def _features_of(self, observations: Observations) -> FloatArray:
         # φ may live in a worker process only.
@@ -167,27 +169,38 @@ class SubgoalDiscoveryCallback(BaseCallback):
 
     def _episode_ended(self, trajectory: Trajectory) -> None:
         self.episodes += 1
-        if self._may_discover():
-            try:
-                self._discover(trajectory)
-            except ValueError as error:
-                # Training goes on without this episode rather than ending because of it.
-                logger.warning("No discovery after episode %d: %s", self.episodes, error)
+        try:
+            self._learn_from(trajectory)
+        except ValueError as error:
+            # Training goes on without this episode rather than ending because of it.
+            logger.warning("No discovery after episode %d: %s", self.episodes, error)
         self._log()
+
+    def _learn_from(self, trajectory: Trajectory) -> None:
+        assert self.discovery is not None  # made when training started
+        discovers = self._may_discover()
+        if not (discovers or (self.option_settings.keep_learning and len(self.bank))):
+            return
+        labelled = self.discovery.add(trajectory, self._features_of(trajectory.states))
+        if self.option_settings.keep_learning:
+            self._learn_further(labelled)
+        if discovers and (labelled.success or self.settings.negative_bags):
+            subgoal = self.discovery.search()
+            if subgoal is not None:
+                self._make_option(subgoal)
+
+    def _learn_further(self, labelled: LabelledTrajectory) -> None:
+        for slot in self.bank.filled:
+            option = self.bank[slot]
+            if isinstance(option, SubgoalOption):
+                further = learn_further(option, labelled, self.option_settings)
+                if further is not option:
+                    self._send(slot, further)
 
     def _may_discover(self) -> bool:
         if self.max_new_options is not None and len(self.discoveries) >= self.max_new_options:
             return False
         return len(self.bank) < self.bank.max_options
-
-    def _discover(self, trajectory: Trajectory) -> None:
-        assert self.discovery is not None  # made when training started
-        labelled = self.discovery.add(trajectory, self._features_of(trajectory.states))
-        if not labelled.success and not self.settings.negative_bags:
-            return  # no bag has changed
-        subgoal = self.discovery.search()
-        if subgoal is not None:
-            self._make_option(subgoal)
 
     def _make_option(self, subgoal: Region) -> None:
         assert self.discovery is not None  # made when training started
@@ -224,16 +237,27 @@ class SubgoalDiscoveryCallback(BaseCallback):
 
     def _serve(self, slot: int, option: Option) -> None:
         """Put an option into every environment, and open its head."""
+        self._send(slot, option)
+        if isinstance(self.model, MacroQ):
+            return  # it has no heads, and asks for what is available in every step
+        action = self._n_primitive + slot
+        if heads.is_closed(self.model.policy, action):
+            heads.open_head(self.model.policy, action, self._n_primitive)
+        self._slots_just_filled.append(slot)
+
+    def _on_rollout_end(self) -> None:
+        # Only now is the step stored at whose end an option was made, and no gradient step was taken in between.
+        buffer = getattr(self.model, "replay_buffer", None)
+        if isinstance(buffer, OptionReplayBuffer) and buffer.next_available.shape[1]:
+            for slot in self._slots_just_filled:
+                buffer.set_next_available(slot, self._available_in(buffer, self._n_primitive + slot))
+        self._slots_just_filled.clear()
+
+    def _send(self, slot: int, option: Option) -> None:
         self.bank.add(option, slot)
         travelling = option.bind(None) if isinstance(option, SubgoalOption) else option
         for venv in [self.training_env, *self._eval_envs]:
             venv.env_method("set_option", slot, travelling)
-        action = self._n_primitive + slot
-        if heads.is_closed(self.model.policy, action):
-            heads.open_head(self.model.policy, action, self._n_primitive)
-        buffer = getattr(self.model, "replay_buffer", None)
-        if isinstance(buffer, OptionReplayBuffer) and buffer.next_available.shape[1]:
-            buffer.set_next_available(slot, self._available_in(buffer, action))
 
     def _available_in(self, buffer: OptionReplayBuffer, action: int) -> np.ndarray[Any, np.dtype[np.bool_]]:
         available = [np.zeros(0, dtype=bool)]

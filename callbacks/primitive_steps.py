@@ -15,6 +15,7 @@ from stable_baselines3.common.callbacks import (
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
+from sb3_options.callbacks.checks import check_wrapped
 from sb3_options.wrapper import OptionsWrapper
 
 
@@ -23,9 +24,13 @@ class PrimitiveStepsCallback(BaseCallback):
 
     SB3 counts calls of ``step``; an option of k primitive steps is one call, so k − 1 are added. A progress bar among
     the other callbacks is moved along. Use it alone with hand-made options; `SubgoalDiscoveryCallback` does the same.
+
+    Raises:
+        ValueError: When training starts, if the environment is not wrapped in `OptionsWrapper`.
     """
 
     def _on_training_start(self) -> None:
+        check_wrapped(self.training_env, "The model's environment")
         monitor_primitive_steps(self.training_env)
 
     def _on_step(self) -> bool:

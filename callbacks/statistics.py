@@ -17,12 +17,14 @@ class OptionStatistics:
     def __init__(self) -> None:
         self._uses: Counter[int] = Counter()
         self._last: dict[int, deque[tuple[int, str]]] = {}
+        self._endings: dict[int, set[str]] = {}
 
     def add(self, option: dict[str, Any]) -> None:
         """Count one ``info["option"]`` that ran a filled slot."""
         slot = option["index"]
         self._uses[slot] += 1
         self._last.setdefault(slot, deque(maxlen=WINDOW)).append((option["duration"], option["termination"]))
+        self._endings.setdefault(slot, set()).add(option["termination"])
 
     def values(self) -> dict[str, float]:
         """By TensorBoard tag: uses so far; mean duration and the share of each ending over the last uses."""
@@ -30,6 +32,8 @@ class OptionStatistics:
         for slot, last in self._last.items():
             values[f"options/slot_{slot}/uses"] = self._uses[slot]
             values[f"options/slot_{slot}/mean_duration"] = float(np.mean([duration for duration, _ in last]))
-            for ending, count in Counter(why for _, why in last).items():
-                values[f"options/slot_{slot}/ended_{ending}"] = count / len(last)
+            count = Counter(why for _, why in last)
+            # An ending that has left the window is 0 from then on, and not what it last was.
+            for ending in sorted(self._endings[slot]):
+                values[f"options/slot_{slot}/ended_{ending}"] = count[ending] / len(last)
         return values

@@ -9,8 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+import gymnasium as gym
 import tyro
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
 
@@ -23,6 +25,7 @@ from sb3_options.config import TrainConfig
 from sb3_options.plots import subgoals_figure
 
 console = Console(highlight=False, soft_wrap=True)
+errors = Console(highlight=False, soft_wrap=True, stderr=True)
 
 EVAL_SEED = 10_000
 """Evaluation environments count their seeds from here, so that none equals a training seed."""
@@ -59,8 +62,8 @@ def main(args: Sequence[str] | None = None) -> None:
             evaluate(tyro.cli(EvaluateConfig, prog="train.py evaluate", args=args[1:]))
         else:
             train(configs.parse(args))
-    except (ValueError, TypeError, OSError, ModuleNotFoundError) as error:
-        console.print(f"[bold red]Error:[/] {error}")
+    except (ValueError, TypeError, OSError, ModuleNotFoundError, gym.error.Error) as error:
+        errors.print(f"[bold red]Error:[/] {escape(str(error))}")
         sys.exit(1)
 
 
@@ -105,7 +108,7 @@ def train(config: TrainConfig) -> Path:
                 verbose=0,
             )
         )
-    console.print(f"Training {config.algo.upper()} on {config.env} for {config.n_timesteps:,} primitive steps.")
+    console.print(f"Training {config.algo.upper()} on {escape(config.env)} for {config.n_timesteps:,} primitive steps.")
     finished = True
     try:
         model.learn(config.n_timesteps, callback=callbacks, progress_bar=config.progress, tb_log_name="tensorboard")
@@ -140,9 +143,10 @@ def _report(discovery: SubgoalDiscoveryCallback, folder: Path, *, finished: bool
         console.print(table)
     else:
         console.print("No subgoal was discovered: no peak of diverse density persisted long enough.")
-    console.print(f"Run folder:   {folder}")
-    console.print(f"TensorBoard:  tensorboard --logdir {folder}")
-    console.print(f"Evaluate:     python train.py evaluate {folder} --video {folder / 'video.mp4'}")
+    path = escape(str(folder))
+    console.print(f"Run folder:   {path}")
+    console.print(f"TensorBoard:  tensorboard --logdir {path}")
+    console.print(f"Evaluate:     python train.py evaluate {path} --video {path}/video.mp4")
 
 
 def evaluate(config: EvaluateConfig) -> evaluation.Evaluation:
@@ -159,7 +163,9 @@ def evaluate(config: EvaluateConfig) -> evaluation.Evaluation:
         OSError: A file is missing or cannot be written.
     """
     result = evaluation.evaluate_run(config.run, episodes=config.episodes, seed=config.seed, video=config.video)
-    table = Table("", "mean", "95 % confidence interval", title=f"{config.run}: {result.episodes} episodes")
+    table = Table(
+        "", "mean", "95 % confidence interval", title=f"{escape(str(config.run))}: {result.episodes} episodes"
+    )
     rows = {
         "return": result.mean_return,
         "success rate": result.success_rate,
@@ -173,5 +179,5 @@ def evaluate(config: EvaluateConfig) -> evaluation.Evaluation:
     with whole_file(config.run / "evaluation.json") as temporary:
         temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
     if config.video is not None:
-        console.print(f"Video: {config.video}")
+        console.print(f"Video: {escape(str(config.video))}")
     return result

@@ -36,6 +36,8 @@ class DiscoverySettings:
         threshold: Share of the limit λ/(1−λ) that makes a concept persistent.
         peak_radius: A peak belongs to the nearest known concept within this distance.
         peak_tolerance: Peaks whose log diverse density is within this of the best one count as found, in nats.
+        max_places: If the best diverse density is shared by more separate places than this, they are accidents of few
+            or long trajectories, and none counts as found.
         subgoal_radius: The subgoal is everything within this distance of the persistent peak.
         spacing: A new subgoal must be farther than this from those that have an option.
     """
@@ -52,6 +54,7 @@ class DiscoverySettings:
     threshold: float = 0.6
     peak_radius: float = 1.5
     peak_tolerance: float = 1e-3
+    max_places: int = 2
     subgoal_radius: float = 0.5
     spacing: float = 3.0
 
@@ -205,7 +208,8 @@ class SubgoalDiscovery:
             engine = self.engine()
             peaks = engine.search(bags, starts=self._warm_starts(engine))
             tied = [p.point for p in peaks if p.log_density >= peaks[0].log_density - self.settings.peak_tolerance]
-            self.tracker.update(plateau_centres(np.array(tied), self.scale, self.settings.peak_radius), self.scale)
+            places = plateau_centres(np.array(tied), self.scale, self.settings.peak_radius)
+            self.tracker.update(places if len(places) <= self.settings.max_places else places[:0], self.scale)
         self.last = Search(peaks, bags, time.perf_counter() - began)
         self.seconds += self.last.seconds
         return self._new_subgoal()

@@ -12,6 +12,7 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv
+from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.dqn.policies import DQNPolicy
 from torch.nn import functional
 
@@ -56,10 +57,21 @@ class OptionDQN(DQN):
     def _setup_model(self) -> None:
         super()._setup_model()
         if self.env is not None:
-            if not all(self.env.env_is_wrapped(OptionsWrapper)):
-                raise ValueError("OptionDQN needs an environment wrapped in OptionsWrapper.")
-            max_options = self._n_actions() - self.env.get_attr("n_primitive", [0])[0]
-            self._option_buffer().track_availability(max_options)
+            self._track_availability(self.env)
+
+    def set_env(self, env: GymEnv, force_reset: bool = True) -> None:
+        """Set the environment to learn in; it must be wrapped in `OptionsWrapper` as well."""
+        super().set_env(env, force_reset)
+        self._track_availability(cast("VecEnv", self.env))
+
+    def _track_availability(self, env: VecEnv) -> None:
+        if not all(env.env_is_wrapped(OptionsWrapper)):
+            raise ValueError(
+                "OptionDQN needs an environment wrapped in OptionsWrapper: use OptionsWrapper(env, max_options=..., "
+                "gamma=...) or make_vec_env(..., wrapper_class=OptionsWrapper)."
+            )
+        max_options = self._n_actions() - env.get_attr("n_primitive", [0])[0]
+        self._option_buffer().track_availability(max_options)
 
     def _option_buffer(self) -> OptionReplayBuffer:
         return cast("OptionReplayBuffer", self.replay_buffer)

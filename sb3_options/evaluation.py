@@ -116,8 +116,12 @@ def evaluate_run(run: Path, *, episodes: int = 100, seed: int = 10_000, video: P
     filming = {"beneath": FrameRecorder, "render_mode": "rgb_array"} if video is not None else {}
     venv = runs.make_env(config, 1, seed, **filming)  # type: ignore[arg-type]  # mypy joins the two values
     model = runs.make_model(config, venv, buffer_size=1)
+    venv.seed(seed)  # the model has seeded it with the training seed
     # set_parameters reads tensors only, where load would unpickle.
-    model.set_parameters(str(run / runs.MODEL), device=model.device)
+    try:
+        model.set_parameters(str(run / runs.MODEL), device=model.device)
+    except RuntimeError as error:
+        raise ValueError(f"{run / runs.MODEL} does not fit {run / runs.CONFIG}: {error}") from error
     venv.get_attr("bank")[0].load(run / runs.OPTIONS)
     venv.env_method("record_trajectories", True)
 
@@ -149,4 +153,7 @@ def _write_video(frames: list[Any], path: Path, fps: float) -> None:
     if not frames or frames[0] is None:
         raise ValueError("The environment draws no pictures: it has no render_mode 'rgb_array'.")
     path.parent.mkdir(parents=True, exist_ok=True)
-    iio.imwrite(path, np.stack(frames), fps=fps, macro_block_size=1, codec="libx264", pixelformat="yuv420p")
+    pictures = np.stack(frames)
+    # The codec wants even sides.
+    pictures = np.pad(pictures, ((0, 0), (0, pictures.shape[1] % 2), (0, pictures.shape[2] % 2), (0, 0)), mode="edge")
+    iio.imwrite(path, pictures, fps=fps, macro_block_size=1, codec="libx264", pixelformat="yuv420p")

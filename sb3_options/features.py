@@ -22,13 +22,13 @@ class Features(NamedTuple):
 
     Attributes:
         map: φ.
-        size: Dimensions d of concept space.
+        size: Dimensions d of concept space; None where φ refuses a made-up observation, until there is a real one.
         kind: ``given`` by the user, ``environment`` (its ``concept_features``), ``categorical`` (one-hot code of a
             ``Discrete`` space, in which all states are equally far apart) or ``identity`` (the flat observation).
     """
 
     map: FeatureMap
-    size: int
+    size: int | None
     kind: FeatureKind
 
 
@@ -89,8 +89,23 @@ def _sample(space: gym.Space[Any]) -> Observations:
     return batch_of_one(space.sample())
 
 
-def _size_of(feature_map: FeatureMap, space: gym.Space[Any], name: str) -> int:
-    features = np.asarray(feature_map(_sample(space)))
+def _size_of(feature_map: FeatureMap, space: gym.Space[Any], name: str) -> int | None:
+    sample = _sample(space)
+    try:
+        features = feature_map(sample)
+    except ValueError:
+        # A random element of the space need not be an observation: random pixels, say, show no agent.
+        return None
+    return checked_size(features, name)
+
+
+def checked_size(features: FloatArray, name: str = "feature_map") -> int:
+    """Dimensions d of what a feature map made of a batch of one observation.
+
+    Raises:
+        ValueError: It does not have shape (1, d).
+    """
+    features = np.asarray(features)
     if features.ndim != 2 or len(features) != 1:
         raise ValueError(
             f"{name} must return features of shape (batch, d); for a batch of one it gave shape {features.shape}."

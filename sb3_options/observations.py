@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias, cast
 
@@ -73,4 +74,5 @@ def flatten(observations: Observations) -> FloatArray:
     """Every observation as one row of float64: shape (batch, total size), keys in sorted order."""
     if isinstance(observations, Mapping):
         return np.concatenate([flatten(observations[key]) for key in sorted(observations)], axis=1)
-    return np.asarray(observations, dtype=np.float64).reshape(len(observations), -1)
+    # Not -1 for the size, which numpy cannot tell of an empty batch.
+    return np.asarray(observations, dtype=np.float64).reshape(len(observations), math.prod(observations.shape[1:]))

@@ -38,6 +38,8 @@ class OptionLearningSettings:
             a table if the transitions of I have at most half as many distinct observations as there are transitions.
         sweeps: Most sweeps through the saved transitions for a table; it stops when nothing changes any more.
         network_updates: Gradient steps for a network.
+        keep_learning: Whether an option with a table goes on learning from every later trajectory.
+        step_size: α of that learning, in (0, 1].
     """
 
     initiation_steps: int = 15
@@ -51,6 +53,8 @@ class OptionLearningSettings:
     value_function: Literal["auto", "table", "network"] = "auto"
     sweeps: int = 500
     network_updates: int = 2000
+    keep_learning: bool = False
+    step_size: float = 0.1
 
     def __post_init__(self) -> None:
         """Refuse values out of range, by name."""
@@ -64,6 +68,8 @@ class OptionLearningSettings:
             raise ValueError(f"initiation_radius must be at least 0, got {self.initiation_radius}.")
         if not 0.0 < self.gamma <= 1.0:
             raise ValueError(f"gamma must be in (0, 1], got {self.gamma}.")
+        if not 0.0 < self.step_size <= 1.0:
+            raise ValueError(f"step_size must be in (0, 1], got {self.step_size}.")
         if self.initiation_visits not in ("first", "every"):
             raise ValueError(f"initiation_visits must be 'first' or 'every', got {self.initiation_visits!r}.")
         if self.value_function not in ("auto", "table", "network"):
@@ -304,6 +310,43 @@ def learn_option(
         return None
     policy = _learn_policy(transitions, n_primitive, settings, generator)
     return SubgoalOption(subgoal, initiation, policy, max_duration=settings.max_duration, name=name)
+
+
+def learn_further(
+    option: SubgoalOption, trajectory: LabelledTrajectory, settings: OptionLearningSettings
+) -> SubgoalOption:
+    """The option after Q-learning, with step size α, on the steps of one more trajectory that began in I.
+
+    Args:
+        option: As it is.
+        trajectory: The new one.
+        settings: ``step_size``, ``gamma`` and the rewards are used.
+
+    Returns:
+        A new option; the same one if the trajectory has nothing to teach, or if its policy is no table.
+    """
+    policy = option.option_policy
+    transitions = option_transitions(option.subgoal, option.initiation_set, [trajectory], settings)
+    if transitions is None or not isinstance(policy, TabularPolicy):
+        return option
+    rows, states, values = policy.rows_for(transitions.states)
+    known: BoolArray = np.any(np.isfinite(values), axis=1)
+    for began, action, reward, led, ends in zip(
+        rows[transitions.began],
+        transitions.actions,
+        transitions.rewards,
+        rows[transitions.led],
+        transitions.ends,
+        strict=True,
+    ):
+        target = reward if ends or not known[led] else reward + settings.gamma * values[led].max()
+        old = values[began, action]
+        values[began, action] = old + settings.step_size * (target - old) if np.isfinite(old) else target
+        known[began] = True
+    further = TabularPolicy(states[known], values[known])
+    return SubgoalOption(
+        option.subgoal, option.initiation_set, further, max_duration=option.max_duration, name=option.name
+    )
 
 
 def _learn_policy(

@@ -45,6 +45,22 @@ class TabularPolicy:
             known = [i if i >= 0 else self._nearest(row) for i, row in zip(known, rows, strict=True)]
         return self._greedy[known]
 
+    def rows_for(self, observations: Observations) -> tuple[IntArray, FloatArray, FloatArray]:
+        """The table made large enough for ``observations``.
+
+        Args:
+            observations: Distinct ones, batch of n.
+
+        Returns:
+            The row of each observation, shape (n,); states and values with rows of −∞ for new ones, as copies.
+        """
+        flat = flatten(observations) + 0.0
+        new = np.array([i for i, row in enumerate(flat) if row.tobytes() not in self._row_of], dtype=np.int64)
+        rows = np.array([self._row_of.get(row.tobytes(), -1) for row in flat])
+        rows[new] = len(self.states) + np.arange(len(new))
+        empty = np.full((len(new), self.values.shape[1]), -np.inf)
+        return rows, np.concatenate([self.states, flat[new]]), np.concatenate([self.values, empty])
+
     def _nearest(self, row: FloatArray) -> int:
         return int(cdist(row[None], self.states).argmin())
 

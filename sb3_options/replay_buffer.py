@@ -111,8 +111,9 @@ class OptionReplayBuffer(ReplayBuffer):
             self.next_available = np.zeros((self.buffer_size, max_options), dtype=bool)
 
     def next_observations_stored(self) -> Observations:
-        """The next observations of all stored transitions, as the environment gave them, oldest row first."""
-        stored = {k: v[: self.size()] for k, v in self._next_observations.items()}
+        """The next observations of all stored transitions, as the VecEnv gave them, row by row."""
+        size = self.size()
+        stored = {k: v[:size].reshape(size, *(self._spaces[k].shape or ())) for k, v in self._next_observations.items()}
         return self._joined(stored)
 
     def set_next_available(self, slot: int, available: BoolArray) -> None:
@@ -265,11 +266,9 @@ class OptionReplayBuffer(ReplayBuffer):
         return cast("ReplayBufferSamples", samples)
 
     def _split(self, observations: Any) -> Rows:
-        if isinstance(observations, dict):
-            return observations
-        return {
-            "": observations.reshape(len(observations), *self._shapes[""]) if observations.ndim == 1 else observations
-        }
+        rows = observations if isinstance(observations, dict) else {"": observations}
+        # A Discrete observation is a scalar to the environment and a vector of one to SB3.
+        return {k: v.reshape(len(v), *self._shapes[k]) if v.ndim == 1 else v for k, v in rows.items()}
 
     def _joined(self, rows: Rows) -> Observations:
         return rows.get("", rows)

@@ -109,6 +109,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         if seed is not None:
             self._random = np.random.default_rng([seed, EMPTY_SLOT_SEED])
         self._observation = observation
+        if self.features is not None and self.bank.feature_size is None:
+            self.bank.feature_size = feature_maps.checked_size(self.features.map(batch_of_one(observation)))
         if self._recorder is not None:
             self._recorder.begin(observation)
         return observation, info
