@@ -11,9 +11,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from sb3_options.bags import StaticFilter, SuccessRule, bag_of, near_start_and_goal, reported_success
-from sb3_options.diverse_density import Bags, DiverseDensity, Peak
+from sb3_options.diverse_density import DiverseDensity, Peak
 from sb3_options.observations import FloatArray, batch_size
 from sb3_options.option import Region
+from sb3_options.packed_bags import Bags
 from sb3_options.peaks import PeakTracker, plateau_centres
 from sb3_options.trajectories import LabelledTrajectory, Trajectory, TrajectoryDatabase
 

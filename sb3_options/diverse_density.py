@@ -7,21 +7,20 @@ Sources: Maron and Lozano-Pérez, "A framework for multiple-instance learning" (
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple, Self, cast
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
+from sb3_options.packed_bags import Bags, Layout, distinct
+
 # (points × instances) held at once: bounds the memory; larger arrays leave the cache, smaller ones cost calls.
 MAX_PAIRS = 1 << 17
 # Up to this many features plain differences are faster than a matrix product and its corrections.
 MAX_BROADCAST_FEATURES = 4
-# What a row of the padded layout costs beside its instances, in instances.
-ROW_COST = 8
 # Times the number of starts: how many of the points tried are evaluated in full.
 SHORTLIST = 4
 # A start whose step is shorter than this, in widths of the concept or e-folds of the scale, has arrived.
@@ -30,120 +29,7 @@ ARRIVED = 1e-3
 LOG_SCALE_STEP = 0.25
 
 
-@dataclass(frozen=True, eq=False)
-class Bags:
-    """Bags of instances, packed once and searched many times; made by :meth:`pack`.
-
-    Attributes:
-        instances: (N, d) in float64, bag after bag, the positive bags first.
-        lengths: Number of instances in each bag.
-        n_positive: Number of positive bags.
-        dtype: Precision in which densities are computed.
-    """
-
-    instances: Tensor
-    lengths: tuple[int, ...]
-    n_positive: int
-    dtype: torch.dtype
-    _layouts: "dict[torch.dtype, _Layout]" = field(default_factory=dict, repr=False)
-
-    @classmethod
-    def pack(
-        cls,
-        positive: Sequence[ArrayLike],
-        negative: Sequence[ArrayLike] = (),
-        *,
-        dtype: torch.dtype = torch.float64,
-        device: torch.device | str = "cpu",
-    ) -> Self:
-        """Pack bags of shape (n_i, d). An instance given twice counts twice: pass first visits only.
-
-        Raises:
-            ValueError: No bag at all, an empty bag, bags that disagree about d, or NaN or infinite features.
-        """
-        names = [f"positive bag {i}" for i in range(len(positive))]
-        names += [f"negative bag {i}" for i in range(len(negative))]
-        if not names:
-            raise ValueError("there are no bags: pass at least one positive or negative bag")
-        arrays = [np.asarray(bag, dtype=np.float64) for bag in (*positive, *negative)]
-        for name, array in zip(names, arrays, strict=True):
-            if array.size == 0:
-                raise ValueError(f"{name} is empty, of shape {array.shape}: leave empty bags out")
-            if array.ndim != 2:
-                raise ValueError(f"{name} must have shape (instances, features), got {array.shape}")
-            if array.shape[1] != arrays[0].shape[1]:
-                raise ValueError(f"{name} has {array.shape[1]} features, {names[0]} has {arrays[0].shape[1]}")
-            if not np.isfinite(array).all():
-                raise ValueError(f"{name} holds NaN or infinite features")
-        instances = torch.from_numpy(np.concatenate(arrays)).to(device)
-        return cls(instances, tuple(map(len, arrays)), len(positive), dtype)
-
-    @property
-    def n_features(self) -> int:
-        """The dimension d of the feature space."""
-        return int(self.instances.shape[1])
-
-    def smallest_positive(self, n: int) -> NDArray[np.float64]:
-        """Distinct instances (m, d) of the `n` positive bags with the fewest, in the order packed."""
-        positive = torch.split(self.instances, list(self.lengths))[: self.n_positive]
-        smallest = sorted(sorted(range(len(positive)), key=lambda i: self.lengths[i])[:n])
-        return _distinct(torch.cat([self.instances[:0], *(positive[i] for i in smallest)]).cpu().numpy())
-
-    def _layout(self, dtype: torch.dtype) -> "_Layout":
-        if dtype not in self._layouts:
-            self._layouts[dtype] = _Layout.of(self, dtype)
-        return self._layouts[dtype]
-
-
-class _Layout(NamedTuple):
-    """Bags as the kernels read them: by feature, each positive bag padded to as many rows as it needs."""
-
-    origin: Tensor  # (d,): an instance, so that integers stay integers and a common offset costs no digits
-    powers: Tensor  # (1 + 2 d, rows * width + n_negative): 1, x_k and x_k², relative to the origin
-    padding: Tensor  # (rows * width + n_negative,): 0, or -inf for a place without an instance
-    rows: tuple[int, int]  # rows, width
-    bag_of_row: Tensor | None  # (rows,), or None where every bag is one row
-    n_bags: int
-
-    @classmethod
-    def of(cls, bags: Bags, dtype: torch.dtype) -> "_Layout":
-        lengths = np.array(bags.lengths[: bags.n_positive], dtype=np.int64)
-        n_instances, n_positive = len(bags.instances), int(lengths.sum())
-        widths = np.unique(np.append(lengths, 2 ** np.arange(int(lengths.max(initial=1)).bit_length())))
-        rows = -(-lengths // widths[:, None])
-        best = int(np.argmin(rows.sum(1) * (widths + ROW_COST)))
-        width, rows = int(widths[best]), rows[best]
-        bag = np.repeat(np.arange(len(lengths)), rows)
-        row_in_bag = np.arange(len(bag)) - np.repeat(np.cumsum(rows) - rows, rows)
-        place, length = row_in_bag[:, None] * width + np.arange(width), lengths[bag, None]
-        index = (np.cumsum(lengths) - lengths)[bag, None] + np.minimum(place, length - 1)
-        padding = np.append(np.where(place < length, 0.0, -np.inf), np.zeros(n_instances - n_positive))
-
-        device = bags.instances.device
-        columns = torch.from_numpy(np.append(index.ravel(), np.arange(n_positive, n_instances))).to(device)
-        x = (bags.instances - bags.instances[0])[columns].T
-        return cls(
-            origin=bags.instances[0],
-            powers=torch.cat([torch.ones_like(x[:1]), x, x * x]).to(dtype),
-            padding=torch.from_numpy(padding).to(device, dtype),
-            rows=(len(bag), width),
-            bag_of_row=None if len(bag) == len(lengths) else torch.from_numpy(bag).to(device),
-            n_bags=len(lengths),
-        )
-
-    def per_bag(self, rows: Tensor, reduce: Literal["amax", "prod", "sum"]) -> Tensor:
-        """Reduce (S, rows) to (S, bags)."""
-        if self.bag_of_row is None:
-            return rows
-        out = rows.new_empty(len(rows), self.n_bags)
-        return out.scatter_reduce_(1, self.bag_of_row.expand_as(rows), rows, reduce, include_self=False)
-
-    def per_row(self, bags: Tensor) -> Tensor:
-        """Spread (S, bags) to (S, rows, 1)."""
-        return (bags if self.bag_of_row is None else bags[:, self.bag_of_row])[..., None]
-
-
-def _log2_membership(points: Tensor, scales: Tensor, layout: _Layout) -> Tensor:
+def _log2_membership(points: Tensor, scales: Tensor, layout: Layout) -> Tensor:
     """log₂ Pr(B_ij ∈ c) = −log₂(e) D_ij with D_ij = Σ_k (s_k (x_ijk − t_k))²; shape (S, places).
 
     Exactly 0 on a hit. In powers of two because `torch.exp2` takes a fraction of the time of `torch.exp`.
@@ -166,7 +52,7 @@ def _log2_membership(points: Tensor, scales: Tensor, layout: _Layout) -> Tensor:
     return out
 
 
-def _noisy_or(log2_p: Tensor, layout: _Layout) -> tuple[Tensor, Tensor]:
+def _noisy_or(log2_p: Tensor, layout: Layout) -> tuple[Tensor, Tensor]:
     """Σ_i log Pr(t | B_i⁺) = Σ_i log(1 − Π_j (1 − p_ij)), shape (S,), and weights −∂/∂D_ij, (S, places).
 
     The weight p_ij Π_{k≠j} (1 − p_ik) / Pr(t | B_i⁺) lies in [0, 1] and tends to the soft-max of −D_ij as the
@@ -207,7 +93,7 @@ def _noisy_nor(log2_p: Tensor, strength: float) -> tuple[Tensor, Tensor]:
     return log_miss.sum(1), p * (miss > 0) / miss.clamp(min=torch.finfo(p.dtype).eps ** 2)
 
 
-def _by_nearest(points: Tensor, scale: Tensor, layout: _Layout, n: int) -> Tensor:
+def _by_nearest(points: Tensor, scale: Tensor, layout: Layout, n: int) -> Tensor:
     """Indices of `n` points by Σ_i max_j log Pr(B_ij ∈ c) over positive bags: a fifth of the work of a noisy-or."""
     if len(points) <= n or not layout.n_bags:
         return torch.arange(len(points), device=points.device)
@@ -234,7 +120,7 @@ class _Densities(NamedTuple):
     total: Tensor
 
 
-def _evaluate(points: Tensor, scales: Tensor, layout: _Layout, strength: float) -> _Densities:
+def _evaluate(points: Tensor, scales: Tensor, layout: Layout, strength: float) -> _Densities:
     """Evaluate points and scales (S, d), relative to the origin, as many at once as `MAX_PAIRS` allows."""
     at_once = max(1, MAX_PAIRS // len(layout.padding))
     if len(points) > at_once:
@@ -267,7 +153,7 @@ class _LogDiverseDensity(torch.autograd.Function):
     """The closed-form gradient for autograd; no (points × instances) array outlives the forward pass."""
 
     @staticmethod
-    def forward(ctx: Any, points: Tensor, scales: Tensor, layout: _Layout, strength: float) -> Tensor:
+    def forward(ctx: Any, points: Tensor, scales: Tensor, layout: Layout, strength: float) -> Tensor:
         log_density, net, _ = _evaluate(points, scales, layout, strength)
         ctx.save_for_backward(2 * scales.square() * _pull(net, points), -2 * scales * _spread(net, points))
         return log_density
@@ -301,7 +187,7 @@ def log_diverse_density(
     """
     if not 0 < negative_strength <= 1:
         raise ValueError(f"negative_strength must lie in (0, 1], got {negative_strength}")
-    layout = bags._layout(bags.dtype)
+    layout = bags.layout(bags.dtype)
     t, s = (
         (x if isinstance(x, Tensor) else torch.from_numpy(np.array(x, dtype=np.float64))).to(layout.origin)
         for x in (points, scales)
@@ -436,7 +322,7 @@ class DiverseDensity:
             points = bags.smallest_positive(bags.n_positive)
         if not len(points):
             raise ValueError(f"there is nothing to search from: without positive bags pass {name}")
-        points = _distinct(points)
+        points = distinct(points)
         if not exhaustive:
             return self._ascend(points, bags)
         value = self.log_density(points, bags)
@@ -448,7 +334,7 @@ class DiverseDensity:
 
     @torch.no_grad()
     def _ascend(self, starts: NDArray[np.float64], bags: Bags) -> list[Peak]:
-        layout = bags._layout(torch.float32)
+        layout = bags.layout(torch.float32)
         width = np.broadcast_to(np.asarray(self.scale, dtype=np.float64), starts.shape[1:])
 
         def evaluate(points: Tensor, scales: Tensor) -> _Densities:
@@ -497,12 +383,6 @@ class DiverseDensity:
             for i in _best_apart(found[chosen] * width, values.flat[chosen], self.merge_radius, len(kept))
             for j in [chosen[i]]
         ]
-
-
-def _distinct(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Drop repeated rows, keep the order. Adding 0 makes -0 a 0, whose bytes it must share."""
-    first = {row.tobytes(): i for i, row in reversed(list(enumerate(points + 0.0)))}
-    return points[sorted(first.values())]
 
 
 def _best_apart(points: NDArray[np.float64], values: NDArray[Any], radius: float, n: int) -> list[int]:

@@ -10,7 +10,8 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from sb3_options import diverse_density as module
-from sb3_options.diverse_density import Bags, DiverseDensity, Peak, log_diverse_density
+from sb3_options.diverse_density import DiverseDensity, Peak, log_diverse_density
+from sb3_options.packed_bags import Bags
 
 Array = NDArray[np.float64]
 # A bag's probability of a miss is rounded once, so a log density near 0 carries the rounding of 1.
@@ -212,7 +213,7 @@ def test_uneven_bags(lengths: list[int]) -> None:
     points = rng.normal(scale=6, size=(3, 2))
     separate = sum(density(points, 0.7, [bag]) for bag in positive)
     np.testing.assert_allclose(density(points, 0.7, positive), separate, rtol=1e-11, atol=ROUNDING)
-    layout = Bags.pack(positive)._layout(torch.float64)
+    layout = Bags.pack(positive).layout(torch.float64)
     assert layout.powers.shape[1] <= 2 * sum(lengths) + 64
 
 
