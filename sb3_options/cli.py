@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated
 
 import gymnasium as gym
+import torch
 import tyro
 from rich.console import Console
 from rich.markup import escape
@@ -41,7 +42,7 @@ class EvaluateConfig:
         run: The run folder that training named.
         episodes: How many to play.
         seed: Of the environment.
-        video: Write what was played to this MP4 file.
+        video: Write the first ten episodes to this MP4 file.
     """
 
     run: Annotated[Path, tyro.conf.Positional]
@@ -82,6 +83,7 @@ def train(config: TrainConfig) -> Path:
         ValueError: Something in the configuration does not fit.
         OSError: The run folder cannot be written.
     """
+    torch.set_num_threads(config.num_threads)
     runs.check_env_id(config.env)
     runs.make_env(config, 1, config.seed).close()  # what cannot be made leaves no folder behind
     folder = runs.new_run_folder(config)

@@ -34,6 +34,8 @@ class TrainConfig:
         eval_freq: Evaluate every so many primitive steps; 0 never does.
         eval_episodes: Episodes of each evaluation.
         progress: Show a progress bar.
+        device: Where the network lives: "cpu", "cuda" or "auto".
+        num_threads: Threads of torch; a network this small is trained fastest by one.
         max_options: Number of option slots.
         max_new_options: Most options to discover; by default one, as in the paper.
         discover: Discover options; without it the slots stay empty.
@@ -61,6 +63,8 @@ class TrainConfig:
     eval_freq: int = 0
     eval_episodes: int = 10
     progress: bool = True
+    device: str = "auto"
+    num_threads: int = 1
     max_options: int = 4
     max_new_options: int | None = 1
     discover: bool = True
@@ -79,7 +83,15 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         """Refuse values out of range, by flag."""
-        for name in ("n_timesteps", "n_envs", "eval_episodes", "buffer_size", "batch_size", "train_freq"):
+        for name in (
+            "n_timesteps",
+            "n_envs",
+            "eval_episodes",
+            "buffer_size",
+            "batch_size",
+            "train_freq",
+            "num_threads",
+        ):
             if getattr(self, name) < 1:
                 raise ValueError(f"--{name.replace('_', '-')} must be at least 1, got {getattr(self, name)}.")
         if self.eval_freq < 0 or self.max_options < 0:

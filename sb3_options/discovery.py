@@ -61,7 +61,7 @@ class DiscoverySettings:
 
     def __post_init__(self) -> None:
         """Refuse values out of range, by name."""
-        for name in ("capacity", "min_positive"):
+        for name in ("capacity", "min_positive", "max_places"):
             if not isinstance(getattr(self, name), Integral) or getattr(self, name) < 1:
                 raise ValueError(f"{name} must be a whole number of at least 1, got {getattr(self, name)}.")
         for name in (

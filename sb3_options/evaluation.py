@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import gymnasium as gym
-import imageio.v3 as iio
+import imageio.v2 as imageio
 import numpy as np
 from rich.progress import track
 from scipy.stats import binomtest, bootstrap
 
 from sb3_options import config as configs
 from sb3_options import runs
+from sb3_options.atomic import whole_file
 from sb3_options.bags import reported_success
 from sb3_options.observations import FloatArray
 
 CONFIDENCE = 0.95
 N_RESAMPLES = 9999
 DEFAULT_FPS = 15
+VIDEO_EPISODES = 10
+"""A video shows this many episodes at most."""
 
 
 class Interval(NamedTuple):
@@ -51,24 +56,69 @@ class Evaluation(NamedTuple):
     steps: Interval
 
 
-class FrameRecorder(gym.Wrapper[Any, Any, Any, Any]):
-    """Keeps a picture after every primitive step, also of those inside options."""
+class Film(gym.Wrapper[Any, Any, Any, Any]):
+    """Hands over a picture after every primitive step, also of those inside options.
 
-    def __init__(self, env: gym.Env[Any, Any]) -> None:
+    Args:
+        env: With ``render_mode="rgb_array"``.
+        take: Is given each picture.
+        episodes: After this many, nothing more is filmed.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], take: Callable[[Any], None], episodes: int) -> None:
         super().__init__(env)
-        self.frames: list[Any] = []
+        self._take, self._left = take, episodes
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
-        """Reset, and keep the first picture."""
+        """Reset, and film the first picture of the episode."""
         result = super().reset(**kwargs)
-        self.frames.append(self.env.render())
+        self._shoot()
         return result
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step, and keep the picture."""
+        """Step, and film."""
         result = super().step(action)
-        self.frames.append(self.env.render())
+        self._shoot()
+        self._left -= bool(result[2] or result[3])
         return result
+
+    def _shoot(self) -> None:
+        if self._left > 0:
+            self._take(self.env.render())
+
+
+class Video:
+    """An MP4 file that grows picture by picture, so that a long film needs no memory.
+
+    Args:
+        path: Of the file.
+        fps: Pictures per second.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+
+    def __init__(self, path: Path, fps: float) -> None:
+        # The sides are padded below: macro_block_size would scale the picture instead.
+        self._writer = imageio.get_writer(
+            path, format="FFMPEG", fps=fps, codec="libx264", pixelformat="yuv420p", macro_block_size=1
+        )
+
+    def take(self, picture: Any) -> None:
+        """Append a picture, shape (height, width, 3).
+
+        Raises:
+            ValueError: There is no picture.
+        """
+        if picture is None:
+            raise ValueError("The environment draws no pictures: it has no render_mode 'rgb_array'.")
+        height, width = picture.shape[:2]
+        # The codec wants even sides.
+        self._writer.append_data(np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge"))
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._writer.close()
 
 
 def mean_interval(values: FloatArray) -> Interval:
@@ -97,7 +147,7 @@ def evaluate_run(run: Path, *, episodes: int = 100, seed: int = 10_000, video: P
         run: The run folder.
         episodes: How many to play, at least 1.
         seed: Of the environment.
-        video: Where to write all primitive steps as MP4; None writes nothing.
+        video: Where to write the primitive steps of the first `VIDEO_EPISODES` episodes as MP4; None writes nothing.
 
     Returns:
         The evaluation.
@@ -111,10 +161,26 @@ def evaluate_run(run: Path, *, episodes: int = 100, seed: int = 10_000, video: P
     for name in (runs.CONFIG, runs.MODEL, runs.OPTIONS):
         if not (run / name).is_file():
             raise FileNotFoundError(f"{run} is no run folder: it lacks {name}.")
+    if video is None:
+        return _play(run, episodes, seed, None)
+    with whole_file(video) as temporary:
+        film = Video(temporary, _frames_per_second(run))
+        try:
+            return _play(run, episodes, seed, film)
+        finally:
+            film.close()
+
+
+def _play(run: Path, episodes: int, seed: int, film: Video | None) -> Evaluation:
     config = configs.load(run / runs.CONFIG)
     runs.check_env_id(config.env)
-    filming = {"beneath": FrameRecorder, "render_mode": "rgb_array"} if video is not None else {}
-    venv = runs.make_env(config, 1, seed, **filming)  # type: ignore[arg-type]  # mypy joins the two values
+    venv = runs.make_env(
+        config,
+        1,
+        seed,
+        beneath=None if film is None else partial(Film, take=film.take, episodes=VIDEO_EPISODES),
+        render_mode=None if film is None else "rgb_array",
+    )
     model = runs.make_model(config, venv, buffer_size=1)
     venv.seed(seed)  # the model has seeded it with the training seed
     # set_parameters reads tensors only, where load would unpickle.
@@ -137,9 +203,6 @@ def evaluate_run(run: Path, *, episodes: int = 100, seed: int = 10_000, video: P
         returns.append(float(trajectory.rewards.sum()))
         steps.append(float(len(trajectory)))
         successes += reported_success(trajectory)
-    if video is not None:
-        fps = venv.metadata.get("render_fps", DEFAULT_FPS)
-        _write_video(venv.get_attr("frames")[0], video, float(fps))  # type: ignore[arg-type]  # typed as any metadata
     venv.close()
     return Evaluation(
         episodes,
@@ -149,11 +212,9 @@ def evaluate_run(run: Path, *, episodes: int = 100, seed: int = 10_000, video: P
     )
 
 
-def _write_video(frames: list[Any], path: Path, fps: float) -> None:
-    if not frames or frames[0] is None:
-        raise ValueError("The environment draws no pictures: it has no render_mode 'rgb_array'.")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    pictures = np.stack(frames)
-    # The codec wants even sides.
-    pictures = np.pad(pictures, ((0, 0), (0, pictures.shape[1] % 2), (0, pictures.shape[2] % 2), (0, 0)), mode="edge")
-    iio.imwrite(path, pictures, fps=fps, macro_block_size=1, codec="libx264", pixelformat="yuv420p")
+def _frames_per_second(run: Path) -> float:
+    config = configs.load(run / runs.CONFIG)
+    env = gym.make(config.env, **config.env_keywords())
+    fps = env.metadata.get("render_fps", DEFAULT_FPS)
+    env.close()
+    return float(fps)

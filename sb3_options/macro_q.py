@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, ClassVar, Self, cast
 
 import numpy as np
@@ -14,7 +15,7 @@ from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback
 from stable_baselines3.common.utils import safe_mean
 
 from sb3_options.linear_features import LinearFeatures, OneHot
-from sb3_options.observations import BoolArray, FloatArray, IntArray
+from sb3_options.observations import BoolArray, FloatArray
 from sb3_options.wrapper import OptionsWrapper
 
 
@@ -119,9 +120,19 @@ class MacroQ(BaseAlgorithm):
             self.features = default_features(self.observation_space)
         self.policy = LinearPolicy(self.observation_space, self.action_space, self.features)
         self._n_actions = int(self.action_space.n)
-        self._n_slots = 0
+        self._count_slots()
+
+    def set_env(self, env: GymEnv, force_reset: bool = True) -> None:
+        """As in SB3: learn in another environment from now on."""
+        super().set_env(env, force_reset)
+        self._count_slots()
+
+    def _count_slots(self) -> None:
+        self._n_primitive = self._n_actions
         if self.env is not None and all(self.env.env_is_wrapped(OptionsWrapper)):
-            self._n_slots = self._n_actions - self.env.get_attr("n_primitive", [0])[0]
+            self._n_primitive = self.env.get_attr("n_primitive", [0])[0]
+        self._n_slots = self._n_actions - self._n_primitive
+        self._primitives = list(range(self._n_primitive))
 
     def learn(
         self,
@@ -150,121 +161,162 @@ class MacroQ(BaseAlgorithm):
             total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
         )
         assert self.env is not None  # _setup_learn has reset it
+        assert self.features is not None  # set up with the model
         callbacks.on_training_start(locals(), globals())
         callbacks.on_rollout_start()
-        assert self.features is not None  # set up with the model
-        self._table = self.policy.table()
-        has_options = self._n_slots > 0
-        masks = self._masks()
-        active = self.features.active(cast("npt.NDArray[Any]", self._last_obs))
-        while self.num_timesteps < total_timesteps:
-            actions = np.array([self._explore(self._values(a), m) for a, m in zip(active, masks, strict=True)])
+        self._begin_learning()
+        choices = self._choices()
+        active = self._active(self._last_obs)
+        goes_on = True
+        while goes_on and self.num_timesteps < total_timesteps:
+            actions = np.array([self._explore(self._values(a), c) for a, c in zip(active, choices, strict=True)])
             new_obs, rewards, dones, infos = self.env.step(actions)
             self.num_timesteps += self.env.num_envs
-            callbacks.update_locals(locals())
-            if not callbacks.on_step():
-                break
-            self._update_info_buffer(infos, dones)
-            new_active = self.features.active(cast("npt.NDArray[Any]", new_obs))
+            new_active = self._active(new_obs)
             for i, info in enumerate(infos):
-                arrived = self.features.active(info["terminal_observation"][None])[0] if dones[i] else new_active[i]
+                arrived = self._active(info["terminal_observation"][None])[0] if dones[i] else new_active[i]
                 ended = bool(dones[i]) and not info["TimeLimit.truncated"]
                 self._learn_from(active[i], int(actions[i]), float(rewards[i]), arrived, ended, info.get("option"))
             self._last_obs, active = new_obs, new_active  # type: ignore[assignment]  # SB3 annotates it as None
+            # After learning: a callback that stops training at the end of an episode loses nothing of it.
+            callbacks.update_locals(locals())
+            goes_on = callbacks.on_step()
+            self._update_info_buffer(infos, dones)
             self._update_current_progress_remaining(self.num_timesteps, total_timesteps)
             if dones.any():
                 self._episode_num += int(dones.sum())
-                masks = self._masks()  # options may have come, and the environment was reset
+                choices = self._choices()  # options may have come, and the environment was reset
                 if log_interval is not None and self._episode_num % log_interval == 0:
                     self._log()
-            elif has_options:
-                for i, info in enumerate(infos):
-                    if "available" in info["option"]:
-                        masks[i, -self._n_slots :] = info["option"]["available"][-1]
+            elif self._n_slots:
+                choices = [self._choices_after(info["option"]) for info in infos]
         callbacks.on_rollout_end()
         callbacks.on_training_end()
         return self
 
+    def replay(
+        self,
+        began: Sequence[int],
+        actions: Sequence[int],
+        rewards: Sequence[float],
+        led: Sequence[int],
+        ended: Sequence[bool],
+    ) -> None:
+        """Q-learning from primitive steps lived through earlier, in the given order (experience replay, Lin 1992).
+
+        Only for features of which one is active, such as `OneHot`; the maximum is taken over primitive actions.
+
+        Args:
+            began: Active feature where each step began, shape (n,).
+            actions: Primitive actions, shape (n,).
+            rewards: Shape (n,).
+            led: Active feature where each step led, shape (n,).
+            ended: Whether nothing follows, shape (n,).
+        """
+        self._begin_learning()
+        for step in zip(began, actions, rewards, led, ended, strict=True):
+            self._update([step[0]], step[1], step[2], self.gamma, [step[3]], step[4], ())
+
+    def _begin_learning(self) -> None:
+        self._table = self.policy.table()
+        self._step_size = cast("float", self.learning_rate)  # the constructor takes no schedule
+
     def _learn_from(
         self,
-        began: IntArray,
+        began: list[int],
         action: int,
         reward: float,
-        arrived: IntArray,
+        arrived: list[int],
         ended: bool,
         option: dict[str, Any] | None,
     ) -> None:
         """Learn from one call of ``step``, and from the primitive steps inside it.
 
         Args:
-            began: Active features where it began, shape (n_active,).
+            began: Active features where it began.
             action: The augmented action.
             reward: Σ γⁱ rᵢ.
-            arrived: Active features where it led, shape (n_active,).
+            arrived: Active features where it led.
             ended: Whether nothing follows.
             option: ``info["option"]``; None where the environment has no options.
         """
-        available = None if option is None else option.get("available")
-        if option is None or option["index"] < 0:
-            if option is not None and "actions" in option:
-                action = int(option["actions"][0])  # an empty slot ran this primitive
-            self._update(began, action, reward, self.gamma, arrived, ended, None if available is None else available[0])
+        if option is None:
+            self._update(began, action, reward, self.gamma, arrived, ended, ())
             return
-        assert self.features is not None  # set up with the model
-        assert available is not None  # there is an option, so the wrapper says where it may start
         k = option["duration"]
-        states = [*self.features.active(option["observations"]), arrived]
-        for i, (inner_action, inner_reward) in enumerate(zip(option["actions"], option["rewards"], strict=True)):
+        available = option["available"].tolist() if "available" in option else [()] * k
+        if option["index"] < 0:
+            if "actions" in option:
+                action = int(option["actions"][0])  # an empty slot ran this primitive
+            self._update(began, action, reward, self.gamma, arrived, ended, available[0])
+            return
+        states = [*self._active(option["observations"]), arrived]
+        inner_actions, inner_rewards = option["actions"].tolist(), option["rewards"].tolist()
+        for i in range(k):
             last = ended and i == k - 1
-            self._update(states[i], inner_action, inner_reward, self.gamma, states[i + 1], last, available[i])
+            self._update(states[i], inner_actions[i], inner_rewards[i], self.gamma, states[i + 1], last, available[i])
         self._update(began, action, reward, option["discount"], arrived, ended, available[-1])
 
     def _update(
         self,
-        active: IntArray,
+        active: list[int],
         action: int,
         reward: float,
         discount: float,
-        next_active: IntArray,
+        next_active: list[int],
         ended: bool,
-        available: BoolArray | None,
+        available: Sequence[bool],
     ) -> None:
+        """Q ← Q + α [r + γᵏ max Q(s', ·) − Q], the maximum over primitives and the ``available`` slots."""
         target = reward
         if not ended:
             values = self._values(next_active)
-            if self._n_slots:
-                n_primitive = len(values) - self._n_slots
-                best = values[:n_primitive].max()
-                if available is not None and available.any():
-                    best = max(best, values[n_primitive:][available].max())
-            else:
-                best = values.max()
+            best = max(values[: self._n_primitive])
+            for value, may_start in zip(values[self._n_primitive :], available, strict=False):
+                if may_start and value > best:
+                    best = value
             target += discount * best
-        step: float = self.learning_rate / len(active) * (target - self._values(active)[action])  # type: ignore[operator]  # a number, not a schedule
-        for index in active:  # an index that hashing gave twice is updated twice
-            self._table[index, action] += step
-
-    def _values(self, active: IntArray) -> FloatArray:
-        """Q of every action where these features are active, shape (n_actions,)."""
+        table = self._table
         if len(active) == 1:
-            row: FloatArray = self._table[active[0]]
-            return row
-        return np.asarray(self._table[active].sum(axis=0))
+            index = active[0]
+            table[index, action] += self._step_size * (target - table[index, action])  # type: ignore[operator]  # a number, not a schedule
+            return
+        step = self._step_size / len(active) * (target - self._values(active)[action])
+        for index in active:  # an index that hashing gave twice is updated twice
+            table[index, action] += step
 
-    def _masks(self) -> BoolArray:
-        """Which actions may start now in each environment, shape (n_envs, n_actions)."""
+    def _active(self, observations: Any) -> list[list[int]]:
+        """Active features of a batch: lists, because numpy is slower than Python for a handful of numbers."""
+        assert self.features is not None  # set up with the model
+        indices: list[list[int]] = self.features.active(observations).tolist()
+        return indices
+
+    def _values(self, active: list[int]) -> list[float]:
+        """Q of every action where these features are active."""
+        row = self._table[active[0]] if len(active) == 1 else self._table[active].sum(axis=0)
+        values: list[float] = row.tolist()
+        return values
+
+    def _choices(self) -> list[list[int]]:
+        """Which actions may start now in each environment."""
         assert self.env is not None  # only asked while learning
         if self._n_slots:
-            return np.stack(self.env.env_method("action_masks"))
-        return np.ones((self.env.num_envs, self._n_actions), dtype=bool)
+            return [mask.nonzero()[0].tolist() for mask in self.env.env_method("action_masks")]
+        return [list(range(self._n_actions))] * self.env.num_envs
 
-    def _explore(self, values: FloatArray, mask: BoolArray) -> int:
-        """ε-greedy among the allowed actions, ties broken at random."""
-        choices = mask.nonzero()[0]
+    def _choices_after(self, option: dict[str, Any]) -> list[int]:
+        """Which actions may start after the step that left this ``info["option"]``."""
+        if "available" not in option:
+            return self._primitives
+        slots: list[bool] = option["available"][-1].tolist()
+        return self._primitives + [self._n_primitive + slot for slot, may_start in enumerate(slots) if may_start]
+
+    def _explore(self, values: list[float], choices: list[int]) -> int:
+        """ε-greedy among ``choices``, ties broken at random."""
         if self._random.random() >= self.epsilon:
-            allowed = values[choices]
-            choices = choices[allowed == allowed.max()]
-        return int(choices[0] if len(choices) == 1 else choices[int(self._random.random() * len(choices))])
+            best = max([values[a] for a in choices])
+            choices = [a for a in choices if values[a] == best]
+        return choices[0] if len(choices) == 1 else choices[int(self._random.random() * len(choices))]
 
     def predict(
         self,
@@ -297,7 +349,8 @@ class MacroQ(BaseAlgorithm):
         if deterministic:
             actions = np.where(masks, values, -np.inf).argmax(axis=1)
         else:
-            actions = np.array([self._explore(v, m) for v, m in zip(values, masks, strict=True)])
+            choices = [mask.nonzero()[0].tolist() for mask in masks]
+            actions = np.array([self._explore(v, c) for v, c in zip(values.tolist(), choices, strict=True)])
         return (actions if vectorized else actions[0]), state
 
     def _log(self) -> None:

@@ -317,6 +317,9 @@ def learn_further(
 ) -> SubgoalOption:
     """The option after Q-learning, with step size α, on the steps of one more trajectory that began in I.
 
+    The last step comes first, so that what follows a step is known when it is learned from (Lin 1992); a step into a
+    state that no trajectory acted in teaches nothing.
+
     Args:
         option: As it is.
         trajectory: The new one.
@@ -332,14 +335,16 @@ def learn_further(
     rows, states, values = policy.rows_for(transitions.states)
     known: BoolArray = np.any(np.isfinite(values), axis=1)
     for began, action, reward, led, ends in zip(
-        rows[transitions.began],
-        transitions.actions,
-        transitions.rewards,
-        rows[transitions.led],
-        transitions.ends,
+        rows[transitions.began][::-1],
+        transitions.actions[::-1],
+        transitions.rewards[::-1],
+        rows[transitions.led][::-1],
+        transitions.ends[::-1],
         strict=True,
     ):
-        target = reward if ends or not known[led] else reward + settings.gamma * values[led].max()
+        if not (ends or known[led]):
+            continue
+        target = reward if ends else reward + settings.gamma * values[led].max()
         old = values[began, action]
         values[began, action] = old + settings.step_size * (target - old) if np.isfinite(old) else target
         known[began] = True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +64,7 @@ def make_env(
     seed: int,
     *,
     monitor_dir: Path | None = None,
-    beneath: type[gym.Wrapper[Any, Any, Any, Any]] | None = None,
+    beneath: Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]] | None = None,
     render_mode: str | None = None,
 ) -> VecEnv:
     """Environments with option slots, and a ``Monitor`` beneath these, so that it counts primitive steps.
@@ -118,6 +119,7 @@ def make_model(config: TrainConfig, env: VecEnv, *, buffer_size: int | None = No
         "CnnPolicy" if image else policy,
         env,
         seed=config.seed,
+        device=config.device,
         gamma=config.gamma,
         learning_rate=config.learning_rate,
         buffer_size=buffer_size or config.buffer_size,
