@@ -15,6 +15,7 @@ from typing import Annotated, Any, cast
 import gymnasium as gym
 import numpy as np
 import tyro
+from matplotlib import colormaps
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
@@ -140,8 +141,8 @@ def draw(results: list[Result]) -> Figure:
     counts = np.zeros((world.height, world.width))
     for r in found:
         counts[r["subgoal"][1], r["subgoal"][0]] += 1
-    image = where.imshow(np.where(world.walls, np.nan, counts), cmap="viridis", vmin=0)
-    image.cmap.set_bad("0.25")
+    colours = colormaps["viridis"].with_extremes(bad="0.25")
+    image = where.imshow(np.where(world.walls, np.nan, counts), cmap=colours, vmin=0)
     figure.colorbar(image, ax=where, shrink=0.7, label="runs")
     for x, y in world.doorways:
         where.plot(x, y, "s", markersize=13, markerfacecolor="none", markeredgecolor="#d62728")

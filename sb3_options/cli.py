@@ -15,7 +15,7 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
+from stable_baselines3.common.callbacks import BaseCallback, EvalCallback, EveryNTimesteps
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import config as configs
@@ -101,15 +101,15 @@ def train(config: TrainConfig) -> Path:
     )
     callbacks: list[BaseCallback] = [discovery]
     if config.eval_freq > 0:
-        callbacks.append(
-            EvalCallback(
-                runs.make_env(config, 1, EVAL_SEED + config.seed),
-                n_eval_episodes=config.eval_episodes,
-                eval_freq=max(config.eval_freq // config.n_envs, 1),
-                log_path=str(folder),
-                verbose=0,
-            )
+        evaluation_callback = EvalCallback(
+            runs.make_env(config, 1, EVAL_SEED + config.seed),
+            n_eval_episodes=config.eval_episodes,
+            eval_freq=1,
+            log_path=str(folder),
+            verbose=0,
         )
+        # EvalCallback counts calls of step, of which one may be many primitive steps.
+        callbacks.append(EveryNTimesteps(config.eval_freq, evaluation_callback))
     console.print(f"Training {config.algo.upper()} on {escape(config.env)} for {config.n_timesteps:,} primitive steps.")
     finished = True
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,7 +27,7 @@ class TrainConfig:
     Attributes:
         algo: Algorithm; "optiondqn" is DQN that keeps to the options' initiation sets.
         env: Gymnasium environment id, with Discrete actions.
-        env_kwargs: Keyword arguments of the environment, as `name:value`.
+        env_kwargs: Keyword arguments of the environment, as `name:value`; in a file also as a mapping.
         n_timesteps: Length of training, primitive steps over all environments.
         seed: Of everything random.
         tensorboard_log: Folder in which the run folder is made.
@@ -98,12 +99,30 @@ class TrainConfig:
             raise ValueError("--eval-freq and --max-options must be at least 0.")
         if not 0.0 < self.gamma <= 1.0:
             raise ValueError(f"--gamma must be in (0, 1], got {self.gamma}.")
+        if not self.learning_rate > 0.0:
+            raise ValueError(f"--learning-rate must be positive, got {self.learning_rate}.")
+        if not 0.0 < self.exploration_fraction <= 1.0:
+            raise ValueError(f"--exploration-fraction must be in (0, 1], got {self.exploration_fraction}.")
+        if not 0.0 <= self.exploration_final_eps <= 1.0:
+            raise ValueError(f"--exploration-final-eps must be in [0, 1], got {self.exploration_final_eps}.")
         if any(":" not in pair for pair in self.env_kwargs):
             raise ValueError(f"--env-kwargs takes pairs name:value, got {' '.join(self.env_kwargs)}.")
 
     def env_keywords(self) -> dict[str, Any]:
-        """``env_kwargs`` as keyword arguments; values are read as YAML, so that 3 is a number."""
-        return {name: yaml.safe_load(value) for name, _, value in (pair.partition(":") for pair in self.env_kwargs)}
+        """``env_kwargs`` as keyword arguments; values are read as YAML, so that 3 is a number.
+
+        Raises:
+            ValueError: A value is no YAML that can be read safely.
+        """
+        keywords: dict[str, Any] = {}
+        for name, _, value in (pair.partition(":") for pair in self.env_kwargs):
+            try:
+                keywords[name] = yaml.safe_load(value)
+            except yaml.YAMLError as error:
+                raise ValueError(
+                    f"--env-kwargs: the value of {name!r} is no YAML that can be read safely: {error}"
+                ) from error
+        return keywords
 
 
 def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
@@ -148,7 +167,7 @@ def read_yaml(path: Path) -> Mapping[str, Any]:
     """
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ValueError(f"{path} is no YAML that can be read safely: {error}") from error
     if content is None:
         return {}
@@ -173,7 +192,10 @@ def _flags(settings: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
     """A mapping as the flags that say the same, so that a file is checked just as flags are."""
     for name, value in settings.items():
         flag = f"{prefix}{str(name).replace('_', '-')}"
-        if isinstance(value, Mapping):
+        if flag == "env-kwargs" and isinstance(value, Mapping):
+            # JSON is YAML on one line, as a flag has it.
+            yield from (f"--{flag}", *(f"{key}:{json.dumps(v)}" for key, v in value.items()))
+        elif isinstance(value, Mapping):
             yield from _flags(value, f"{flag}.")
         elif isinstance(value, bool):
             head, _, last = flag.rpartition(".")

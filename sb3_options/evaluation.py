@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -178,7 +179,7 @@ def _play(run: Path, episodes: int, seed: int, film: Video | None) -> Evaluation
         config,
         1,
         seed,
-        beneath=None if film is None else partial(Film, take=film.take, episodes=VIDEO_EPISODES),
+        beneath=None if film is None else partial(Film, take=film.take, episodes=min(episodes, VIDEO_EPISODES)),
         render_mode=None if film is None else "rgb_array",
     )
     model = runs.make_model(config, venv, buffer_size=1)
@@ -186,8 +187,8 @@ def _play(run: Path, episodes: int, seed: int, film: Video | None) -> Evaluation
     # set_parameters reads tensors only, where load would unpickle.
     try:
         model.set_parameters(str(run / runs.MODEL), device=model.device)
-    except RuntimeError as error:
-        raise ValueError(f"{run / runs.MODEL} does not fit {run / runs.CONFIG}: {error}") from error
+    except (RuntimeError, ValueError, UnpicklingError) as error:
+        raise ValueError(f"{run / runs.MODEL} is damaged, or does not fit {run / runs.CONFIG}: {error}") from error
     venv.get_attr("bank")[0].load(run / runs.OPTIONS)
     venv.env_method("record_trajectories", True)
 

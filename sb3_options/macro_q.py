@@ -173,9 +173,10 @@ class MacroQ(BaseAlgorithm):
             new_obs, rewards, dones, infos = self.env.step(actions)
             self.num_timesteps += self.env.num_envs
             new_active = self._active(new_obs)
+            over: list[bool] = dones.tolist()
             for i, info in enumerate(infos):
-                arrived = self._active(info["terminal_observation"][None])[0] if dones[i] else new_active[i]
-                ended = bool(dones[i]) and not info["TimeLimit.truncated"]
+                arrived = self._active(info["terminal_observation"][None])[0] if over[i] else new_active[i]
+                ended = over[i] and not info["TimeLimit.truncated"]
                 self._learn_from(active[i], int(actions[i]), float(rewards[i]), arrived, ended, info.get("option"))
             self._last_obs, active = new_obs, new_active  # type: ignore[assignment]  # SB3 annotates it as None
             # After learning: a callback that stops training at the end of an episode loses nothing of it.
@@ -183,8 +184,8 @@ class MacroQ(BaseAlgorithm):
             goes_on = callbacks.on_step()
             self._update_info_buffer(infos, dones)
             self._update_current_progress_remaining(self.num_timesteps, total_timesteps)
-            if dones.any():
-                self._episode_num += int(dones.sum())
+            if any(over):
+                self._episode_num += sum(over)
                 choices = self._choices()  # options may have come, and the environment was reset
                 if log_interval is not None and self._episode_num % log_interval == 0:
                     self._log()
@@ -279,7 +280,7 @@ class MacroQ(BaseAlgorithm):
         table = self._table
         if len(active) == 1:
             index = active[0]
-            table[index, action] += self._step_size * (target - table[index, action])  # type: ignore[operator]  # a number, not a schedule
+            table[index, action] += self._step_size * (target - table[index, action])
             return
         step = self._step_size / len(active) * (target - self._values(active)[action])
         for index in active:  # an index that hashing gave twice is updated twice

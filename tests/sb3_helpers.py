@@ -1,9 +1,12 @@
 """Small environments for SB3, a log of what primitive steps really happened, and what a replay buffer must make of it."""
 
+import subprocess
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import gymnasium as gym
+import imageio_ffmpeg
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
@@ -22,6 +25,9 @@ SSSS#....
 SSSS#...G
 """
 DOORWAY = (4.0, 2.0)
+
+# Versions of gymnasium differ in the versions of Taxi they still make.
+TAXI = next(env_id for env_id in ("Taxi-v3", "Taxi-v4") if env_id in gym.registry)
 
 FAST_DISCOVERY: dict[str, Any] = {"min_positive": 3, "start_radius": 0.5, "goal_radius": 3.0, "decay": 0.5}
 """Finds the doorway of `SMALL_ROOMS` within some ten episodes."""
@@ -56,6 +62,13 @@ def make_optioned_rooms() -> gym.Env[Any, Any]:
 def fast_callback(**kwargs: Any) -> SubgoalDiscoveryCallback:
     """Finds the doorway of the small rooms early."""
     return SubgoalDiscoveryCallback(FAST_DISCOVERY, **{"max_new_options": 1, **kwargs})
+
+
+def read_video(path: Path, height: int, width: int) -> npt.NDArray[np.uint8]:
+    """Every picture of a video, (n, height, width, 3); imageio's own reader leaves pipes open, which warns."""
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-i", path, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    content = subprocess.run(command, capture_output=True, check=True).stdout
+    return np.frombuffer(content, dtype=np.uint8).reshape(-1, height, width, 3)
 
 
 def env_of(model: BaseAlgorithm) -> VecEnv:

@@ -5,7 +5,7 @@ import pickle
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def table(seed: int = 0, *, size: int = SIZE, n_primitive: int = N_PRIMITIVE, fe
     values = rng.normal(size=(30, n_primitive))
     values[rng.random(values.shape) < 0.3] = -np.inf
     return SubgoalOption(
-        Region(rng.normal(size=(1, features)), rng.uniform(0.5, 2.0, size=features), 0.6),
+        Region(0.3 * rng.normal(size=(1, features)), rng.uniform(0.5, 2.0, size=features), 0.6),
         Region(rng.normal(size=(12, features)), rng.uniform(0.5, 2.0, size=features), 0.8),
         TabularPolicy(rng.normal(size=(30, size)), values),
         max_duration=17 + seed,
@@ -227,9 +227,10 @@ class TestFile:
     def test_an_option_without_initiation_states_and_numbers_of_other_types(self, tmp_path: Path) -> None:
         bank = empty_bank()
         scale: Any = np.ones(2, dtype=np.float32)
-        nowhere = Region(np.zeros((0, 2)), scale, np.float32(0.5))  # type: ignore[arg-type]  # users have them
-        subgoal = Region(np.array([[1, 2]]), scale, 1)  # type: ignore[arg-type]  # likewise
-        bank.add(SubgoalOption(subgoal, nowhere, table().option_policy, max_duration=np.int64(5)))  # type: ignore[arg-type]
+        single, whole = cast("float", np.float32(0.5)), cast("int", np.int64(5))
+        nowhere = Region(np.zeros((0, 2)), scale, single)
+        subgoal = Region(np.array([[1.0, 2.0]]), scale, 1)
+        bank.add(SubgoalOption(subgoal, nowhere, table().option_policy, max_duration=whole))
         bank.save(tmp_path / "options")
         again = empty_bank()
         again.load(tmp_path / "options")
@@ -324,10 +325,13 @@ class TestDamage:
         path = folder / "corrupted"
         path.write_bytes(damaged)
         bank = empty_bank()
+        message = None
         try:
             bank.load(path)
         except ValueError as error:
-            assert "corrupted" in str(error)  # it says which file
+            message = str(error)
+        if message is not None:
+            assert "corrupted" in message  # it says which file
             assert bank.slots == (None,) * CAPACITY
         else:
             assert behaviour(bank, OBSERVATIONS[:50]) == behaviour(filled_bank(), OBSERVATIONS[:50])

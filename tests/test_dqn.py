@@ -56,7 +56,7 @@ class Task(NamedTuple):
 def random_task(seed: int) -> Task:
     rng = np.random.default_rng(seed)
     base = TableEnv(rng, N_STATES, N_PRIMITIVE)
-    base.time_limit = 9
+    base.time_limit, base.terminal = 5, np.arange(N_STATES) == 0
     steps = StepLog(base)
     wrapped = OptionsWrapper(steps, MAX_OPTIONS, gamma=GAMMA)
     options: dict[int, TableOption] = {}
@@ -86,6 +86,8 @@ def filled(algorithm: type[OffPolicyAlgorithm], task: Task, macro_q: bool, monke
     for layer, _ in heads.option_outputs(model.policy):
         torch.nn.init.uniform_(layer.weight, -1, 1)
         torch.nn.init.uniform_(layer.bias, -1, 1)
+        with torch.no_grad():
+            layer.bias.view(-1, N_ACTIONS)[:, N_PRIMITIVE:] += torch.tensor([0.5, 1.5, 1.5])  # so that what is available often matters
     return model
 
 
@@ -222,6 +224,8 @@ class TestWithoutOptions:
 
     def weights(self, algorithm: type[OffPolicyAlgorithm], env: gym.Env[Any, Any], **kwargs: Any) -> dict[str, Any]:
         callback = kwargs.pop("callback", None)
+        if algorithm is QRDQN:
+            kwargs["policy_kwargs"] = {"net_arch": [16], "n_quantiles": 8}
         model = algorithm("MlpPolicy", env, **self.kwargs | kwargs)
         model.learn(1500, callback=callback)
         assert cast("Any", model)._n_updates > 300
@@ -321,9 +325,7 @@ class TestOptionDQN:
     @pytest.mark.parametrize("kind", ["box", "dict", "image", "normalized"])
     def test_asks_the_wrapper_with_the_observations_it_knows(self, kind: str) -> None:
         def make() -> OptionsWrapper:
-            wrapped = OptionsWrapper(
-                Corridor(kind.replace("normalized", "box")), 1, gamma=GAMMA, feature_map=places
-            )
+            wrapped = OptionsWrapper(Corridor(kind.replace("normalized", "box")), 1, gamma=GAMMA, feature_map=places)
             wrapped.bank.add(corridor_option())
             return wrapped
 

@@ -36,7 +36,7 @@ class TestTable:
         assert TabularPolicy(np.array([[3.0], [4.0]]), np.eye(2)).actions(np.array([4, 3])).tolist() == [1, 0]
 
     def test_minus_zero_is_zero(self) -> None:
-        policy = TabularPolicy(np.array([[-0.0], [1e-300]]), np.array([[0.0, 1.0], [1.0, 0.0]]))
+        policy = TabularPolicy(np.array([[1e-300], [-0.0]]), np.array([[1.0, 0.0], [0.0, 1.0]]))
         assert policy.actions(np.array([[0.0], [-0.0]])).tolist() == [1, 1]
 
     def test_an_action_never_tried_is_never_taken(self) -> None:

@@ -1,0 +1,26 @@
+"""The overhead benchmark, small: its arithmetic, and that it runs."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from benchmarks import overhead
+
+
+def test_ratios_are_taken_within_turns() -> None:
+    rates = {"stock": [100.0, 200.0], "wrapped": [90.0, 198.0], "discovering": [80.0, 180.0]}
+    results = overhead.summarise(rates)
+    assert results["wrapped_of_stock"]["mean"] == pytest.approx(0.945)
+    assert not results["wrapped_of_stock"]["reached"]
+    assert results["discovering_of_stock"]["mean"] == pytest.approx(0.85)
+
+
+@pytest.mark.slow
+def test_benchmark_writes_results_and_picture(tmp_path: Path) -> None:
+    overhead.main(overhead.Benchmark(out=tmp_path, rounds=2, chunk=700))
+    content = json.loads((tmp_path / "results.json").read_text())
+    assert set(content["primitive_steps_per_second"]) == {"stock", "wrapped", "discovering"}
+    # Far below what is measured undisturbed, so that it fails for a fault and not for a busy machine.
+    assert content["wrapped_of_stock"]["mean"] > 0.5
+    assert (tmp_path / "overhead.png").stat().st_size > 5_000

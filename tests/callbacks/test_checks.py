@@ -1,0 +1,142 @@
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import spaces
+from sb3_contrib import QRDQN
+from stable_baselines3 import A2C, DQN, PPO, SAC
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper
+from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
+from tests.helpers import DictEnv, place_of
+from tests.sb3_helpers import optioned_rooms, small_rooms
+
+DQN_KWARGS: dict[str, Any] = {"gamma": 0.9, "buffer_size": 200, "learning_starts": 10, "seed": 0}
+
+
+def dqn(env: Any, policy: str = "MlpPolicy", **kwargs: Any) -> DQN:
+    return DQN(policy, env, **DQN_KWARGS | {"replay_buffer_class": OptionReplayBuffer} | kwargs)
+
+
+class BoxActions(gym.Env[Any, Any]):
+    """Does nothing, with continuous actions."""
+
+    observation_space: Any = spaces.Box(-1.0, 1.0, (2,), np.float32)
+    action_space: Any = spaces.Box(-1.0, 1.0, (1,), np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        return np.zeros(2, np.float32), {}
+
+
+@pytest.mark.parametrize(
+    ("model", "error", "text"),
+    [
+        (
+            lambda: dqn(small_rooms(), replay_buffer_class=None),
+            ValueError,
+            r"The model's environment is not wrapped in OptionsWrapper: use OptionsWrapper\(env, max_options=",
+        ),
+        (
+            lambda: PPO("MlpPolicy", small_rooms(), n_steps=16, batch_size=16),
+            ValueError,
+            r"environment is not wrapped in OptionsWrapper: use .* or make_vec_env\(..., wrapper_class=OptionsWrapper\)",
+        ),
+        (
+            lambda: dqn(DummyVecEnv([optioned_rooms, lambda: OptionsWrapper(small_rooms(), gamma=0.95)])),
+            ValueError,
+            r"OptionsWrapper discounts with gamma=0\.9, DQN with gamma=0\.9: give both the same",
+        ),
+        (
+            lambda: dqn(optioned_rooms(), replay_buffer_class=None),
+            ValueError,
+            r"DQN was built with ReplayBuffer, .*: pass DQN\(\.\.\., replay_buffer_class=OptionReplayBuffer\)",
+        ),
+        (
+            lambda: QRDQN("MlpPolicy", optioned_rooms(), **DQN_KWARGS),
+            ValueError,
+            r"QRDQN was built with ReplayBuffer, which discounts an option of k steps with γ instead of γᵏ",
+        ),
+        (
+            lambda: dqn(optioned_rooms(), gamma=0.95),
+            ValueError,
+            r"OptionsWrapper discounts with gamma=0\.9, DQN with gamma=0\.95: give both the same",
+        ),
+        (
+            lambda: OptionDQN("MlpPolicy", optioned_rooms(), **DQN_KWARGS | {"gamma": 0.99}),
+            ValueError,
+            r"OptionsWrapper discounts with gamma=0\.9, OptionDQN with gamma=0\.99: give both the same",
+        ),
+        (
+            lambda: SAC("MlpPolicy", BoxActions(), buffer_size=100),
+            TypeError,
+            r"Options need a Discrete action space, got Box\(.*: discretise the actions, then wrap",
+        ),
+        (
+            lambda: dqn(OptionsWrapper(DictEnv(), gamma=0.9), "MultiInputPolicy"),
+            ValueError,
+            r"no default feature map for Dict\(.*: pass OptionsWrapper\(env, feature_map=\.\.\.\)",
+        ),
+        (
+            lambda: PPO("MlpPolicy", optioned_rooms(), gamma=0.9, n_steps=16, batch_size=16),
+            ValueError,
+            r"cannot be discovered for PPO yet: use DQN or QRDQN with replay_buffer_class=OptionReplayBuffer, or",
+        ),
+        (
+            lambda: A2C("MlpPolicy", optioned_rooms(), gamma=0.9),
+            ValueError,
+            r"cannot be discovered for A2C yet: use DQN or QRDQN",
+        ),
+    ],
+    ids=[
+        "DQN-bare", "PPO-bare", "one-gamma-differs", "DQN-buffer", "QRDQN-buffer", "DQN-gamma", "OptionDQN-gamma", "Box",
+        "Dict", "PPO", "A2C",
+    ],
+)  # fmt: skip
+def test_says_what_to_change(model: Any, error: type[Exception], text: str) -> None:
+    built: BaseAlgorithm = model()
+    with pytest.raises(error, match=text):
+        built.learn(20, callback=SubgoalDiscoveryCallback())
+
+
+def test_dict_observations_with_a_feature_map_are_welcome() -> None:
+    env = OptionsWrapper(DictEnv(), gamma=0.9, feature_map=place_of)
+    dqn(env, "MultiInputPolicy").learn(60, callback=SubgoalDiscoveryCallback())
+
+
+@pytest.mark.parametrize("callback", [PrimitiveStepsCallback, SubgoalDiscoveryCallback])
+def test_counting_alone_needs_the_wrapper_too(callback: type[BaseCallback]) -> None:
+    with pytest.raises(ValueError, match="environment is not wrapped in OptionsWrapper"):
+        dqn(small_rooms(), replay_buffer_class=None).learn(20, callback=callback())
+
+
+class TestEvaluationEnvironment:
+    def test_unwrapped(self) -> None:
+        callbacks: list[BaseCallback] = [SubgoalDiscoveryCallback(), EvalCallback(small_rooms())]
+        with pytest.raises(ValueError, match="The environment of EvalCallback is not wrapped in OptionsWrapper: use"):
+            dqn(optioned_rooms()).learn(20, callback=callbacks)
+
+    def test_other_slots(self) -> None:
+        callbacks: list[BaseCallback] = [SubgoalDiscoveryCallback(), EvalCallback(optioned_rooms(3))]
+        text = r"EvalCallback has actions Discrete\(7\), the training environment Discrete\(8\): give both the same max"
+        with pytest.raises(ValueError, match=text):
+            dqn(optioned_rooms(4)).learn(20, callback=callbacks)
+
+
+class TestArguments:
+    def test_unknown_setting(self) -> None:
+        with pytest.raises(TypeError, match="capacitty"):
+            SubgoalDiscoveryCallback({"capacitty": 3})
+
+    def test_setting_out_of_range(self) -> None:
+        with pytest.raises(ValueError, match="min_positive must be a whole number of at least 1, got 0"):
+            SubgoalDiscoveryCallback({"min_positive": 0})
+        with pytest.raises(ValueError, match="max_duration must be a whole number.* at least 1, got 0"):
+            SubgoalDiscoveryCallback(option_settings={"max_duration": 0})
+
+    def test_max_new_options(self) -> None:
+        with pytest.raises(ValueError, match="max_new_options must be at least 0, got -1"):
+            SubgoalDiscoveryCallback(max_new_options=-1)

@@ -1,0 +1,428 @@
+import logging
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, cast
+
+import gymnasium as gym
+import imageio.v3 as iio
+import numpy as np
+import pytest
+import torch
+from sb3_contrib import QRDQN
+from stable_baselines3 import DQN
+from stable_baselines3.common.callbacks import (
+    BaseCallback,
+    CallbackList,
+    EvalCallback,
+    EveryNTimesteps,
+)
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from sb3_options import OptionBank, OptionDQN, OptionReplayBuffer, OptionsWrapper, heads
+from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.callbacks.statistics import WINDOW, OptionStatistics
+from sb3_options.option import SubgoalOption
+from tests.helpers import DictEnv, place_of, steady_option
+from tests.sb3_helpers import (
+    DOORWAY,
+    FAST_DISCOVERY,
+    RANDOM,
+    TINY,
+    env_of,
+    fast_callback,
+    make_optioned_rooms,
+    optioned_rooms,
+    small_rooms,
+)
+
+N_PRIMITIVE = 4
+STEPS = 2500
+"""Random primitive steps in which the doorway of the small rooms is found."""
+
+
+def model_of(env: Any = None, algorithm: type[OffPolicyAlgorithm] = DQN, **kwargs: Any) -> Any:
+    buffer = {"replay_buffer_class": OptionReplayBuffer}
+    env = optioned_rooms() if env is None else env
+    return algorithm("MlpPolicy", env, gamma=0.9, **buffer | TINY | RANDOM | kwargs)
+
+
+def banks(venv: VecEnv) -> list[OptionBank]:
+    return cast("list[OptionBank]", venv.get_attr("bank"))
+
+
+def same_options(banks: list[OptionBank]) -> bool:
+    """Whether all banks hold equal discovered options in the same slots, and at least one."""
+
+    def content(bank: OptionBank) -> list[Any]:
+        options = [(i, bank[i]) for i in bank.filled]
+        return [
+            (i, o.name, o.max_duration, o.subgoal.points.tolist(), sorted(map(tuple, o.initiation_set.points.tolist())),
+             [a.tobytes() for a in o.option_policy.arrays().values()])
+            for i, o in options if isinstance(o, SubgoalOption)
+        ]  # fmt: skip
+
+    first = content(banks[0])
+    return bool(first) and all(content(bank) == first for bank in banks)
+
+
+@pytest.mark.parametrize("algorithm", [DQN, QRDQN, OptionDQN])
+def test_discovers_the_doorway_and_installs_an_option_that_leads_there(algorithm: type[OffPolicyAlgorithm]) -> None:
+    callback = fast_callback()
+    quantiles = {"policy_kwargs": {"net_arch": [16], "n_quantiles": 8}} if algorithm is QRDQN else {}
+    model = model_of(algorithm=algorithm, **quantiles)
+    model.learn(STEPS, callback=callback)
+    (found,) = callback.discoveries
+    assert np.abs(found.subgoal - DOORWAY).sum() <= 1
+    assert found.slot == 0
+    assert 0 < found.episode <= callback.episodes
+    assert 0 < found.timestep <= model.num_timesteps == callback.num_timesteps
+    assert found.initiation_states == len(cast("SubgoalOption", callback.bank[0]).initiation_set.points) > 5
+    assert np.isfinite(found.log_density)
+    assert same_options([callback.bank, *banks(env_of(model))])
+    assert [heads.is_closed(model.policy, N_PRIMITIVE + i) for i in range(4)] == [False, True, True, True]
+
+    # The option itself, from every cell of the left room.
+    reached = []
+    env = optioned_rooms()
+    for x in range(4):
+        for y in range(5):
+            env.reset(seed=5 * x + y, options={"start": (x, y)})
+            env.set_option(0, callback.bank[0])
+            if env.action_masks()[N_PRIMITIVE]:
+                _, _, _, _, info = env.step(N_PRIMITIVE)
+                reached.append(info["option"]["termination"] == "subgoal")
+    assert len(reached) > 5
+    assert np.mean(reached) > 0.7
+
+
+def test_uses_the_option_once_it_has_it() -> None:
+    model, callback = model_of(), fast_callback()
+    model.learn(STEPS, callback=callback)
+    stored = model.replay_buffer.actions[: model.replay_buffer.size(), 0]
+    uses = callback._statistics.values()["options/slot_0/uses"]
+    assert (stored == N_PRIMITIVE).sum() == uses > 5
+    assert not (stored > N_PRIMITIVE).any()
+
+
+class TestReachesEveryEnvironment:
+    @pytest.mark.parametrize("n_envs", [1, 4])
+    def test_in_one_process(self, n_envs: int) -> None:
+        venv = DummyVecEnv([optioned_rooms] * n_envs)
+        callback = fast_callback()
+        model_of(venv).learn(STEPS, callback=callback)
+        assert same_options([callback.bank, *banks(venv)])
+
+    def test_in_worker_processes(self) -> None:
+        venv = SubprocVecEnv([make_optioned_rooms] * 2, start_method="fork")
+        try:
+            callback = fast_callback()
+            model = model_of(venv)
+            model.learn(STEPS, callback=callback)
+            assert len(callback.discoveries) == 1
+            assert same_options([callback.bank, *banks(venv)])
+            # Bound to the feature map that each worker has.
+            assert venv.env_method("available", np.eye(45, dtype=np.float32))[1][:, N_PRIMITIVE].sum() > 5
+        finally:
+            venv.close()
+
+    @pytest.mark.parametrize("how", ["list", "before", "CallbackList", "EveryNTimesteps", "deep"])
+    def test_in_the_evaluation_beside_it(self, how: str) -> None:
+        evaluation = EvalCallback(Monitor(optioned_rooms()), n_eval_episodes=1, eval_freq=100_000, verbose=0)
+        callback = fast_callback()
+        nested: dict[str, Callable[[], Any]] = {
+            "list": lambda: [callback, evaluation],
+            "before": lambda: [evaluation, callback],
+            "CallbackList": lambda: CallbackList([callback, CallbackList([evaluation])]),
+            "EveryNTimesteps": lambda: [callback, EveryNTimesteps(50_000, evaluation)],
+            "deep": lambda: [CallbackList([EveryNTimesteps(50_000, CallbackList([evaluation]))]), callback],
+        }
+        model_of().learn(STEPS, callback=nested[how]())
+        assert len(callback.discoveries) == 1
+        assert same_options([callback.bank, *banks(evaluation.eval_env)])
+
+    def test_and_the_evaluation_uses_it(self) -> None:
+        """Episodes that are evaluated count primitive steps too."""
+        evaluation = EvalCallback(Monitor(optioned_rooms()), n_eval_episodes=3, eval_freq=400, verbose=0)
+        lengths: list[int] = []
+
+        class Lengths(BaseCallback):
+            def _on_step(self) -> bool:
+                lengths.extend(e for e in cast("Any", evaluation.eval_env).envs[0].env.get_episode_lengths())
+                return True
+
+        evaluation.callback = Lengths()
+        callback = fast_callback()
+        model = model_of()
+        model.learn(STEPS, callback=[callback, evaluation])
+        assert isinstance(cast("DummyVecEnv", evaluation.eval_env).envs[0], OptionsWrapper)
+        assert lengths
+        assert max(lengths) <= 150
+
+
+class TestGoesOn:
+    def test_when_learn_is_called_again(self) -> None:
+        callback, model = fast_callback(), model_of()
+        model.learn(STEPS, callback=callback)
+        options, head = banks(env_of(model))[0].slots, heads.option_outputs(model.policy)[0][0].weight.clone()
+        assert len(callback.discoveries) == 1
+        model.learn(0, callback=callback, reset_num_timesteps=False)
+        assert len(callback.discoveries) == 1
+        assert torch.equal(head, heads.option_outputs(model.policy)[0][0].weight)
+        assert [o.name for o in banks(env_of(model))[0].slots if o] == [o.name for o in options if o]
+        model.learn(400, callback=callback, reset_num_timesteps=False)
+        # SB3 only looks at the budget when a rollout of 16 decisions ends.
+        assert STEPS + 400 <= model.num_timesteps
+
+    def test_with_a_new_callback_that_finds_the_next_one(self) -> None:
+        model = model_of()
+        model.learn(STEPS, callback=fast_callback())
+        again = fast_callback()
+        model.learn(STEPS, callback=again)
+        assert 0 in again.bank.filled
+        assert all(d.slot == 1 for d in again.discoveries)
+
+    def test_with_hand_made_options_that_were_there_before(self) -> None:
+        env = optioned_rooms()
+        hand_made = steady_option(3, name="mine", max_duration=2)
+        env.bank.add(hand_made, 1)
+        callback, model = fast_callback(), model_of(env)
+        evaluation = EvalCallback(Monitor(optioned_rooms()), eval_freq=100_000, verbose=0)
+        model.learn(STEPS, callback=[callback, evaluation])
+        assert callback.bank[1] is env.bank[1] is banks(evaluation.eval_env)[0][1] is hand_made
+        assert [d.slot for d in callback.discoveries] == [0]
+        assert callback._statistics.values()["options/slot_1/mean_duration"] > 1
+
+    @pytest.mark.parametrize("most", [0, 1])
+    def test_until_it_has_made_as_many_as_it_may(self, most: int) -> None:
+        callback, model = fast_callback(max_new_options=most), model_of()
+        model.learn(STEPS, callback=callback)
+        assert len(callback.discoveries) == len(callback.bank) == most
+
+    def test_until_every_slot_is_filled(self) -> None:
+        callback, model = fast_callback(max_new_options=None), model_of(optioned_rooms(1))
+        model.learn(2 * STEPS, callback=callback)
+        assert len(callback.discoveries) == 1
+
+    def test_after_nan_observations(self, caplog: pytest.LogCaptureFixture) -> None:
+        class Spoilt(gym.ObservationWrapper[Any, Any, Any]):
+            seen = 0
+
+            def observation(self, observation: Any) -> Any:
+                self.seen += 1
+                return observation * np.nan if 40 <= self.seen < 45 else observation
+
+        env = OptionsWrapper(Spoilt(small_rooms(observation="xy")), gamma=0.9, feature_map=lambda o: np.asarray(o))
+        callback, model = fast_callback(), model_of(env)
+        with caplog.at_level(logging.WARNING, "sb3_options"):
+            model.learn(STEPS, callback=callback)
+        assert model.num_timesteps >= STEPS
+        logged = [r.getMessage() for r in caplog.records]
+        assert len(logged) == 1
+        assert logged[0].startswith("No discovery after episode 1: ")
+        assert "NaN" in logged[0]
+        assert len(callback.discoveries) == 1
+
+    def test_when_episodes_never_succeed(self) -> None:
+        callback, model = fast_callback(), model_of(optioned_rooms(max_steps=5))
+        model.learn(500, callback=callback)
+        assert callback.episodes >= 90
+        assert callback.discoveries == []
+
+
+class TestSuccess:
+    def test_is_the_users(self) -> None:
+        asked = []
+
+        def never(trajectory: Any) -> bool:
+            asked.append(len(trajectory))
+            return False
+
+        callback, model = fast_callback(success=never), model_of()
+        model.learn(1000, callback=callback)
+        assert len(asked) == callback.episodes > 5
+        assert callback.discoveries == []
+
+    def test_so_is_the_static_filter(self) -> None:
+        def only_right(features: Any, start: Any, end: Any) -> Any:
+            return features[:, 0] > 5.5
+
+        callback, model = fast_callback(static_filter=only_right), model_of()
+        model.learn(STEPS, callback=callback)
+        assert [d.subgoal[0] > 5.5 for d in callback.discoveries] == [True]
+
+
+class TestSavePath:
+    def test_is_written_at_each_new_option(self, tmp_path: Path) -> None:
+        path = tmp_path / "deep" / "options.safetensors"
+        written: list[tuple[bool, int]] = []
+        callback = fast_callback(save_path=path)
+
+        class Look(BaseCallback):
+            def _on_step(self) -> bool:
+                written.append((path.exists(), len(callback.discoveries)))
+                return True
+
+        model_of().learn(STEPS, callback=[callback, Look()])
+        assert set(written) == {(False, 0), (True, 1)}
+        bank = optioned_rooms().bank
+        bank.load(path)
+        assert same_options([bank, callback.bank])
+
+    def test_prints_if_asked(self, capsys: pytest.CaptureFixture[str]) -> None:
+        callback = fast_callback(verbose=1)
+        model_of().learn(STEPS, callback=callback)
+        (found,) = callback.discoveries
+        place = ", ".join(f"{x:g}" for x in found.subgoal)
+        text = f"Option 0: reach {place}, after {found.episode} episodes and {found.timestep:,} steps"
+        assert text in capsys.readouterr().out
+
+
+def test_one_seed_one_result() -> None:
+    def run() -> tuple[dict[str, torch.Tensor], list[Any], list[OptionBank]]:
+        callback, model = fast_callback(option_settings={"value_function": "network", "network_updates": 50}), model_of()
+        model.learn(STEPS, callback=callback)
+        found = [(d.slot, d.episode, d.timestep, d.subgoal.tolist(), d.log_density) for d in callback.discoveries]
+        return model.policy.state_dict(), found, [callback.bank]
+
+    (weights, found, bank), (weights_2, found_2, bank_2) = run(), run()
+    assert len(found) == 1
+    assert found == found_2
+    assert same_options(bank + bank_2)
+    assert all(torch.equal(weights[name], weights_2[name]) for name in weights)
+
+
+@pytest.mark.parametrize("observation", ["xy", "image"])
+def test_other_observations(observation: str) -> None:
+    policy = {"policy": "CnnPolicy"} if observation == "image" else {}
+    env = optioned_rooms(observation=observation)
+    model = OptionDQN(
+        policy.get("policy", "MlpPolicy"), env, gamma=0.9, buffer_size=3000, learning_starts=STEPS - 4, train_freq=16,
+        batch_size=4, seed=0, policy_kwargs={"net_arch": [8]}, **RANDOM,
+    )  # fmt: skip
+    callback = fast_callback()
+    model.learn(STEPS, callback=callback)
+    assert len(callback.discoveries) == 1
+    assert model._option_buffer().next_available.any()
+
+
+def test_dict_observations() -> None:
+    env = OptionsWrapper(DictEnv(), gamma=0.9, feature_map=place_of)
+    model = OptionDQN("MultiInputPolicy", env, gamma=0.9, learning_starts=50, buffer_size=1000, seed=0, **RANDOM)
+    callback = fast_callback(static_filter=lambda f, s, e: np.abs(f[:, 0] - 5) < 2)
+    model.learn(1500, callback=callback)
+    assert [abs(d.subgoal[0] - 5) < 2 for d in callback.discoveries] == [True]
+
+
+@pytest.fixture(scope="module")
+def events(tmp_path_factory: pytest.TempPathFactory) -> tuple[EventAccumulator, Any]:
+    """What a run left for TensorBoard, and its model."""
+    log = tmp_path_factory.mktemp("log")
+    model = model_of(tensorboard_log=str(log))
+    slower = SubgoalDiscoveryCallback({**FAST_DISCOVERY, "decay": 0.8}, max_new_options=1)
+    model.learn(STEPS, callback=slower)
+    (file,) = log.rglob("events.out.tfevents.*")
+    accumulator = EventAccumulator(str(file), size_guidance={"images": 0, "scalars": 0})
+    accumulator.Reload()
+    return accumulator, model
+
+
+class TestTensorBoard:
+    def last(self, events: EventAccumulator, tag: str) -> float:
+        return float(events.Scalars(tag)[-1].value)
+
+    def test_scalars(self, events: tuple[EventAccumulator, Any]) -> None:
+        accumulator, model = events
+        tags = set(accumulator.Tags()["scalars"])
+        assert tags >= {
+            "options/count", "options/slot_0/uses", "options/slot_0/mean_duration", "options/slot_0/ended_subgoal",
+            "time/primitive_steps", "discovery/seconds", "discovery/leading_average", "discovery/best_log_density",
+        }  # fmt: skip
+        assert accumulator.Scalars("options/count")[0].value == 0
+        assert self.last(accumulator, "options/count") == 1
+        assert 0 < self.last(accumulator, "discovery/seconds") < 60
+        assert self.last(accumulator, "options/slot_0/mean_duration") > 1
+        assert max(s.value for s in accumulator.Scalars("discovery/leading_average")) > 0
+        shares = [self.last(accumulator, t) for t in tags if t.startswith("options/slot_0/ended_")]
+        assert sum(shares) == pytest.approx(1.0)
+        for event in accumulator.Scalars("time/primitive_steps"):
+            assert event.value <= event.step <= model.num_timesteps
+        assert accumulator.Scalars("options/count")[-1].step == model.num_timesteps
+
+    def test_images(self, events: tuple[EventAccumulator, Any]) -> None:
+        accumulator, _ = events
+        names = {"diverse_density", "first_visits", "initiation_set", "option_policy"}
+        assert set(accumulator.Tags()["images"]) == {f"discovery/{name}" for name in names}
+        for name in names:
+            picture = iio.imread(accumulator.Images(f"discovery/{name}")[-1].encoded_image_string)
+            height, width = picture.shape[:2]
+            assert height >= 200
+            assert width >= 300
+            inside = picture[height // 5 : -height // 5, width // 5 : -width // 5, :3]
+            assert len(np.unique(inside.reshape(-1, 3), axis=0)) > 10, name
+
+
+def test_without_tensorboard_no_picture_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sb3_options.callbacks.discovery.discovery_figures", lambda *_: pytest.fail("drew a picture"))
+    callback = fast_callback()
+    model_of().learn(STEPS, callback=callback)
+    assert callback.discoveries
+
+
+def test_statistics_of_endings_add_up_even_when_one_has_left_the_window() -> None:
+    statistics = OptionStatistics()
+    statistics.add({"index": 2, "duration": 9, "termination": "truncated"})
+    assert statistics.values()["options/slot_2/ended_truncated"] == 1.0
+    for _ in range(WINDOW):
+        statistics.add({"index": 2, "duration": 3, "termination": "subgoal"})
+    assert statistics.values() == {
+        "options/slot_2/uses": WINDOW + 1, "options/slot_2/mean_duration": 3.0,
+        "options/slot_2/ended_truncated": 0.0, "options/slot_2/ended_subgoal": 1.0,
+    }  # fmt: skip
+
+
+ACT_AGAIN = """
+import numpy as np
+from stable_baselines3 import DQN
+from sb3_options import OptionDQN, OptionReplayBuffer
+from tests.sb3_helpers import optioned_rooms
+
+observations = np.load("observations.npy")
+for algorithm in (DQN, OptionDQN):
+    name = algorithm.__name__
+    env = optioned_rooms()
+    model = algorithm("MlpPolicy", env, gamma=0.9, replay_buffer_class=OptionReplayBuffer, buffer_size=1,
+                      policy_kwargs={"net_arch": [16]})
+    model.set_parameters(f"{name}.zip")
+    env.bank.load(f"{name}.safetensors")
+    actions = model.predict(observations, deterministic=True)[0]
+    np.save(f"{name}.npy", np.stack([actions, env.bank[0].policy(observations), env.available(observations)[:, 4]]))
+"""
+
+
+def test_saved_and_loaded_in_a_new_process_acts_the_same(tmp_path: Path) -> None:
+    cells = np.random.default_rng(0).integers(45, size=1000)
+    observations = np.eye(45, dtype=np.float32)[cells]
+    np.save(tmp_path / "observations.npy", observations)
+    expected = {}
+    for algorithm in (DQN, OptionDQN):
+        model, callback = model_of(algorithm=algorithm), fast_callback()
+        model.learn(STEPS, callback=callback)
+        for layer, _ in heads.option_outputs(model.policy):
+            torch.nn.init.constant_(layer.bias[N_PRIMITIVE], 0.3)  # so that the option is chosen at times
+        actions = model.predict(observations, deterministic=True)[0]
+        assert (actions == N_PRIMITIVE).any()
+        model.save(tmp_path / f"{algorithm.__name__}.zip")
+        callback.bank.save(tmp_path / f"{algorithm.__name__}.safetensors")
+        (bank,) = banks(env_of(model))
+        expected[algorithm.__name__] = np.stack(
+            [actions, cast("SubgoalOption", bank[0]).policy(observations), bank.available(observations)[:, N_PRIMITIVE]]
+        )
+    script = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[2])!r})\n{ACT_AGAIN}"
+    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, check=True)
+    for name, values in expected.items():
+        np.testing.assert_array_equal(np.load(tmp_path / f"{name}.npy"), values)

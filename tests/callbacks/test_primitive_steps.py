@@ -1,0 +1,172 @@
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from stable_baselines3 import A2C, DQN, PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import (
+    BaseCallback,
+    CallbackList,
+    EvalCallback,
+    EveryNTimesteps,
+    ProgressBarCallback,
+)
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
+
+from sb3_options import OptionReplayBuffer, OptionsWrapper
+from sb3_options.callbacks import PrimitiveStepsCallback
+from sb3_options.callbacks.primitive_steps import all_callbacks, monitor_primitive_steps
+from tests.helpers import CountingEnv, steady_option
+from tests.sb3_helpers import RANDOM, StepLog, make_optioned_rooms, optioned_rooms, small_rooms
+
+K = 5
+
+
+def counting(**kwargs: Any) -> OptionsWrapper:
+    """Rewards 1, 2, 3, … with an option of `K` steps in slot 0."""
+    wrapped = OptionsWrapper(StepLog(CountingEnv(**kwargs)), 2, gamma=0.9)
+    wrapped.bank.add(steady_option(max_duration=K))
+    return wrapped
+
+
+def dqn(env: Any, **kwargs: Any) -> DQN:
+    return DQN(
+        "MlpPolicy", env, gamma=0.9, replay_buffer_class=OptionReplayBuffer, buffer_size=2000, learning_starts=100,
+        train_freq=1, gradient_steps=0, policy_kwargs={"net_arch": [8]}, seed=0, **kwargs,
+    )  # fmt: skip
+
+
+class Spy(BaseCallback):
+    """Keeps ``num_timesteps`` after each call of step, and the durations that infos report."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.counted: list[int] = []
+        self.durations: list[int] = []
+
+    def _on_step(self) -> bool:
+        self.counted.append(self.num_timesteps)
+        self.durations.append(sum(info["option"]["duration"] for info in self.locals["infos"]))
+        return True
+
+
+@pytest.mark.parametrize("n_envs", [1, 3])
+@pytest.mark.parametrize("algorithm", ["DQN", "PPO", "A2C"])
+def test_counts_the_sum_of_durations(algorithm: str, n_envs: int) -> None:
+    venv = DummyVecEnv([lambda: counting(terminate_at=17)] * n_envs)
+    kwargs: dict[str, Any] = {"n_steps": 8, "gamma": 0.9, "seed": 0}
+    model: BaseAlgorithm = {
+        "DQN": lambda: dqn(venv, **RANDOM),
+        "PPO": lambda: PPO("MlpPolicy", venv, batch_size=8, **kwargs),
+        "A2C": lambda: A2C("MlpPolicy", venv, **kwargs),
+    }[algorithm]()
+    spy = Spy()
+    model.learn(500, callback=[PrimitiveStepsCallback(), spy])
+    ran = sum(len(log) for log in venv.get_attr("log"))
+    assert model.num_timesteps == ran == sum(spy.durations)
+    assert spy.counted == np.cumsum(spy.durations).tolist()
+    assert max(spy.durations) > n_envs  # an option ran
+    if algorithm == "DQN":
+        # It stops after the very step that used up the budget.
+        assert spy.counted[-2] < 500 <= spy.counted[-1] < 500 + K * n_envs
+
+
+def test_without_options_nothing_changes() -> None:
+    spy = Spy()
+    model = dqn(optioned_rooms())
+    model.learn(300, callback=[PrimitiveStepsCallback(), spy])
+    assert spy.counted == list(range(1, 301))
+
+
+def test_schedules_see_primitive_steps() -> None:
+    """ε falls over primitive steps: after half of them it is where stock SB3 has it after half of its steps."""
+    model = dqn(counting(terminate_at=17), exploration_fraction=1.0)
+    rates: list[tuple[int, float]] = []
+
+    class Rates(BaseCallback):
+        def _on_step(self) -> bool:
+            rates.append((self.num_timesteps, cast("DQN", self.model).exploration_rate))
+            return True
+
+    model.learn(600, callback=[PrimitiveStepsCallback(), Rates()])
+    for (before, _), (_, rate) in zip(rates, rates[1:], strict=False):
+        assert rate == pytest.approx(1.0 - 0.95 * min(before / 600, 1.0), abs=1e-9)
+
+
+def test_moves_the_progress_bar_along() -> None:
+    totals = []
+
+    class Bar(ProgressBarCallback):
+        def _on_training_end(self) -> None:
+            totals.append((self.pbar.n, self.pbar.total))
+            super()._on_training_end()
+
+    model = dqn(counting(terminate_at=17), **RANDOM)
+    model.learn(500, callback=[PrimitiveStepsCallback(), Bar()])
+    assert totals == [(model.num_timesteps, 500)]
+
+
+def test_the_bar_that_learn_makes_itself(capfd: pytest.CaptureFixture[str]) -> None:
+    dqn(counting(terminate_at=17), **RANDOM).learn(500, callback=PrimitiveStepsCallback(), progress_bar=True)
+    out, err = capfd.readouterr()
+    assert "500" in out + err
+
+
+class TestMonitor:
+    @pytest.mark.parametrize("how", ["env", "vec", "make_vec_env"])
+    def test_reports_primitive_steps_and_undiscounted_rewards(self, how: str) -> None:
+        env: Any = {
+            "env": lambda: counting(terminate_at=17),
+            "vec": lambda: DummyVecEnv([lambda: Monitor(counting(terminate_at=17))] * 2),
+            "make_vec_env": lambda: make_vec_env(
+                lambda: CountingEnv(terminate_at=17),
+                n_envs=2,
+                wrapper_class=OptionsWrapper,
+                wrapper_kwargs={"max_options": 2, "gamma": 0.9},
+            ),
+        }[how]()
+        model = dqn(env, **RANDOM)
+        if how == "make_vec_env":
+            env.env_method("set_option", 0, steady_option(max_duration=K))
+        model.learn(400, callback=PrimitiveStepsCallback())
+        episodes = list(cast("Any", model.ep_info_buffer))
+        assert len(episodes) > 10
+        assert {e["l"] for e in episodes} == {17}
+        assert {e["r"] for e in episodes} == {sum(range(1, 18))}
+
+    def test_stands_beneath_the_options_afterwards(self) -> None:
+        venv = DummyVecEnv([lambda: Monitor(optioned_rooms())])
+        monitor_primitive_steps(venv)
+        outer = venv.envs[0]
+        assert isinstance(outer, OptionsWrapper)
+        assert isinstance(outer.env, Monitor)
+        assert outer.env.env is outer.unwrapped
+        assert venv.env_is_wrapped(Monitor) == venv.env_is_wrapped(OptionsWrapper) == [True]
+        monitor_primitive_steps(venv)
+        assert venv.envs[0] is outer
+
+    def test_leaves_others_alone(self) -> None:
+        bare = DummyVecEnv([lambda: Monitor(small_rooms())])
+        monitor = bare.envs[0]
+        monitor_primitive_steps(bare)
+        assert bare.envs[0] is monitor
+
+    def test_leaves_worker_processes_alone(self) -> None:
+        venv: VecEnv = SubprocVecEnv([make_optioned_rooms], start_method="fork")
+        try:
+            monitor_primitive_steps(venv)
+            assert venv.env_is_wrapped(OptionsWrapper) == [True]
+        finally:
+            venv.close()
+
+
+def test_finds_every_callback() -> None:
+    inner, best, new_best = PrimitiveStepsCallback(), Spy(), Spy()
+    evaluation = EvalCallback(optioned_rooms(), callback_after_eval=best, callback_on_new_best=new_best)
+    every = EveryNTimesteps(10, CallbackList([evaluation]))
+    root = CallbackList([inner, every])
+    found = list(all_callbacks(root))
+    assert {id(c) for c in found} >= {id(c) for c in (root, inner, every, evaluation, best, new_best)}
+    assert list(all_callbacks(None)) == []

@@ -1,0 +1,46 @@
+"""The discovery study, small."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments import discovery
+
+
+def result(episode: int | None, distance: int | None) -> dict[str, object]:
+    return {
+        "seed": 0,
+        "episodes": 99,
+        "final_steps": 30.0,
+        "episode": episode,
+        "primitive_step": None if episode is None else 100 * episode,
+        "subgoal": None if distance is None else [10 + distance, 5],
+        "distance": distance,
+    }
+
+
+def test_summary_counts_near_and_early_runs_only() -> None:
+    summary = discovery.summarise([result(20, 0), result(59, 1), result(60, 0), result(20, 2), result(None, None)])
+    assert summary["n_near_and_early"] == 2
+    assert summary["n_with_option"] == 4
+    assert summary["median_episode"] == 39.5
+    low, high = summary["share_near_and_early"]["low"], summary["share_near_and_early"]["high"]
+    assert low < 0.4 < high
+
+
+def test_summary_of_no_option_at_all() -> None:
+    assert discovery.summarise([result(None, None)])["n_with_option"] == 0
+
+
+@pytest.mark.slow
+def test_study_writes_results_and_picture(tmp_path: Path) -> None:
+    discovery.main(discovery.Study(out=tmp_path, runs=1, first_seed=1001, n_timesteps=16_000, jobs=1))
+    content = json.loads((tmp_path / "results.json").read_text())
+    (run,) = content["runs"]
+    assert run["distance"] <= 1
+    assert run["episode"] < discovery.EARLY
+    assert run["primitive_step"] <= 16_000
+    assert np.isclose(content["share_near_and_early"]["mean"], 1.0)
+    assert (tmp_path / "discovery.png").stat().st_size > 5_000

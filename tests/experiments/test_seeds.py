@@ -1,0 +1,31 @@
+"""Studies go on where they were, and only there."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from experiments.seeds import run_seeds
+
+
+def doubled(seed: int) -> dict[str, Any]:
+    return {"doubled": 2 * seed}
+
+
+def broken(seed: int) -> dict[str, Any]:
+    raise AssertionError(f"seed {seed} was run again")
+
+
+def test_results_are_in_order_of_seeds(tmp_path: Path) -> None:
+    results = run_seeds(doubled, [5, 3], tmp_path, settings={"a": 1}, jobs=1)
+    assert results == [{"doubled": 10}, {"doubled": 6}]
+
+
+def test_finished_seeds_are_not_run_again(tmp_path: Path) -> None:
+    run_seeds(doubled, [3, 5], tmp_path, settings={"a": 1}, jobs=1)
+    assert run_seeds(broken, [5], tmp_path, settings={"a": 1}, jobs=1) == [{"doubled": 10}]
+
+
+def test_other_settings_run_again(tmp_path: Path) -> None:
+    (tmp_path / "seeds").mkdir()
+    (tmp_path / "seeds" / "3.json").write_text(json.dumps({"settings": {"a": 2}, "result": {"doubled": 0}}))
+    assert run_seeds(doubled, [3], tmp_path, settings={"a": 1}, jobs=1) == [{"doubled": 6}]

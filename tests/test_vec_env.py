@@ -1,0 +1,32 @@
+import numpy as np
+import pytest
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecTransposeImage
+
+from sb3_options.vec_env import as_wrapper_sees
+from tests.sb3_helpers import Corridor
+
+
+@pytest.mark.parametrize("kind", ["box", "discrete", "image", "dict", "dict_discrete"])
+def test_gives_back_what_the_environments_saw(kind: str) -> None:
+    inner = DummyVecEnv([lambda: Corridor(kind), lambda: Corridor(kind)])
+    venv: VecEnv = VecTransposeImage(inner) if kind in ("image", "dict") else inner
+    venv.seed(0)
+    seen = venv.reset()
+    corridors = [e for e in inner.envs if isinstance(e, Corridor)]
+    back = as_wrapper_sees(venv, seen)
+    for i, corridor in enumerate(corridors):
+        single = corridor.see(corridor.place)
+        if isinstance(single, dict):
+            for key, value in single.items():
+                np.testing.assert_array_equal(back[key][i], value)
+        else:
+            np.testing.assert_array_equal(back[i], single)
+    if kind == "image":
+        assert isinstance(seen, np.ndarray)
+        assert (seen.shape, back.shape) == ((2, 3, 36, 40), (2, 36, 40, 3))
+
+
+def test_changes_nothing_without_images() -> None:
+    venv = DummyVecEnv([Corridor])
+    batch = np.zeros((5, 2, 3, 4))
+    assert as_wrapper_sees(venv, batch) is batch
