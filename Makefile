@@ -4,10 +4,13 @@ BIN := .venv/bin
 READY := .venv/.ready
 ARGS ?=
 
-.PHONY: train test lint check format upgrade clean
+.PHONY: train paper test lint check format upgrade clean
 
 train: $(READY)  ## Train DQN on the two-room gridworld; pass flags as ARGS="--seed 1"
 	$(BIN)/python train.py $(ARGS)
+
+paper: $(READY)  ## The paper's gridworld figures, 30 runs each, into out/paper
+	$(BIN)/python -m experiments.paper all --runs 30 --out out/paper $(ARGS)
 
 test: $(READY)  ## All tests
 	$(BIN)/python -m pytest -n 2 $(ARGS)

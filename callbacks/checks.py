@@ -36,9 +36,10 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
         _check_deep(model)
     gammas: list[float] = venv.get_attr("gamma")
     model_gamma: float = model.gamma  # type: ignore[attr-defined]  # every algorithm that passed until here has it
-    if any(abs(gamma - model_gamma) > 1e-12 for gamma in gammas):
+    different = [gamma for gamma in gammas if abs(gamma - model_gamma) > 1e-12]
+    if different:
         raise ValueError(
-            f"OptionsWrapper discounts with gamma={gammas[0]}, {type(model).__name__} with gamma={model_gamma}: "
+            f"OptionsWrapper discounts with gamma={different[0]}, {type(model).__name__} with gamma={model_gamma}: "
             "give both the same."
         )
     if venv.env_method("feature_kind", indices=[0])[0] is None:

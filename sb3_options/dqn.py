@@ -73,6 +73,12 @@ class OptionDQN(DQN):
         max_options = self._n_actions() - env.get_attr("n_primitive", [0])[0]
         self._option_buffer().track_availability(max_options)
 
+    def _setup_learn(self, *args: Any, **kwargs: Any) -> Any:
+        result = super()._setup_learn(*args, **kwargs)
+        assert self.env is not None  # it has just been reset
+        self.env.env_method("report_availability", True)
+        return result
+
     def _option_buffer(self) -> OptionReplayBuffer:
         return cast("OptionReplayBuffer", self.replay_buffer)
 

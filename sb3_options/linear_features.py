@@ -13,7 +13,8 @@ from sb3_options.observations import FloatArray, IntArray
 HASH_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
 """2⁶⁴ over the golden ratio, odd: Knuth's multiplicative hashing (The Art of Computer Programming 3, §6.4)."""
 
-HASH_SHIFT = np.uint64(29)
+HASH_SHIFT = np.uint64(32)
+"""Only the upper half of the product is used: the lower bits of a product depend on the lower bits of the index."""
 
 
 class LinearFeatures(Protocol):
@@ -118,6 +119,5 @@ class TileCoding:
         index: IntArray = cell @ self._strides + self._first
         if self._hash_size is None:
             return index
-        mixed = (index.astype(np.uint64) + np.uint64(1)) * HASH_MULTIPLIER
-        mixed ^= mixed >> HASH_SHIFT
+        mixed = (index.astype(np.uint64) + np.uint64(1)) * HASH_MULTIPLIER >> HASH_SHIFT
         return (mixed % np.uint64(self._hash_size)).astype(np.int64)

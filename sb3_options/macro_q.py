@@ -131,6 +131,7 @@ class MacroQ(BaseAlgorithm):
         self._n_primitive = self._n_actions
         if self.env is not None and all(self.env.env_is_wrapped(OptionsWrapper)):
             self._n_primitive = self.env.get_attr("n_primitive", [0])[0]
+            self.env.env_method("report_availability", True)
         self._n_slots = self._n_actions - self._n_primitive
         self._primitives = list(range(self._n_primitive))
 
@@ -175,7 +176,7 @@ class MacroQ(BaseAlgorithm):
             new_active = self._active(new_obs)
             over: list[bool] = dones.tolist()
             for i, info in enumerate(infos):
-                arrived = self._active(info["terminal_observation"][None])[0] if over[i] else new_active[i]
+                arrived = self._active(np.asarray(info["terminal_observation"])[None])[0] if over[i] else new_active[i]
                 ended = over[i] and not info["TimeLimit.truncated"]
                 self._learn_from(active[i], int(actions[i]), float(rewards[i]), arrived, ended, info.get("option"))
             self._last_obs, active = new_obs, new_active  # type: ignore[assignment]  # SB3 annotates it as None

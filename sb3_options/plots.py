@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
 
 from sb3_options.bank import OptionBank
 from sb3_options.discovery import SubgoalDiscovery
@@ -20,6 +21,9 @@ WORST_SHOWN = 60.0
 """Log densities this far below the best share the darkest colour, in nats."""
 
 SUBGOAL_COLOUR = "#d62728"
+MARGIN = 0.75
+"""Free space around the outermost centres, in sides of a rectangle."""
+
 INITIATION_COLOUR = "#9ecae1"
 
 
@@ -106,7 +110,7 @@ def _first_visits(discovery: SubgoalDiscovery, seen: FloatArray) -> IntArray:
 
 def _bars(axes: Axes, title: str, states: IntArray, values: FloatArray | IntArray, marked: list[int]) -> None:
     order = np.argsort(states)
-    axes.plot(states[order], values[order], ".", markersize=3, color="0.4")
+    axes.plot(states[order], values[order], ".", markersize=5, color="0.4")
     for state in marked:
         axes.axvline(state, color=SUBGOAL_COLOUR, linewidth=1.0)
     axes.set_title(title)
@@ -114,13 +118,16 @@ def _bars(axes: Axes, title: str, states: IntArray, values: FloatArray | IntArra
 
 
 class _Cells:
-    """The first two features of everything seen, as squares of one unit: a map where features are coordinates."""
+    """The first two features of everything seen, as a map: rectangles as wide as neighbours are apart.
+
+    Where features hardly repeat, neighbours are next to nothing apart, and the rectangles have sides of one unit.
+    """
 
     def __init__(self, seen: FloatArray, scale: FloatArray, centres: list[FloatArray]) -> None:
         flat = seen if seen.shape[1] > 1 else np.column_stack([seen, np.zeros(len(seen))])
         sides = scale if len(scale) > 1 else np.array([scale[0], 1.0])
         self.positions, self.row_of = np.unique(flat[:, :2], axis=0, return_inverse=True)
-        self.side = 1.0 / sides[:2]
+        self.side = np.array([max(1.0 / s, _spacing(x)) for s, x in zip(sides, self.positions.T, strict=False)])
         self.centres = centres
 
     def draw(self, axes: Axes, title: str, values: FloatArray | IntArray) -> None:
@@ -130,7 +137,8 @@ class _Cells:
         squares = PatchCollection(self._squares(self.positions), cmap="viridis")
         squares.set_array(largest)
         axes.add_collection(squares)
-        axes.figure.colorbar(squares, ax=axes, shrink=0.8)
+        whole = np.issubdtype(values.dtype, np.integer)
+        axes.figure.colorbar(squares, ax=axes, shrink=0.8, ticks=MaxNLocator(integer=whole, min_n_ticks=1))
         self._finish(axes, title)
 
     def draw_sets(self, axes: Axes, regions: list[Region]) -> None:
@@ -170,12 +178,20 @@ class _Cells:
         for centre in self.centres:
             x, y = (centre[0], centre[1]) if len(centre) > 1 else (centre[0], 0.0)
             axes.plot(x, y, "*", color=SUBGOAL_COLOUR, markersize=14, markeredgecolor="white")
-        low, high = self.positions.min(axis=0) - self.side, self.positions.max(axis=0) + self.side
+        margin = MARGIN * self.side
+        low, high = self.positions.min(axis=0) - margin, self.positions.max(axis=0) + margin
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(high[1], low[1])  # rows are counted downwards, as in the map
-        if np.isclose(self.side[0], self.side[1]):
+        if np.ptp(self.positions[:, 1]) == 0:
+            axes.set_yticks([])  # there is but one feature to show
+        elif np.isclose(self.side[0], self.side[1]):
             axes.set_aspect("equal")
         axes.set_title(title)
+
+
+def _spacing(values: FloatArray) -> float:
+    """The smallest distance between two different values; 0 where there is one value only."""
+    return float(np.diff(np.unique(values)).min(initial=np.inf)) if np.ptp(values) > 0 else 0.0
 
 
 def _draw_policies(axes: Axes, cells: _Cells, discovery: SubgoalDiscovery, options: list[SubgoalOption]) -> None:

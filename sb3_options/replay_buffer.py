@@ -248,8 +248,6 @@ class OptionReplayBuffer(ReplayBuffer):
         return BaseBuffer.sample(self, batch_size, env)  # type: ignore[no-any-return]  # SB3 leaves it unannotated
 
     def _get_samples(self, batch_inds: npt.NDArray[Any], env: VecNormalize | None = None) -> ReplayBufferSamples:
-        # The stock buffer draws an environment here, one of one.
-        np.random.randint(0, high=1, size=len(batch_inds))  # noqa: NPY002
         obs = self._normalize_obs(self._joined_rows(self._observations, batch_inds), env)
         next_obs = self._normalize_obs(self._joined_rows(self._next_observations, batch_inds), env)
         dones = self.dones[batch_inds] * (1 - self.timeouts[batch_inds])

@@ -43,9 +43,9 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
 
     where why is one of ``primitive``, ``subgoal``, ``left_initiation``, ``max_duration``, ``interrupted``,
     ``terminated`` and ``truncated``. An option also leaves there what Macro-Q learning needs: its primitive steps as
-    stacked arrays ``observations`` (the k observations acted in), ``actions`` and ``rewards``. Once the bank has
-    options, ``available`` says for each of the k observations arrived in which slots may start there, shape
-    (k, max_options).
+    stacked arrays ``observations`` (the k observations acted in), ``actions`` and ``rewards``. For algorithms that
+    mask, `report_availability` adds ``available`` once the bank has options: for each of the k observations arrived
+    in, which slots may start there, shape (k, max_options).
 
     An empty slot runs one uniformly random primitive, and names it as ``actions``. A filled option chosen outside its
     initiation set runs one step of its own policy. So an algorithm that cannot mask still sees a lawful semi-Markov
@@ -102,6 +102,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         self._random = np.random.default_rng()
         self._observation: Any = None
         self._recorder: TrajectoryRecorder | None = None
+        self._reports_availability = False
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment; ``seed`` also seeds what empty slots draw."""
@@ -147,7 +148,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
     def _run_primitive(self, action: int) -> StepReturn:
         observation, reward, terminated, truncated, info = self._primitive_step(action)
         info["option"] = {"index": -1, "duration": 1, "discount": self.gamma, "termination": "primitive"}
-        if self.bank.filled:
+        if self._reports_availability and self.bank.filled:
             info["option"]["available"] = self._available(batch_of_one(observation))
         return observation, reward, terminated, truncated, info
 
@@ -181,8 +182,9 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             "observations": stack(observations[:-1]),
             "actions": np.array(actions),
             "rewards": np.array(rewards),
-            "available": self._available(stack(observations[1:])),
         }
+        if self._reports_availability:
+            info["option"]["available"] = self._available(stack(observations[1:]))
         return observation, total, terminated, truncated, info
 
     def _action_of(self, option: Option, observation: Any) -> int:
@@ -262,6 +264,10 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self.bank.add(option, slot)
         elif slot in self.bank.filled:
             self.bank.remove(slot)
+
+    def report_availability(self, report: bool) -> None:
+        """Whether ``info["option"]["available"]`` says which slots may start in each observation arrived in."""
+        self._reports_availability = report
 
     def record_trajectories(self, record: bool) -> None:
         """Whether the info that ends an episode holds it as ``info["trajectory"]``, a `Trajectory`."""

@@ -1,4 +1,4 @@
-"""Small environments for SB3, a log of what primitive steps really happened, and what a replay buffer must make of it."""
+"""Small environments for SB3, a log of the primitive steps that happened, and what a replay buffer must make of it."""
 
 import subprocess
 from collections.abc import Callable, Sequence

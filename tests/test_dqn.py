@@ -15,7 +15,7 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize, VecTransposeImage
-from stable_baselines3.dqn import dqn as dqn_module
+from torch.nn import functional
 
 from sb3_options import Option, OptionDQN, OptionReplayBuffer, OptionsWrapper, heads
 from sb3_options import dqn as option_dqn_module
@@ -87,7 +87,9 @@ def filled(algorithm: type[OffPolicyAlgorithm], task: Task, macro_q: bool, monke
         torch.nn.init.uniform_(layer.weight, -1, 1)
         torch.nn.init.uniform_(layer.bias, -1, 1)
         with torch.no_grad():
-            layer.bias.view(-1, N_ACTIONS)[:, N_PRIMITIVE:] += torch.tensor([0.5, 1.5, 1.5])  # so that what is available often matters
+            layer.bias.view(-1, N_ACTIONS)[:, N_PRIMITIVE:] += torch.tensor(
+                [0.5, 1.5, 1.5]
+            )  # so that what is available often matters
     return model
 
 
@@ -142,7 +144,7 @@ def test_targets_are_exact(
     model = filled(algorithm, task, macro_q, monkeypatch)
     rows = rows_lived_through(task, macro_q)
     online, target_table = tables(model)
-    module = (dqn_module.F if algorithm is DQN else option_dqn_module.functional, "smooth_l1_loss")
+    module = (functional, "smooth_l1_loss")
     predicted, target = train_on_all_rows(model, module, monkeypatch)
 
     every = list(range(N_ACTIONS))
@@ -220,7 +222,7 @@ def test_targets_stay_exact_for_transitions_stored_before_an_option_was_there(
 class TestWithoutOptions:
     """No slots, no options: the same weights, bit for bit, as stock SB3 on the bare environment."""
 
-    kwargs: dict[str, Any] = TINY | {"train_freq": 4, "target_update_interval": 50, "gamma": GAMMA}  # noqa: RUF012  # never changed
+    kwargs: dict[str, Any] = TINY | {"train_freq": 4, "target_update_interval": 50, "gamma": GAMMA}
 
     def weights(self, algorithm: type[OffPolicyAlgorithm], env: gym.Env[Any, Any], **kwargs: Any) -> dict[str, Any]:
         callback = kwargs.pop("callback", None)

@@ -13,8 +13,6 @@ import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from tests.sb3_helpers import TAXI
 
-ROOT = Path(__file__).parents[1]
-
 
 def test_six_lines(tmp_path: Path) -> None:
     from stable_baselines3 import DQN
@@ -28,19 +26,6 @@ def test_six_lines(tmp_path: Path) -> None:
     callback = SubgoalDiscoveryCallback()
     model.learn(800, callback=callback)
     assert model.num_timesteps == 800
-    assert list((tmp_path / "runs").rglob("events.out.tfevents.*"))
-
-
-def test_the_lines_of_the_readme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As they stand there, with a shorter ``learn``."""
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    blocks = [b.partition("```")[0] for b in readme.split("```python\n")[1:]]
-    (lines,) = [b for b in blocks if "SubgoalDiscoveryCallback()" in b and "OptionsWrapper(" in b]
-    assert "learn(50_000" in lines
-    monkeypatch.chdir(tmp_path)
-    names: dict[str, Any] = {}
-    exec(lines.replace("learn(50_000", "learn(600"), names)
-    assert names["model"].num_timesteps == 600
     assert list((tmp_path / "runs").rglob("events.out.tfevents.*"))
 
 
@@ -64,7 +49,7 @@ def test_taxi(n_envs: int) -> None:
     )  # fmt: skip
     # A random taxi never brings anybody anywhere, so its success is to get a long way from where it started.
     callback = SubgoalDiscoveryCallback(
-        {"min_positive": 2, "decay": 0.5, "threshold": 0.4, "negative_bags": False},
+        {"min_positive": 2, "decay": 0.5, "threshold": 0.4, "max_places": 500, "negative_bags": False},
         success=lambda trajectory: len(trajectory.rewards) >= 50,
         max_new_options=1,
     )

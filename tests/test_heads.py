@@ -17,7 +17,7 @@ N_ACTIONS = N_PRIMITIVE + MAX_OPTIONS
 algorithms = pytest.mark.parametrize("algorithm", [DQN, OptionDQN, QRDQN])
 
 
-def model_of(algorithm: type[OffPolicyAlgorithm], **kwargs: Any) -> Any:
+def model_of(algorithm: Any, **kwargs: Any) -> Any:
     quantiles = {"n_quantiles": 7} if algorithm is QRDQN else {}
     return algorithm(
         "MlpPolicy", optioned_rooms(MAX_OPTIONS), gamma=0.9, seed=1, learning_starts=50, train_freq=4, batch_size=16,
@@ -55,7 +55,7 @@ def test_a_closed_head_never_wins(algorithm: type[OffPolicyAlgorithm]) -> None:
     with torch.no_grad():
         for layer, _ in heads.option_outputs(model.policy):
             layer.weight *= 100  # values far below and above 0
-            layer.bias -= 500
+            layer.bias.sub_(500)
     close_all(model)
     for values in outputs(model):
         assert (values.mean(dim=1).argmax(dim=1) < N_PRIMITIVE).all()

@@ -50,11 +50,13 @@ def test_hashing_is_multiplicative_and_spreads_tiles_evenly() -> None:
     points = np.random.default_rng(0).random((2000, 2))
     for index, place in zip(dense.active(points[0]).ravel(), hashed.active(points[0]).ravel(), strict=True):
         mixed = (int(index) + 1) * int(HASH_MULTIPLIER) % 2**64
-        assert place == (mixed ^ (mixed >> 29)) % 512
-    uses = np.bincount(hashed.active(points).ravel(), minlength=hashed.n_features)
-    assert len(uses) == hashed.n_features == 512
-    assert uses.min() > 0
-    assert uses.max() < 10 * uses.mean()
+        assert place == (mixed >> 32) % 512
+    pairs = np.unique(np.stack([dense.active(points), hashed.active(points)], axis=2).reshape(-1, 2), axis=0)
+    tiles_sharing = np.bincount(pairs[:, 1], minlength=hashed.n_features)
+    assert len(tiles_sharing) == hashed.n_features == 512
+    assert len(pairs) == len(np.unique(pairs[:, 0])) > 5000  # a tile has one place
+    assert tiles_sharing.min() > 0
+    assert tiles_sharing.max() < 2 * tiles_sharing.mean()
 
 
 @pytest.mark.parametrize(

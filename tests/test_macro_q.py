@@ -15,11 +15,11 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options import MacroQ, OptionsWrapper
-from sb3_options.callbacks import PrimitiveStepsCallback
+from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.envs import GridWorld
 from sb3_options.linear_features import OneHot, TileCoding
 from tests.helpers import CountingEnv, steady_option, table_option
-from tests.sb3_helpers import DOORWAY, SMALL_ROOMS, env_of, fast_callback, optioned_rooms, small_rooms
+from tests.sb3_helpers import DOORWAY, FAST_DISCOVERY, SMALL_ROOMS, env_of, fast_callback, optioned_rooms, small_rooms
 
 ALPHA, GAMMA = 0.5, 0.9
 
@@ -209,7 +209,9 @@ def test_q_learning_converges_to_the_policy_of_value_iteration(features: TileCod
 
 
 def test_discovers_an_option_and_goes_on_with_it() -> None:
-    callback = fast_callback(option_settings={"keep_learning": True, "gamma": GAMMA})
+    settings = {**FAST_DISCOVERY, "min_positive": 8, "decay": 0.9}
+    options = {"keep_learning": True, "gamma": GAMMA}
+    callback = SubgoalDiscoveryCallback(settings, options, max_new_options=1)
     model = MacroQ(optioned_rooms(max_steps=None), seed=0)
     model.learn(15_000, callback=callback)
     (found,) = callback.discoveries
@@ -288,7 +290,7 @@ def test_several_environments_learn_one_table() -> None:
 @pytest.mark.parametrize("name", ["gamma", "epsilon", "learning_rate"])
 def test_refuses_values_out_of_range(name: str) -> None:
     with pytest.raises(ValueError, match=r"gamma and epsilon must be in \[0, 1\] and learning_rate positive, got"):
-        MacroQ(Script(), **{name: -0.1})
+        MacroQ(Script(), **{name: -0.1})  # type: ignore[arg-type]  # mypy does not know which argument it is
 
 
 def test_refuses_what_it_cannot_learn() -> None:

@@ -9,6 +9,7 @@ import torch
 from gymnasium import spaces
 from stable_baselines3 import DQN
 from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecFrameStack, VecNormalize, VecTransposeImage
 
 from sb3_options import Option, OptionReplayBuffer, OptionsWrapper
@@ -34,6 +35,7 @@ def option() -> Option:
 def optioned(kind: str, *, limit: int = 25) -> ActionLog:
     """A corridor whose slot 0 is `RIGHT` and whose slot 1 is empty."""
     wrapped = OptionsWrapper(StepLog(Corridor(kind, limit)), 2, gamma=GAMMA, feature_map=places)
+    wrapped.report_availability(True)
     wrapped.bank.add(option(), 0)
     return ActionLog(wrapped)
 
@@ -53,7 +55,7 @@ def fill(venv: VecEnv, buffer: OptionReplayBuffer, n_steps: int, rng: np.random.
         actions = rng.integers(4, size=venv.num_envs)
         done_before = [len(log) for log in logs]
         next_obs, rewards, dones, infos = venv.step(actions)
-        stored = copy.deepcopy(next_obs)
+        stored: Any = copy.deepcopy(next_obs)
         for i in np.flatnonzero(dones):
             final = infos[i]["terminal_observation"]
             if isinstance(stored, dict):
@@ -138,6 +140,17 @@ def test_wraps_around_in_the_middle_of_an_option(n_envs: int, rng: np.random.Gen
     assert crossed > 5
 
 
+def test_is_full_as_soon_as_the_last_row_is_written(rng: np.random.Generator) -> None:
+    venv = corridors("box")
+    for size in range(1, 12):
+        buffer = OptionReplayBuffer(size, venv.observation_space, venv.action_space, "cpu")
+        written = 0
+        while written < size:
+            assert buffer.size() == written
+            written += sum(len(rows) for rows in fill(venv, buffer, 1, rng))
+        assert buffer.size() == size
+
+
 def test_a_run_longer_than_the_buffer_leaves_its_last_rows(rng: np.random.Generator) -> None:
     venv = corridors("box")
     buffer = OptionReplayBuffer(3, venv.observation_space, venv.action_space, "cpu")
@@ -215,7 +228,8 @@ def test_normalizes_with_vec_normalize_as_the_stock_buffer_does(rng: np.random.G
     buffer = OptionReplayBuffer(2000, venv.observation_space, venv.action_space, "cpu")
     fill(venv, buffer, 200, rng)
     normalize = VecNormalize(venv, gamma=GAMMA)
-    normalize.obs_rms.mean, normalize.obs_rms.var = np.array([1.0, 3.0]), np.array([4.0, 9.0])  # type: ignore[union-attr]  # one space, so one statistic
+    statistics = cast("RunningMeanStd", normalize.obs_rms)
+    statistics.mean, statistics.var = np.array([1.0, 3.0]), np.array([4.0, 9.0])
     normalize.ret_rms.var = np.array(4.0)
     raw, normal = all_samples(buffer), all_samples(buffer, normalize)
     for name in ("observations", "next_observations"):

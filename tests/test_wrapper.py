@@ -119,6 +119,7 @@ class TestOption:
             inner = TableEnv(rng)
             gamma = float(rng.choice([1.0, rng.uniform(0.01, 1.0)]))
             twin, env = copy.deepcopy(inner), OptionsWrapper(inner, max_options=3, gamma=gamma)
+            env.report_availability(True)
             for slot in (0, 2):
                 termination = rng.choice([0.0, 0.0, 0.0, 1.0, rng.random()], size=8)
                 env.bank.add(
@@ -271,6 +272,7 @@ class TestOption:
 
     def test_dict_observations(self) -> None:
         env = OptionsWrapper(DictEnv(), gamma=0.5, feature_map=place_of)
+        env.report_availability(True)
         policy = TabularPolicy(np.full((1, 4), 4.0), np.array([[0.0, 1.0]]))
         env.bank.add(SubgoalOption(ball(6.0), Region(np.arange(6.0)[:, None], np.ones(1), 0.0), policy))
         observation, _ = env.reset(seed=0)
@@ -395,8 +397,11 @@ class TestAvailable:
         env.bank.remove(0)
         assert env.action_masks().tolist() == [True, True, False, False, False]
 
-    def test_info_has_it_once_there_are_options(self) -> None:
+    def test_info_has_it_for_who_asks_once_there_are_options(self) -> None:
         env = self.env()
+        env.reset(seed=0)
+        assert "available" not in env.step(0)[4]["option"]
+        env.report_availability(True)
         env.reset(seed=0)
         assert env.step(0)[4]["option"]["available"].tolist() == [[False, False, False]]
         empty_slot = env.step(3)[4]["option"]

@@ -43,12 +43,12 @@ class BoxActions(gym.Env[Any, Any]):
         (
             lambda: PPO("MlpPolicy", small_rooms(), n_steps=16, batch_size=16),
             ValueError,
-            r"environment is not wrapped in OptionsWrapper: use .* or make_vec_env\(..., wrapper_class=OptionsWrapper\)",
+            r"is not wrapped in OptionsWrapper: use .* or make_vec_env\(..., wrapper_class=OptionsWrapper\)",
         ),
         (
             lambda: dqn(DummyVecEnv([optioned_rooms, lambda: OptionsWrapper(small_rooms(), gamma=0.95)])),
             ValueError,
-            r"OptionsWrapper discounts with gamma=0\.9, DQN with gamma=0\.9: give both the same",
+            r"OptionsWrapper discounts with gamma=0\.95, DQN with gamma=0\.9: give both the same",
         ),
         (
             lambda: dqn(optioned_rooms(), replay_buffer_class=None),
@@ -92,8 +92,8 @@ class BoxActions(gym.Env[Any, Any]):
         ),
     ],
     ids=[
-        "DQN-bare", "PPO-bare", "one-gamma-differs", "DQN-buffer", "QRDQN-buffer", "DQN-gamma", "OptionDQN-gamma", "Box",
-        "Dict", "PPO", "A2C",
+        "DQN-bare", "PPO-bare", "one-gamma-differs", "DQN-buffer", "QRDQN-buffer", "DQN-gamma", "OptionDQN-gamma",
+        "Box", "Dict", "PPO", "A2C",
     ],
 )  # fmt: skip
 def test_says_what_to_change(model: Any, error: type[Exception], text: str) -> None:
@@ -134,7 +134,7 @@ class TestArguments:
     def test_setting_out_of_range(self) -> None:
         with pytest.raises(ValueError, match="min_positive must be a whole number of at least 1, got 0"):
             SubgoalDiscoveryCallback({"min_positive": 0})
-        with pytest.raises(ValueError, match="max_duration must be a whole number.* at least 1, got 0"):
+        with pytest.raises(ValueError, match=r"max_duration must be a whole number.* at least 1, got 0"):
             SubgoalDiscoveryCallback(option_settings={"max_duration": 0})
 
     def test_max_new_options(self) -> None:

@@ -1,3 +1,5 @@
+from collections.abc import Callable
+from itertools import pairwise
 from typing import Any, cast
 
 import numpy as np
@@ -57,11 +59,12 @@ class Spy(BaseCallback):
 def test_counts_the_sum_of_durations(algorithm: str, n_envs: int) -> None:
     venv = DummyVecEnv([lambda: counting(terminate_at=17)] * n_envs)
     kwargs: dict[str, Any] = {"n_steps": 8, "gamma": 0.9, "seed": 0}
-    model: BaseAlgorithm = {
+    makers: dict[str, Callable[[], BaseAlgorithm]] = {
         "DQN": lambda: dqn(venv, **RANDOM),
         "PPO": lambda: PPO("MlpPolicy", venv, batch_size=8, **kwargs),
         "A2C": lambda: A2C("MlpPolicy", venv, **kwargs),
-    }[algorithm]()
+    }
+    model = makers[algorithm]()
     spy = Spy()
     model.learn(500, callback=[PrimitiveStepsCallback(), spy])
     ran = sum(len(log) for log in venv.get_attr("log"))
@@ -91,7 +94,7 @@ def test_schedules_see_primitive_steps() -> None:
             return True
 
     model.learn(600, callback=[PrimitiveStepsCallback(), Rates()])
-    for (before, _), (_, rate) in zip(rates, rates[1:], strict=False):
+    for (before, _), (_, rate) in pairwise(rates):
         assert rate == pytest.approx(1.0 - 0.95 * min(before / 600, 1.0), abs=1e-9)
 
 
@@ -117,7 +120,7 @@ def test_the_bar_that_learn_makes_itself(capfd: pytest.CaptureFixture[str]) -> N
 class TestMonitor:
     @pytest.mark.parametrize("how", ["env", "vec", "make_vec_env"])
     def test_reports_primitive_steps_and_undiscounted_rewards(self, how: str) -> None:
-        env: Any = {
+        makers: dict[str, Callable[[], Any]] = {
             "env": lambda: counting(terminate_at=17),
             "vec": lambda: DummyVecEnv([lambda: Monitor(counting(terminate_at=17))] * 2),
             "make_vec_env": lambda: make_vec_env(
@@ -126,7 +129,8 @@ class TestMonitor:
                 wrapper_class=OptionsWrapper,
                 wrapper_kwargs={"max_options": 2, "gamma": 0.9},
             ),
-        }[how]()
+        }
+        env = makers[how]()
         model = dqn(env, **RANDOM)
         if how == "make_vec_env":
             env.env_method("set_option", 0, steady_option(max_duration=K))

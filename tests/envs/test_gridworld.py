@@ -437,9 +437,7 @@ class TestErrors:
         assert env.step(action)[2]
 
     def test_step_before_reset(self) -> None:
-        with pytest.raises(
-            gymnasium.error.ResetNeeded, match=r"step\(\) was called before the first reset\(\)"
-        ):
+        with pytest.raises(gymnasium.error.ResetNeeded, match=r"step\(\) was called before the first reset\(\)"):
             GridWorld().step(0)
 
     @pytest.mark.parametrize("action", [Direction.RIGHT, Direction.LEFT])
@@ -447,15 +445,11 @@ class TestErrors:
         env = GridWorld("SG", success_probability=1, max_steps=1)
         env.reset()
         env.step(action)
-        with pytest.raises(
-            gymnasium.error.ResetNeeded, match=r"after the episode's end: call reset\(\) first"
-        ):
+        with pytest.raises(gymnasium.error.ResetNeeded, match=r"after the episode's end: call reset\(\) first"):
             env.step(action)
 
     def test_render_before_reset(self) -> None:
-        with pytest.raises(
-            gymnasium.error.ResetNeeded, match=r"render\(\) was called before the first reset"
-        ):
+        with pytest.raises(gymnasium.error.ResetNeeded, match=r"render\(\) was called before the first reset"):
             GridWorld(render_mode="ansi").render()
 
     def test_render_without_mode(self) -> None:
@@ -506,8 +500,7 @@ class TestRender:
             pictures.append(env.render())
         without_key, picking_up, with_key = map(np.asarray, pictures)
         columns = [
-            np.argwhere((p == AGENT).all(axis=2))[:, 1].mean() // RENDER_CELL_PX
-            for p in map(np.asarray, pictures)
+            np.argwhere((p == AGENT).all(axis=2))[:, 1].mean() // RENDER_CELL_PX for p in map(np.asarray, pictures)
         ]
         assert columns == [1, 0, 1]
         changed = (without_key != with_key).any(axis=(0, 2)).reshape(-1, RENDER_CELL_PX).any(axis=1)

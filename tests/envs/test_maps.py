@@ -25,9 +25,7 @@ def random_walk_success(grid: GridMap, n_steps: int) -> float:
         (maps.KEY_DOOR, maps.KEY_DOOR_MAX_STEPS, 0.929, 1_096),
     ],
 )
-def test_documented_chances_of_a_random_walk(
-    text: str, max_steps: int, within_limit: float, median: int
-) -> None:
+def test_documented_chances_of_a_random_walk(text: str, max_steps: int, within_limit: float, median: int) -> None:
     grid = GridMap.parse(text)
     assert random_walk_success(grid, max_steps) == pytest.approx(within_limit, abs=5e-4)
     assert random_walk_success(grid, median - 1) < 0.5 <= random_walk_success(grid, median)

@@ -1,0 +1,124 @@
+"""``python -m experiments.paper FIGURE|all --runs 30 --out FOLDER``: a picture for each figure, and results.json.
+
+Interrupted, it goes on where it was: every finished group of a seed is kept below ``FOLDER/groups``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from experiments.paper import conditions
+from experiments.paper.claims import Claim, claims_of
+from experiments.paper.plots import draw
+from experiments.paper.settings import PaperSettings
+from experiments.paper.summary import numbers_of
+from experiments.seeds import Result, run_seeds, write_json
+
+FigureName = Literal["figure1", "figure2", "figure3", "figure4", "figure5", "figure6", "controls", "negatives"]
+
+GROUPS: dict[FigureName, tuple[str, ...]] = {
+    "figure1": ("learning",),
+    "figure2": ("learning",),
+    "figure3": ("learning",),
+    "figure4": ("learning", "controls"),
+    "figure5": ("learning", "transfer"),
+    "figure6": ("learning", "transfer", "reuse"),
+    "controls": ("learning", "controls"),
+    "negatives": ("learning", "negatives"),
+}
+"""What each figure is made from. A group is run once, however many figures need it."""
+
+IN_ORDER = ("learning", "controls", "transfer", "negatives", "reuse")
+"""What starts from the option and the values of ``learning`` comes after it, and the longest last."""
+
+DPI = 90
+
+
+@dataclass(frozen=True)
+class Study:
+    """Reproduce the gridworld figures of McGovern & Barto (2001).
+
+    Attributes:
+        figure: Which one, or all.
+        out: Folder for results.json, the pictures and one file per finished seed.
+        runs: Number of seeds.
+        first_seed: Seeds count up from here. Settings were chosen on seeds 0 to 19, so none of these.
+        jobs: Processes; by default one a core.
+        settings: Of the task, of learning and of discovery.
+    """
+
+    figure: tyro.conf.Positional[Literal["all"] | FigureName]
+    out: Annotated[Path, tyro.conf.arg(name="out")]
+    runs: int = 30
+    first_seed: int = 1000
+    jobs: int | None = None
+    settings: PaperSettings = field(default_factory=PaperSettings)
+
+
+def main(study: Study) -> None:
+    """Run what the figures need, and write and print what was found."""
+    began = time.perf_counter()
+    figures: list[FigureName] = list(GROUPS) if study.figure == "all" else [study.figure]
+    needed = {group for figure in figures for group in GROUPS[figure]}
+    groups = {group: _run(study, group) for group in IN_ORDER if group in needed}
+    numbers: dict[str, dict[str, Any]] = {figure: numbers_of(figure, groups) for figure in figures}
+    claims = claims_of(numbers)
+    study.out.mkdir(parents=True, exist_ok=True)
+    for figure in figures:
+        draw(figure, groups).savefig(study.out / f"{figure}.png", dpi=DPI)
+    results: dict[str, Any] = {
+        "command": f"python -m experiments.paper {study.figure} --runs {study.runs} --first-seed {study.first_seed}",
+        "n_runs": study.runs,
+        "seconds": round(time.perf_counter() - began, 1),
+        "settings": study.settings.described(),
+        "claims": {claim.name: claim._asdict() for claim in claims},
+        "figures": numbers,
+    }
+    write_json(study.out / "results.json", results)
+    _print(claims, study, results["seconds"])
+
+
+def _run(study: Study, group: str) -> list[Result]:
+    settings, artifacts = study.settings, study.out / "groups" / "learning" / "artifacts"
+    functions: dict[str, Callable[[int], Result]] = {
+        "learning": partial(conditions.learning, settings, artifacts),
+        "controls": partial(conditions.controls, settings),
+        "transfer": partial(conditions.transfer, settings, artifacts),
+        "reuse": partial(conditions.reuse, settings, artifacts),
+        "negatives": partial(conditions.negatives, settings),
+    }
+    return run_seeds(
+        functions[group],
+        range(study.first_seed, study.first_seed + study.runs),
+        study.out / "groups" / group,
+        settings=settings.described(),
+        jobs=study.jobs,
+        description=group.capitalize(),
+    )
+
+
+def _print(claims: list[Claim], study: Study, seconds: float) -> None:
+    table = Table("what", "number", "95 % interval", "bar", "reached")
+    for c in claims:
+        value = "–" if c.value is None else f"{c.value:.3g}"
+        interval = "" if c.low is None else f"{c.low:.3g} to {c.high:.3g}"
+        table.add_row(c.name, value, interval, c.bar, "yes" if c.reached else "NO")
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(table)
+    for name, setting in study.settings.described().items():
+        source = setting["in_paper"] or "not in the paper"
+        console.print(f"  {name} = {setting['value']} ({source})")
+    console.print(f"{study.runs} runs in {seconds:.0f} s. Results and pictures: {study.out}")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Study))

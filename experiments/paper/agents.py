@@ -1,0 +1,221 @@
+"""The paper's agents: how they are made, live through trials, are forked, and replay experience."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
+
+from experiments.paper.settings import PaperSettings
+from sb3_options import MacroQ, OptionsWrapper
+from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.envs import GridWorld
+from sb3_options.observations import BoolArray, FloatArray
+from sb3_options.option import SubgoalOption
+from sb3_options.trajectories import LabelledTrajectory, Trajectory
+
+NO_LIMIT = 10**12
+"""Primitive steps; trials end a run, not steps."""
+
+
+class SingleEnv(DummyVecEnv):
+    """`DummyVecEnv` for one environment that makes its infos anew in every step, as `OptionsWrapper` does.
+
+    It hands them out instead of a deep copy, which would take half of the run time.
+    """
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Step, and reset at the end of an episode."""
+        observation, reward, terminated, truncated, info = self.envs[0].step(self.actions[0])
+        done = terminated or truncated
+        info["TimeLimit.truncated"] = truncated and not terminated
+        if done:
+            info["terminal_observation"] = observation
+            observation, self.reset_infos[0] = self.envs[0].reset()
+        return observation[None], np.array([reward]), np.array([done]), [info]
+
+
+def make_agent(settings: PaperSettings, seed: int, *, slots: bool = True, **world: Any) -> MacroQ:
+    """An agent that knows nothing yet, with an empty option slot or without `OptionsWrapper`.
+
+    Args:
+        settings: Learning parameters.
+        seed: Of agent and environment.
+        slots: Whether it can have options.
+        world: Arguments of `GridWorld` other than the task of §6.1.
+    """
+    world = {
+        "success_probability": settings.success_probability,
+        "goal_reward": settings.goal_reward,
+        "max_steps": settings.step_limit,
+        **world,
+    }
+
+    def make_env() -> gym.Env[Any, Any]:
+        env = Monitor(GridWorld(**world))
+        return OptionsWrapper(env, settings.options_per_run, gamma=settings.gamma) if slots else env
+
+    return MacroQ(
+        SingleEnv([make_env]),
+        learning_rate=settings.step_size,
+        gamma=settings.gamma,
+        epsilon=settings.epsilon,
+        seed=seed,
+    )
+
+
+def wrapper_of(agent: MacroQ) -> OptionsWrapper:
+    """The environment with its option bank."""
+    return cast("OptionsWrapper", cast("SingleEnv", agent.get_env()).envs[0])
+
+
+def world_of(agent: MacroQ) -> GridWorld:
+    """The gridworld itself."""
+    return cast("GridWorld", wrapper_of(agent).unwrapped)
+
+
+def fork(agent: MacroQ) -> MacroQ:
+    """A copy that goes on from the same state, with the same random numbers to come, and without the option."""
+    twin = copy.deepcopy(agent)
+    wrapper = wrapper_of(twin)
+    wrapper.set_option(0, None)
+    wrapper.record_trajectories(False)
+    return twin
+
+
+class Trials(BaseCallback):
+    """Ends training after some trials.
+
+    Args:
+        n_trials: How many.
+        until: Asked after each trial; True ends training too.
+
+    Attributes:
+        lengths: Primitive steps of each trial.
+        trajectories: Those that were recorded and that no callback before this one took.
+    """
+
+    def __init__(self, n_trials: int, until: Callable[[], bool]) -> None:
+        super().__init__()
+        self.n_trials, self.until = n_trials, until
+        self.lengths: list[int] = []
+        self.trajectories: list[Trajectory] = []
+
+    def _on_step(self) -> bool:
+        info = self.locals["infos"][0]
+        if "episode" not in info:
+            return True
+        self.lengths.append(int(info["episode"]["l"]))
+        if "trajectory" in info:
+            self.trajectories.append(info["trajectory"])
+        return len(self.lengths) < self.n_trials and not self.until()
+
+
+def live(
+    agent: MacroQ, n_trials: int, callback: BaseCallback | None = None, until: Callable[[], bool] = lambda: False
+) -> Trials:
+    """Let an agent learn for some trials, going on where it was.
+
+    Args:
+        agent: Who.
+        n_trials: How many trials; none if not positive.
+        callback: Called before the trials are counted.
+        until: Asked after each trial; True ends it too.
+
+    Returns:
+        What the trials were like.
+    """
+    trials = Trials(n_trials, until)
+    if n_trials > 0:
+        both = trials if callback is None else CallbackList([callback, trials])
+        agent.learn(NO_LIMIT, callback=both, log_interval=None, reset_num_timesteps=False)
+    return trials
+
+
+def discoverer(settings: PaperSettings, seed: int, *, max_new_options: int = 1) -> SubgoalDiscoveryCallback:
+    """The library's callback with the paper's settings; with no new options it lets those there are go on learning."""
+    return SubgoalDiscoveryCallback(settings.discovery(), settings.option(), max_new_options=max_new_options, seed=seed)
+
+
+class Replay(BaseCallback):
+    """Experience replay into the main value function, as much as the option of the same run takes (§6.1).
+
+    The option's value function is initialised by sweeps over the saved steps that began in its input set I, and goes
+    on learning once from those of every later trajectory. This does as many backups of the main task, at the same
+    trials: of those very steps (partial), or of steps of the same trajectories wherever they began, each chosen with
+    the probability that makes the expected number equal.
+
+    Args:
+        option: Whose work is to be equalled; the agent itself does not have it.
+        saved: The trajectories its initialisation replayed.
+        settings: ``replay_order`` and ``keep_learning`` are used.
+        whole: Over the whole state space, or only over I.
+        sweeps: Through the saved trajectories, at first.
+        rng: Chooses steps.
+
+    Attributes:
+        backups: How many were made so far.
+    """
+
+    def __init__(
+        self,
+        option: SubgoalOption,
+        saved: list[LabelledTrajectory],
+        settings: PaperSettings,
+        *,
+        whole: bool,
+        sweeps: int,
+        rng: np.random.Generator,
+    ) -> None:
+        super().__init__()
+        self.option, self.saved, self.settings = option, saved, settings
+        self.whole, self.sweeps, self.rng = whole, sweeps, rng
+        self.backups = 0
+
+    def _on_training_start(self) -> None:
+        wrapper_of(self._agent).record_trajectories(True)
+        for _ in range(self.sweeps):
+            for labelled in self.saved:
+                self._replay(labelled.trajectory, labelled.features)
+
+    def _on_step(self) -> bool:
+        trajectory = self.locals["infos"][0].pop("trajectory", None)
+        if trajectory is not None and self.settings.keep_learning:
+            self._replay(trajectory, wrapper_of(self._agent).concept_features(trajectory.states))
+        return True
+
+    @property
+    def _agent(self) -> MacroQ:
+        return cast("MacroQ", self.model)
+
+    def _replay(self, trajectory: Trajectory, features: FloatArray) -> None:
+        began = trajectory.visits[:-1]
+        chosen = steps_in_initiation_set(self.option, features)[began]
+        if self.whole:
+            chosen = self.rng.random(len(began)) < chosen.mean()
+        steps = np.flatnonzero(chosen)
+        if self.settings.replay_order == "backward":
+            steps = steps[::-1]
+        cells = trajectory.states.argmax(axis=1)  # type: ignore[union-attr]  # one-hot vectors
+        ended = np.zeros(len(began), dtype=bool)
+        ended[-1] = trajectory.terminated
+        self._agent.replay(
+            cells[began[steps]].tolist(),
+            trajectory.actions[steps].tolist(),
+            trajectory.rewards[steps].tolist(),
+            cells[trajectory.visits[1:][steps]].tolist(),
+            ended[steps].tolist(),
+        )
+        self.backups += len(steps)
+
+
+def steps_in_initiation_set(option: SubgoalOption, features: FloatArray) -> BoolArray:
+    """Which states lie in I, the subgoal excepted; from their features (m, d), shape (m,)."""
+    return option.initiation_set.contains(features) & ~option.subgoal.contains(features)

@@ -1,0 +1,169 @@
+"""What is measured: visits, diverse density, subgoals, and means and ratios with bootstrap intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from scipy.stats import bootstrap
+
+from experiments.paper.settings import PaperSettings
+from sb3_options.bags import SuccessRule, near_start_and_goal, reported_success
+from sb3_options.discovery import SubgoalDiscovery
+from sb3_options.diverse_density import log_diverse_density
+from sb3_options.envs import GridWorld
+from sb3_options.evaluation import CONFIDENCE, N_RESAMPLES, Interval, mean_interval
+from sb3_options.observations import FloatArray, IntArray
+from sb3_options.trajectories import LabelledTrajectory
+
+Cell = tuple[int, int]
+
+NEAR = 1
+"""A subgoal this many steps from the doorway still is at the doorway: every crossing visits it."""
+
+LOWEST_LOG_DENSITY = -200.0
+"""In place of −∞ before a mean is taken: a negative bag of full strength gives that."""
+
+N_CURVE_RESAMPLES = 2000
+
+
+def cell_of(point: Iterable[float]) -> Cell:
+    """The cell (x, y) of a point of concept space."""
+    x, y = point
+    return round(float(x)), round(float(y))
+
+
+def distance_to_doorway(world: GridWorld, cell: Cell) -> int:
+    """Steps without walls."""
+    return min(abs(cell[0] - x) + abs(cell[1] - y) for x, y in world.doorways)
+
+
+def visit_counts(world: GridWorld, trajectories: Iterable[LabelledTrajectory], *, first_only: bool) -> IntArray:
+    """How often each cell was visited (or in how many trajectories), shape (height, width)."""
+    counts = np.zeros((world.height, world.width), dtype=np.int64)
+    for labelled in trajectories:
+        x, y = labelled.features.astype(np.int64).T
+        visits = labelled.trajectory.visits
+        np.add.at(counts, (y, x), 1 if first_only else np.bincount(visits, minlength=len(x)))
+    return counts
+
+
+def density_map(world: GridWorld, discovery: SubgoalDiscovery) -> FloatArray | None:
+    """Log diverse density of every cell, NaN in walls, shape (height, width); None while there are too few bags."""
+    bags = discovery.bags()
+    if bags is None or discovery.scale is None:
+        return None
+    y, x = np.nonzero(~world.walls)
+    points = np.stack([x, y], axis=1).astype(np.float64)
+    scales = np.broadcast_to(discovery.scale, points.shape)
+    strength = discovery.settings.negative_strength
+    values = np.full(world.walls.shape, np.nan)
+    values[y, x] = log_diverse_density(points, scales.copy(), bags, negative_strength=strength).numpy()
+    floored: FloatArray = np.maximum(values, LOWEST_LOG_DENSITY)
+    return floored
+
+
+def discovery_of(
+    settings: PaperSettings,
+    trajectories: Iterable[LabelledTrajectory],
+    *,
+    success: SuccessRule = reported_success,
+    negative_strength: float | None = None,
+) -> SubgoalDiscovery:
+    """Discovery that has seen these trajectories, and not searched."""
+    discovery = SubgoalDiscovery(settings.discovery(negative_strength=negative_strength), success=success)
+    for labelled in trajectories:
+        discovery.add(labelled.trajectory, labelled.features)
+    return discovery
+
+
+def first_subgoal(
+    settings: PaperSettings,
+    trajectories: Sequence[LabelledTrajectory],
+    *,
+    success: SuccessRule = reported_success,
+    negative_strength: float | None = None,
+) -> tuple[int, Cell] | None:
+    """Trial and cell of the first subgoal that the callback would have found; None if it finds none.
+
+    The trajectories are those of an agent without options, so this is exact up to the first subgoal.
+    """
+    discovery = discovery_of(settings, [], success=success, negative_strength=negative_strength)
+    for trial, labelled in enumerate(trajectories, start=1):
+        added = discovery.add(labelled.trajectory, labelled.features)
+        if added.success or discovery.settings.negative_bags:
+            subgoal = discovery.search()
+            if subgoal is not None:
+                return trial, cell_of(subgoal.points[0])
+    return None
+
+
+def most_visited(
+    world: GridWorld, discovery: SubgoalDiscovery, *, first_only: bool, rng: np.random.Generator
+) -> Cell | None:
+    """The baseline: the cell that most trajectories visited (or that was visited most) and that may be a subgoal.
+
+    Args:
+        world: The gridworld.
+        discovery: Its trajectories are counted, and its static filter is used.
+        first_only: First visits, or every visit.
+        rng: Breaks ties.
+
+    Returns:
+        The cell; None while there are too few trajectories for bags.
+    """
+    if discovery.bags() is None or discovery.scale is None:
+        return None
+    settings = discovery.settings
+    static_filter = near_start_and_goal(settings.start_radius, settings.goal_radius)
+    counts = np.zeros(world.walls.shape, dtype=np.int64)
+    for labelled in discovery.database:
+        scaled = labelled.features * discovery.scale
+        keep = static_filter(scaled, scaled[0], scaled[labelled.trajectory.visits[-1]])
+        x, y = labelled.features.astype(np.int64)[keep].T
+        times = np.bincount(labelled.trajectory.visits, minlength=len(labelled.features))[keep]
+        np.add.at(counts, (y, x), 1 if first_only else times)
+    best = np.argwhere(counts == counts.max())
+    y, x = best[int(rng.integers(len(best)))]
+    return int(x), int(y)
+
+
+def ratio_interval(ours: FloatArray, theirs: FloatArray) -> Interval:
+    """Ratio of the means of paired values, with a 95 % bootstrap interval over the pairs (bias-corrected)."""
+    ratio = float(ours.mean() / theirs.mean())
+    if len(ours) < 2 or np.ptp(ours / theirs) == 0:
+        return Interval(ratio, ratio, ratio)
+    result = bootstrap(
+        (ours, theirs),
+        lambda a, b, axis: a.mean(axis=axis) / b.mean(axis=axis),
+        paired=True,
+        vectorized=True,
+        confidence_level=CONFIDENCE,
+        n_resamples=N_RESAMPLES,
+        rng=np.random.default_rng(0),
+    )
+    return Interval(ratio, float(result.confidence_interval.low), float(result.confidence_interval.high))
+
+
+def window(curves: FloatArray, first: int, last: int) -> FloatArray:
+    """Mean over trials first … last of each run, (runs, trials) → (runs,); over the last trial if there are fewer."""
+    chosen = curves[:, first : last + 1]
+    means: FloatArray = (chosen if chosen.shape[1] else curves[:, -1:]).mean(axis=1)
+    return means
+
+
+def curve_interval(curves: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean of (runs, trials) for each trial, and its 95 % percentile bootstrap interval."""
+    n = len(curves)
+    weights = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=N_CURVE_RESAMPLES) / n
+    low, high = np.quantile(weights @ curves, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], axis=0)
+    return curves.mean(axis=0), low, high
+
+
+def by_ten(curves: FloatArray) -> list[dict[str, float]]:
+    """Mean steps of trials 0–9, 10–19, …, each with its interval over runs."""
+    means = []
+    for first in range(0, curves.shape[1], 10):
+        interval = mean_interval(window(curves, first, first + 9))
+        means.append({"first_trial": first, **interval._asdict()})
+    return means

@@ -1,0 +1,151 @@
+"""The study leaves every picture and number it promises; what its pieces say is checked against hand-made cases."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from experiments.paper import agents, conditions, measures
+from experiments.paper.__main__ import GROUPS, Study, main
+from experiments.paper.settings import IN_PAPER, PaperSettings
+from sb3_options.trajectories import LabelledTrajectory
+from tests.helpers import trajectory_of
+
+TINY = PaperSettings(
+    trials=6,
+    min_positive=2,
+    threshold=0.05,
+    max_places=50,
+    histogram_trials=(2, 5),
+    density_trials=4,
+    transfer_trials=2,
+    reuse_trials=1,
+    negative_step_limit=300,
+    negative_trials=6,
+    replay_sweeps=2,
+)
+RATIO = {"mean", "low", "high"}
+CLAIMS = {
+    "doorway_stands_out_more_in_first_visits",
+    "option_median_trial",
+    "subgoals_near_doorway",
+    "steps_trials_30_39",
+    "steps_trials_20_199",
+    "asymptote_trials_250_299",
+    "asymptote_not_hurt",
+    "difference_exceeds_one_sd_trials_30_39",
+    "whole_replay_helps",
+    "option_beats_whole_replay",
+    "partial_replay_like_option",
+    "whole_replay_once_helps",
+    "option_beats_whole_replay_once",
+    "partial_replay_once_like_option",
+    "transfer_trials_0_49",
+    "value_reuse_whole_worse_than_option",
+    "value_reuse_partial_worse_than_option",
+    "random_no_better_trials_30_39",
+    "random_no_better_trials_20_199",
+    "handmade_as_good_trials_30_39",
+    "handmade_as_good_trials_20_199",
+}
+
+
+@pytest.mark.slow
+def test_all_figures_with_their_numbers_and_again_from_what_was_kept(tmp_path: Path) -> None:
+    study = Study("all", tmp_path, runs=2, first_seed=0, jobs=1, settings=TINY)
+    main(study)
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert {path.stem for path in tmp_path.glob("*.png")} == set(GROUPS) == set(results["figures"])
+    assert set(results) == {"command", "n_runs", "seconds", "settings", "claims", "figures"}
+    assert results["n_runs"] == 2
+    assert set(results["claims"]) == CLAIMS
+    assert all(set(c) == {"name", "value", "low", "high", "bar", "reached"} for c in results["claims"].values())
+    assert results["settings"]["decay"] == {"value": 0.9, "in_paper": None}
+    assert set(results["figures"]["figure2"]) >= {"diverse_density", "first_visit_baseline", "option_trial"}
+    for figure in ("figure3", "figure4", "figure5", "figure6", "controls"):
+        assert all(set(ratio) == RATIO for ratio in results["figures"][figure]["ratios"].values())
+
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("groups/*/seeds/*.json")}
+    assert len(kept) == 2 * 5
+    main(dataclasses.replace(study, figure="figure3"))
+    again = json.loads((tmp_path / "results.json").read_text())
+    assert again["figures"]["figure3"] == results["figures"]["figure3"]
+    assert kept == {path: path.stat().st_mtime_ns for path in kept}
+
+
+@pytest.mark.slow
+def test_agents_of_a_seed_are_the_same_until_the_option(tmp_path: Path) -> None:
+    learned = conditions.learning(TINY, tmp_path, 1)
+    controls = conditions.controls(TINY, 1)
+    made = learned["option"]["trial"]
+    assert 1 < made < TINY.trials
+    curves = [learned["primitive"], learned["discovery"], *(controls[name] for name in conditions.REPLAYS)]
+    assert len({tuple(curve[:made]) for curve in curves}) == 1
+    assert all(len(curve) == TINY.trials for curve in curves)
+    assert learned["primitive"] == agents.live(agents.make_agent(TINY, 1), TINY.trials).lengths
+    assert learned == conditions.learning(TINY, tmp_path, 1)
+
+
+def test_every_setting_says_whether_the_paper_gives_it() -> None:
+    assert set(IN_PAPER) == {field.name for field in dataclasses.fields(PaperSettings)}
+
+
+def walk(*cells: tuple[int, int], goal: bool = True) -> LabelledTrajectory:
+    trajectory = trajectory_of([np.array(c, dtype=np.float64) for c in cells], terminated=goal, is_success=goal)
+    return LabelledTrajectory(trajectory, np.asarray(trajectory.states), goal)
+
+
+def world() -> Any:
+    return agents.world_of(agents.make_agent(PaperSettings(), 0))
+
+
+def test_visits_are_counted_by_hand() -> None:
+    trajectories = [walk((0, 0), (1, 0), (0, 0), (1, 0)), walk((1, 0), (2, 0))]
+    every = measures.visit_counts(world(), trajectories, first_only=False)
+    first = measures.visit_counts(world(), trajectories, first_only=True)
+    assert every[0, :4].tolist() == [2, 3, 1, 0]
+    assert first[0, :4].tolist() == [1, 2, 1, 0]
+
+
+def test_the_doorway_is_what_every_crossing_visits() -> None:
+    settings = PaperSettings(min_positive=2, threshold=0.05)
+    paths = [walk(*((5, y) for y in range(s, 5)), *((x, 5) for x in range(5, 21)), (20, 9)) for s in (0, 1, 2)]
+    found = measures.first_subgoal(settings, paths)
+    assert found is not None
+    discovery = measures.discovery_of(settings, paths)
+    density = measures.density_map(world(), discovery)
+    assert density is not None
+    assert density[5, 10] > density[0, 0]
+    assert np.isnan(density[0, 10])
+    assert measures.distance_to_doorway(world(), (9, 4)) == 2
+    assert measures.most_visited(world(), discovery, first_only=True, rng=np.random.default_rng(0)) is not None
+
+
+def test_ratios_and_windows() -> None:
+    theirs = np.array([2.0, 4.0, 6.0])
+    assert measures.ratio_interval(theirs / 2, theirs) == (0.5, 0.5, 0.5)
+    interval = measures.ratio_interval(np.array([1.0, 3.0, 2.0]), theirs)
+    assert interval.low < interval.mean == 0.5 < interval.high
+    curves = np.arange(12.0).reshape(2, 6)
+    assert measures.window(curves, 2, 3).tolist() == [2.5, 8.5]
+    assert measures.window(curves, 50, 60).tolist() == [5.0, 11.0]
+
+
+def test_the_doorway_option_walks_a_shortest_path() -> None:
+    grid = world()
+    option = conditions.doorway_option(grid)
+    for start, steps in (((0, 0), 15), ((9, 5), 1), ((3, 9), 11)):
+        (x, y), taken = start, 0
+        while not option.termination(one_hot(grid, x, y))[0]:
+            assert option.initiation(one_hot(grid, x, y))[0]
+            dx, dy = ((0, -1), (0, 1), (-1, 0), (1, 0))[int(option.policy(one_hot(grid, x, y))[0])]
+            x, y, taken = x + dx, y + dy, taken + 1
+        assert taken == steps
+    assert not option.initiation(one_hot(grid, 12, 5))[0]
+
+
+def one_hot(grid: Any, x: int, y: int) -> Any:
+    return np.eye(grid.walls.size, dtype=np.float32)[[y * grid.width + x]]
