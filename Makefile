@@ -13,7 +13,7 @@ paper: $(READY)  ## The paper's gridworld figures, 30 runs each, into out/paper
 	$(BIN)/python -m experiments.paper all --runs 30 --out out/paper $(ARGS)
 
 test: $(READY)  ## All tests
-	$(BIN)/python -m pytest -n 2 $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist loadscope $(ARGS)
 
 lint: $(READY)  ## Style and types
 	$(BIN)/ruff check .

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -147,8 +149,16 @@ def _report(discovery: SubgoalDiscoveryCallback, folder: Path, *, finished: bool
         console.print("No subgoal was discovered: no peak of diverse density persisted long enough.")
     path = escape(str(folder))
     console.print(f"Run folder:   {path}")
-    console.print(f"TensorBoard:  tensorboard --logdir {path}")
-    console.print(f"Evaluate:     python train.py evaluate {path} --video {path}/video.mp4")
+    python = escape(_python())
+    console.print(f"TensorBoard:  {python} -m tensorboard.main --logdir {path}")
+    console.print(f"Evaluate:     {python} train.py evaluate {path} --video {path}/video.mp4")
+
+
+def _python() -> str:
+    """What to type for this interpreter: it may be in a virtual environment that nobody activated."""
+    if shutil.which("python") == sys.executable:
+        return "python"
+    return min(sys.executable, os.path.relpath(sys.executable), key=len)
 
 
 def evaluate(config: EvaluateConfig) -> evaluation.Evaluation:

@@ -79,14 +79,3 @@ def is_closed(policy: Any, action: int) -> bool:
     layer, outputs = option_outputs(policy)[0]
     rows = _rows(layer, outputs, action)
     return bool((layer.bias[rows] <= CLOSED_VALUE / 2).all())
-
-
-@torch.no_grad()
-def forget_optimizer_moments(policy: Any, action: int) -> None:
-    """Zero the optimizer's moments of one action, when a slot is emptied and may be filled by another option."""
-    layer, outputs = option_outputs(policy)[0]
-    rows = _rows(layer, outputs, action)
-    for parameter in (layer.weight, layer.bias):
-        for value in policy.optimizer.state.get(parameter, {}).values():
-            if isinstance(value, torch.Tensor) and value.shape == parameter.shape:
-                value[rows] = 0.0

@@ -186,6 +186,9 @@ class _Cells:
             axes.set_yticks([])  # there is but one feature to show
         elif np.isclose(self.side[0], self.side[1]):
             axes.set_aspect("equal")
+        if np.array_equal(self.positions, np.round(self.positions)):
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+            axes.yaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_title(title)
 
 

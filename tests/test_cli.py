@@ -117,8 +117,9 @@ class TestTrain:
         assert abs(int(row[1]) - 4) + abs(int(row[2]) - 2) <= 1
         shown = run.folder.relative_to(run.folder.parents[2])
         assert f"Run folder:   {shown}\n" in run.printed
-        assert f"TensorBoard:  tensorboard --logdir {shown}\n" in run.printed
-        assert f"python train.py evaluate {shown} --video {shown}/video.mp4" in run.printed
+        board = re.search(rf"TensorBoard:  (\S+) -m tensorboard.main --logdir {shown}\n", run.printed)
+        assert board is not None
+        assert f"{board[1]} train.py evaluate {shown} --video {shown}/video.mp4" in run.printed
 
     def test_makes_a_new_folder_each_time(self, tmp_path: Path) -> None:
         config = TrainConfig(tensorboard_log=tmp_path, env="a/B-v0")

@@ -131,22 +131,6 @@ def test_training_leaves_closed_heads_closed(algorithm: type[OffPolicyAlgorithm]
     assert set(stored[:, 0]) == set(range(N_PRIMITIVE))
 
 
-def test_forgetting_moments_leaves_those_of_other_actions() -> None:
-    model = model_of(DQN, **RANDOM)
-    env_of(model).env_method("set_option", 0, steady_option(max_duration=3))
-    model.learn(300)
-    layer = heads.option_outputs(model.policy)[0][0]
-    state = model.policy.optimizer.state[layer.weight]
-    before = {k: v.clone() for k, v in state.items()}
-    assert before["exp_avg"][N_PRIMITIVE].abs().sum() > 0
-    heads.forget_optimizer_moments(model.policy, N_PRIMITIVE)
-    others = [a for a in range(N_ACTIONS) if a != N_PRIMITIVE]
-    for key in ("exp_avg", "exp_avg_sq"):
-        assert (state[key][N_PRIMITIVE] == 0).all()
-        assert torch.equal(state[key][others], before[key][others])
-    assert torch.equal(state["step"], before["step"])
-
-
 def test_an_unknown_policy_is_refused() -> None:
     model = PPO("MlpPolicy", small_rooms(), n_steps=16, batch_size=16)
     with pytest.raises(TypeError, match=r"heads of ActorCriticPolicy are not known: options can be .* for DQN, QRDQN"):

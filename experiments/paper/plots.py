@@ -21,6 +21,9 @@ Groups = Mapping[str, list[Result]]
 
 COLOURS = ("#d62728", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e", "#8c564b")
 
+SHORTEST = 10
+"""Primitive steps: below every mean, where the band of one SD would only go on downwards."""
+
 WALL_COLOUR = "#4a6fa5"
 
 CURVES: dict[str, list[tuple[str, str, str]]] = {
@@ -76,6 +79,7 @@ def _curves(name: str, groups: Groups) -> Figure:
             deviation = curves.std(axis=0)
             axes.fill_between(trials, np.maximum(mean - deviation, 1), mean + deviation, color=colour, alpha=0.08)
     axes.set_yscale("log")
+    axes.set_ylim(bottom=SHORTEST)
     axes.set_xlabel("trial")
     axes.set_ylabel("primitive steps to the goal")
     n = len(groups[CURVES[name][0][0]])

@@ -30,16 +30,16 @@ class PaperSettings:
     step_limit: int | None = None
 
     decay: float = 0.9
-    threshold: float = 0.7
+    threshold: float = 0.6
     gaussian_scale: float = 1.0
     start_radius: float = 2.0
-    goal_radius: float = 5.0
+    goal_radius: float = 7.0
     min_positive: int = 8
-    max_places: int = 2
+    max_places: int = 1
     peak_radius: float = 1.5
     search: Literal["exhaustive", "gradient"] = "exhaustive"
 
-    initiation_steps: int = 30
+    initiation_steps: int = 50
     initiation_visits: Literal["first", "every"] = "first"
     replay_sweeps: int = 20
     replay_order: Literal["forward", "backward"] = "forward"

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,8 @@ import pytest
 
 from experiments.paper import agents, conditions, measures
 from experiments.paper.__main__ import GROUPS, Study, main
+from experiments.paper.report import Report
+from experiments.paper.report import main as fill_in
 from experiments.paper.settings import IN_PAPER, PaperSettings
 from sb3_options.trajectories import LabelledTrajectory
 from tests.helpers import trajectory_of
@@ -67,6 +70,18 @@ def test_all_figures_with_their_numbers_and_again_from_what_was_kept(tmp_path: P
     assert set(results["figures"]["figure2"]) >= {"diverse_density", "first_visit_baseline", "option_trial"}
     for figure in ("figure3", "figure4", "figure5", "figure6", "controls"):
         assert all(set(ratio) == RATIO for ratio in results["figures"][figure]["ratios"].values())
+
+    document = tmp_path / "paper.md"
+    shutil.copy(Path(__file__).parents[2] / "docs" / "paper.md", document)
+    fill_in(Report(tmp_path / "results.json", document))
+    filled = document.read_text()
+    assert "| `decay` | 0.9 | no |" in filled
+    assert all(f"`{claim}`" in filled for claim in CLAIMS)
+    fill_in(Report(tmp_path / "results.json", document))
+    assert document.read_text() == filled
+    document.write_text("no markers")
+    with pytest.raises(ValueError, match="must have one <!-- run --> and one <!-- end run --> after it"):
+        fill_in(Report(tmp_path / "results.json", document))
 
     kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("groups/*/seeds/*.json")}
     assert len(kept) == 2 * 5
