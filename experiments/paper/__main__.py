@@ -59,7 +59,7 @@ class Study:
     figure: tyro.conf.Positional[Literal["all"] | FigureName]
     out: Annotated[Path, tyro.conf.arg(name="out")]
     runs: int = 30
-    first_seed: int = 1000
+    first_seed: int = 2000
     jobs: int | None = None
     settings: PaperSettings = field(default_factory=PaperSettings)
 

@@ -15,7 +15,7 @@ TRANSFER_GOAL = (20, 0)
 
 @dataclass(frozen=True)
 class PaperSettings:
-    """The defaults of what the paper leaves open were chosen on seeds 0 to 19; reported seeds count from 1000.
+    """The defaults of what the paper leaves open were chosen on seeds 0 to 19; reported seeds count from 2000.
 
     `IN_PAPER` says for each field what the paper says of it.
     """
