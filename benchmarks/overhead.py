@@ -131,7 +131,7 @@ def draw(rates: dict[str, list[float]]) -> Figure:
     for kind, values in rates.items():
         axes.plot(range(1, len(values) + 1), values, marker=".", label=kind)
     axes.set_xlabel("turn")
-    axes.set_ylabel("primitive steps per second")
+    axes.set_ylabel("primitive steps per second of processor time")
     axes.set_ylim(bottom=0)
     axes.legend()
     return figure
