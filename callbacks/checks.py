@@ -6,7 +6,7 @@ from typing import Any
 
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env import VecEnv, VecTransposeImage, is_vecenv_wrapped
 
 from sb3_options import heads
 from sb3_options.macro_q import MacroQ
@@ -42,10 +42,24 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
             f"OptionsWrapper discounts with gamma={different[0]}, {type(model).__name__} with gamma={model_gamma}: "
             "give both the same."
         )
+    _check_nothing_above_changes_observations(model, venv)
     if venv.env_method("feature_kind", indices=[0])[0] is None:
         raise ValueError(
             f"There is no default feature map for {venv.observation_space}: pass OptionsWrapper(env, "
             "feature_map=...) a function from a batch of observations to features of shape (batch, d)."
+        )
+
+
+def _check_nothing_above_changes_observations(model: BaseAlgorithm, venv: VecEnv) -> None:
+    """Refuse wrappers above `OptionsWrapper` that change observations: options act on what the wrapper sees."""
+    seen: spaces.Space[Any] = venv.env_method("seen_observation_space", indices=[0])[0]
+    if model.get_vec_normalize_env() is not None or is_vecenv_wrapped(venv, VecTransposeImage):
+        return  # both are undone where it matters
+    if seen != venv.observation_space:
+        raise ValueError(
+            f"Between OptionsWrapper and the algorithm observations change from {seen} to {venv.observation_space}: "
+            "put what changes them (VecFrameStack, an observation wrapper) beneath OptionsWrapper, for instance "
+            "OptionsWrapper(FrameStackObservation(env, 4))."
         )
 
 

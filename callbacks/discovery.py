@@ -71,7 +71,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
         settings: How subgoals are found; a mapping of fields is as good as a `DiscoverySettings`.
         option_settings: How options are learned; likewise.
         success: Which trajectories make positive bags; by default ``info["is_success"]``, or a positive last reward
-            in a terminal state where the environment does not say.
+            above all earlier ones in a terminal state where the environment does not say.
         static_filter: What may be a subgoal; by default not near the start and end of a trajectory.
         max_new_options: Most options to make; by default as many as there are slots.
         save_path: Where to write the options each time one is made; None writes nothing.
@@ -232,7 +232,10 @@ class SubgoalDiscoveryCallback(BaseCallback):
         if self.verbose:
             print(f"Option {slot}: {option.name}, after {self.episodes} episodes and {self.num_timesteps:,} steps")
         if self.save_path is not None:
-            self.bank.save(self.save_path)
+            try:
+                self.bank.save(self.save_path)
+            except OSError as error:
+                logger.warning("The options could not be saved to %s, training goes on: %s", self.save_path, error)
         self._draw()
 
     def _serve(self, slot: int, option: Option) -> None:

@@ -15,6 +15,8 @@ from stable_baselines3.common.callbacks import (
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
+from sb3_options import heads
+from sb3_options.bank import OptionBank
 from sb3_options.callbacks.checks import check_wrapped
 from sb3_options.wrapper import OptionsWrapper
 
@@ -32,6 +34,11 @@ class PrimitiveStepsCallback(BaseCallback):
     def _on_training_start(self) -> None:
         check_wrapped(self.training_env, "The model's environment")
         monitor_primitive_steps(self.training_env)
+        if heads.has_heads(self.model.policy):
+            bank: OptionBank = self.training_env.get_attr("bank", [0])[0]
+            for slot, option in enumerate(bank.slots):
+                if option is None:
+                    heads.close_head(self.model.policy, bank.n_primitive + slot)
 
     def _on_step(self) -> bool:
         count_inner_steps(self, self.locals["infos"])

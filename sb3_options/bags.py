@@ -20,12 +20,13 @@ StaticFilter: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], BoolArr
 def reported_success(trajectory: Trajectory) -> bool:
     """What the environment says in ``info["is_success"]``.
 
-    For one that does not say: whether it ended in a terminal state with a positive reward, the reward peak of Iba
-    (1989) that McGovern & Barto (2001, §2) take over.
+    For one that does not say: whether it ended in a terminal state with a positive reward that exceeds all earlier
+    ones, the reward peak of Iba (1989) that McGovern & Barto (2001, §2) take over.
     """
     if trajectory.is_success is not None:
         return trajectory.is_success
-    return trajectory.terminated and float(trajectory.rewards[-1]) > 0.0
+    rewards = trajectory.rewards
+    return trajectory.terminated and len(rewards) > 0 and float(rewards[-1]) > float(rewards[:-1].max(initial=0.0))
 
 
 def success_by_return(threshold: float) -> SuccessRule:
@@ -83,9 +84,14 @@ def bag_of(features: FloatArray, visits_last: int, scale: FloatArray, static_fil
 
     Returns:
         Instances, shape (n, d), n ≤ m, possibly 0.
+
+    Raises:
+        ValueError: The filter returned another shape.
     """
-    keep = static_filter(features * scale, features[0] * scale, features[visits_last] * scale)
-    kept = features[np.asarray(keep, dtype=bool)]
+    keep = np.asarray(static_filter(features * scale, features[0] * scale, features[visits_last] * scale), dtype=bool)
+    if keep.shape != (len(features),):
+        raise ValueError(f"static_filter must return shape ({len(features)},), one bool a state, got {keep.shape}.")
+    kept = features[keep]
     _, first = np.unique(kept, axis=0, return_index=True)
     bag: FloatArray = kept[np.sort(first)]
     return bag

@@ -73,7 +73,7 @@ def main(args: Sequence[str] | None = None) -> None:
 def train(config: TrainConfig) -> Path:
     """Train, and leave a run folder.
 
-    An interrupt ends training early; what was learned until then is kept.
+    An interrupt or an error ends training early; what was learned until then is kept.
 
     Args:
         config: Of the run.
@@ -118,9 +118,11 @@ def train(config: TrainConfig) -> Path:
         model.learn(config.n_timesteps, callback=callbacks, progress_bar=config.progress, tb_log_name="tensorboard")
     except KeyboardInterrupt:
         finished = False
-    with whole_file(folder / runs.MODEL) as temporary:
-        model.save(temporary)
-    discovery.bank.save(folder / runs.OPTIONS)
+    finally:
+        # Whatever ended it, what was learned until then is kept.
+        with whole_file(folder / runs.MODEL) as temporary:
+            model.save(temporary)
+        discovery.bank.save(folder / runs.OPTIONS)
     if discovery.discovery is not None:
         with whole_file(folder / runs.SUBGOALS) as temporary:
             subgoals_figure(discovery.discovery, discovery.bank).savefig(temporary, dpi=FIGURE_DPI)
@@ -145,6 +147,8 @@ def _report(discovery: SubgoalDiscoveryCallback, folder: Path, *, finished: bool
             )
         console.print("Subgoals discovered:")
         console.print(table)
+    elif discovery.max_new_options == 0:
+        console.print("Discovery was switched off.")
     else:
         console.print("No subgoal was discovered: no peak of diverse density persisted long enough.")
     path = escape(str(folder))

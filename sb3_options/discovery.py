@@ -37,6 +37,8 @@ class DiscoverySettings:
         threshold: Share of the limit λ/(1−λ) that makes a concept persistent.
         peak_radius: A peak belongs to the nearest known concept within this distance.
         peak_tolerance: Peaks whose log diverse density is within this of the best one count as found, in nats.
+        min_density: Geometric mean over the positive bags of Pr(t | bag) that a peak must reach to count as found: a
+            bottleneck lies on nearly every successful trajectory. 0 lets every peak count.
         max_places: If the best diverse density is shared by more separate places than this, they are accidents of few
             or long trajectories, and none counts as found.
         subgoal_radius: The subgoal is everything within this distance of the persistent peak.
@@ -55,6 +57,7 @@ class DiscoverySettings:
     threshold: float = 0.6
     peak_radius: float = 1.5
     peak_tolerance: float = 1e-3
+    min_density: float = 0.5
     max_places: int = 2
     subgoal_radius: float = 0.5
     spacing: float = 3.0
@@ -78,6 +81,8 @@ class DiscoverySettings:
             raise ValueError(f"scale must be positive and finite, got {self.scale}.")
         if not 0.0 < self.negative_strength <= 1.0:
             raise ValueError(f"negative_strength must be in (0, 1], got {self.negative_strength}.")
+        if not 0.0 <= self.min_density <= 1.0:
+            raise ValueError(f"min_density must be in [0, 1], got {self.min_density}.")
         if self.search not in ("gradient", "exhaustive"):
             raise ValueError(f"search must be 'gradient' or 'exhaustive', got {self.search!r}.")
         PeakTracker(decay=self.decay, threshold=self.threshold)  # refuses what is out of its range
@@ -210,7 +215,9 @@ class SubgoalDiscovery:
             peaks = engine.search(bags, starts=self._warm_starts(engine))
             tied = [p.point for p in peaks if p.log_density >= peaks[0].log_density - self.settings.peak_tolerance]
             places = plateau_centres(np.array(tied), self.scale, self.settings.peak_radius)
-            self.tracker.update(places if len(places) <= self.settings.max_places else places[:0], self.scale)
+            log_density = float(engine.log_density(peaks[0].point[None], bags.positive())[0])
+            dense = np.exp(log_density / bags.n_positive) >= self.settings.min_density
+            self.tracker.update(places if dense and len(places) <= self.settings.max_places else places[:0], self.scale)
         self.last = Search(peaks, bags, time.perf_counter() - began)
         self.seconds += self.last.seconds
         return self._new_subgoal()

@@ -162,6 +162,13 @@ def evaluate_run(run: Path, *, episodes: int = 100, seed: int = 10_000, video: P
     for name in (runs.CONFIG, runs.MODEL, runs.OPTIONS):
         if not (run / name).is_file():
             raise FileNotFoundError(f"{run} is no run folder: it lacks {name}.")
+    env_id = configs.load(run / runs.CONFIG).env
+    if ":" in env_id:
+        raise ValueError(
+            f"{run / runs.CONFIG} names the environment {env_id!r}, which would import a module. If you trust it, "
+            "write the id without the module into the configuration, and import the module before evaluating."
+        )
+    runs.check_env_id(env_id)
     if video is None:
         return _play(run, episodes, seed, None)
     with whole_file(video) as temporary:
@@ -174,7 +181,6 @@ def evaluate_run(run: Path, *, episodes: int = 100, seed: int = 10_000, video: P
 
 def _play(run: Path, episodes: int, seed: int, film: Video | None) -> Evaluation:
     config = configs.load(run / runs.CONFIG)
-    runs.check_env_id(config.env)
     venv = runs.make_env(
         config,
         1,

@@ -93,8 +93,9 @@ def _size_of(feature_map: FeatureMap, space: gym.Space[Any], name: str) -> int |
     sample = _sample(space)
     try:
         features = feature_map(sample)
-    except ValueError:
-        # A random element of the space need not be an observation: random pixels, say, show no agent.
+    except Exception:
+        # A random element of the space need not be an observation (random pixels show no agent), and what a user's
+        # function raises then is its own affair; the first observation of an episode settles the size.
         return None
     return checked_size(features, name)
 

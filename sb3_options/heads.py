@@ -38,6 +38,15 @@ def option_outputs(policy: Any) -> list[tuple[torch.nn.Linear, int]]:
     )
 
 
+def has_heads(policy: Any) -> bool:
+    """Whether the policy is one of those whose heads are known."""
+    try:
+        option_outputs(policy)
+    except TypeError:
+        return False
+    return True
+
+
 def _last_linear(network: Any) -> torch.nn.Linear:
     layer = list(network)[-1]
     if not isinstance(layer, torch.nn.Linear):

@@ -60,7 +60,10 @@ class Option:
 
     def policy(self, observations: Observations) -> IntArray:
         """The primitive action π takes in each observation, shape (batch,)."""
-        return self._checked("policy", self._policy(observations), observations).astype(np.int64)
+        actions = self._checked("policy", self._policy(observations), observations)
+        if not np.issubdtype(actions.dtype, np.integer):
+            raise TypeError(f"policy of option {self.name!r} must return whole numbers, got {actions.dtype}.")
+        return actions.astype(np.int64)
 
     def termination(self, observations: Observations) -> FloatArray:
         """β inside I: the probability of ending in each observation, shape (batch,)."""

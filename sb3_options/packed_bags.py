@@ -72,6 +72,13 @@ class Bags:
         smallest = sorted(sorted(range(len(positive)), key=lambda i: self.lengths[i])[:n])
         return distinct(torch.cat([self.instances[:0], *(positive[i] for i in smallest)]).cpu().numpy())
 
+    def positive(self) -> "Bags":
+        """The positive bags alone."""
+        if self.n_positive == len(self.lengths):
+            return self
+        n_instances = sum(self.lengths[: self.n_positive])
+        return Bags(self.instances[:n_instances], self.lengths[: self.n_positive], self.n_positive, self.dtype)
+
     def layout(self, dtype: torch.dtype) -> "Layout":
         """The bags as the kernels read them, in this precision; made once."""
         if dtype not in self._layouts:

@@ -254,6 +254,10 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             )
         return self.features.map(observations)
 
+    def seen_observation_space(self) -> spaces.Space[Any]:
+        """The space of the observations that options act on, whatever stands above."""
+        return self.observation_space
+
     def feature_kind(self) -> feature_maps.FeatureKind | None:
         """Where the feature map comes from; None where there is none."""
         return self.features.kind if self.features else None

@@ -24,6 +24,8 @@ def episode(rewards: list[float], *, terminated: bool = True, is_success: bool |
         (episode([0.0, 1.0], terminated=False), False),
         (episode([0.0, 1.0], terminated=False, is_success=True), True),
         (episode([], terminated=False), False),
+        (episode([]), False),
+        (episode([1.0, 1.0]), False),
     ],
 )
 def test_reported_success(trajectory: Trajectory, success: bool) -> None:

@@ -169,6 +169,16 @@ class TestSearch:
         assert discovery.add(*on_a_line(0, 7, 8)).success
         assert found(discovery) == [7.0]
 
+    def test_what_most_successes_miss_is_no_peak(self) -> None:
+        subgoals = []
+        for min_density in (0.5, 0.0):
+            discovery = SubgoalDiscovery(settings_of(min_density=min_density, max_places=9))
+            for place in (10, 20, 30, 40):
+                discovery.add(*on_a_line(0, place, 60))
+            subgoals.append(found(discovery))
+        assert subgoals[0] is None
+        assert subgoals[1] is not None
+
     def test_seconds_add_up(self) -> None:
         discovery = SubgoalDiscovery(settings_of(threshold=0.9))
         discovery.add(*on_a_line(0, 5, 20))
@@ -322,6 +332,7 @@ RANGES: list[tuple[str, tuple[Any, ...], str]] = [
     ("scale", (0.0, -1.0, math.nan, math.inf), "must be positive and finite, got "),
     ("negative_strength", (0.0, -0.5, 1.5, math.nan), r"must be in \(0, 1\], got "),
     ("search", ("random", None), "must be 'gradient' or 'exhaustive', got "),
+    ("min_density", (-0.1, 1.5, math.nan), r"must be in \[0, 1\], got "),
     ("decay", (0.0, 1.0, -0.1, math.nan), r"\(λ\) must be in \(0, 1\), got "),
     ("threshold", (1.0, -0.1, math.nan), r"must be a share of the limit λ/\(1−λ\), in \[0, 1\), got "),
 ]

@@ -49,7 +49,14 @@ def test_taxi(n_envs: int) -> None:
     )  # fmt: skip
     # A random taxi never brings anybody anywhere, so its success is to get a long way from where it started.
     callback = SubgoalDiscoveryCallback(
-        {"min_positive": 2, "decay": 0.5, "threshold": 0.4, "max_places": 500, "negative_bags": False},
+        {
+            "min_positive": 2,
+            "decay": 0.5,
+            "threshold": 0.4,
+            "max_places": 500,
+            "min_density": 0.0,
+            "negative_bags": False,
+        },
         success=lambda trajectory: len(trajectory.rewards) >= 50,
         max_new_options=1,
     )

@@ -72,6 +72,7 @@ class PaperSettings:
             threshold=self.threshold,
             peak_radius=self.peak_radius,
             max_places=self.max_places,
+            min_density=0.0,
         )
 
     def option(self) -> OptionLearningSettings:
