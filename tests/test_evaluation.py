@@ -5,8 +5,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from sb3_options import OptionsWrapper
-from sb3_options.evaluation import Film, Interval, Video, mean_interval, share_interval
+from sb3_options import OptionsWrapper, runs
+from sb3_options.evaluation import Film, Interval, Video, evaluate_run, mean_interval, share_interval
 from tests.helpers import CountingEnv, steady_option
 from tests.sb3_helpers import read_video
 
@@ -70,3 +70,11 @@ class TestVideo:
         with pytest.raises(ValueError, match="The environment draws no pictures: it has no render_mode 'rgb_array'"):
             video.take(None)
         video.close()
+
+
+def test_a_configuration_that_would_import_a_module_is_refused(tmp_path: Path) -> None:
+    for name in (runs.MODEL, runs.OPTIONS):
+        (tmp_path / name).touch()
+    (tmp_path / runs.CONFIG).write_text("env: evil_module:Foo-v0\n")
+    with pytest.raises(ValueError, match=r"names the environment 'evil_module:Foo-v0', which would import a module"):
+        evaluate_run(tmp_path)

@@ -8,11 +8,11 @@ from sb3_contrib import QRDQN
 from stable_baselines3 import A2C, DQN, PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
-from stable_baselines3.common.vec_env import DummyVecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack
 
-from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper
+from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper, heads
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
-from tests.helpers import DictEnv, place_of
+from tests.helpers import DictEnv, place_of, steady_option
 from tests.sb3_helpers import optioned_rooms, small_rooms
 
 DQN_KWARGS: dict[str, Any] = {"gamma": 0.9, "buffer_size": 200, "learning_starts": 10, "seed": 0}
@@ -140,3 +140,21 @@ class TestArguments:
     def test_max_new_options(self) -> None:
         with pytest.raises(ValueError, match="max_new_options must be at least 0, got -1"):
             SubgoalDiscoveryCallback(max_new_options=-1)
+
+
+def test_what_changes_observations_above_the_options_is_refused() -> None:
+    stacked = VecFrameStack(DummyVecEnv([optioned_rooms]), 2)
+    with pytest.raises(ValueError, match=r"observations change from Box.* to Box.*: put what changes them .* beneath"):
+        dqn(stacked).learn(10, callback=SubgoalDiscoveryCallback())
+    scaled = gym.wrappers.TransformObservation(optioned_rooms(), lambda o: o / 2, spaces.Box(0.0, 0.5, (45,)))
+    assert scaled.env.observation_space.shape == (45,)
+    with pytest.raises(ValueError, match=r"observations change from"):
+        dqn(scaled).learn(10, callback=SubgoalDiscoveryCallback())
+
+
+def test_hand_made_options_alone_close_the_heads_of_empty_slots() -> None:
+    env = optioned_rooms()
+    env.bank.add(steady_option(max_duration=2), 1)
+    model = dqn(env)
+    model.learn(20, callback=PrimitiveStepsCallback())
+    assert [heads.is_closed(model.policy, 4 + slot) for slot in range(4)] == [True, False, True, True]
