@@ -61,8 +61,8 @@ class Option:
     def policy(self, observations: Observations) -> IntArray:
         """The primitive action π takes in each observation, shape (batch,)."""
         actions = self._checked("policy", self._policy(observations), observations)
-        if not np.issubdtype(actions.dtype, np.integer):
-            raise TypeError(f"policy of option {self.name!r} must return whole numbers, got {actions.dtype}.")
+        if not np.array_equal(actions, np.round(actions)):
+            raise ValueError(f"policy of option {self.name!r} must return whole numbers, got {actions}.")
         return actions.astype(np.int64)
 
     def termination(self, observations: Observations) -> FloatArray:
