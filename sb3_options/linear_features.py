@@ -54,8 +54,8 @@ class OneHot:
     def active(self, observations: npt.NDArray[Any]) -> IntArray:
         """The state's index, shape (batch, 1)."""
         if self.coded:
-            index: IntArray = observations.reshape(-1, self.n_features).argmax(axis=1)
-            return index[:, None]
+            index: IntArray = observations.reshape(-1, self.n_features).argmax(axis=1, keepdims=True)
+            return index
         return observations.reshape(-1, 1).astype(np.int64)
 
 

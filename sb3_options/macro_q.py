@@ -316,7 +316,7 @@ class MacroQ(BaseAlgorithm):
     def _explore(self, values: list[float], choices: list[int]) -> int:
         """ε-greedy among ``choices``, ties broken at random."""
         if self._random.random() >= self.epsilon:
-            best = max([values[a] for a in choices])
+            best = max(values) if len(choices) == len(values) else max([values[a] for a in choices])
             choices = [a for a in choices if values[a] == best]
         return choices[0] if len(choices) == 1 else choices[int(self._random.random() * len(choices))]
 

@@ -22,6 +22,7 @@ TINY = PaperSettings(
     min_positive=2,
     threshold=0.05,
     max_places=50,
+    max_extent=50.0,
     histogram_trials=(2, 5),
     density_trials=4,
     transfer_trials=2,
@@ -66,7 +67,7 @@ def test_all_figures_with_their_numbers_and_again_from_what_was_kept(tmp_path: P
     assert results["n_runs"] == 2
     assert set(results["claims"]) == CLAIMS
     assert all(set(c) == {"name", "value", "low", "high", "bar", "reached"} for c in results["claims"].values())
-    assert results["settings"]["decay"] == {"value": 0.9, "in_paper": None}
+    assert results["settings"]["decay"] == {"value": 0.8, "in_paper": None}
     assert set(results["figures"]["figure2"]) >= {"diverse_density", "first_visit_baseline", "option_trial"}
     for figure in ("figure3", "figure4", "figure5", "figure6", "controls"):
         assert all(set(ratio) == RATIO for ratio in results["figures"][figure]["ratios"].values())
@@ -75,7 +76,7 @@ def test_all_figures_with_their_numbers_and_again_from_what_was_kept(tmp_path: P
     shutil.copy(Path(__file__).parents[2] / "docs" / "paper.md", document)
     fill_in(Report(tmp_path / "results.json", document))
     filled = document.read_text()
-    assert "| `decay` | 0.9 | no |" in filled
+    assert "| `decay` | 0.8 | no |" in filled
     assert all(f"`{claim}`" in filled for claim in CLAIMS)
     fill_in(Report(tmp_path / "results.json", document))
     assert document.read_text() == filled
