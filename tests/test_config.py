@@ -18,7 +18,8 @@ EVERY_FIELD_CHANGED = TrainConfig(
     discovery=DiscoverySettings(
         capacity=7, min_positive=2, negative_bags=False, negative_strength=0.5, search="exhaustive", scale=2.5,
         start_radius=1.0, goal_radius=0.0, decay=0.75, threshold=0.25, peak_radius=2.0, peak_tolerance=0.01,
-        subgoal_radius=1.25, spacing=1.5, max_places=6, min_density=0.25,
+        subgoal_radius=1.25, spacing=1.5, max_places=6, max_extent=2.5,
+        min_density=0.25,
     ),
     option=OptionLearningSettings(
         initiation_steps=4, initiation_visits="every", initiation_radius=0.75, max_duration=9, step_reward=-2.0,

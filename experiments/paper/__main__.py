@@ -59,7 +59,7 @@ class Study:
     figure: tyro.conf.Positional[Literal["all"] | FigureName]
     out: Annotated[Path, tyro.conf.arg(name="out")]
     runs: int = 30
-    first_seed: int = 3000
+    first_seed: int = 4000
     jobs: int | None = None
     settings: PaperSettings = field(default_factory=PaperSettings)
 

@@ -128,7 +128,11 @@ def test_visits_are_counted_by_hand() -> None:
 
 def test_the_doorway_is_what_every_crossing_visits() -> None:
     settings = PaperSettings(min_positive=2, threshold=0.05)
-    paths = [walk(*((5, y) for y in range(s, 5)), *((x, 5) for x in range(5, 21)), (20, 9)) for s in (0, 1, 2)]
+    def path(y: int, to: int, row: int) -> LabelledTrajectory:
+        beyond = ((x, row) for x in range(12, 21))
+        return walk(*((x, y) for x in range(4, 10)), (9, to), (9, 5), (10, 5), (11, 5), (11, row), *beyond)
+
+    paths = [path(0, 4, 4), path(8, 6, 6), path(2, 4, 7)]
     found = measures.first_subgoal(settings, paths)
     assert found is not None
     discovery = measures.discovery_of(settings, paths)
