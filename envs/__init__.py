@@ -8,6 +8,8 @@ Each is a `GridWorld`, and `gymnasium.make` passes all of its keyword arguments 
 environment's own ``max_steps``, so that ``gymnasium.make(..., max_steps=None)`` lifts it.
 """
 
+from typing import Any
+
 import gymnasium
 
 from sb3_options.envs.grid_map import Direction
@@ -38,3 +40,15 @@ def _register(name: str, map: str, max_steps: int) -> None:
 _register("TwoRooms", TWO_ROOMS, TWO_ROOMS_MAX_STEPS)
 _register("FourRooms", FOUR_ROOMS, FOUR_ROOMS_MAX_STEPS)
 _register("KeyDoor", KEY_DOOR, KEY_DOOR_MAX_STEPS)
+
+
+def _register_pioneer(name: str, **kwargs: Any) -> None:
+    env_id = f"sb3_options/{name}-v0"
+    if env_id not in gymnasium.registry:
+        gymnasium.register(env_id, entry_point="sb3_options.envs.pioneer:Pioneer", kwargs=kwargs)
+
+
+_register_pioneer("Pioneer")
+_register_pioneer("PioneerCorner", deposit="corner")
+_register_pioneer("PioneerClutter", n_obstacles=4)
+_register_pioneer("PioneerTwoBalls", n_balls=2)
