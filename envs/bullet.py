@@ -88,8 +88,8 @@ class Bullet:
         if self.client < 0:
             self._connect()
         p, client = self.p, self.client
-        p.resetSimulation(client)
-        p.setGravity(0, 0, -GRAVITY, client)
+        p.resetSimulation(physicsClientId=client)
+        p.setGravity(0, 0, -GRAVITY, physicsClientId=client)
         p.setPhysicsEngineParameter(
             fixedTimeStep=self._tick,
             numSubSteps=self._substeps,
@@ -137,21 +137,21 @@ class Bullet:
 
     def set_filter(self, body: int, link: int, group: int, mask: int) -> None:
         """Lets a link collide with, and be hit by rays for, the groups in the mask only."""
-        self.p.setCollisionFilterGroupMask(body, link, group, mask, self.client)
+        self.p.setCollisionFilterGroupMask(body, link, group, mask, physicsClientId=self.client)
 
     def step(self) -> None:
         """Simulates one tick."""
-        self.p.stepSimulation(self.client)
+        self.p.stepSimulation(physicsClientId=self.client)
 
     def position(self, body: int) -> tuple[float, float, float]:
         """Where a body is, m."""
-        position: tuple[float, float, float] = self.p.getBasePositionAndOrientation(body, self.client)[0]
+        position: tuple[float, float, float] = self.p.getBasePositionAndOrientation(body, physicsClientId=self.client)[0]
         return position
 
     def place(self, body: int, x: float, y: float, z: float) -> None:
         """Puts a body somewhere, m, upright and at rest."""
-        self.p.resetBasePositionAndOrientation(body, (x, y, z), (0, 0, 0, 1), self.client)
-        self.p.resetBaseVelocity(body, (0, 0, 0), (0, 0, 0), self.client)
+        self.p.resetBasePositionAndOrientation(body, (x, y, z), (0, 0, 0, 1), physicsClientId=self.client)
+        self.p.resetBaseVelocity(body, (0, 0, 0), (0, 0, 0), physicsClientId=self.client)
 
     def touching(self, body: int) -> set[int]:
         """Numbers of the bodies that touch a body."""
