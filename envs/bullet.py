@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import gymnasium
 
-__all__ = ["Box", "Bullet", "Post", "load_pybullet"]
+__all__ = ["CONTACT_GAP", "Box", "Bullet", "Cylinder", "load_pybullet"]
 
 Point = Sequence[float]
 
@@ -26,7 +26,7 @@ class Box(NamedTuple):
     half_sides: tuple[float, float, float]
 
 
-class Post(NamedTuple):
+class Cylinder(NamedTuple):
     """An upright static cylinder: its middle, radius and height, m."""
 
     middle: tuple[float, float, float]
@@ -58,7 +58,7 @@ class Bullet:
     its pairs) then depends on what was simulated before, so one seed gives one trajectory, bit for bit.
 
     Args:
-        tick: Simulated time of one `step`, s.
+        tick: Simulated time of one call of ``stepSimulation``, s.
         substeps: Physics steps in a tick.
         solver_iterations: Of the constraint solver, per physics step.
         gui: Whether to open Bullet's own window.
@@ -66,6 +66,8 @@ class Bullet:
     Attributes:
         p: The ``pybullet`` module.
         client: The number of the physics client; -1 while there is none.
+        looks: Number of the visual shape that bodies are to have. Without a window that is a speck: meshes like the
+            bodies themselves, which nobody sees, would take most of the time of building a scene.
 
     Raises:
         gymnasium.error.DependencyNotInstalled: PyBullet is not installed.
@@ -74,6 +76,7 @@ class Bullet:
     def __init__(self, tick: float, substeps: int, solver_iterations: int, *, gui: bool = False) -> None:
         self.p: Any = load_pybullet()
         self.client = -1
+        self.looks = -1
         self._tick = tick
         self._substeps = substeps
         self._solver_iterations = solver_iterations
@@ -97,24 +100,26 @@ class Bullet:
             deterministicOverlappingPairs=1,
             physicsClientId=client,
         )
+        if not self._gui:
+            self.looks = int(p.createVisualShape(p.GEOM_BOX, halfExtents=(0.01, 0.01, 0.01), physicsClientId=client))
 
-    def add_static(self, boxes: Sequence[Box], posts: Sequence[Post]) -> int:
-        """Adds boxes and posts as one immovable body, and returns its number."""
+    def add_static(self, boxes: Sequence[Box], cylinders: Sequence[Cylinder]) -> int:
+        """Adds boxes and cylinders as one immovable body, and returns its number."""
         p, client = self.p, self.client
         shape = p.createCollisionShapeArray(
-            shapeTypes=[p.GEOM_BOX] * len(boxes) + [p.GEOM_CYLINDER] * len(posts),
-            halfExtents=[box.half_sides for box in boxes] + [(0, 0, 0)] * len(posts),
-            radii=[0] * len(boxes) + [post.radius for post in posts],
-            lengths=[0] * len(boxes) + [post.height for post in posts],
-            collisionFramePositions=[box.middle for box in boxes] + [post.middle for post in posts],
+            shapeTypes=[p.GEOM_BOX] * len(boxes) + [p.GEOM_CYLINDER] * len(cylinders),
+            halfExtents=[box.half_sides for box in boxes] + [(0, 0, 0)] * len(cylinders),
+            radii=[0] * len(boxes) + [cylinder.radius for cylinder in cylinders],
+            lengths=[0] * len(boxes) + [cylinder.height for cylinder in cylinders],
+            collisionFramePositions=[box.middle for box in boxes] + [cylinder.middle for cylinder in cylinders],
             physicsClientId=client,
         )
-        return int(p.createMultiBody(0, shape, physicsClientId=client))
+        return int(p.createMultiBody(0, shape, self.looks, physicsClientId=client))
 
     def add_floor(self) -> int:
         """Adds the plane z = 0, and returns its number."""
         shape = self.p.createCollisionShape(self.p.GEOM_PLANE, physicsClientId=self.client)
-        floor = int(self.p.createMultiBody(0, shape, physicsClientId=self.client))
+        floor = int(self.p.createMultiBody(0, shape, self.looks, physicsClientId=self.client))
         # Bullet multiplies the frictions of what touches: with 1 here, that of the other body holds.
         self.p.changeDynamics(floor, -1, lateralFriction=1, physicsClientId=self.client)
         return floor
@@ -131,32 +136,25 @@ class Bullet:
         """
         p, client = self.p, self.client
         shape = p.createCollisionShape(p.GEOM_SPHERE, radius=radius, physicsClientId=client)
-        ball = int(p.createMultiBody(mass, shape, basePosition=(x, y, radius), physicsClientId=client))
+        ball = int(p.createMultiBody(mass, shape, self.looks, basePosition=(x, y, radius), physicsClientId=client))
         p.changeDynamics(ball, -1, **dynamics, physicsClientId=client)
         return ball
 
     def set_filter(self, body: int, link: int, group: int, mask: int) -> None:
-        """Lets a link collide with, and be hit by rays for, the groups in the mask only."""
+        """Puts a link (-1: the base) into a group, and lets it collide only with the groups in the mask."""
         self.p.setCollisionFilterGroupMask(body, link, group, mask, physicsClientId=self.client)
-
-    def step(self) -> None:
-        """Simulates one tick."""
-        self.p.stepSimulation(physicsClientId=self.client)
 
     def position(self, body: int) -> tuple[float, float, float]:
         """Where a body is, m."""
-        position: tuple[float, float, float] = self.p.getBasePositionAndOrientation(body, physicsClientId=self.client)[0]
+        position: tuple[float, float, float] = self.p.getBasePositionAndOrientation(body, physicsClientId=self.client)[
+            0
+        ]
         return position
 
     def place(self, body: int, x: float, y: float, z: float) -> None:
         """Puts a body somewhere, m, upright and at rest."""
         self.p.resetBasePositionAndOrientation(body, (x, y, z), (0, 0, 0, 1), physicsClientId=self.client)
         self.p.resetBaseVelocity(body, (0, 0, 0), (0, 0, 0), physicsClientId=self.client)
-
-    def touching(self, body: int) -> set[int]:
-        """Numbers of the bodies that touch a body."""
-        contacts = self.p.getContactPoints(body, physicsClientId=self.client)
-        return {contact[2] for contact in contacts if contact[8] < CONTACT_GAP}
 
     def ray_fractions(self, starts: Sequence[Point], ends: Sequence[Point], mask: int) -> list[float]:
         """How far along each ray the first hit is, 0..1; 1 where nothing is hit."""
@@ -177,6 +175,8 @@ class Bullet:
         except p.error as error:
             raise gymnasium.error.Error(f"PyBullet did not connect: {error}") from error
         if client < 0:
-            what = "its window (is there a display?)" if self._gui else "another physics client: close some environments"
+            what = (
+                "its window (is there a display?)" if self._gui else "another physics client: close some environments"
+            )
             raise gymnasium.error.Error(f"PyBullet could not open {what}")
         self.client = int(client)

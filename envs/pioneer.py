@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from operator import index
-from typing import Any, Literal, NamedTuple, SupportsIndex, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, SupportsIndex, get_args
 
 import gymnasium
 import numpy as np
@@ -12,8 +12,9 @@ from gymnasium import spaces
 from gymnasium.core import RenderFrame
 from numpy.typing import NDArray
 
-from sb3_options.envs.arena import BALL_RADIUS, Arena, Layout
+from sb3_options.envs.arena import BALL_RADIUS, Arena, Layout, Position
 from sb3_options.envs.bullet import Bullet
+from sb3_options.envs.checks import count, number, one_of, step_limit
 from sb3_options.envs.pioneer_robot import CONTROL_RATE, PHYSICS_RATE, SOLVER_ITERATIONS, PioneerRobot
 from sb3_options.envs.pioneer_senses import (
     FIELD_OF_VIEW,
@@ -26,6 +27,9 @@ from sb3_options.envs.pioneer_senses import (
     Senses,
     retina,
 )
+
+if TYPE_CHECKING:
+    from sb3_options.envs.pioneer_view import View
 
 __all__ = ["ACTIONS", "Deposit", "Motion", "ObservationKind", "Pioneer", "RenderMode"]
 
@@ -63,6 +67,9 @@ DEPOSIT_GAP = 0.2
 DEPOSIT_REWARD, TOUCH_REWARD, STEP_REWARD = 10.0, -1.0, -0.1
 """McGovern & Barto (2001), §7."""
 
+MAX_STEPS = 500
+"""By default; a good policy needs a dozen."""
+
 N_SONARS = len(SONARS)
 VISIBLE, DISPLACEMENT, WIDTH, GRIPPING = range(N_SONARS, N_SONARS + 4)
 """Where the observation has them, after the sonars' ranges."""
@@ -99,7 +106,7 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
 
     Args:
         arena_size: Side of the square arena, m.
-        n_obstacles: Round posts in it.
+        n_obstacles: Round obstacles in it.
         n_balls: Balls in it.
         deposit: Where a ball may be deposited: close to any wall, or in the marked corner only, the one of largest x
             and y.
@@ -123,23 +130,31 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
         n_obstacles: int = 0,
         n_balls: int = 1,
         deposit: Deposit = "wall",
-        max_steps: int | None = 500,
+        max_steps: int | None = MAX_STEPS,
         observation: ObservationKind = "sensors",
         render_mode: RenderMode | None = None,
     ) -> None:
-        self.arena = Arena(arena_size, n_obstacles, n_balls)
-        self._deposit = deposit
-        self._max_steps = max_steps
-        self._with_retina = observation == "retina"
-        self.render_mode = render_mode
-        self.action_space = spaces.Discrete(len(ACTIONS))
-        self.observation_space = _observation_space(self._with_retina)
         self._bullet = Bullet(
             1 / CONTROL_RATE, PHYSICS_RATE // CONTROL_RATE, SOLVER_ITERATIONS, gui=render_mode == "human"
         )
+        self._arena = Arena(
+            number(arena_size, "arena_size", low=0),
+            count(n_obstacles, "n_obstacles", low=0),
+            count(n_balls, "n_balls", low=1),
+        )
+        self._corner_only = one_of(deposit, get_args(Deposit), "deposit") == "corner"
+        self._max_steps = step_limit(max_steps)
+        self._with_retina = one_of(observation, get_args(ObservationKind), "observation") == "retina"
+        self.render_mode = None if render_mode is None else one_of(render_mode, get_args(RenderMode), "render_mode")
+        self.action_space = spaces.Discrete(len(ACTIONS))
+        self.observation_space = _observation_space(self._with_retina)
+
         self._robot = PioneerRobot(self._bullet)
         self._senses = Senses(self._bullet, can_hide=n_obstacles > 0)
+        self._view: View | None = None
         self._layout: Layout | None = None
+        self._sensed = Sensed([], [])
+        self._deposited: list[Position] = []
         self._elapsed = 0
         self._over = False
         self._closed = False
@@ -147,34 +162,75 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Starts an episode.
+
+        Args:
+            seed: Seed of the environment's random numbers; None goes on with those there are.
+            options: Where things are to stand instead of at random: ``"robot"`` is (x, y, heading) in m and rad,
+                ``"balls"`` and ``"obstacles"`` are lists of (x, y) in m. The origin is in the arena's middle.
+
+        Returns:
+            The first observation, and an empty info.
+
+        Raises:
+            ValueError: If ``options`` has another key, has the wrong shape, or puts things into each other.
+            gymnasium.error.ClosedEnvironmentError: After `close`.
+            gymnasium.error.Error: If Bullet gives no physics client, or no window.
+        """
+        self._refuse_if_closed("reset")
         super().reset(seed=seed)
-        self._layout = self._chosen(options or {}, self.arena.sample(self.np_random))
-        self._robot.build(self._layout, self.arena.walls, self.arena.posts(self._layout))
+        self._layout = self._arena.sample(self.np_random, **self._arena.given(options or {}))
+        self._robot.build(self._layout, self._arena.walls, self._arena.obstacles(self._layout))
+        self._deposited = []
         self._elapsed = 0
         self._over = False
         return self._observe(), {}
 
     def step(self, action: SupportsIndex) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        motion = ACTIONS[self._checked(action)]
+        """Carries out one of the `ACTIONS`.
+
+        Args:
+            action: 0..6.
+
+        Returns:
+            Observation, reward, terminated, truncated, and the info. A step that deposits the last ball is never
+            truncated.
+
+        Raises:
+            gymnasium.error.ResetNeeded: Before the first reset, and after the end of an episode.
+            gymnasium.error.InvalidAction: If the action is not an integer 0..6.
+            gymnasium.error.ClosedEnvironmentError: After `close`.
+        """
+        self._refuse_if_closed("step")
+        if self._layout is None or self._over:
+            when = "before the first reset()" if self._layout is None else "after the episode's end"
+            raise gymnasium.error.ResetNeeded(f"step() was called {when}: call reset() first")
+        try:
+            chosen = index(action)
+        except TypeError:
+            chosen = -1
+        if not 0 <= chosen < len(ACTIONS):
+            raise gymnasium.error.InvalidAction(f"action must be an integer in 0..{len(ACTIONS) - 1}, got {action!r}")
+
         robot = self._robot
-        held = robot.held
-        touched = robot.carry_out(*motion)
+        carried = robot.held
+        touched = robot.carry_out(*ACTIONS[chosen])
+        deposited = carried is not None and self._may_deposit(robot.balls[carried])
         observation = self._observe()
-        deposited = held is not None and self._may_deposit(*robot.balls[held])
         if deposited:
-            robot.release()
+            self._deposited.append(robot.release())
             observation[GRIPPING] = 0
         self._elapsed += 1
         terminated = deposited and not robot.balls
         truncated = self._elapsed == self._max_steps and not terminated
         self._over = terminated or truncated
-        reward = STEP_REWARD + TOUCH_REWARD * touched + DEPOSIT_REWARD * deposited
         info = {
             "is_success": terminated,
             "deposited": deposited,
             "gripping": robot.held is not None,
             "touched_wall": touched,
         }
+        reward = STEP_REWARD + TOUCH_REWARD * touched + DEPOSIT_REWARD * deposited
         return observation, reward, terminated, truncated, info
 
     def concept_features(self, observations: NDArray[Any]) -> NDArray[np.float64]:
@@ -198,49 +254,62 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
         return observations[:, [DISPLACEMENT, WIDTH]].astype(np.float64)
 
     def render(self) -> RenderFrame | list[RenderFrame] | None:
-        return None
+        """Draws the arena from above; in render mode "human" Bullet's window shows itself.
+
+        Returns:
+            For ``"rgb_array"`` a uint8 picture of shape (544, 480, 3), else None.
+
+        Raises:
+            gymnasium.error.ResetNeeded: Before the first reset.
+            gymnasium.error.ClosedEnvironmentError: After `close`.
+        """
+        if self.render_mode is None:
+            gymnasium.logger.warn("render() does nothing without a render mode: pass render_mode='rgb_array'")
+            return None
+        self._refuse_if_closed("render")
+        if self._layout is None:
+            raise gymnasium.error.ResetNeeded("render() was called before the first reset(): call reset() first")
+        if self.render_mode == "human":
+            return None
+        # Imported late: training draws nothing.
+        from sb3_options.envs.pioneer_view import Scene, View
+
+        if self._view is None:
+            self._view = View(self._arena.half, DEPOSIT_GAP + BALL_RADIUS, corner_only=self._corner_only)
+        robot = self._robot
+        balls = robot.balls.values()
+        scene = Scene(robot.pose, balls, self._deposited, robot.held is not None, self._sensed)
+        return self._view.draw(self._layout, scene)
 
     def close(self) -> None:
+        """Disconnects from Bullet; a second call does nothing."""
         self._closed = True
         self._bullet.close()
 
     def _observe(self) -> NDArray[np.float32]:
         robot = self._robot
-        self._sensed = sensed = self._senses.look(robot.pose, robot.balls.values())
-        seen = sensed.sightings
+        self._sensed = self._senses.look(robot.pose, robot.balls.values())
+        ranges, seen = self._sensed
         ball = (1.0, seen[0].displacement, min(seen[0].width, MAX_WIDTH)) if seen else (0.0, 0.0, 0.0)
-        numbers = np.array((*sensed.ranges, *ball, robot.held is not None), dtype=np.float32)
+        numbers = np.array((*ranges, *ball, robot.held is not None), dtype=np.float32)
         return np.concatenate((numbers, retina(seen))) if self._with_retina else numbers
 
-    def _may_deposit(self, x: float, y: float) -> bool:
-        close = self.arena.wall_gap(x, y) - BALL_RADIUS < DEPOSIT_GAP
-        return close and (self._deposit == "wall" or self.arena.in_marked_corner(x, y))
+    def _may_deposit(self, ball: Position) -> bool:
+        near_wall = self._arena.wall_gap(*ball) - BALL_RADIUS < DEPOSIT_GAP
+        return near_wall and (not self._corner_only or self._arena.in_marked_corner(*ball))
 
-    def _chosen(self, options: dict[str, Any], layout: Layout) -> Layout:
-        unknown = options.keys() - set(Layout._fields)
-        if unknown:
-            raise ValueError(f"options has the unknown key {unknown.pop()!r}")
-        return self.arena.check(layout._replace(**options)) if options else layout
-
-    def _checked(self, action: SupportsIndex) -> int:
+    def _refuse_if_closed(self, method: str) -> None:
         if self._closed:
-            raise gymnasium.error.ClosedEnvironmentError("step() was called after close(): make a new environment")
-        if self._layout is None or self._over:
-            when = "before the first reset()" if self._layout is None else "after the episode's end"
-            raise gymnasium.error.ResetNeeded(f"step() was called {when}: call reset() first")
-        try:
-            number = index(action)
-        except TypeError:
-            number = -1
-        if not 0 <= number < len(ACTIONS):
-            raise gymnasium.error.InvalidAction(f"action must be an integer in 0..{len(ACTIONS) - 1}, got {action!r}")
-        return number
+            raise gymnasium.error.ClosedEnvironmentError(f"{method}() was called after close(): make a new environment")
 
 
-def _observation_space(with_retina: bool) -> spaces.Box:
+def _observation_space(with_retina: bool) -> spaces.Space[NDArray[np.float32]]:
     low = [SONAR_MIN] * N_SONARS + [0, -FIELD_OF_VIEW / 2, 0, 0]
     high = [SONAR_MAX] * N_SONARS + [1, FIELD_OF_VIEW / 2, MAX_WIDTH, 1]
     if with_retina:
         low += [0] * N_PIXELS
         high += [1] * N_PIXELS
-    return spaces.Box(np.array(low, dtype=np.float32), np.array(high, dtype=np.float32), dtype=np.float32)
+    space: spaces.Space[Any] = spaces.Box(
+        np.array(low, dtype=np.float32), np.array(high, dtype=np.float32), dtype=np.float32
+    )
+    return space

@@ -1,48 +1,28 @@
-"""A simulated Pioneer 2-DX: its body, its gripper, and the two PD controllers that carry out its actions.
-
-Dimensions and limits are those of ActivMedia's "Pioneer 2 Mobile Robot Operation Manual" (1999), table of
-specifications, unless a constant says otherwise. In the robot's frame x points ahead, y to the left and z up, and
-the origin is on the floor below the middle of the axle.
-"""
+"""The Pioneer at work: two PD controllers that carry out its actions, and a gripper that closes by itself."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Final
+from typing import NamedTuple
 
-from sb3_options.envs.arena import BALL_RADIUS, Layout, Pose
-from sb3_options.envs.bullet import Box, Bullet, Post
+from sb3_options.envs.arena import BALL_RADIUS, Layout, Pose, Position
+from sb3_options.envs.bullet import CONTACT_GAP, Box, Bullet, Cylinder
+from sb3_options.envs.pioneer_body import (
+    AXLE_TRACK,
+    BALL,
+    BODY,
+    FLOOR,
+    MIDDLE_HEIGHT,
+    PADDLE_OPENING,
+    RAY,
+    SOLID,
+    WHEEL,
+    WHEEL_RADIUS,
+    add_body,
+)
 
-__all__ = ["BODY_RADIUS", "FINGER_TIP", "GRIP_AHEAD", "PADDLE_OPENING", "SOLID", "PioneerRobot"]
-
-BODY_RADIUS = 0.22
-"""m: half of the 44 cm length. The rounded body (44 x 38 cm) is simulated as the cylinder it turns in."""
-
-BODY_BOTTOM, BODY_TOP = 0.06, 0.22
-"""m above the floor: ground clearance of about 6 cm, deck at 22 cm."""
-
-WHEEL_RADIUS = 0.0825
-"""m: the wheels' diameter is 16.5 cm."""
-
-AXLE_TRACK = 0.33
-"""Between the wheels, m."""
-
-CASTER_RADIUS = 0.03
-CASTER_BEHIND = 0.18
-"""m; the single rear caster, a ball without friction here."""
-
-BODY_MASS, WHEEL_MASS, REAR_MASS = 5.0, 0.5, 3.0
-"""kg, 9 kg in all; the batteries and the caster are in the rear, which keeps the nose up when the robot brakes."""
-
-PADDLE_OPENING = 0.24
-"""Between the gripper's open paddles, m."""
-
-FINGER_TIP = 0.34
-"""How far the paddles reach ahead of the axle, m."""
-
-FINGER_HALF_SIDES = (0.08, 0.01, 0.025)
-"""m."""
+__all__ = ["CONTROL_RATE", "GRIP_AHEAD", "PHYSICS_RATE", "SOLVER_ITERATIONS", "PioneerRobot"]
 
 BEAM_AHEAD = 0.30
 """Where the break-beam crosses between the paddles, m ahead of the axle."""
@@ -69,10 +49,6 @@ BALL_DYNAMICS = {
 BALL_MASS = 0.25
 """kg."""
 
-TYRE_FRICTION = 1.0
-BUMPER_FRICTION = 0.2
-
-# --- Physics and control rates.
 PHYSICS_RATE = 60
 """Physics steps per second."""
 
@@ -82,32 +58,44 @@ CONTROL_RATE = 30
 SOLVER_ITERATIONS = 10
 """Of Bullet's default 50: a robot on three wheels needs few."""
 
-TOP_SPEED = 1.2
-"""m/s; the robot's limit is 1.6 m/s."""
-
-TOP_TURN_RATE = math.radians(230)
-"""rad/s; the robot's limit is 300 degrees/s."""
-
-ACCELERATION = 3.0
-"""m/s²: 27 N, which the tyres hold."""
-
-BRAKING = 3.0
-"""m/s²; the speed is kept to what this deceleration can still stop before the target."""
-
-TURN_ACCELERATION = 15.0
-"""rad/s²."""
-
-TURN_BRAKING = 15.0
-"""rad/s²."""
-
 MOTOR_TORQUE = 2.0
 """N m at each wheel."""
 
-DISTANCE_GAINS: Final = (10.0, 0.1)
-"""Proportional gain, (m/s)/m, and derivative gain, (m/s)/(m/s), of the distance controller."""
 
-HEADING_GAINS: Final = (12.0, 0.1)
-"""Proportional gain, (rad/s)/rad, and derivative gain of the heading controller."""
+class PDController(NamedTuple):
+    """Turns how far it still is, and how fast it goes, into the velocity to command.
+
+    Attributes:
+        p: Proportional gain, 1/s.
+        d: Derivative gain.
+        top: Velocity limit, unit/s.
+        acceleration: By how much a command may exceed the last one, unit/s².
+        braking: The command is kept to what this deceleration can still stop in time, unit/s².
+    """
+
+    p: float
+    d: float
+    top: float
+    acceleration: float
+    braking: float
+
+    def command(self, error: float, velocity: float, last: float) -> float:
+        """The next command: p · error − d · velocity, within the limits.
+
+        Args:
+            error: What is still to go, in the controller's unit.
+            velocity: As measured, unit/s.
+            last: The last command, unit/s.
+        """
+        limit = min(self.top, math.sqrt(2 * self.braking * abs(error)), abs(last) + self.acceleration / CONTROL_RATE)
+        return min(max(self.p * error - self.d * velocity, -limit), limit)
+
+
+DISTANCE_CONTROLLER = PDController(p=10.0, d=0.1, top=1.2, acceleration=3.0, braking=3.0)
+"""In m. The 2-DX drives up to 1.6 m/s; 3 m/s² takes 27 N, which the tyres hold."""
+
+HEADING_CONTROLLER = PDController(p=12.0, d=0.1, top=math.radians(230), acceleration=15.0, braking=15.0)
+"""In rad. The 2-DX turns up to 300 degrees/s."""
 
 DISTANCE_TOLERANCE = 0.006
 """An action is settled when the robot is this close to its target, m, ..."""
@@ -121,14 +109,17 @@ SETTLED_SPEED = 0.05
 SETTLED_TURN_RATE = 0.1
 """... and turning slower than this, rad/s."""
 
-TIME_LIMIT = 3.0
+TIME_LIMIT = 3
 """An action that has not settled is given up after this long, s."""
 
 BACK_OFF = 0.05
 """How far the robot rolls back from a wall that it touched, m: enough to turn away without touching it again."""
 
-# Collision groups.
-FLOOR, SOLID, BALL, BODY, WHEEL = 1, 2, 4, 8, 16
+ASIDE = 100.0
+"""Where balls that were taken away lie, x and y in m: outside of any arena."""
+
+WHEELS = (0, 1)
+TORQUES = (MOTOR_TORQUE, MOTOR_TORQUE)
 
 
 class PioneerRobot:
@@ -147,36 +138,34 @@ class PioneerRobot:
     def __init__(self, bullet: Bullet) -> None:
         self._bullet = bullet
         self.pose: Pose = (0.0, 0.0, 0.0)
-        self.balls: dict[int, tuple[float, float]] = {}
+        self.balls: dict[int, Position] = {}
         self.held: int | None = None
         self.on_tick: Callable[[], None] | None = None
         self._grips: list[int] = []
         self._ball_ids: list[int] = []
         self._robot = self._solid = -1
-        self._motion = (0.0, 0.0)
 
-    def build(self, layout: Layout, walls: Sequence[Box], posts: Sequence[Post]) -> None:
+    def build(self, layout: Layout, walls: Sequence[Box], obstacles: Sequence[Cylinder]) -> None:
         """Builds the scene anew, everything at rest."""
         bullet = self._bullet
         bullet.clear()
         floor = bullet.add_floor()
         bullet.set_filter(floor, -1, FLOOR, BALL | WHEEL)
-        self._solid = bullet.add_static(walls, posts)
-        bullet.set_filter(self._solid, -1, SOLID, BALL | BODY)
+        self._solid = bullet.add_static(walls, obstacles)
+        bullet.set_filter(self._solid, -1, SOLID, BALL | BODY | RAY)
         self._ball_ids = [bullet.add_ball(BALL_MASS, BALL_RADIUS, x, y, **BALL_DYNAMICS) for x, y in layout.balls]
         for ball in self._ball_ids:
             bullet.set_filter(ball, -1, BALL, FLOOR | SOLID | BALL | BODY)
-        self._robot = self._add_robot(layout.robot)
+        self._robot = add_body(bullet, *layout.robot)
         self._grips = [self._add_grip(ball) for ball in self._ball_ids]
         self.held = None
         self.balls = dict(enumerate(layout.balls))
         self.pose = layout.robot
-        self._motion = (0.0, 0.0)
 
     def carry_out(self, distance: float, turn: float) -> bool:
         """Moves ahead, or turns, until the controllers have settled.
 
-        A robot that touches a wall or a post stops and backs off: it rolls back `BACK_OFF`, or turns back to the
+        A robot that touches a wall or an obstacle stops and backs off: it rolls back `BACK_OFF`, or turns back to the
         heading it had.
 
         Args:
@@ -184,58 +173,42 @@ class PioneerRobot:
             turn: rad to the left.
 
         Returns:
-            Whether the robot, or the ball in its gripper, touched a wall or a post.
+            Whether the robot, or the ball in its gripper, touched a wall or an obstacle.
         """
+        # Everything that each of some 16 ticks looks up is looked up once.
         p, client, robot, solid = self._bullet.p, self._bullet.client, self._robot, self._solid
-        step, get_pose, get_contacts = p.stepSimulation, p.getBasePositionAndOrientation, p.getContactPoints
-        set_motors, motors, control = p.setJointMotorControlArray, (0, 1), p.VELOCITY_CONTROL
-        torques = (MOTOR_TORQUE, MOTOR_TORQUE)
-        tick = 1 / CONTROL_RATE
-        distance_p, distance_d = DISTANCE_GAINS
-        heading_p, heading_d = HEADING_GAINS
-        gain, turn_gain = ACCELERATION * tick, TURN_ACCELERATION * tick
-        v = w = 0.0  # as commanded
-        to_wheel = 1 / WHEEL_RADIUS
-        half_track = AXLE_TRACK / 2
+        set_motors, step, get_pose = p.setJointMotorControlArray, p.stepSimulation, p.getBasePositionAndOrientation
+        command_speed, command_turn = DISTANCE_CONTROLLER.command, HEADING_CONTROLLER.command
+        velocity_control = p.VELOCITY_CONTROL
 
         x0, y0, heading0 = self.pose
         ahead_x, ahead_y = math.cos(heading0), math.sin(heading0)
+        v = w = 0.0  # as commanded, m/s and rad/s
         speed = turn_rate = 0.0  # as measured
         covered = turned = 0.0
         touched = False
-        for _ in range(int(TIME_LIMIT * CONTROL_RATE)):
-            error = distance - covered
-            limit = min(TOP_SPEED, math.sqrt(2 * BRAKING * abs(error)), abs(v) + gain)
-            v = min(max(distance_p * error - distance_d * speed, -limit), limit)
-            error = turn - turned
-            limit = min(TOP_TURN_RATE, math.sqrt(2 * TURN_BRAKING * abs(error)), abs(w) + turn_gain)
-            w = min(max(heading_p * error - heading_d * turn_rate, -limit), limit)
-            rim = w * half_track
-            set_motors(
-                robot,
-                motors,
-                control,
-                targetVelocities=((v - rim) * to_wheel, (v + rim) * to_wheel),
-                forces=torques,
-                physicsClientId=client,
-            )
+        for _ in range(TIME_LIMIT * CONTROL_RATE):
+            v = command_speed(distance - covered, speed, v)
+            w = command_turn(turn - turned, turn_rate, w)
+            rim = w * AXLE_TRACK / 2
+            wheels = ((v - rim) / WHEEL_RADIUS, (v + rim) / WHEEL_RADIUS)
+            set_motors(robot, WHEELS, velocity_control, targetVelocities=wheels, forces=TORQUES, physicsClientId=client)
             step(client)
-            (x, y, _z), (_, _, qz, qw) = get_pose(robot, client)
+            (x, y, _z), (_qx, _qy, qz, qw) = get_pose(robot, client)
             heading = 2 * math.atan2(qz, qw)
-            progress = (x - x0) * ahead_x + (y - y0) * ahead_y
-            rotation = heading - heading0
-            rotation -= 2 * math.pi * round((rotation - turned) / (2 * math.pi))
-            speed, turn_rate = (progress - covered) / tick, (rotation - turned) / tick
-            covered, turned = progress, rotation
             self.pose = (x, y, heading)
+            progress = (x - x0) * ahead_x + (y - y0) * ahead_y
+            # remainder: the rotation since the last tick, whichever way the heading wraps around
+            rotation = math.remainder(heading - heading0 - turned, math.tau)
+            speed, turn_rate = (progress - covered) * CONTROL_RATE, rotation * CONTROL_RATE
+            covered, turned = progress, turned + rotation
             if self.held is None:
                 self._close_on_ball()
             if self.on_tick is not None:
                 self.on_tick()
-            contacts = get_contacts(solid, physicsClientId=client)
-            if contacts and not touched and self._is_touch(contacts):
+            if not touched and self._is_touching(solid):
                 touched = True
-                distance = covered - BACK_OFF if distance else distance
+                distance = covered - BACK_OFF if distance else 0.0
                 turn = 0.0
             if (
                 abs(distance - covered) < DISTANCE_TOLERANCE
@@ -245,34 +218,43 @@ class PioneerRobot:
             ):
                 break
         for ball in self.balls:
-            bx, by, _ = get_pose(self._ball_ids[ball], client)[0]
-            self.balls[ball] = (bx, by)
+            self.balls[ball] = self._bullet.position(self._ball_ids[ball])[:2]
         return touched
 
-    def release(self) -> None:
-        """Opens the gripper and has the ball taken away."""
+    def release(self) -> Position:
+        """Opens the gripper, has the ball taken away, and says where it was.
+
+        Raises:
+            RuntimeError: The gripper is open.
+        """
         ball = self.held
-        if ball is not None:
-            self._hold(ball, 0.0)
-            self._bullet.place(self._ball_ids[ball], 100.0 + ball, 100.0, BALL_RADIUS)
-            del self.balls[ball]
-            self.held = None
+        if ball is None:
+            raise RuntimeError("release() was called with no ball in the gripper")
+        self._hold(ball, 0.0)
+        self._bullet.place(self._ball_ids[ball], ASIDE + ball, ASIDE, BALL_RADIUS)
+        self.held = None
+        return self.balls.pop(ball)
 
     def _close_on_ball(self) -> None:
         """Closes the gripper if a ball breaks the beam between the paddles."""
         x, y, heading = self.pose
         cos, sin = math.cos(heading), math.sin(heading)
         for ball in self.balls:
-            bx, by, _ = self._bullet.position(self._ball_ids[ball])
-            dx, dy = bx - x, by - y
+            ball_x, ball_y, _z = self._bullet.position(self._ball_ids[ball])
+            dx, dy = ball_x - x, ball_y - y
             if abs(dx * cos + dy * sin - BEAM_AHEAD) < BALL_RADIUS and abs(dy * cos - dx * sin) < BEAM_HALF_WIDTH:
                 self._hold(ball, GRIP_FORCE)
                 self.held = ball
                 return
 
-    def _is_touch(self, contacts: Sequence[tuple[float, ...]]) -> bool:
+    def _is_touching(self, solid: int) -> bool:
+        """Whether the robot or the ball in its gripper touches walls or obstacles."""
+        contacts = self._bullet.p.getContactPoints(solid, physicsClientId=self._bullet.client)
+        if not contacts:
+            return False
         mine = {self._robot} if self.held is None else {self._robot, self._ball_ids[self.held]}
-        return any(contact[2] in mine and contact[8] < 0.002 for contact in contacts)
+        # Of a contact, 2 is the other body's number and 8 the distance between the surfaces, m.
+        return any(contact[2] in mine and contact[8] < CONTACT_GAP for contact in contacts)
 
     def _hold(self, ball: int, force: float) -> None:
         self._bullet.p.changeConstraint(self._grips[ball], maxForce=force, physicsClientId=self._bullet.client)
@@ -287,58 +269,9 @@ class PioneerRobot:
             -1,
             p.JOINT_POINT2POINT,
             (0, 0, 0),
-            (GRIP_AHEAD, 0, BALL_RADIUS - (BODY_BOTTOM + BODY_TOP) / 2),
+            (GRIP_AHEAD, 0, BALL_RADIUS - MIDDLE_HEIGHT),
             (0, 0, 0),
             physicsClientId=client,
         )
         p.changeConstraint(grip, maxForce=0, physicsClientId=client)
         return int(grip)
-
-    def _add_robot(self, pose: Pose) -> int:
-        p, client = self._bullet.p, self._bullet.client
-        x, y, heading = pose
-        middle = (BODY_BOTTOM + BODY_TOP) / 2
-        finger_x, finger_y = FINGER_TIP - FINGER_HALF_SIDES[0], PADDLE_OPENING / 2 + FINGER_HALF_SIDES[1]
-        finger_z = BALL_RADIUS - middle
-        body = p.createCollisionShapeArray(
-            shapeTypes=[p.GEOM_CYLINDER, p.GEOM_BOX, p.GEOM_BOX],
-            radii=[BODY_RADIUS, 0, 0],
-            lengths=[BODY_TOP - BODY_BOTTOM, 0, 0],
-            halfExtents=[(0, 0, 0), FINGER_HALF_SIDES, FINGER_HALF_SIDES],
-            collisionFramePositions=[(0, 0, 0), (finger_x, finger_y, finger_z), (finger_x, -finger_y, finger_z)],
-            physicsClientId=client,
-        )
-        wheel = p.createCollisionShape(p.GEOM_SPHERE, radius=WHEEL_RADIUS, physicsClientId=client)
-        caster = p.createCollisionShape(p.GEOM_SPHERE, radius=CASTER_RADIUS, physicsClientId=client)
-        still = (0, 0, 0, 1)
-        robot = int(
-            p.createMultiBody(
-                BODY_MASS,
-                body,
-                basePosition=(x, y, middle),
-                baseOrientation=(0, 0, math.sin(heading / 2), math.cos(heading / 2)),
-                linkMasses=[WHEEL_MASS, WHEEL_MASS, REAR_MASS],
-                linkCollisionShapeIndices=[wheel, wheel, caster],
-                linkVisualShapeIndices=[-1, -1, -1],
-                linkPositions=[
-                    (0, AXLE_TRACK / 2, WHEEL_RADIUS - middle),
-                    (0, -AXLE_TRACK / 2, WHEEL_RADIUS - middle),
-                    (-CASTER_BEHIND, 0, CASTER_RADIUS - middle),
-                ],
-                linkOrientations=[still] * 3,
-                linkInertialFramePositions=[(0, 0, 0)] * 3,
-                linkInertialFrameOrientations=[still] * 3,
-                linkParentIndices=[0, 0, 0],
-                linkJointTypes=[p.JOINT_REVOLUTE, p.JOINT_REVOLUTE, p.JOINT_FIXED],
-                linkJointAxis=[(0, 1, 0), (0, 1, 0), (0, 0, 1)],
-                physicsClientId=client,
-            )
-        )
-        for link, friction in enumerate((TYRE_FRICTION, TYRE_FRICTION, 0.0, BUMPER_FRICTION), start=0):
-            link = link if link < 3 else -1
-            p.changeDynamics(robot, link, lateralFriction=friction, physicsClientId=client)
-            if link < 0:
-                self._bullet.set_filter(robot, link, BODY, SOLID | BALL)
-            else:
-                self._bullet.set_filter(robot, link, WHEEL, FLOOR)
-        return robot

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sb3_options.envs.arena import BALL_RADIUS, Pose
 from sb3_options.envs.bullet import Bullet
-from sb3_options.envs.pioneer_robot import BODY_RADIUS, SOLID
+from sb3_options.envs.pioneer_body import BODY_RADIUS, SOLID
 
 __all__ = ["CAMERA_AHEAD", "FIELD_OF_VIEW", "MAX_WIDTH", "N_PIXELS", "SONARS", "Sensed", "Senses", "Sighting"]
 
@@ -38,7 +38,7 @@ ARIA, section "Sonar parameters").
 """
 
 SONAR_HEIGHT = 0.19
-"""m above the floor, just below the deck. The balls (16 cm) are lower: sonars see walls and posts only."""
+"""m above the floor, just below the deck. The balls (16 cm) are lower: sonars see walls and obstacles only."""
 
 SONAR_MIN, SONAR_MAX = 0.1, 5.0
 """m: the Pioneer's sonars range from 10 cm to 5 m; nothing nearer or farther can be told apart from the bound."""
