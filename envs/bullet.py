@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes.util
+import sys
 from collections.abc import Sequence
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -170,6 +172,10 @@ class Bullet:
 
     def _connect(self) -> None:
         p = self.p
+        if self._gui and not _has_display():
+            raise gymnasium.error.Error(
+                "Bullet's window cannot be opened, there is no display: use render_mode='rgb_array', or set DISPLAY"
+            )
         try:
             client = p.connect(p.GUI if self._gui else p.DIRECT)
         except p.error as error:
@@ -180,3 +186,19 @@ class Bullet:
             )
             raise gymnasium.error.Error(f"PyBullet could not open {what}")
         self.client = int(client)
+
+
+def _has_display() -> bool:
+    """Whether a window can be opened; without an X server Bullet would not say so, but wait for ever."""
+    if not sys.platform.startswith("linux"):
+        return True
+    library = ctypes.util.find_library("X11")
+    if library is None:
+        return False
+    x11 = ctypes.CDLL(library)
+    x11.XOpenDisplay.restype = ctypes.c_void_p
+    display = x11.XOpenDisplay(None)
+    if not display:
+        return False
+    x11.XCloseDisplay(ctypes.c_void_p(display))
+    return True

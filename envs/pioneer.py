@@ -81,8 +81,8 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
     Actions 0..6 are the `ACTIONS`: forward by three distances, left by two angles, right by two angles. The gripper
     has no action: it closes by itself when a ball is between its paddles, and opens at the end of an action that
     began with the ball in it and ends with the ball where it may be deposited. The ball is then taken away. An action
-    that touches a wall or an obstacle, with the robot or with the ball in the gripper, ends there: the robot backs off
-    by 5 cm, or turns back to where it looked.
+    that touches a wall or an obstacle, with the robot or with the ball in the gripper, ends there: the robot rolls back
+    5 cm and turns to where it looked before, so that it never gets stuck.
 
     Each step costs 0.1, a touch 1 more, and a deposited ball earns 10. An episode terminates when the last ball is
     deposited, and truncates after ``max_steps`` steps. The ``info`` of each step says
@@ -309,7 +309,6 @@ def _observation_space(with_retina: bool) -> spaces.Space[NDArray[np.float32]]:
     if with_retina:
         low += [0] * N_PIXELS
         high += [1] * N_PIXELS
-    space: spaces.Space[Any] = spaces.Box(
-        np.array(low, dtype=np.float32), np.array(high, dtype=np.float32), dtype=np.float32
-    )
+    bounds = (np.array(bound, dtype=np.float32) for bound in (low, high))
+    space: spaces.Space[Any] = spaces.Box(*bounds, dtype=np.float32)
     return space

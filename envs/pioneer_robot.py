@@ -165,8 +165,7 @@ class PioneerRobot:
     def carry_out(self, distance: float, turn: float) -> bool:
         """Moves ahead, or turns, until the controllers have settled.
 
-        A robot that touches a wall or an obstacle stops and backs off: it rolls back `BACK_OFF`, or turns back to the
-        heading it had.
+        A robot that touches a wall or an obstacle stops, rolls back by `BACK_OFF` and turns back to the heading it had.
 
         Args:
             distance: m ahead.
@@ -208,8 +207,7 @@ class PioneerRobot:
                 self.on_tick()
             if not touched and self._is_touching(solid):
                 touched = True
-                distance = covered - BACK_OFF if distance else 0.0
-                turn = 0.0
+                distance, turn = covered - BACK_OFF, 0.0
             if (
                 abs(distance - covered) < DISTANCE_TOLERANCE
                 and abs(turn - turned) < HEADING_TOLERANCE
