@@ -12,7 +12,7 @@ from gymnasium import spaces
 from gymnasium.core import RenderFrame
 from numpy.typing import NDArray
 
-from sb3_options.envs.arena import BALL_RADIUS, Arena, Layout, Position
+from sb3_options.envs.arena import BALL_RADIUS, Arena, Layout, Pose, Position
 from sb3_options.envs.bullet import Bullet
 from sb3_options.envs.checks import count, number, one_of, step_limit
 from sb3_options.envs.pioneer_robot import CONTROL_RATE, PHYSICS_RATE, SOLVER_ITERATIONS, PioneerRobot
@@ -114,6 +114,9 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
         observation: What the agent senses.
         render_mode: ``"rgb_array"`` for pictures, ``"human"`` for Bullet's own window.
 
+    Attributes:
+        bullet: The physics client.
+
     Raises:
         TypeError: If an argument has the wrong type.
         ValueError: If an argument is out of its range, or the arena has no room for robot, balls and obstacles.
@@ -134,7 +137,7 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
         observation: ObservationKind = "sensors",
         render_mode: RenderMode | None = None,
     ) -> None:
-        self._bullet = Bullet(
+        self.bullet = Bullet(
             1 / CONTROL_RATE, PHYSICS_RATE // CONTROL_RATE, SOLVER_ITERATIONS, gui=render_mode == "human"
         )
         self._arena = Arena(
@@ -149,8 +152,8 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
         self.action_space = spaces.Discrete(len(ACTIONS))
         self.observation_space = _observation_space(self._with_retina)
 
-        self._robot = PioneerRobot(self._bullet)
-        self._senses = Senses(self._bullet, can_hide=n_obstacles > 0)
+        self._robot = PioneerRobot(self.bullet)
+        self._senses = Senses(self.bullet, can_hide=n_obstacles > 0)
         self._view: View | None = None
         self._layout: Layout | None = None
         self._sensed = Sensed([], [])
@@ -233,6 +236,16 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
         reward = STEP_REWARD + TOUCH_REWARD * touched + DEPOSIT_REWARD * deposited
         return observation, reward, terminated, truncated, info
 
+    @property
+    def robot_pose(self) -> Pose:
+        """x, y of the middle of the robot's axle, m, and its heading, rad, counter-clockwise from +x."""
+        return self._robot.pose
+
+    @property
+    def ball_positions(self) -> dict[int, Position]:
+        """x, y of the centre of each ball that has not been deposited, m."""
+        return dict(self._robot.balls)
+
     def concept_features(self, observations: NDArray[Any]) -> NDArray[np.float64]:
         """Where the ball is on the retina: the space in which the paper looks for subgoals.
 
@@ -284,7 +297,7 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
     def close(self) -> None:
         """Disconnects from Bullet; a second call does nothing."""
         self._closed = True
-        self._bullet.close()
+        self.bullet.close()
 
     def _observe(self) -> NDArray[np.float32]:
         robot = self._robot

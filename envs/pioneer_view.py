@@ -21,7 +21,7 @@ from sb3_options.envs.pioneer_body import (
 )
 from sb3_options.envs.pioneer_senses import CAMERA_AHEAD, FIELD_OF_VIEW, SONARS, Sensed
 
-__all__ = ["PICTURE_HEIGHT", "PICTURE_WIDTH", "Scene", "View"]
+__all__ = ["BALL", "BODY", "PICTURE_HEIGHT", "PICTURE_WIDTH", "Scene", "View"]
 
 PICTURE_WIDTH, PICTURE_HEIGHT = 480, 544
 """px; multiples of 16, because video encoders pad other sizes."""
@@ -45,11 +45,11 @@ _CONE: Translucent = (38, 92, 204, 22)
 _CONE_EDGE: Colour = (110, 126, 160)
 _BEAM: Colour = (224, 122, 60)
 _TYRE: Colour = (36, 38, 44)
-_BODY: Colour = (196, 52, 48)
+BODY: Colour = (196, 52, 48)
 _BODY_EDGE: Colour = (120, 28, 28)
 _DECK: Colour = (44, 46, 54)
 _PADDLE: Colour = (84, 90, 104)
-_BALL: Colour = (240, 190, 32)
+BALL: Colour = (240, 190, 32)
 _BALL_EDGE: Colour = (150, 110, 8)
 _SHINE: Colour = (255, 244, 200)
 _RETINA: Colour = (24, 26, 32)
@@ -187,7 +187,7 @@ class View:
             angle = math.tau * i / 40
             ahead, left = BODY_RADIUS * math.cos(angle), BODY_RADIUS * math.sin(angle)
             outline.append(_ahead(pose, ahead, min(max(left, -0.15), 0.15)))
-        pen.polygon([self._px(point) for point in outline], fill=_BODY, outline=_BODY_EDGE, width=2 * _SMOOTH)
+        pen.polygon([self._px(point) for point in outline], fill=BODY, outline=_BODY_EDGE, width=2 * _SMOOTH)
         deck = [(0.14, 0.09), (0.18, 0.0), (0.14, -0.09), (-rear + 0.02, -0.1), (-rear + 0.02, 0.1)]
         pen.polygon([self._px(_ahead(pose, *point)) for point in deck], fill=_DECK)
         pen.circle(self._px(_ahead(pose, CAMERA_AHEAD)), 0.035 * self._scale, fill=_TICK)
@@ -209,7 +209,7 @@ class View:
     def _draw_ball(self, pen: ImageDraw.ImageDraw, place: Position) -> None:
         radius = BALL_RADIUS * self._scale
         x, y = self._px(place)
-        pen.circle((x, y), radius, fill=_BALL, outline=_BALL_EDGE, width=_SMOOTH)
+        pen.circle((x, y), radius, fill=BALL, outline=_BALL_EDGE, width=_SMOOTH)
         pen.circle((x - 0.3 * radius, y - 0.3 * radius), 0.25 * radius, fill=_SHINE)
 
 
@@ -235,7 +235,7 @@ def _draw_retina(pen: ImageDraw.ImageDraw, sensed: Sensed) -> None:
     pen.rectangle((left, _STRIP_TOP, right, _STRIP_BOTTOM), fill=_RETINA)
     for sighting in sensed.sightings:
         edges = [left + (right - left) * (0.5 - angle / FIELD_OF_VIEW) for angle in (sighting.left, sighting.right)]
-        pen.rectangle((edges[0], _STRIP_TOP, edges[1], _STRIP_BOTTOM), fill=_BALL)
+        pen.rectangle((edges[0], _STRIP_TOP, edges[1], _STRIP_BOTTOM), fill=BALL)
     middle = (left + right) / 2
     for y in (_STRIP_TOP, _STRIP_BOTTOM):
         pen.line((middle, y - 4 * _SMOOTH, middle, y + 4 * _SMOOTH), fill=_TICK, width=2 * _SMOOTH)
