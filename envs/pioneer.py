@@ -35,7 +35,7 @@ __all__ = ["ACTIONS", "Deposit", "Motion", "ObservationKind", "Pioneer", "Render
 
 Deposit = Literal["wall", "corner"]
 ObservationKind = Literal["sensors", "retina"]
-RenderMode = Literal["human", "rgb_array"]
+RenderMode = Literal["human", "rgb_array", "rgb_array_list"]
 
 
 class Motion(NamedTuple):
@@ -66,6 +66,9 @@ DEPOSIT_GAP = 0.2
 
 DEPOSIT_REWARD, TOUCH_REWARD, STEP_REWARD = 10.0, -1.0, -0.1
 """McGovern & Barto (2001), §7."""
+
+TICKS_PER_PICTURE = 3
+"""Control ticks between the pictures of render mode "rgb_array_list": ten a second."""
 
 MAX_STEPS = 500
 """By default; a good policy needs a dozen."""
@@ -112,7 +115,8 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
             and y.
         max_steps: Steps after which an episode truncates; None for never.
         observation: What the agent senses.
-        render_mode: ``"rgb_array"`` for pictures, ``"human"`` for Bullet's own window.
+        render_mode: ``"rgb_array"`` for a picture at a time, ``"rgb_array_list"`` for all pictures since the last call,
+            ten for each second that the robot moves, ``"human"`` for Bullet's own window.
 
     Attributes:
         bullet: The physics client.
@@ -155,6 +159,11 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
         self._robot = PioneerRobot(self.bullet)
         self._senses = Senses(self.bullet, can_hide=n_obstacles > 0)
         self._view: View | None = None
+        self._pictures: list[RenderFrame] = []
+        self._ticks = 0
+        if self.render_mode == "rgb_array_list":
+            self.metadata = {**self.metadata, "render_fps": CONTROL_RATE // TICKS_PER_PICTURE}
+            self._robot.on_tick = self._film
         self._layout: Layout | None = None
         self._sensed = Sensed([], [])
         self._deposited: list[Position] = []
@@ -187,7 +196,10 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
         self._deposited = []
         self._elapsed = 0
         self._over = False
-        return self._observe(), {}
+        observation = self._observe()
+        if self.render_mode == "rgb_array_list":
+            self._pictures = [self._picture(self._layout)]
+        return observation, {}
 
     def step(self, action: SupportsIndex) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Carries out one of the `ACTIONS`.
@@ -223,6 +235,8 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
         if deposited:
             self._deposited.append(robot.release())
             observation[GRIPPING] = 0
+        if self.render_mode == "rgb_array_list":
+            self._pictures.append(self._picture(self._layout))
         self._elapsed += 1
         terminated = deposited and not robot.balls
         truncated = self._elapsed == self._max_steps and not terminated
@@ -270,7 +284,8 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
         """Draws the arena from above; in render mode "human" Bullet's window shows itself.
 
         Returns:
-            For ``"rgb_array"`` a uint8 picture of shape (544, 480, 3), else None.
+            For ``"rgb_array"`` a uint8 picture of shape (544, 480, 3), for ``"rgb_array_list"`` a list of them, else
+            None.
 
         Raises:
             gymnasium.error.ResetNeeded: Before the first reset.
@@ -282,17 +297,10 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
         self._refuse_if_closed("render")
         if self._layout is None:
             raise gymnasium.error.ResetNeeded("render() was called before the first reset(): call reset() first")
-        if self.render_mode == "human":
-            return None
-        # Imported late: training draws nothing.
-        from sb3_options.envs.pioneer_view import Scene, View
-
-        if self._view is None:
-            self._view = View(self._arena.half, DEPOSIT_GAP + BALL_RADIUS, corner_only=self._corner_only)
-        robot = self._robot
-        balls = robot.balls.values()
-        scene = Scene(robot.pose, balls, self._deposited, robot.held is not None, self._sensed)
-        return self._view.draw(self._layout, scene)
+        if self.render_mode == "rgb_array":
+            return self._picture(self._layout)
+        pictures, self._pictures = self._pictures, []
+        return pictures if self.render_mode == "rgb_array_list" else None
 
     def close(self) -> None:
         """Disconnects from Bullet; a second call does nothing."""
@@ -306,6 +314,23 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
         ball = (1.0, seen[0].displacement, min(seen[0].width, MAX_WIDTH)) if seen else (0.0, 0.0, 0.0)
         numbers = np.array((*ranges, *ball, robot.held is not None), dtype=np.float32)
         return np.concatenate((numbers, retina(seen))) if self._with_retina else numbers
+
+    def _film(self) -> None:
+        """Takes a picture in the middle of an action, now and then."""
+        self._ticks += 1
+        if self._ticks % TICKS_PER_PICTURE == 0 and self._layout is not None:
+            self._observe()
+            self._pictures.append(self._picture(self._layout))
+
+    def _picture(self, layout: Layout) -> NDArray[np.uint8]:
+        # Imported late: training draws nothing.
+        from sb3_options.envs.pioneer_view import Scene, View
+
+        if self._view is None:
+            self._view = View(self._arena.half, DEPOSIT_GAP + BALL_RADIUS, corner_only=self._corner_only)
+        robot = self._robot
+        scene = Scene(robot.pose, robot.balls.values(), self._deposited, robot.held is not None, self._sensed)
+        return self._view.draw(layout, scene)
 
     def _may_deposit(self, ball: Position) -> bool:
         near_wall = self._arena.wall_gap(*ball) - BALL_RADIUS < DEPOSIT_GAP
@@ -322,6 +347,5 @@ def _observation_space(with_retina: bool) -> spaces.Space[NDArray[np.float32]]:
     if with_retina:
         low += [0] * N_PIXELS
         high += [1] * N_PIXELS
-    bounds = (np.array(bound, dtype=np.float32) for bound in (low, high))
-    space: spaces.Space[Any] = spaces.Box(*bounds, dtype=np.float32)
+    space: spaces.Space[Any] = spaces.Box(np.array(low, np.float32), np.array(high, np.float32), dtype=np.float32)
     return space

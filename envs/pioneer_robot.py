@@ -204,6 +204,7 @@ class PioneerRobot:
             if self.held is None:
                 self._close_on_ball()
             if self.on_tick is not None:
+                self._locate_balls()
                 self.on_tick()
             if not touched and self._is_touching(solid):
                 touched = True
@@ -215,8 +216,7 @@ class PioneerRobot:
                 and abs(turn_rate) < SETTLED_TURN_RATE
             ):
                 break
-        for ball in self.balls:
-            self.balls[ball] = self._bullet.position(self._ball_ids[ball])[:2]
+        self._locate_balls()
         return touched
 
     def release(self) -> Position:
@@ -232,6 +232,10 @@ class PioneerRobot:
         self._bullet.place(self._ball_ids[ball], ASIDE + ball, ASIDE, BALL_RADIUS)
         self.held = None
         return self.balls.pop(ball)
+
+    def _locate_balls(self) -> None:
+        for ball in self.balls:
+            self.balls[ball] = self._bullet.position(self._ball_ids[ball])[:2]
 
     def _close_on_ball(self) -> None:
         """Closes the gripper if a ball breaks the beam between the paddles."""

@@ -41,6 +41,7 @@ _WALL: Colour = (52, 58, 70)
 _FLOOR: Colour = (246, 244, 238)
 _GRID: Colour = (232, 229, 220)
 _GOAL: Translucent = (46, 160, 67, 34)
+_MARK: Colour = (46, 160, 67)
 _CONE: Translucent = (38, 92, 204, 22)
 _CONE_EDGE: Colour = (110, 126, 160)
 _BEAM: Colour = (224, 122, 60)
@@ -129,6 +130,9 @@ class View:
             inner = half - CORNER_SIZE
             zone = [(inner, half), (half, half), (half, inner), (edge, inner), (edge, edge), (inner, edge)]
             pen.polygon([self._px(point) for point in zone], fill=_GOAL)
+            far = half + _WALL_PX / self._scale
+            pen.rectangle((self._px((inner, far)), self._px((far, half))), fill=_MARK)
+            pen.rectangle((self._px((half, half)), self._px((far, inner))), fill=_MARK)
         else:
             for band in (
                 ((-half, half), (half, edge)),

@@ -16,9 +16,9 @@ IDS = [f"sb3_options/{name}-v0" for name in ("Pioneer", "PioneerCorner", "Pionee
 N_STEPS = 150
 SEED = 3
 
-FRESH = """
-from tests.envs.test_pioneer_determinism import digest, make
-print(digest(make({env_id!r}), {seed}))
+FRESH = f"""
+from tests.envs.test_pioneer_determinism import IDS, digest, make
+print(*[digest(make(env_id), {SEED}) for env_id in IDS])
 """
 
 
@@ -59,38 +59,40 @@ def test_any_history(env_id: str) -> None:
     second.close()
 
 
-@pytest.mark.parametrize("env_id", IDS)
-def test_fresh_process(env_id: str) -> None:
-    script = FRESH.format(env_id=env_id, seed=SEED)
-    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert result.stdout.split()[-1] == digest(make(env_id), SEED)
+def test_fresh_process() -> None:
+    result = subprocess.run([sys.executable, "-c", FRESH], capture_output=True, text=True, check=True)
+    assert result.stdout.split()[-len(IDS) :] == [digest(make(env_id), SEED) for env_id in IDS]
 
 
-def vector_trajectory(n: int, *, processes: bool) -> list[bytes]:
-    """Observations and rewards of each of ``n`` environments."""
+def vector_trajectory(n: int, start_method: str | None = None) -> list[bytes]:
+    """What each of ``n`` environments shows, in this process or in one each."""
 
     def make_one() -> gymnasium.Env[Any, Any]:
         import sb3_options.envs  # noqa: F401  # a fresh process has to register them
 
         return gymnasium.make("sb3_options/PioneerClutter-v0", max_steps=20)
 
-    vec = SubprocVecEnv([make_one] * n) if processes else DummyVecEnv([make_one] * n)
+    vec = SubprocVecEnv([make_one] * n, start_method) if start_method else DummyVecEnv([make_one] * n)
     vec.seed(SEED)
     record = [[observation.tobytes()] for observation in np.asarray(vec.reset())]
     rngs = [np.random.default_rng(SEED + i) for i in range(n)]
     for _ in range(50):
         observations, rewards, dones, infos = vec.step(np.array([rng.integers(7) for rng in rngs]))
         for i in range(n):
-            record[i].append(np.asarray(observations)[i].tobytes() + bytes([dones[i]]) + rewards[i].tobytes())
+            record[i].append(
+                np.asarray(observations)[i].tobytes() + bytes([bool(dones[i])]) + np.float32(rewards[i]).tobytes()
+            )
             record[i].append(repr(sorted((k, v) for k, v in infos[i].items() if isinstance(v, bool))).encode())
     vec.close()
     return [b"".join(parts) for parts in record]
 
 
-def test_vectorised() -> None:
-    expected = vector_trajectory(4, processes=False)
+# Forking is fast; SB3's own default is the fork server, each of whose processes imports everything anew.
+@pytest.mark.parametrize("start_method", ["fork", pytest.param("forkserver", marks=pytest.mark.slow)])
+def test_vectorised(start_method: str) -> None:
+    expected = vector_trajectory(4)
     assert len(set(expected)) == 4
     for n in (1, 2):
-        assert vector_trajectory(n, processes=False) == expected[:n]
+        assert vector_trajectory(n) == expected[:n]
     for n in (1, 2, 4):
-        assert vector_trajectory(n, processes=True) == expected[:n]
+        assert vector_trajectory(n, start_method) == expected[:n]

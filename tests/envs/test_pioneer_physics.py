@@ -119,7 +119,7 @@ def test_an_obstacle_stops_the_robot_like_a_wall() -> None:
 def test_paddles_take_a_ball_or_push_it_aside(env: Pioneer, off: float, gripped: bool) -> None:
     """A paddle is 12 to 14 cm off the middle: it sends a ball to the side on which its centre is."""
     for side in (1, -1):
-        start(env, -1, 0, 0, ball=(-0.5, side * off))
+        start(env, -1.01, 0, 0, ball=(-0.5, side * off))
         assert env.step(LONG)[4]["gripping"] == gripped
         x, y = env.ball_positions[0]
         if gripped:

@@ -53,7 +53,7 @@ def test_retina_strip_shows_the_interval() -> None:
 def test_tasks_look_different() -> None:
     images = []
     for kwargs in ({}, {"deposit": "corner"}, {"n_obstacles": 2}, {"n_balls": 2}):
-        env = Pioneer(render_mode="rgb_array", **kwargs)  # type: ignore[arg-type]  # one dict for arguments of all types
+        env = Pioneer(render_mode="rgb_array", **kwargs)
         images.append(picture(env))
         env.close()
     assert len({image.tobytes() for image in images}) == 4
@@ -68,6 +68,28 @@ def test_pictures_may_be_kept_and_follow_the_robot() -> None:
     np.testing.assert_array_equal(first, kept)
     np.testing.assert_allclose(where(np.asarray(second), BODY) - where(first, BODY), (0.6, 0), atol=0.03)
     env.close()
+
+
+def test_a_list_of_pictures_shows_the_way() -> None:
+    env = Pioneer(render_mode="rgb_array_list")
+    env.reset(seed=0, options={"robot": (0, 0, 0), "balls": [(1.5, 1.5)]})
+    first = env.render()
+    assert isinstance(first, list)
+    assert len(first) == 1
+    observation = env.step(2)[0]
+    pictures = env.render()
+    assert isinstance(pictures, list)
+    places = [where(np.asarray(image), BODY)[0] for image in pictures]
+    assert len(places) > 5
+    assert places == sorted(places)
+    assert env.render() == []
+    assert env.metadata["render_fps"] == 10
+
+    twin = Pioneer()
+    twin.reset(seed=0, options={"robot": (0, 0, 0), "balls": [(1.5, 1.5)]})
+    np.testing.assert_array_equal(twin.step(2)[0], observation)  # looking changes nothing
+    env.close()
+    twin.close()
 
 
 def test_fast_enough_for_videos() -> None:
