@@ -1,19 +1,18 @@
 """``python -m experiments.paper.report results.json docs/paper.md``: puts the numbers of a study into its document.
 
-What stands between ``<!-- NAME -->`` and ``<!-- end NAME -->`` is replaced, so that no number is copied by hand.
+No number is copied by hand.
 """
 
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
-from sb3_options.atomic import whole_file
+from experiments.documents import fill
 
 SAYS: list[tuple[str, str, str, tuple[str, ...]]] = [
     (
@@ -97,9 +96,8 @@ class Report:
 
 
 def main(report: Report) -> None:
-    """Read, fill in and write."""
+    """Read, and fill in."""
     results = json.loads(report.results.read_text(encoding="utf-8"))
-    text = report.document.read_text(encoding="utf-8")
     parts = {
         "run": f"`{results['command']}`: {results['n_runs']} runs, {results['seconds']:.0f} s.",
         "claims": claims_table(results["claims"]),
@@ -107,19 +105,7 @@ def main(report: Report) -> None:
         "ratios": ratios_table(results["figures"]),
         "settings": settings_table(results["settings"]),
     }
-    for name, part in parts.items():
-        text = _filled(text, name, part, report.document)
-    with whole_file(report.document) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-
-
-def _filled(text: str, name: str, part: str, document: Path) -> str:
-    """The text with ``part`` between the markers of that name."""
-    pieces = re.split(rf"(<!-- (?:end )?{name} -->)", text)
-    if pieces[1::2] != [f"<!-- {name} -->", f"<!-- end {name} -->"]:
-        raise ValueError(f"{document} must have one <!-- {name} --> and one <!-- end {name} --> after it.")
-    pieces[2] = f"\n{part}\n"
-    return "".join(pieces)
+    fill(report.document, parts)
 
 
 def claims_table(claims: dict[str, dict[str, Any]]) -> str:

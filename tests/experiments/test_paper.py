@@ -144,16 +144,6 @@ def test_the_doorway_is_what_every_crossing_visits() -> None:
     assert measures.most_visited(world(), discovery, first_only=True, rng=np.random.default_rng(0)) is not None
 
 
-def test_ratios_and_windows() -> None:
-    theirs = np.array([2.0, 4.0, 6.0])
-    assert measures.ratio_interval(theirs / 2, theirs) == (0.5, 0.5, 0.5)
-    interval = measures.ratio_interval(np.array([1.0, 3.0, 2.0]), theirs)
-    assert interval.low < interval.mean == 0.5 < interval.high
-    curves = np.arange(12.0).reshape(2, 6)
-    assert measures.window(curves, 2, 3).tolist() == [2.5, 8.5]
-    assert measures.window(curves, 50, 60).tolist() == [5.0, 11.0]
-
-
 def test_the_doorway_option_walks_a_shortest_path() -> None:
     grid = world()
     option = conditions.doorway_option(grid)
