@@ -183,9 +183,9 @@ class MacroQ(BaseAlgorithm):
             # After learning: a callback that stops training at the end of an episode loses nothing of it.
             callbacks.update_locals(locals())
             goes_on = callbacks.on_step()
-            self._update_info_buffer(infos, dones)
             self._update_current_progress_remaining(self.num_timesteps, total_timesteps)
             if any(over):
+                self._update_info_buffer(infos, dones)  # infos say something of episodes only at their ends
                 self._episode_num += sum(over)
                 choices = self._choices()  # options may have come, and the environment was reset
                 if log_interval is not None and self._episode_num % log_interval == 0:

@@ -63,7 +63,9 @@ def _figure8(groups: Groups) -> Figure:
     panels[2].set_ylim(0, widest * 1.05)
     panels[2].set_xlabel("displacement, degrees")
     panels[2].set_ylabel("width, degrees")
-    figure.suptitle(f"subgoals of {len(options)} of {len(groups['learning'])} runs; grey: dead ahead, near", fontsize=10)
+    figure.suptitle(
+        f"subgoals of {len(options)} of {len(groups['learning'])} runs; grey: dead ahead, near", fontsize=10
+    )
     return figure
 
 

@@ -128,6 +128,7 @@ def test_visits_are_counted_by_hand() -> None:
 
 def test_the_doorway_is_what_every_crossing_visits() -> None:
     settings = PaperSettings(min_positive=2, threshold=0.05)
+
     def path(y: int, to: int, row: int) -> LabelledTrajectory:
         beyond = ((x, row) for x in range(12, 21))
         return walk(*((x, y) for x in range(4, 10)), (9, to), (9, 5), (10, 5), (11, 5), (11, row), *beyond)
