@@ -215,9 +215,13 @@ class MacroQ(BaseAlgorithm):
             led: Active feature where each step led, shape (n,).
             ended: Whether nothing follows, shape (n,).
         """
-        self._begin_learning()
-        for step in zip(began, actions, rewards, led, ended, strict=True):
-            self._update([step[0]], step[1], step[2], self.gamma, [step[3]], step[4], ())
+        table = self.policy.table()
+        step_size, gamma, n_primitive = cast("float", self.learning_rate), self.gamma, self._n_primitive
+        rows: list[list[float]] = table.tolist()  # eight times faster to write to than an array
+        for state, action, reward, next_state, over in zip(began, actions, rewards, led, ended, strict=True):
+            target = reward if over else reward + gamma * max(rows[next_state][:n_primitive])
+            rows[state][action] += step_size * (target - rows[state][action])
+        table[:] = rows
 
     def _begin_learning(self) -> None:
         self._table = self.policy.table()

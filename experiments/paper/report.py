@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from experiments.documents import fill
+from experiments.documents import fill, number, settings_table
 
 SAYS: list[tuple[str, str, str, tuple[str, ...]]] = [
     (
@@ -116,7 +116,7 @@ def claims_table(claims: dict[str, dict[str, Any]]) -> str:
             claim = claims[name]
             agrees = "yes" if claim["reached"] else "**no**"
             rows.append(
-                f"| {section} | {words} | [{figure}](images/paper/{figure}.png), `{name}` | {_number(claim)} | "
+                f"| {section} | {words} | [{figure}](images/paper/{figure}.png), `{name}` | {number(claim, 'value')} | "
                 f"{claim['bar']} | {agrees} |"
             )
     return "\n".join(rows)
@@ -144,22 +144,8 @@ def ratios_table(figures: dict[str, Any]) -> str:
     rows = ["| figure | ratio of mean steps | number (95 % interval) |", "|---|---|---|"]
     for figure, numbers in figures.items():
         for name, ratio in numbers.get("ratios", {}).items():
-            rows.append(f"| {figure} | `{name}` | {_number({**ratio, 'value': ratio['mean']})} |")
+            rows.append(f"| {figure} | `{name}` | {number(ratio)} |")
     return "\n".join(rows)
-
-
-def settings_table(settings: dict[str, dict[str, Any]]) -> str:
-    """Each setting, and whether the paper gives it."""
-    rows = ["| setting | value | in the paper |", "|---|---|---|"]
-    rows += [f"| `{name}` | {s['value']} | {s['in_paper'] or 'no'} |" for name, s in settings.items()]
-    return "\n".join(rows)
-
-
-def _number(claim: dict[str, Any]) -> str:
-    if claim["value"] is None:
-        return "–"
-    interval = "" if claim["low"] is None else f" ({claim['low']:.2f} to {claim['high']:.2f})"
-    return f"{claim['value']:.2f}{interval}"
 
 
 if __name__ == "__main__":

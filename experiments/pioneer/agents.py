@@ -7,7 +7,6 @@ from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
-import numpy.typing as npt
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
@@ -167,8 +166,3 @@ def described(episodes: Sequence[dict[str, Any]]) -> Result:
         "successes": [bool(e["is_success"]) for e in episodes],
         "touches": [int(e["n_touches"]) for e in episodes],
     }
-
-
-def array(values: Any) -> npt.NDArray[np.float64]:
-    """Numbers as an array."""
-    return np.asarray(values, dtype=np.float64)
