@@ -188,7 +188,7 @@ def _save(start: Start, artifacts: Path, seed: int) -> None:
 def controls(settings: PaperSettings, seed: int) -> Result:
     """Figure 4 and the controls: replay without an option, a hand-made option, and a random subgoal."""
     start = until_option(settings, seed)
-    option, rest = start.option, settings.trials - len(start.lengths)
+    option, rest = start.option, settings.control_trials - len(start.lengths)
     result: Result = {"replayed": {}}
     for name, (whole, sweeps) in REPLAYS.items():
         agent, replay = fork(start.agent), None

@@ -55,7 +55,8 @@ class PaperSettings:
     transfer_success_probability: float = 0.8
     transfer_trials: int = 100
     reuse_trials: int = 50
-    random_step_limit: int = 10_000
+    control_trials: int = 200
+    random_step_limit: int = 5000
     negative_step_limit: int = 2000
     negative_trials: int = 50
 
@@ -131,6 +132,7 @@ IN_PAPER: dict[str, str | None] = {
     "transfer_success_probability": "§6.1: 0.8",
     "transfer_trials": None,
     "reuse_trials": None,
+    "control_trials": None,
     "random_step_limit": "§3: none is mentioned; ours favours the random option, which can hold a run for 10⁶ steps",
     "negative_step_limit": None,
     "negative_trials": None,

@@ -25,6 +25,7 @@ TINY = PaperSettings(
     max_extent=50.0,
     histogram_trials=(2, 5),
     density_trials=4,
+    control_trials=6,
     transfer_trials=2,
     reuse_trials=1,
     negative_step_limit=300,
