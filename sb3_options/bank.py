@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, cast, get_args
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
@@ -16,6 +16,7 @@ from sb3_options import option_policy
 from sb3_options.atomic import whole_file
 from sb3_options.observations import BoolArray, FeatureMap, Observations, batch_size
 from sb3_options.option import Option, Region, SubgoalOption
+from sb3_options.option_policy import PolicyInput
 
 FILE_FORMAT = "sb3-options 1"
 
@@ -156,7 +157,12 @@ class OptionBank:
                 }
                 tensors |= {f"{slot}.{k}": np.ascontiguousarray(a, dtype=np.float64) for k, a in arrays.items()}
                 radii = {"subgoal": float(option.subgoal.radius), "initiation": float(option.initiation_set.radius)}
-                slots[str(slot)] = {"name": option.name, "max_duration": option.max_duration, "radius": radii}
+                slots[str(slot)] = {
+                    "name": option.name,
+                    "max_duration": option.max_duration,
+                    "radius": radii,
+                    "policy_input": option.policy_input,
+                }
             else:
                 slots[str(slot)] = {"name": option.name, "hand_made": True}
         about = json.dumps({"n_primitive": self.n_primitive, "max_options": self.max_options, "slots": slots})
@@ -239,7 +245,10 @@ class OptionBank:
             raise ValueError(
                 f"its initiation set has {initiation.points.shape[1]} features, its subgoal {subgoal.points.shape[1]}"
             )
-        size = self.observation_size
+        policy_input = entry.get("policy_input", "observation")
+        if policy_input not in get_args(PolicyInput):
+            raise ValueError(f"its policy acts on {policy_input!r}, expected one of {', '.join(get_args(PolicyInput))}")
+        size = self.observation_size if policy_input == "observation" else subgoal.points.shape[1]
         if size is None:
             stored = arrays.get("table_states", arrays.get("network_mean"))
             size = 0 if stored is None else stored.shape[-1]
@@ -248,6 +257,7 @@ class OptionBank:
             subgoal,
             initiation,
             policy,
+            policy_input=policy_input,
             feature_map=self.feature_map,
             max_duration=entry["max_duration"],
             name=str(entry["name"]),

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
 from sb3_options.observations import BoolArray, FeatureMap, FloatArray, IntArray, Observations, batch_size, key_of
-from sb3_options.option_policy import OptionPolicy
+from sb3_options.option_policy import OptionPolicy, PolicyInput
 
 JUDGED_BYTES = 1 << 20
 """A `SubgoalOption` remembers its answers for about this many bytes of observations."""
@@ -123,6 +123,7 @@ class SubgoalOption(Option):
         subgoal: β = 1 inside it.
         initiation_set: I is this region without the subgoal: at the subgoal there is nothing left to reach.
         option_policy: π.
+        policy_input: Whether π acts on the observation or on its features φ.
         feature_map: φ; None until `bind` sets it, because functions do not travel in files or between processes.
         max_duration: Longest run, in primitive steps, at least 1.
         name: For people, in logs and figures.
@@ -137,6 +138,7 @@ class SubgoalOption(Option):
         initiation_set: Region,
         option_policy: OptionPolicy,
         *,
+        policy_input: PolicyInput = "observation",
         feature_map: FeatureMap | None = None,
         max_duration: int = 100,
         name: str = "subgoal",
@@ -144,6 +146,7 @@ class SubgoalOption(Option):
         self.subgoal = subgoal
         self.initiation_set = initiation_set
         self.option_policy = option_policy
+        self.policy_input: PolicyInput = policy_input
         self.max_duration = checked_duration(max_duration)
         self.name = name
         self._feature_map = feature_map
@@ -152,10 +155,18 @@ class SubgoalOption(Option):
 
     def bind(self, feature_map: FeatureMap | None) -> SubgoalOption:
         """The same option with φ set."""
+        return self._like(self.option_policy, feature_map)
+
+    def with_policy(self, option_policy: OptionPolicy) -> SubgoalOption:
+        """The same option with another π, not yet bound to φ."""
+        return self._like(option_policy, None)
+
+    def _like(self, option_policy: OptionPolicy, feature_map: FeatureMap | None) -> SubgoalOption:
         return SubgoalOption(
             self.subgoal,
             self.initiation_set,
-            self.option_policy,
+            option_policy,
+            policy_input=self.policy_input,
             feature_map=feature_map,
             max_duration=self.max_duration,
             name=self.name,
@@ -167,7 +178,8 @@ class SubgoalOption(Option):
 
     def policy(self, observations: Observations) -> IntArray:
         """The greedy action of the option's value function, shape (batch,)."""
-        return self.option_policy.actions(observations)
+        sees = self._features(observations) if self.policy_input == "features" else observations
+        return self.option_policy.actions(sees)
 
     def termination(self, observations: Observations) -> FloatArray:
         """1 at the subgoal, else 0, shape (batch,)."""

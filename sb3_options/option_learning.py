@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from numbers import Integral
 from typing import Literal, NamedTuple
@@ -15,7 +15,7 @@ import torch
 from sb3_options import observations as obs_batch
 from sb3_options.observations import BoolArray, FloatArray, IntArray, Observations, flatten
 from sb3_options.option import Region, SubgoalOption
-from sb3_options.option_policy import NetworkPolicy, OptionPolicy, TabularPolicy
+from sb3_options.option_policy import NetworkPolicy, OptionPolicy, PolicyInput, TabularPolicy
 from sb3_options.trajectories import LabelledTrajectory
 
 
@@ -24,6 +24,8 @@ class OptionLearningSettings:
     """How an option is made for a subgoal (McGovern & Barto 2001, §5).
 
     Attributes:
+        policy_input: What the option's policy acts on. ``features`` are enough where the way to the subgoal shows in
+            concept space, and then a few trajectories teach it: there is less to tell apart.
         initiation_steps: n: the states of the last n primitive steps before a visit of the subgoal enter I.
         initiation_visits: ``first`` visit of the subgoal in each trajectory only, which leads forward, or ``every``.
         initiation_radius: An observation lies in I if its features are within this distance, in scaled units, of a
@@ -42,6 +44,7 @@ class OptionLearningSettings:
         step_size: α of that learning, in (0, 1].
     """
 
+    policy_input: PolicyInput = "observation"
     initiation_steps: int = 15
     initiation_visits: Literal["first", "every"] = "first"
     initiation_radius: float = 0.5
@@ -72,6 +75,8 @@ class OptionLearningSettings:
             raise ValueError(f"step_size must be in (0, 1], got {self.step_size}.")
         if self.initiation_visits not in ("first", "every"):
             raise ValueError(f"initiation_visits must be 'first' or 'every', got {self.initiation_visits!r}.")
+        if self.policy_input not in ("observation", "features"):
+            raise ValueError(f"policy_input must be 'observation' or 'features', got {self.policy_input!r}.")
         if self.value_function not in ("auto", "table", "network"):
             raise ValueError(f"value_function must be 'auto', 'table' or 'network', got {self.value_function!r}.")
 
@@ -80,7 +85,7 @@ class Transitions(NamedTuple):
     """Primitive steps of the option's own task, each distinct observation stored once.
 
     Attributes:
-        states: The distinct observations, batch of m.
+        states: The distinct observations, or features where the policy acts on those, batch of m.
         began: Row of ``states`` where each step began, shape (n,).
         actions: Primitive actions, shape (n,).
         rewards: Of the option's own task, shape (n,).
@@ -136,7 +141,7 @@ def option_transitions(
         subgoal: Reaching it ends the task with ``subgoal_reward``.
         initiation: Leaving it ends the task with ``leave_reward``, and so does a terminal state.
         trajectories: The saved ones.
-        settings: The rewards are used.
+        settings: The rewards and ``policy_input`` are used.
 
     Returns:
         The steps; None if there are none.
@@ -154,9 +159,10 @@ def option_transitions(
         if trajectory.terminated:
             goes_on[-1] = False
         began, led, goes_on = began[keep], led[keep], goes_on[keep]
+        seen = labelled.features if settings.policy_input == "features" else trajectory.states
         shared_row = np.zeros(len(inside), dtype=np.int64)
         for local in np.unique(np.concatenate([began, led])):
-            state = obs_batch.take(trajectory.states, slice(local, local + 1))
+            state = obs_batch.take(seen, slice(local, local + 1))
             row = shared_row[local] = row_of.setdefault(obs_batch.key_of(state), len(row_of))
             if row == len(states):
                 states.append(state)
@@ -309,7 +315,14 @@ def learn_option(
     if transitions is None:
         return None
     policy = _learn_policy(transitions, n_primitive, settings, generator)
-    return SubgoalOption(subgoal, initiation, policy, max_duration=settings.max_duration, name=name)
+    return SubgoalOption(
+        subgoal,
+        initiation,
+        policy,
+        policy_input=settings.policy_input,
+        max_duration=settings.max_duration,
+        name=name,
+    )
 
 
 def learn_further(
@@ -329,6 +342,7 @@ def learn_further(
         A new option; the same one if the trajectory has nothing to teach, or if its policy is no table.
     """
     policy = option.option_policy
+    settings = replace(settings, policy_input=option.policy_input)
     transitions = option_transitions(option.subgoal, option.initiation_set, [trajectory], settings)
     if transitions is None or not isinstance(policy, TabularPolicy):
         return option
@@ -348,10 +362,7 @@ def learn_further(
         old = values[began, action]
         values[began, action] = old + settings.step_size * (target - old) if np.isfinite(old) else target
         known[began] = True
-    further = TabularPolicy(states[known], values[known])
-    return SubgoalOption(
-        option.subgoal, option.initiation_set, further, max_duration=option.max_duration, name=option.name
-    )
+    return option.with_policy(TabularPolicy(states[known], values[known]))
 
 
 def _learn_policy(

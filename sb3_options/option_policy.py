@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -10,9 +10,12 @@ from scipy.spatial.distance import cdist
 
 from sb3_options.observations import FloatArray, IntArray, Observations, flatten
 
+PolicyInput: TypeAlias = Literal["observation", "features"]
+"""What a policy acts on: the observation, or its features φ in concept space."""
+
 
 class OptionPolicy(Protocol):
-    """What a `SubgoalOption` needs of its policy."""
+    """What a `SubgoalOption` needs of its policy; "observations" are features where it acts on those."""
 
     def actions(self, observations: Observations) -> IntArray:
         """The greedy primitive action in each observation, shape (batch,)."""
@@ -104,7 +107,7 @@ def from_arrays(arrays: dict[str, npt.NDArray[np.float64]], observation_size: in
 
     Args:
         arrays: By name.
-        observation_size: Numbers in one flat observation.
+        observation_size: Numbers in one flat observation, or features of it.
         n_primitive: Number of primitive actions.
 
     Raises:

@@ -205,7 +205,7 @@ def _draw_policies(axes: Axes, cells: _Cells, discovery: SubgoalDiscovery, optio
             inside = option.initiation_set.contains(features) & ~option.subgoal.contains(features)
             if not inside.any() or batch_size(trajectory.states) == 0:
                 continue
-            greedy = option.option_policy.actions(trajectory.states)
+            greedy = option.option_policy.actions(features if option.policy_input == "features" else trajectory.states)
             began, led = trajectory.visits[:-1], trajectory.visits[1:]
             followed = inside[began] & (trajectory.actions == greedy[began])
             for a, b in zip(features[began[followed]], features[led[followed]], strict=True):

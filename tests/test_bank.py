@@ -398,6 +398,18 @@ class TestOtherTasks:
         path.write_bytes(content)
         refused(path, message, **changes)
 
+    def test_a_policy_of_features_fits_their_number_and_not_the_observations(self, tmp_path: Path) -> None:
+        bank, region = empty_bank(), Region(np.array([[1.0, 2.0]]), np.ones(2), 0.5)
+        policy = TabularPolicy(np.array([[0.0, 0.0], [2.0, 2.0]]), np.eye(4)[:2])
+        bank.add(SubgoalOption(region, region, policy, policy_input="features"))
+        bank.save(tmp_path / "options")
+        again = empty_bank()
+        again.load(tmp_path / "options")
+        option = again[0]
+        assert isinstance(option, SubgoalOption)
+        assert option.policy_input == "features"
+        assert behaviour(again, OBSERVATIONS) == behaviour(bank, OBSERVATIONS)
+
     def test_a_network_for_other_observations(self, tmp_path: Path) -> None:
         bank = empty_bank()
         bank.add(network())
@@ -434,6 +446,7 @@ def tensor(name: str, array: Any) -> Any:
         (put(max_duration=float("nan")), "does not fit: max_duration must be a whole number"),
         (put(max_duration="10"), "does not fit: max_duration must be a whole number"),
         (put(max_duration=None), "does not fit: max_duration must be a whole number"),
+        (put(policy_input="state"), "its policy acts on 'state', expected one of observation, features"),
         (put(radius={"subgoal": -1.0, "initiation": 1.0}), "its subgoal holds numbers that are not finite, or a neg"),
         (put(radius={"subgoal": 1.0, "initiation": float("nan")}), "its initiation holds numbers that are not finite"),
         (put(radius={"subgoal": 1.0}), "is damaged: KeyError"),

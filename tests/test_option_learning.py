@@ -1,6 +1,7 @@
 import dataclasses
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -320,6 +321,23 @@ class TestLearnOption:
         assert self.learn(walk([1, 2, 3, 4]), walk([9, 8, 7])) is None
         assert self.learn(walk([5, 6, 7])) is None
 
+    @pytest.mark.parametrize("kind", ["table", "network"])
+    def test_a_policy_of_features_needs_no_more_of_the_observation(self, kind: str) -> None:
+        noise = np.random.default_rng(0)
+        noisy = []
+        for known in self.trajectories:
+            places = known.features
+            states = np.concatenate([places, noise.random((len(places), 3))], axis=1)
+            noisy.append(replace(known, trajectory=replace(known.trajectory, states=states)))
+        option = self.learn(*noisy, policy_input="features", value_function=kind, network_updates=300)
+        assert option is not None
+        bound = option.bind(lambda observations: np.asarray(observations)[:, :1])
+        unseen = np.concatenate([np.arange(2.0, 5.0)[:, None], noise.random((3, 3))], axis=1)
+        assert bound.policy(unseen).tolist() == [RIGHT] * 3
+        further = learn_further(option, noisy[0], OptionLearningSettings(value_function="table"))
+        assert further.policy_input == "features"
+        assert (further is option) == (kind == "network")
+
     @pytest.mark.parametrize(
         ("kind", "n_walks", "expected"),
         [
@@ -395,6 +413,7 @@ class TestLearnFurther:
             for name in ("step_reward", "subgoal_reward", "leave_reward")
         ),
         ("initiation_visits", ("last", None), "must be 'first' or 'every', got "),
+        ("policy_input", ("state", None), "must be 'observation' or 'features', got "),
         ("value_function", ("tree", None), "must be 'auto', 'table' or 'network', got "),
     ],
 )
@@ -409,4 +428,5 @@ def test_every_numeric_setting_has_a_range() -> None:
     assert {f.name for f in dataclasses.fields(OptionLearningSettings)} == {
         *("initiation_steps", "max_duration", "sweeps", "network_updates", "initiation_radius", "gamma", "step_size"),
         *("step_reward", "subgoal_reward", "leave_reward", "initiation_visits", "value_function", "keep_learning"),
+        "policy_input",
     }

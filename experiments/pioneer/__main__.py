@@ -109,7 +109,7 @@ def _print(numbers: dict[str, dict[str, Any]], study: Study, seconds: float) -> 
 
 def _intervals(values: dict[str, Any], prefix: str = "") -> list[tuple[str, dict[str, Any]]]:
     """Everything in nested numbers that has an interval, with its path."""
-    found = []
+    found: list[tuple[str, dict[str, Any]]] = []
     for name, value in values.items():
         if isinstance(value, dict):
             found += [(prefix + name, value)] if "low" in value else _intervals(value, f"{prefix}{name}.")

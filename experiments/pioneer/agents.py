@@ -147,7 +147,8 @@ def evaluate(agent: MacroQ, n_trials: int, epsilon: float, seed: int) -> Result:
     assert env is not None  # made with one
     env.seed(seed)
     rng = np.random.default_rng(seed)
-    observation, episodes = env.reset(), []
+    observation = env.reset()
+    episodes: list[dict[str, Any]] = []
     while len(episodes) < n_trials:
         action, _ = agent.predict(observation, deterministic=True)  # type: ignore[arg-type]  # a batch, as reset gives it
         if rng.random() < epsilon:

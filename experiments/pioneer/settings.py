@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from sb3_options.discovery import DiscoverySettings
 from sb3_options.option_learning import OptionLearningSettings
@@ -49,9 +49,10 @@ class PioneerSettings:
     min_positive: int = 8
     peak_radius: float = 1.5
 
+    policy_input: Literal["observation", "features"] = "features"
     subgoal_radius: float = 1.0
-    initiation_steps: int = 10
-    initiation_radius: float = 1.5
+    initiation_steps: int = 20
+    initiation_radius: float = 3.0
     option_gamma: float = 0.95
     leave_reward: float = -10.0
     max_duration: int = 20
@@ -74,6 +75,7 @@ class PioneerSettings:
     def option(self) -> OptionLearningSettings:
         """How options are made; ``initiation_radius`` and ``subgoal_radius`` are in units of ``gaussian_width``."""
         return OptionLearningSettings(
+            policy_input=self.policy_input,
             initiation_steps=self.initiation_steps,
             initiation_radius=self.initiation_radius,
             max_duration=self.max_duration,
