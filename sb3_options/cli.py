@@ -44,7 +44,7 @@ class EvaluateConfig:
         run: The run folder that training named.
         episodes: How many to play.
         seed: Of the environment.
-        video: Write the first ten episodes to this MP4 file.
+        video: Write the first ten episodes to this file, MP4 or GIF.
     """
 
     run: Annotated[Path, tyro.conf.Positional]

@@ -58,10 +58,10 @@ class Evaluation(NamedTuple):
 
 
 class Film(gym.Wrapper[Any, Any, Any, Any]):
-    """Hands over a picture after every primitive step, also of those inside options.
+    """Hands over the pictures of every primitive step, also of those inside options.
 
     Args:
-        env: With ``render_mode="rgb_array"``.
+        env: With ``render_mode="rgb_array"``, or ``"rgb_array_list"`` if it draws several for a step.
         take: Is given each picture.
         episodes: After this many, nothing more is filmed.
     """
@@ -71,7 +71,7 @@ class Film(gym.Wrapper[Any, Any, Any, Any]):
         self._take, self._left = take, episodes
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
-        """Reset, and film the first picture of the episode."""
+        """Reset, and film how the episode begins."""
         result = super().reset(**kwargs)
         self._shoot()
         return result
@@ -84,25 +84,33 @@ class Film(gym.Wrapper[Any, Any, Any, Any]):
         return result
 
     def _shoot(self) -> None:
-        if self._left > 0:
-            self._take(self.env.render())
+        if self._left == 0:
+            return
+        drawn = self.env.render()
+        for picture in drawn if isinstance(drawn, list) else [drawn]:
+            self._take(picture)
 
 
 class Video:
-    """An MP4 file that grows picture by picture, so that a long film needs no memory.
+    """An MP4 or GIF file that grows picture by picture, so that a long film needs no memory.
 
     Args:
         path: Of the file.
         fps: Pictures per second.
+        gif: GIF, which repeats for ever, rather than MP4.
 
     Raises:
         OSError: It cannot be written.
     """
 
-    def __init__(self, path: Path, fps: float) -> None:
-        # The sides are padded below: macro_block_size would scale the picture instead.
-        self._writer = imageio.get_writer(
-            path, format="FFMPEG", fps=fps, codec="libx264", pixelformat="yuv420p", macro_block_size=1
+    def __init__(self, path: Path, fps: float, *, gif: bool = False) -> None:
+        self._writer = (
+            imageio.get_writer(path, format="GIF", duration=1000 / fps, loop=0)
+            if gif
+            # The sides are padded below: macro_block_size would scale the picture instead.
+            else imageio.get_writer(
+                path, format="FFMPEG", fps=fps, codec="libx264", pixelformat="yuv420p", macro_block_size=1
+            )
         )
 
     def take(self, picture: Any) -> None:
@@ -114,7 +122,7 @@ class Video:
         if picture is None:
             raise ValueError("The environment draws no pictures: it has no render_mode 'rgb_array'.")
         height, width = picture.shape[:2]
-        # The codec wants even sides.
+        # The codec of MP4 wants even sides.
         self._writer.append_data(np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge"))
 
     def close(self) -> None:
@@ -148,7 +156,8 @@ def evaluate_run(run: Path, *, episodes: int = 100, seed: int = 10_000, video: P
         run: The run folder.
         episodes: How many to play, at least 1.
         seed: Of the environment.
-        video: Where to write the primitive steps of the first `VIDEO_EPISODES` episodes as MP4; None writes nothing.
+        video: Where to write the first `VIDEO_EPISODES` episodes, played a second time, as MP4, or as GIF if the name
+            ends so; None writes nothing.
 
     Returns:
         The evaluation.
@@ -169,24 +178,26 @@ def evaluate_run(run: Path, *, episodes: int = 100, seed: int = 10_000, video: P
             "write the id without the module into the configuration, and import the module before evaluating."
         )
     runs.check_env_id(env_id)
-    if video is None:
-        return _play(run, episodes, seed, None)
-    with whole_file(video) as temporary:
-        film = Video(temporary, _frames_per_second(run))
-        try:
-            return _play(run, episodes, seed, film)
-        finally:
-            film.close()
+    result = _play(run, episodes, seed)
+    if video is not None:
+        mode, fps = _pictures_of(run)
+        with whole_file(video) as temporary:
+            film = Video(temporary, fps, gif=video.suffix.lower() == ".gif")
+            try:
+                _play(run, min(episodes, VIDEO_EPISODES), seed, film, mode)
+            finally:
+                film.close()
+    return result
 
 
-def _play(run: Path, episodes: int, seed: int, film: Video | None) -> Evaluation:
+def _play(run: Path, episodes: int, seed: int, film: Video | None = None, mode: str | None = None) -> Evaluation:
     config = configs.load(run / runs.CONFIG)
     venv = runs.make_env(
         config,
         1,
         seed,
-        beneath=None if film is None else partial(Film, take=film.take, episodes=min(episodes, VIDEO_EPISODES)),
-        render_mode=None if film is None else "rgb_array",
+        beneath=None if film is None else partial(Film, take=film.take, episodes=episodes),
+        render_mode=mode,
     )
     model = runs.make_model(config, venv, buffer_size=1)
     venv.seed(seed)  # the model has seeded it with the training seed
@@ -219,9 +230,16 @@ def _play(run: Path, episodes: int, seed: int, film: Video | None) -> Evaluation
     )
 
 
-def _frames_per_second(run: Path) -> float:
+def _pictures_of(run: Path) -> tuple[str, float]:
+    """The render mode that shows most of an environment, and its pictures per second."""
     config = configs.load(run / runs.CONFIG)
     env = gym.make(config.env, **config.env_keywords())
     fps = env.metadata.get("render_fps", DEFAULT_FPS)
+    draws_on_its_way = "rgb_array_list" in (env.metadata.get("render_modes") or ())
     env.close()
-    return float(fps)
+    if not draws_on_its_way:
+        return "rgb_array", float(fps)
+    env = gym.make(config.env, **config.env_keywords(), render_mode="rgb_array_list")
+    fps = env.metadata.get("render_fps", DEFAULT_FPS)
+    env.close()
+    return "rgb_array_list", float(fps)

@@ -329,7 +329,7 @@ class TestHelp:
         monkeypatch.setenv("COLUMNS", "200")
         text = self.text(capsys, "evaluate")
         assert "The run folder that training named" in text
-        assert "to this MP4 file" in text
+        assert "to this file, MP4 or GIF" in text
 
 
 def test_torch_keeps_one_thread() -> None:
