@@ -28,7 +28,7 @@ class PioneerSettings:
     """
 
     trials: int = 200
-    transfer_trials: int = 50
+    transfer_trials: int = 30
     evaluation_trials: int = 100
     step_limit: int = 500
     epsilon: float = 0.1
