@@ -1,4 +1,4 @@
-"""``python -m experiments.pioneer figure7|figure8|learning|transfer|all --runs 30 --out FOLDER``.
+"""``python -m experiments.pioneer figure7|figure8|learning|transfer|dqn|all --runs 30 --out FOLDER``.
 
 A picture for each figure, and results.json. Interrupted, it goes on where it was: every finished run of a seed is kept
 below ``FOLDER/groups``, and what two figures share is run once.
@@ -6,6 +6,7 @@ below ``FOLDER/groups``, and what two figures share is run once.
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -19,17 +20,19 @@ from rich.table import Table
 
 from experiments.pioneer import conditions
 from experiments.pioneer.plots import draw
-from experiments.pioneer.settings import PioneerSettings
+from experiments.pioneer.settings import MAIN_TASK, PioneerSettings
 from experiments.pioneer.summary import numbers_of
 from experiments.seeds import Result, run_seeds, write_json
+from sb3_options.config import TrainConfig, tuned
 
-FigureName = Literal["figure7", "figure8", "learning", "transfer"]
+FigureName = Literal["figure7", "figure8", "learning", "transfer", "dqn"]
 
 GROUPS: dict[FigureName, tuple[str, ...]] = {
     "figure7": (),
     "figure8": ("learning",),
     "learning": ("learning",),
     "transfer": ("learning", "transfer"),
+    "dqn": ("dqn",),
 }
 """What each figure is made from; later groups take up what earlier ones left."""
 
@@ -45,16 +48,20 @@ class Study:
         out: Folder for results.json, the pictures and one file per finished seed.
         runs: Number of seeds.
         first_seed: Seeds count up from here. Settings were chosen on seeds 0 to 19, so none of these.
+        dqn_runs: Number of seeds for DQN, which takes longer.
         jobs: Processes; by default one a core.
         settings: Of the task, of learning and of discovery.
+        dqn: Of training DQN; its seed and folder are the study's.
     """
 
     figure: tyro.conf.Positional[Literal["all"] | FigureName]
     out: Annotated[Path, tyro.conf.arg(name="out")]
     runs: int = 30
     first_seed: int = 1000
+    dqn_runs: int = 10
     jobs: int | None = None
     settings: PioneerSettings = field(default_factory=PioneerSettings)
+    dqn: TrainConfig = field(default_factory=partial(tuned, MAIN_TASK))
 
 
 def main(study: Study) -> None:
@@ -62,7 +69,7 @@ def main(study: Study) -> None:
     began = time.perf_counter()
     figures: list[FigureName] = list(GROUPS) if study.figure == "all" else [study.figure]
     groups: dict[str, list[Result]] = {}
-    for name in ("learning", "transfer"):
+    for name in ("learning", "transfer", "dqn"):
         if any(name in GROUPS[figure] for figure in figures):
             groups[name] = _run(study, name)
     numbers: dict[str, dict[str, Any]] = {figure: numbers_of(figure, groups) for figure in figures if GROUPS[figure]}
@@ -81,13 +88,18 @@ def main(study: Study) -> None:
 
 
 def _run(study: Study, name: str) -> list[Result]:
-    artifacts = study.out / "groups" / "learning" / "artifacts"
-    function: Callable[[PioneerSettings, Path, int], Result] = getattr(conditions, name)
+    settings, runs = study.settings, study.dqn_runs if name == "dqn" else study.runs
+    artifacts = study.out / "groups" / ("dqn" if name == "dqn" else "learning") / "artifacts"
+    functions: dict[str, Callable[[int], Result]] = {
+        "learning": partial(conditions.learning, settings, artifacts),
+        "transfer": partial(conditions.transfer, settings, artifacts),
+        "dqn": partial(conditions.dqn, study.dqn, artifacts),
+    }
     return run_seeds(
-        partial(function, study.settings, artifacts),
-        range(study.first_seed, study.first_seed + study.runs),
+        functions[name],
+        range(study.first_seed, study.first_seed + runs),
         study.out / "groups" / name,
-        settings=study.settings.described(),
+        settings=dataclasses.asdict(study.dqn) if name == "dqn" else settings.described(),
         jobs=study.jobs,
         description=name.capitalize(),
     )

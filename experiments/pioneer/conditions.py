@@ -1,16 +1,28 @@
-"""What is run for every seed: the main task with and without discovery, and the other tasks with its option."""
+"""What is run for every seed: the main task with and without discovery, other tasks with its option, and DQN."""
 
 from __future__ import annotations
 
+from contextlib import redirect_stdout
+from dataclasses import replace
+from io import StringIO
 from pathlib import Path
+from shutil import rmtree
+
+from stable_baselines3.common.monitor import load_results
 
 from experiments.pioneer.agents import discoverer, evaluate, live, make_agent, wrapper_of
 from experiments.pioneer.settings import MAIN_TASK, TASKS, PioneerSettings
 from experiments.seeds import Result
 from sb3_options.atomic import whole_file
+from sb3_options.cli import train
+from sb3_options.config import TrainConfig
+from sb3_options.evaluation import evaluate_run
+from sb3_options.runs import MONITOR
 
 EVALUATION_SEED = 10_000
 """Added to a run's seed for the trials in which it is evaluated."""
+
+DQN_EVALUATION_EPISODES = 100
 
 
 def learning(settings: PioneerSettings, artifacts: Path, seed: int) -> Result:
@@ -53,6 +65,26 @@ def transfer(settings: PioneerSettings, artifacts: Path, seed: int) -> Result:
                 wrapper_of(agent).bank.load(_file(artifacts, seed))
             result[task][name] = live(agent, settings.transfer_trials, discoverer(settings, seed, max_new_options=0))
             agent.env.close()  # type: ignore[union-attr]  # made with one
+    return result
+
+
+def dqn(config: TrainConfig, artifacts: Path, seed: int) -> Result:
+    """DQN as `train.py` trains and evaluates it, with its defaults for the robot: with and without discovery."""
+    result: Result = {}
+    for name, discover in (("primitive", False), ("discovery", True)):
+        folder = artifacts / str(seed) / name
+        with redirect_stdout(StringIO()):
+            run = train(replace(config, seed=seed, discover=discover, progress=False, tensorboard_log=folder))
+            found = evaluate_run(run, episodes=DQN_EVALUATION_EPISODES, seed=EVALUATION_SEED + seed)
+        episodes = load_results(str(run / MONITOR))
+        result[name] = {
+            "steps": episodes["l"].tolist(),
+            "returns": episodes["r"].tolist(),
+            "success_rate": found.success_rate.mean,
+            "evaluation_steps": found.steps.mean,
+            "evaluation_touches": 10 * found.success_rate.mean - 0.1 * found.steps.mean - found.mean_return.mean,
+        }
+        rmtree(folder)
     return result
 
 

@@ -21,13 +21,18 @@ RED, BLUE, GREY = "#d62728", "#1f77b4", "0.75"
 TRIALS_PER_POINT = 5
 """Curves show means of this many trials, because lengths of single ones vary with where the ball lies."""
 
+N_POINTS = 200
+"""Along the x-axis, where trials do not set them."""
+
 SCENE: dict[str, Any] = {"robot": (-0.9, -0.5, 0.35), "balls": [(0.5, 0.25)]}
 TITLES = {"corner": "one marked corner", "clutter": "obstacles", "two_balls": "two balls"}
 
 
 def draw(figure: str, groups: Groups) -> Figure:
     """The picture of one figure."""
-    return {"figure7": _figure7, "figure8": _figure8, "learning": _learning, "transfer": _transfer}[figure](groups)
+    return {"figure7": _figure7, "figure8": _figure8, "learning": _learning, "transfer": _transfer, "dqn": _dqn}[
+        figure
+    ](groups)
 
 
 def _figure7(groups: Groups) -> Figure:
@@ -91,6 +96,24 @@ def _transfer(groups: Groups) -> Figure:
         _label(axes, "primitive steps", logarithmic=True)
         axes.set_title(TITLES[task], fontsize=10)
     figure.suptitle(f"mean of {len(runs)} runs, 95 % intervals", fontsize=10)
+    return figure
+
+
+def _dqn(groups: Groups) -> Figure:
+    """Trials done by then: a straight line up is a robot that does its work, the steeper the faster."""
+    figure = Figure(figsize=(6, 4), layout="constrained")
+    axes, runs = figure.subplots(), groups["dqn"]
+    for name, colour, label in (("primitive", RED, "DQN"), ("discovery", BLUE, "DQN with subgoal discovery")):
+        ends = [np.cumsum(r[name]["steps"]) for r in runs]
+        steps = np.linspace(0, min(e[-1] for e in ends), N_POINTS)
+        done = np.array([np.searchsorted(e, steps, side="right") for e in ends], dtype=np.float64)
+        mean, low, high = curve_interval(done)
+        axes.plot(steps, mean, color=colour, linewidth=1.2, label=label)
+        axes.fill_between(steps, low, high, color=colour, alpha=0.25, linewidth=0)
+    axes.set_xlabel("primitive steps")
+    axes.set_ylabel("trials done")
+    axes.set_title(f"mean of {len(runs)} runs, 95 % intervals", fontsize=10)
+    axes.legend(fontsize=8, frameon=False)
     return figure
 
 

@@ -37,8 +37,12 @@ def main(report: Report) -> None:
     parts = {
         "run": f"`{results['command']}`: {results['n_runs']} runs, {results['seconds']:.0f} s.",
         "subgoals": subgoals(figures["figure8"]),
-        "evaluation": evaluation_table(figures["learning"]),
-        "ratios": ratios_table(figures),
+        "evaluation": evaluation_table({"MacroQ": figures["learning"], "DQN": figures["dqn"]}),
+        "dqn": ratios_table({f"DQN, {figures['dqn']['n_runs']} runs": figures["dqn"]["ratios"]}),
+        "ratios": ratios_table(
+            {"main task": figures["learning"]["ratios"]}
+            | {task.replace("_", " "): figures["transfer"][task]["ratios"] for task in TASKS}
+        ),
         "settings": settings_table(results["settings"]),
     }
     fill(report.document, parts)
@@ -53,27 +57,24 @@ def subgoals(numbers: dict[str, Any]) -> str:
     return (
         f"{numbers['n_near_and_ahead']} of {numbers['n_runs']} runs made their option for the ball dead ahead and near "
         f"(95 % interval of the share {share['low']:.2f} to {share['high']:.2f}), at trial {numbers['median_trial']:g} "
-        f"in the median. |displacement| is {max(displacement):.1f}° at most, width {min(width):.1f}° at least."
+        f"in the median. |displacement| is {max(displacement, default=math.nan):.1f}° at most, width "
+        f"{min(width, default=math.nan):.1f}° at least."
     )
 
 
-def evaluation_table(numbers: dict[str, Any]) -> str:
+def evaluation_table(learners: dict[str, dict[str, Any]]) -> str:
     """Success, length and touches of the trials after learning."""
-    rows = [
-        "| | success rate | worst run | primitive steps | wall touches a trial |",
-        "|---|---|---|---|---|",
-    ]
-    for name, words in (("primitive", "primitives only"), ("discovery", "with subgoal discovery")):
-        e = numbers[name]["evaluation"]
-        cells = [number(e[key]) for key in ("success_rate", "steps", "touches")]
-        rows.append(f"| {words} | {cells[0]} | {e['success_rate']['worst_run']:.2f} | {cells[1]} | {cells[2]} |")
+    rows = ["| | success rate | worst run | primitive steps | wall touches a trial |", "|---|---|---|---|---|"]
+    for learner, numbers in learners.items():
+        for name, words in (("primitive", "primitives only"), ("discovery", "with subgoal discovery")):
+            e = numbers[name]["evaluation"]
+            rate, steps, touches = (number(e[key]) for key in ("success_rate", "steps", "touches"))
+            rows.append(f"| {learner}, {words} | {rate} | {e['success_rate']['worst_run']:.2f} | {steps} | {touches} |")
     return "\n".join(rows)
 
 
-def ratios_table(figures: dict[str, Any]) -> str:
+def ratios_table(columns: dict[str, dict[str, Any]]) -> str:
     """Every ratio of primitive steps, with the option to without."""
-    columns = {"main task": figures["learning"]["ratios"]}
-    columns |= {task.replace("_", " "): figures["transfer"][task]["ratios"] for task in TASKS}
     names = list(dict.fromkeys(name for ratios in columns.values() for name in ratios))
     rows = [f"| trials | {' | '.join(columns)} |", "|---" * (len(columns) + 1) + "|"]
     for name in names:

@@ -33,7 +33,7 @@ WINDOWS = {"0_19": (0, 19), "20_49": (20, 49), "50_99": (50, 99), "100_199": (10
 
 def numbers_of(figure: str, groups: Groups) -> dict[str, Any]:
     """Everything that is said of one figure."""
-    return {"figure8": _figure8, "learning": _learning, "transfer": _transfer}[figure](groups)
+    return {"figure8": _figure8, "learning": _learning, "transfer": _transfer, "dqn": _dqn}[figure](groups)
 
 
 def curves_of(results: list[Result], column: str) -> FloatArray:
@@ -70,10 +70,9 @@ def _learning(groups: Groups) -> dict[str, Any]:
     columns = {name: [r[name] for r in runs] for name in ("primitive", "discovery")}
     numbers: dict[str, Any] = {"ratios": _ratios(columns["discovery"], columns["primitive"])}
     for name, results in columns.items():
-        numbers[name] = {
-            **_by_ten(results),
-            "evaluation": _evaluation([r[f"{name}_evaluation"] for r in runs]),
-        }
+        played = [r[f"{name}_evaluation"] for r in runs]
+        found = [curves_of(played, column).mean(axis=1) for column in ("successes", "steps", "touches")]
+        numbers[name] = {**_by_ten(results), "evaluation": _evaluation(*found)}
     return numbers
 
 
@@ -84,6 +83,32 @@ def _transfer(groups: Groups) -> dict[str, Any]:
         numbers[task] = {"ratios": _ratios(columns["option"], columns["primitive"])}
         numbers[task] |= {name: _by_ten(results) for name, results in columns.items()}
     return numbers
+
+
+def _dqn(groups: Groups) -> dict[str, Any]:
+    """Ratios are of the primitive steps that the first trials took together, as many as every run has."""
+    runs = groups["dqn"]
+    columns = {name: [r[name] for r in runs] for name in ("primitive", "discovery")}
+    ours, theirs = _equally_long([c["steps"] for c in columns["discovery"]], [c["steps"] for c in columns["primitive"]])
+    n = ours.shape[1]
+    windows = {f"0_{last}": (0, last) for last in (49, 99, 199, 499) if last < n}
+    numbers: dict[str, Any] = {
+        "n_runs": len(runs),
+        "ratios": {
+            f"steps_trials_{name}": ratio_interval(window(ours, *w), window(theirs, *w))._asdict()
+            for name, w in windows.items()
+        },
+    }
+    for name, results in columns.items():
+        found = [np.array([r[k] for r in results]) for k in ("success_rate", "evaluation_steps", "evaluation_touches")]
+        numbers[name] = {"evaluation": _evaluation(*found)}
+    return numbers
+
+
+def _equally_long(*groups: list[list[int]]) -> tuple[FloatArray, ...]:
+    """Lists of different lengths as arrays, cut to the shortest of all."""
+    n = min(len(steps) for group in groups for steps in group)
+    return tuple(np.array([steps[:n] for steps in group], dtype=np.float64) for group in groups)
 
 
 def _ratios(ours: list[Result], theirs: list[Result]) -> dict[str, Any]:
@@ -101,9 +126,8 @@ def _by_ten(results: list[Result]) -> dict[str, Any]:
     return {f"{column}_by_ten_trials": by_ten(curves_of(results, column)) for column in ("steps", "returns", "touches")}
 
 
-def _evaluation(results: list[Result]) -> dict[str, Any]:
-    """Over the trials of all runs; the success rate of the worst run stands beside the mean."""
-    success = curves_of(results, "successes").mean(axis=1)
+def _evaluation(success: FloatArray, steps: FloatArray, touches: FloatArray) -> dict[str, Any]:
+    """From the means of every run, shapes (runs,)."""
     return {
         "success_rate": {
             **mean_interval(success)._asdict(),
@@ -111,6 +135,6 @@ def _evaluation(results: list[Result]) -> dict[str, Any]:
             "bar": SUCCESS_BAR,
             "reached": bool(success.mean() >= SUCCESS_BAR),
         },
-        "steps": mean_interval(curves_of(results, "steps").mean(axis=1))._asdict(),
-        "touches": mean_interval(curves_of(results, "touches").mean(axis=1))._asdict(),
+        "steps": mean_interval(steps)._asdict(),
+        "touches": mean_interval(touches)._asdict(),
     }

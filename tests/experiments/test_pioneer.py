@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,10 @@ pytest.importorskip("pybullet")
 
 from experiments.pioneer import agents, conditions, summary
 from experiments.pioneer.__main__ import GROUPS, Study, main
+from experiments.pioneer.report import Report
+from experiments.pioneer.report import main as fill_in
 from experiments.pioneer.settings import IN_PAPER, MAIN_TASK, TASKS, PioneerSettings
+from sb3_options.config import tuned
 from sb3_options.envs.pioneer import DISPLACEMENT, GRIPPING, VISIBLE, WIDTH
 
 TINY = PioneerSettings(
@@ -28,20 +32,30 @@ TINY = PioneerSettings(
 
 @pytest.mark.slow
 def test_all_figures_with_their_numbers_and_again_from_what_was_kept(tmp_path: Path) -> None:
-    study = Study("all", tmp_path, runs=2, first_seed=0, jobs=2, settings=TINY)
+    dqn = dataclasses.replace(tuned(MAIN_TASK), n_timesteps=700, learning_starts=100)
+    study = Study("all", tmp_path, runs=2, dqn_runs=1, first_seed=0, jobs=2, settings=TINY, dqn=dqn)
     main(study)
     results = json.loads((tmp_path / "results.json").read_text())
     assert {path.stem for path in tmp_path.glob("*.png")} == set(GROUPS)
     figures = results["figures"]
-    assert set(figures) == {"figure8", "learning", "transfer"}
+    assert set(figures) == {"figure8", "learning", "transfer", "dqn"}
     assert figures["figure8"]["n_runs"] == len(figures["figure8"]["subgoals"]) == 2
     assert set(figures["transfer"]) == set(TASKS)
-    for numbers in (figures["learning"], *figures["transfer"].values()):
+    for numbers in (figures["learning"], figures["dqn"], *figures["transfer"].values()):
         assert all(ratio["low"] <= ratio["mean"] <= ratio["high"] for ratio in numbers["ratios"].values())
     for condition in ("primitive", "discovery"):
-        assert set(figures["learning"][condition]["evaluation"]) == {"success_rate", "steps", "touches"}
+        for figure in ("learning", "dqn"):
+            assert set(figures[figure][condition]["evaluation"]) == {"success_rate", "steps", "touches"}
+
+    document = tmp_path / "pioneer.md"
+    shutil.copy(Path(__file__).parents[2] / "docs" / "pioneer.md", document)
+    fill_in(Report(tmp_path / "results.json", document))
+    filled = document.read_text()
+    assert "| `decay` | 0.8 | no |" in filled
+    assert "of 2 runs made their option" in filled
+
     kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("groups/*/seeds/*.json")}
-    assert len(kept) == 2 * 2
+    assert len(kept) == 2 * 2 + 1
     main(dataclasses.replace(study, figure="figure8"))
     again = json.loads((tmp_path / "results.json").read_text())
     assert again["figures"]["figure8"] == figures["figure8"]
