@@ -31,6 +31,8 @@ from sb3_options.evaluation import mean_interval
 PEER = "PandaPush-v3"
 """A robot pushes an object, and the reward does not depend on a picture: the nearest to our task."""
 
+OURS = "sb3_options/Pioneer-v0"
+
 BAR = 0.75
 """Least share of a step's wall time inside PyBullet's C functions."""
 
@@ -138,8 +140,10 @@ class Contestant:
 def contestants(seed: int) -> dict[str, Contestant]:
     """The Pioneer and its peer, each bare and with a stopwatch; the same seed gives both the same actions."""
     per_tick = PHYSICS_RATE // CONTROL_RATE
-    timed_pioneer, pioneer_watch = Pioneer(), Stopwatch()
-    timed_pioneer.bullet.p = pioneer_watch.module()
+    timed_pioneer, pioneer_watch = gym.make(OURS), Stopwatch()
+    core = timed_pioneer.unwrapped
+    assert isinstance(core, Pioneer)
+    core.bullet.p = pioneer_watch.module()
     timed_peer, peer_watch = gym.make(PEER), Stopwatch()
     # panda-gym calls a BulletClient, which looks each function up when it is called.
     client: Any = timed_peer.unwrapped.sim.physics_client  # type: ignore[attr-defined]  # panda-gym has no stubs
@@ -149,7 +153,7 @@ def contestants(seed: int) -> dict[str, Contestant]:
         if type(function) is type(len) and name != "disconnect":
             setattr(client, name, peer_watch.timed(name, getattr(client, name)))
     return {
-        "pioneer": Contestant(Pioneer(), per_tick, seed),
+        "pioneer": Contestant(gym.make(OURS), per_tick, seed),
         "pioneer_timed": Contestant(timed_pioneer, per_tick, seed, pioneer_watch),
         "panda_gym": Contestant(gym.make(PEER), 1, seed),
         "panda_gym_timed": Contestant(timed_peer, 1, seed, peer_watch),

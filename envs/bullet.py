@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes.util
 import sys
+import weakref
 from collections.abc import Sequence
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -166,9 +167,8 @@ class Bullet:
     def close(self) -> None:
         """Disconnects; a second call does nothing."""
         if self.client >= 0:
-            client, self.client = self.client, -1
-            if self.p.isConnected(client):
-                self.p.disconnect(client)
+            self.client = -1
+            self._disconnect()
 
     def _connect(self) -> None:
         p = self.p
@@ -186,6 +186,13 @@ class Bullet:
             )
             raise gymnasium.error.Error(f"PyBullet could not open {what}")
         self.client = int(client)
+        # Also for those who forget to close: Bullet has only so many clients.
+        self._disconnect = weakref.finalize(self, _disconnect, p, self.client)
+
+
+def _disconnect(p: Any, client: int) -> None:
+    if p.isConnected(client):
+        p.disconnect(client)
 
 
 def _has_display() -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from operator import index
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, SupportsIndex, get_args
 
@@ -70,6 +71,9 @@ DEPOSIT_REWARD, TOUCH_REWARD, STEP_REWARD = 10.0, -1.0, -0.1
 TICKS_PER_PICTURE = 3
 """Control ticks between the pictures of render mode "rgb_array_list": ten a second."""
 
+MAX_ARENA_SIZE = 100.0
+"""m; balls that were taken away lie outside."""
+
 MAX_STEPS = 500
 """By default; a good policy needs a dozen."""
 
@@ -83,7 +87,8 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
 
     Actions 0..6 are the `ACTIONS`: forward by three distances, left by two angles, right by two angles. The gripper
     has no action: it closes by itself when a ball is between its paddles, and opens at the end of an action that
-    began with the ball in it and ends with the ball where it may be deposited. The ball is then taken away. An action
+    began with the ball in it and ends with the ball where it may be deposited. The observation of that step still shows
+    the ball where it was left, in front of the open gripper; then it is taken away. An action
     that touches a wall or an obstacle, with the robot or with the ball in the gripper, ends there: the robot rolls back
     5 cm and turns to where it looked before, so that it never gets stuck.
 
@@ -93,7 +98,9 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
     - ``is_success``: whether the last ball was deposited with it,
     - ``deposited``: whether a ball was,
     - ``gripping``: whether there is a ball in the gripper,
-    - ``touched_wall``: whether a wall or an obstacle was touched.
+    - ``touched_wall``: whether a wall or an obstacle was touched,
+    - ``cause``: why the episode ended, ``"wall"`` or ``"corner"`` for where the last ball was deposited, or
+      ``"step limit"``; empty while it goes on.
 
     The observation is float32, of shape (11,):
 
@@ -108,7 +115,7 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
     The task, actions, senses and rewards are those of McGovern & Barto (2001), §7.
 
     Args:
-        arena_size: Side of the square arena, m.
+        arena_size: Side of the square arena, m, at most `MAX_ARENA_SIZE`.
         n_obstacles: Round obstacles in it.
         n_balls: Balls in it.
         deposit: Where a ball may be deposited: close to any wall, or in the marked corner only, the one of largest x
@@ -116,7 +123,8 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
         max_steps: Steps after which an episode truncates; None for never.
         observation: What the agent senses.
         render_mode: ``"rgb_array"`` for a picture at a time, ``"rgb_array_list"`` for all pictures since the last call,
-            ten for each second that the robot moves, ``"human"`` for Bullet's own window.
+            ten for each second that the robot moves, ``"human"`` for Bullet's own window, in which it moves as fast as
+            it would in the world.
 
     Attributes:
         bullet: The physics client.
@@ -145,11 +153,12 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
             1 / CONTROL_RATE, PHYSICS_RATE // CONTROL_RATE, SOLVER_ITERATIONS, gui=render_mode == "human"
         )
         self._arena = Arena(
-            number(arena_size, "arena_size", low=0),
+            number(arena_size, "arena_size", low=0, high=MAX_ARENA_SIZE),
             count(n_obstacles, "n_obstacles", low=0),
             count(n_balls, "n_balls", low=1),
         )
-        self._corner_only = one_of(deposit, get_args(Deposit), "deposit") == "corner"
+        self._deposit = one_of(deposit, get_args(Deposit), "deposit")
+        self._corner_only = self._deposit == "corner"
         self._max_steps = step_limit(max_steps)
         self._with_retina = one_of(observation, get_args(ObservationKind), "observation") == "retina"
         self.render_mode = None if render_mode is None else one_of(render_mode, get_args(RenderMode), "render_mode")
@@ -164,6 +173,8 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
         if self.render_mode == "rgb_array_list":
             self.metadata = {**self.metadata, "render_fps": CONTROL_RATE // TICKS_PER_PICTURE}
             self._robot.on_tick = self._film
+        elif self.render_mode == "human":
+            self._robot.on_tick = _wait
         self._layout: Layout | None = None
         self._sensed = Sensed([], [])
         self._deposited: list[Position] = []
@@ -246,6 +257,7 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
             "deposited": deposited,
             "gripping": robot.held is not None,
             "touched_wall": touched,
+            "cause": self._deposit if terminated else "step limit" if truncated else "",
         }
         reward = STEP_REWARD + TOUCH_REWARD * touched + DEPOSIT_REWARD * deposited
         return observation, reward, terminated, truncated, info
@@ -339,6 +351,11 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
     def _refuse_if_closed(self, method: str) -> None:
         if self._closed:
             raise gymnasium.error.ClosedEnvironmentError(f"{method}() was called after close(): make a new environment")
+
+
+def _wait() -> None:
+    """Lets a person watch: Bullet simulates faster than a robot moves."""
+    time.sleep(1 / CONTROL_RATE)
 
 
 def _observation_space(with_retina: bool) -> spaces.Space[NDArray[np.float32]]:

@@ -56,9 +56,6 @@ _SHINE: Colour = (255, 244, 200)
 _RETINA: Colour = (24, 26, 32)
 _TICK: Colour = (150, 156, 168)
 
-_DECK_HALF_WIDTH = 0.19
-"""Half of the 2-DX's width, m."""
-
 
 class Scene(NamedTuple):
     """What there is to draw.
@@ -112,7 +109,7 @@ class View:
         for place in scene.balls:
             self._draw_ball(pen, place)
         _draw_retina(pen, scene.sensed)
-        return np.asarray(image.reduce(_SMOOTH))
+        return np.array(image.reduce(_SMOOTH))
 
     def _px(self, point: Point) -> Point:
         return _SIDE_PX / 2 + point[0] * self._scale, _SIDE_PX / 2 - point[1] * self._scale

@@ -196,9 +196,13 @@ def read_yaml(path: Path) -> Mapping[str, Any]:
 
 def _env_of(args: Sequence[str]) -> str | None:
     """The value of the last ``--env``."""
-    found = [value for flag, value in pairwise([*args, ""]) if flag == "--env"]
-    found += [arg.partition("=")[2] for arg in args if arg.startswith("--env=")]
-    return found[-1] if found else None
+    found = None
+    for arg, following in pairwise([*args, ""]):
+        if arg == "--env":
+            found = following
+        elif arg.startswith("--env="):
+            found = arg.partition("=")[2]
+    return found
 
 
 def _split_config_flag(args: Sequence[str]) -> tuple[Path | None, list[str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -25,6 +26,9 @@ N_RESAMPLES = 9999
 DEFAULT_FPS = 15
 VIDEO_EPISODES = 10
 """A video shows this many episodes at most."""
+
+GIF_PICTURES = 600
+"""A GIF is made in memory, and a browser holds it there."""
 
 
 class Interval(NamedTuple):
@@ -92,18 +96,19 @@ class Film(gym.Wrapper[Any, Any, Any, Any]):
 
 
 class Video:
-    """An MP4 or GIF file that grows picture by picture, so that a long film needs no memory.
+    """An MP4 file that grows picture by picture, so that a long film needs no memory; or a GIF, which is short.
 
     Args:
         path: Of the file.
         fps: Pictures per second.
-        gif: GIF, which repeats for ever, rather than MP4.
+        gif: GIF, which repeats for ever and takes the first `GIF_PICTURES`, rather than MP4.
 
     Raises:
         OSError: It cannot be written.
     """
 
     def __init__(self, path: Path, fps: float, *, gif: bool = False) -> None:
+        self._left = GIF_PICTURES if gif else math.inf
         self._writer = (
             imageio.get_writer(path, format="GIF", duration=1000 / fps, loop=0)
             if gif
@@ -121,6 +126,9 @@ class Video:
         """
         if picture is None:
             raise ValueError("The environment draws no pictures: it has no render_mode 'rgb_array'.")
+        self._left -= 1
+        if self._left < 0:
+            return
         height, width = picture.shape[:2]
         # The codec of MP4 wants even sides.
         self._writer.append_data(np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge"))
@@ -156,8 +164,8 @@ def evaluate_run(run: Path, *, episodes: int = 100, seed: int = 10_000, video: P
         run: The run folder.
         episodes: How many to play, at least 1.
         seed: Of the environment.
-        video: Where to write the first `VIDEO_EPISODES` episodes, played a second time, as MP4, or as GIF if the name
-            ends so; None writes nothing.
+        video: Where to write the first `VIDEO_EPISODES` episodes, which are played for it beforehand: an .mp4 or .gif
+            file. None writes nothing.
 
     Returns:
         The evaluation.
@@ -178,16 +186,22 @@ def evaluate_run(run: Path, *, episodes: int = 100, seed: int = 10_000, video: P
             "write the id without the module into the configuration, and import the module before evaluating."
         )
     runs.check_env_id(env_id)
-    result = _play(run, episodes, seed)
     if video is not None:
-        mode, fps = _pictures_of(run)
-        with whole_file(video) as temporary:
-            film = Video(temporary, fps, gif=video.suffix.lower() == ".gif")
-            try:
-                _play(run, min(episodes, VIDEO_EPISODES), seed, film, mode)
-            finally:
-                film.close()
-    return result
+        _film(run, min(episodes, VIDEO_EPISODES), seed, video)
+    return _play(run, episodes, seed)
+
+
+def _film(run: Path, episodes: int, seed: int, video: Path) -> None:
+    kind = video.suffix.lower()
+    if kind not in (".mp4", ".gif"):
+        raise ValueError(f"--video must end in .mp4 or .gif, got {video}.")
+    mode, fps = _pictures_of(run)
+    with whole_file(video) as temporary:
+        film = Video(temporary, fps, gif=kind == ".gif")
+        try:
+            _play(run, episodes, seed, film, mode)
+        finally:
+            film.close()
 
 
 def _play(run: Path, episodes: int, seed: int, film: Video | None = None, mode: str | None = None) -> Evaluation:

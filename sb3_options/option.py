@@ -14,8 +14,11 @@ from scipy.spatial.distance import cdist
 from sb3_options.observations import BoolArray, FeatureMap, FloatArray, IntArray, Observations, batch_size, key_of
 from sb3_options.option_policy import OptionPolicy, PolicyInput
 
-JUDGED_BYTES = 1 << 20
-"""A `SubgoalOption` remembers its answers for about this many bytes of observations."""
+JUDGED_BYTES = 4 << 20
+"""A `SubgoalOption` remembers its answers for about this many bytes of observations and answers, ..."""
+
+JUDGED_OVERHEAD = 400
+"""... of which an answer takes this many."""
 
 
 class Option:
@@ -201,7 +204,7 @@ class SubgoalOption(Option):
                 self._judged.clear()
                 self._judged_bytes = 0
             self._judged[key] = judged
-            self._judged_bytes += len(key)
+            self._judged_bytes += len(key) + JUDGED_OVERHEAD
         return judged
 
     def _judge_anew(self, observations: Observations) -> tuple[BoolArray, BoolArray]:

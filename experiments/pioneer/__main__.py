@@ -7,6 +7,7 @@ below ``FOLDER/groups``, and what two figures share is run once.
 from __future__ import annotations
 
 import dataclasses
+import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -51,7 +52,7 @@ class Study:
         dqn_runs: Number of seeds for DQN, which takes longer.
         jobs: Processes; by default one a core.
         settings: Of the task, of learning and of discovery.
-        dqn: Of training DQN; its seed and folder are the study's.
+        dqn: Of training DQN; seed, folder, `discover` and `progress` are the study's.
     """
 
     figure: tyro.conf.Positional[Literal["all"] | FigureName]
@@ -77,10 +78,12 @@ def main(study: Study) -> None:
     for figure in figures:
         draw(figure, groups).savefig(study.out / f"{figure}.png", dpi=DPI)
     results: dict[str, Any] = {
-        "command": f"python -m experiments.pioneer {study.figure} --runs {study.runs} --first-seed {study.first_seed}",
+        "command": f"python -m experiments.pioneer {study.figure} --runs {study.runs} --first-seed {study.first_seed}"
+        f" --dqn-runs {study.dqn_runs}",
         "n_runs": study.runs,
         "seconds": round(time.perf_counter() - began, 1),
         "settings": study.settings.described(),
+        "dqn_settings": json.loads(json.dumps(dataclasses.asdict(study.dqn), default=str)),
         "figures": numbers,
     }
     write_json(study.out / "results.json", results)
@@ -113,10 +116,11 @@ def _print(numbers: dict[str, dict[str, Any]], study: Study, seconds: float) -> 
             interval = f"{value['low']:.3g} to {value['high']:.3g}"
             table.add_row(figure, name, f"{value['mean']:.3g}", interval, str(value.get("bar", "")), reached)
     console = Console(highlight=False, soft_wrap=True)
-    console.print(table)
-    for name, setting in study.settings.described().items():
-        console.print(f"  {name} = {setting['value']} ({setting['in_paper'] or 'not in the paper'})")
-    console.print(f"{study.runs} runs in {seconds:.0f} s. Results and pictures: {study.out}")
+    if numbers:
+        console.print(table)
+        for name, setting in study.settings.described().items():
+            console.print(f"  {name} = {setting['value']} ({setting['in_paper'] or 'not in the paper'})")
+    console.print(f"{seconds:.0f} s. Results and pictures: {study.out}")
 
 
 def _intervals(values: dict[str, Any], prefix: str = "") -> list[tuple[str, dict[str, Any]]]:

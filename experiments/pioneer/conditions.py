@@ -16,6 +16,7 @@ from experiments.seeds import Result
 from sb3_options.atomic import whole_file
 from sb3_options.cli import train
 from sb3_options.config import TrainConfig
+from sb3_options.envs.pioneer import DEPOSIT_REWARD, STEP_REWARD, TOUCH_REWARD
 from sb3_options.evaluation import evaluate_run
 from sb3_options.runs import MONITOR
 
@@ -82,10 +83,15 @@ def dqn(config: TrainConfig, artifacts: Path, seed: int) -> Result:
             "returns": episodes["r"].tolist(),
             "success_rate": found.success_rate.mean,
             "evaluation_steps": found.steps.mean,
-            "evaluation_touches": 10 * found.success_rate.mean - 0.1 * found.steps.mean - found.mean_return.mean,
+            "evaluation_touches": touches_of(found.success_rate.mean, found.steps.mean, found.mean_return.mean),
         }
         rmtree(folder)
     return result
+
+
+def touches_of(successes: float, steps: float, total: float) -> float:
+    """Wall touches of the task with one ball, from what is paid for them."""
+    return (total - DEPOSIT_REWARD * successes - STEP_REWARD * steps) / TOUCH_REWARD
 
 
 def _file(artifacts: Path, seed: int) -> Path:

@@ -34,6 +34,8 @@ def main(report: Report) -> None:
     """Read, and fill in."""
     results = json.loads(report.results.read_text(encoding="utf-8"))
     figures = results["figures"]
+    if not {"figure8", "learning", "transfer", "dqn"} <= set(figures):
+        raise ValueError(f"{report.results} holds {', '.join(figures)} only: run `all` into that folder first.")
     parts = {
         "run": f"`{results['command']}`: {results['n_runs']} runs, {results['seconds']:.0f} s.",
         "subgoals": subgoals(figures["figure8"]),

@@ -68,7 +68,7 @@ def _figure8(groups: Groups) -> dict[str, Any]:
 def _learning(groups: Groups) -> dict[str, Any]:
     runs = groups["learning"]
     columns = {name: [r[name] for r in runs] for name in ("primitive", "discovery")}
-    numbers: dict[str, Any] = {"ratios": _ratios(columns["discovery"], columns["primitive"])}
+    numbers: dict[str, Any] = {"ratios": ratios_of(columns["discovery"], columns["primitive"])}
     for name, results in columns.items():
         played = [r[f"{name}_evaluation"] for r in runs]
         found = [curves_of(played, column).mean(axis=1) for column in ("successes", "steps", "touches")]
@@ -80,7 +80,7 @@ def _transfer(groups: Groups) -> dict[str, Any]:
     numbers: dict[str, Any] = {}
     for task in TASKS:
         columns = {name: [r[task][name] for r in groups["transfer"]] for name in ("primitive", "option")}
-        numbers[task] = {"ratios": _ratios(columns["option"], columns["primitive"])}
+        numbers[task] = {"ratios": ratios_of(columns["option"], columns["primitive"])}
         numbers[task] |= {name: _by_ten(results) for name, results in columns.items()}
     return numbers
 
@@ -111,11 +111,11 @@ def _equally_long(*groups: list[list[int]]) -> tuple[FloatArray, ...]:
     return tuple(np.array([steps[:n] for steps in group], dtype=np.float64) for group in groups)
 
 
-def _ratios(ours: list[Result], theirs: list[Result]) -> dict[str, Any]:
+def ratios_of(ours: list[Result], theirs: list[Result]) -> dict[str, Any]:
     """Of primitive steps in windows of trials, and in all of them."""
     steps, base = curves_of(ours, "steps"), curves_of(theirs, "steps")
     n = base.shape[1]
-    windows = {name: w for name, w in WINDOWS.items() if w[0] < n} | {"all": (0, n - 1)}
+    windows = {name: w for name, w in WINDOWS.items() if w[1] < n} | {"all": (0, n - 1)}
     return {
         f"steps_trials_{name}": ratio_interval(window(steps, *w), window(base, *w))._asdict()
         for name, w in windows.items()

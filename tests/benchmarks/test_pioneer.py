@@ -37,4 +37,4 @@ def test_benchmark_runs_and_writes_results(tmp_path: Path) -> None:
     assert 0.5 < content["pybullet_share_of_step"]["mean"] < 1
     assert 0 < content["panda_gym_pybullet_share_of_step"]["mean"] < 1
     assert content["primitive_actions_per_second"]["mean"] > 0
-    assert content["physics_steps_per_action"]["mean"] % 1 >= 0
+    assert content["physics_steps_per_action"]["mean"] > 2

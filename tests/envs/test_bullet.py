@@ -1,5 +1,7 @@
 """The layer over PyBullet."""
 
+import gc
+
 import pytest
 
 from sb3_options.envs.bullet import Box, Bullet, Cylinder
@@ -15,6 +17,16 @@ def test_connects_late_and_closes_twice() -> None:
     bullet.close()
     bullet.close()
     assert not bullet.p.isConnected(client)
+
+
+def test_a_forgotten_one_disconnects() -> None:
+    forgotten = Bullet(1 / 60, 1, 10)
+    forgotten.clear()
+    p, client = forgotten.p, forgotten.client
+    assert p.isConnected(client)
+    del forgotten
+    gc.collect()
+    assert not p.isConnected(client)
 
 
 def test_clients_are_separate() -> None:

@@ -2,6 +2,7 @@
 
 import importlib
 import math
+import subprocess
 import sys
 from collections.abc import Iterator
 from typing import Any
@@ -14,7 +15,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import sb3_options.envs
 from sb3_options import OptionsWrapper
-from sb3_options.envs.pioneer import ACTIONS, GRIPPING, Pioneer
+from sb3_options.envs.pioneer import ACTIONS, GRIPPING, VISIBLE, Pioneer
 from sb3_options.envs.pioneer_senses import MAX_WIDTH, N_PIXELS
 from tests.envs.pioneer_expert import Expert, play
 
@@ -70,8 +71,33 @@ class TestProtocol:
         importlib.reload(sb3_options.envs)
         assert gymnasium.spec("sb3_options/Pioneer-v0") is before
 
-    def test_registered_environments_need_no_pybullet_to_be_listed(self) -> None:
-        assert "sb3_options/PioneerCorner-v0" in gymnasium.registry
+    def test_environments_are_registered_without_pybullet(self) -> None:
+        code = (
+            "import sys; sys.modules['pybullet'] = None; import gymnasium, sb3_options.envs; "
+            "assert 'sb3_options/PioneerCorner-v0' in gymnasium.registry"
+        )
+        subprocess.run([sys.executable, "-c", code], check=True)
+
+    def test_why_an_episode_ended(self) -> None:
+        env = make("PioneerCorner", max_steps=2)
+        env.reset(options={"robot": (1.2, 1.75, 0), "balls": [(1.75, 1.75)]})
+        assert env.step(MIDDLE)[4]["cause"] == ""
+        assert env.step(LEFT_10)[4]["cause"] == "corner"
+        env.reset(options={"robot": (0, 0, 0), "balls": [(-1, 0)]})
+        assert [env.step(SHORT)[4]["cause"] for _ in range(2)] == ["", "step limit"]
+        env.close()
+
+    def test_the_step_that_deposits_still_shows_the_ball(self) -> None:
+        env = make("PioneerTwoBalls")
+        env.reset(options={"robot": (1.2, 0, 0), "balls": [(1.75, 0), (-1, -1)]})
+        env.step(MIDDLE)
+        observation, _, terminated, _, info = env.step(LEFT_10)
+        assert info["deposited"]
+        assert not terminated
+        assert observation[VISIBLE] == 1
+        assert observation[GRIPPING] == 0
+        assert env.step(LEFT_10)[0][VISIBLE] == 0
+        env.close()
 
     def test_options_wrapper_finds_the_concept_features(self, env: Pioneer) -> None:
         wrapped = OptionsWrapper(env, max_options=2, gamma=0.99)
@@ -84,7 +110,7 @@ class TestTask:
     def test_rewards_from_start_to_success(self, env: Pioneer) -> None:
         """Find the ball, grip it, leave it at the wall: worked out by hand."""
         env.reset(options={"robot": (0, 0, 0), "balls": [(0.8, 0)]})
-        idle = {"is_success": False, "deposited": False, "touched_wall": False}
+        idle = {"is_success": False, "deposited": False, "touched_wall": False, "cause": ""}
         assert env.step(SHORT)[1:] == (-0.1, False, False, {**idle, "gripping": False})
         assert env.step(LONG)[1:] == (-0.1, False, False, {**idle, "gripping": True})
         assert env.step(MIDDLE)[1:] == (-0.1, False, False, {**idle, "gripping": True})
@@ -93,7 +119,13 @@ class TestTask:
         observation, reward, terminated, truncated, info = env.step(MIDDLE)
         assert (terminated, truncated) == (True, False)
         assert reward == pytest.approx(9.9)
-        assert info == {"is_success": True, "deposited": True, "gripping": False, "touched_wall": False}
+        assert info == {
+            "is_success": True,
+            "deposited": True,
+            "gripping": False,
+            "touched_wall": False,
+            "cause": "wall",
+        }
         assert observation[GRIPPING] == 0
 
     def test_a_ball_is_deposited_no_earlier_than_the_action_after_it_was_gripped(self, env: Pioneer) -> None:
@@ -119,7 +151,7 @@ class TestTask:
         assert env.step(LEFT_45)[2:] == (
             False,
             False,
-            {"is_success": False, "deposited": False, "gripping": False, "touched_wall": False},
+            {"is_success": False, "deposited": False, "gripping": False, "touched_wall": False, "cause": ""},
         )
 
     def test_only_the_marked_corner_counts(self) -> None:
@@ -220,7 +252,7 @@ class TestErrors:
             ({"arena_size": 1.2}, ValueError, r"arena_size 1\.2 m has no room for the robot, 1 ball\(s\) and 0 obst"),
             ({"n_obstacles": 40}, ValueError, r"no room for .* 40 obstacle\(s\): enlarge arena_size, or lower"),
             ({"n_balls": 60}, ValueError, r"no room for the robot, 60 ball\(s\)"),
-            ({"arena_size": math.nan}, ValueError, r"arena_size must be finite and at least 0, got nan"),
+            ({"arena_size": math.nan}, ValueError, r"arena_size must be in 0..100.0, got nan"),
             ({"arena_size": "big"}, TypeError, r"arena_size must be a number, got 'big'"),
             ({"n_balls": 0}, ValueError, r"n_balls must be at least 1, got 0"),
             ({"n_obstacles": 1.5}, TypeError, r"n_obstacles must be an integer, got 1\.5"),

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sb3_options.envs.pioneer import Pioneer
+from sb3_options.envs.pioneer_senses import SONARS
 from sb3_options.envs.pioneer_view import BALL, BODY, PICTURE_HEIGHT, PICTURE_WIDTH
 
 SCALE = (PICTURE_WIDTH - 2 * 14) / 4
@@ -50,11 +51,40 @@ def test_retina_strip_shows_the_interval() -> None:
     env.close()
 
 
+def at(image: NDArray[np.uint8], x: float, y: float) -> NDArray[np.int64]:
+    """The colour of a place in the arena, m."""
+    row, column = PICTURE_WIDTH / 2 - y * SCALE, PICTURE_WIDTH / 2 + x * SCALE
+    colour: NDArray[np.int64] = image[int(row), int(column)].astype(np.int64)
+    return colour
+
+
+def test_beams_end_at_the_walls_and_the_cone_is_where_the_robot_looks() -> None:
+    env = Pioneer(render_mode="rgb_array")
+    image = picture(env, robot=(-1, 0, 0), balls=[(1.5, 1.5)])
+    for ahead, left, angle in SONARS:
+        # Where a beam from the ring meets the nearest wall.
+        x, y = -1 + ahead, left
+        reach = min(
+            (math.copysign(2, direction) - place) / direction
+            for place, direction in ((x, math.cos(angle)), (y, math.sin(angle)))
+            if abs(direction) > 1e-9
+        )
+        end = x + reach * math.cos(angle), y + reach * math.sin(angle)
+        colour = at(image, end[0] * 0.995, end[1] * 0.995)
+        assert colour[0] > colour[2] + 60, (angle, colour)  # orange
+    seen, unseen = at(image, 0.6, -0.7), at(image, -1.5, 0.7)
+    assert seen[2] > seen[0] > 180  # bluish
+    assert unseen[2] < unseen[0]  # floor
+    env.close()
+
+
 def test_tasks_look_different() -> None:
     images = []
     for kwargs in ({}, {"deposit": "corner"}, {"n_obstacles": 2}, {"n_balls": 2}):
         env = Pioneer(render_mode="rgb_array", **kwargs)
-        images.append(picture(env))
+        more = {"obstacles": [(1, 1), (-1, -1)]} if "n_obstacles" in kwargs else {}
+        balls = [(1, -1), (-1, 1)] if "n_balls" in kwargs else [(1, -1)]
+        images.append(picture(env, robot=(0, 0, 0), balls=balls, **more))
         env.close()
     assert len({image.tobytes() for image in images}) == 4
 

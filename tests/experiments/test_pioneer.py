@@ -78,6 +78,7 @@ def test_touches_are_counted_and_paid_for() -> None:
     trials = agents.live(agent, 2, agents.discoverer(TINY, 0, max_new_options=0))
     for steps, total, success, touches in zip(*(trials[c] for c in trials), strict=True):
         assert total == pytest.approx(10 * success - 0.1 * steps - touches)
+        assert conditions.touches_of(success, steps, total) == pytest.approx(touches)
     assert sum(trials["touches"]) > 0
 
 
@@ -94,6 +95,11 @@ def test_features_tell_apart_what_matters() -> None:
     assert shared[0] == 0
     assert shared[1] == shared[2] == coding.n_active / 2
     assert shared[3] == coding.n_active
+
+
+def test_a_window_is_reported_only_where_all_its_trials_are() -> None:
+    runs = [{"steps": [2] * 30}, {"steps": [4] * 30}]
+    assert set(summary.ratios_of(runs, runs)) == {"steps_trials_0_19", "steps_trials_all"}
 
 
 @pytest.mark.parametrize(
