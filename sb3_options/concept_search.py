@@ -18,13 +18,13 @@ from torch import Tensor
 
 from sb3_options.concepts import Array, Concept, Frame, Point
 from sb3_options.evidence import Evidence
-from sb3_options.lbfgs import Minimum, minimise
+from sb3_options.lbfgs import Descent
 from sb3_options.objective import MAX_PAIRS
 from sb3_options.option import Region
 from sb3_options.packed_bags import Bags, distinct
 
-FIRST_TOLERANCE = 1e-6
-"""In single precision a smaller decrease is rounding."""
+SURVIVORS = 4
+"""After every `first_steps` the best quarter of the starts goes on, until `finalists` are left."""
 
 UPDATE_STARTS = 16
 UPDATE_FINALISTS = 2
@@ -80,8 +80,8 @@ class ConceptSearch:
     """Multi-start ascent of log diverse density, plus the log prior of the concept.
 
     Starts are distinct instances of positive bags, one of which lies in the concept, at each of several scales. All
-    climb together for `first_steps` in single precision; the best `finalists` that lie apart climb on in double
-    precision until they rest.
+    climb together in single precision; after every `first_steps` the best quarter goes on, of those that lie apart,
+    until `finalists` are left. They climb until they rest, at last in double precision.
 
     Attributes:
         concept: What is searched for.
@@ -90,9 +90,9 @@ class ConceptSearch:
         start_scales: Scales of the starts, as factors of `scale`.
         max_starts: Most instances that are started from, evenly spaced among all; None for all.
         finalists: Most starts that climb to the end.
-        first_steps: Evaluations of the first phase.
-        final_steps: Most evaluations of the second.
-        tolerance: Of `lbfgs.minimise`, in nats relative to the value.
+        first_steps: Evaluations before each cut.
+        final_steps: Most evaluations afterwards, in each precision.
+        tolerance: Of `lbfgs.Descent`, in nats relative to the value.
         merge_radius: A peak this close to a better one is merged into it, in parameters: for points, in widths.
         negative_strength: η in (0, 1]: log(1 − η p) of every negative instance. For a half-space η multiplies the
             odds of p.
@@ -109,10 +109,10 @@ class ConceptSearch:
     features: Sequence[int] | None = None
     start_scales: Sequence[float] = (1.0,)
     max_starts: int | None = 256
-    finalists: int = 16
-    first_steps: int = 40
+    finalists: int = 8
+    first_steps: int = 20
     final_steps: int = 500
-    tolerance: float = 1e-9
+    tolerance: float = 1e-8
     merge_radius: float = 0.5
     negative_strength: float = 1.0
     negative_width: float = 1.0
@@ -164,17 +164,22 @@ class ConceptSearch:
         """
         evidence = bags if isinstance(bags, Evidence) else self.evidence(bags)
         points = self._start_points(evidence, starts)
-        finalists = [self._in_frame(solution, evidence.frame) for solution in warm]
+        theta = [self._in_frame(solution, evidence.frame)[:, None] for solution in warm]
         if len(points):
             scales = self.start_scales if self.concept.learns_scale else self.start_scales[:1]
-            theta = torch.cat([self.concept.start(points, scale) for scale in scales], dim=1)
-            first = self._climb(theta.float(), evidence, self.first_steps, FIRST_TOLERANCE)
-            kept = _best_apart(first.theta, first.value, self.merge_radius, self.finalists)
-            finalists += list(first.theta[:, kept].double().T)
-        if not finalists:
+            theta += [self.concept.start(points, scale) for scale in scales]
+        if not theta:
             raise ValueError("there is nothing to search from: without positive bags pass starts or warm")
-        found = self._climb(torch.stack(finalists, dim=1), evidence, self.final_steps, self.tolerance)
-        return self._solutions(found, evidence)
+        descent = self._descent(torch.cat(theta, dim=1).float(), evidence)
+        n = descent.theta.shape[1]
+        while n > self.finalists:
+            descent.run(self.first_steps)
+            n = max(self.finalists, n // SURVIVORS)
+            descent.keep(self._best_apart(descent, n), torch.float32)
+        descent.run(self.final_steps)
+        descent.keep(self._best_apart(descent, n), torch.float64)
+        descent.run(self.final_steps)
+        return self._solutions(descent, evidence)
 
     def update(self, evidence: Evidence, warm: Sequence[Solution], starts: ArrayLike) -> list[Solution]:
         """Search again after bags were added, at a small part of the cost of a search.
@@ -195,8 +200,9 @@ class ConceptSearch:
         value, _ = evidence.loss(theta.float())
         best = value.argsort()[:UPDATE_FINALISTS]
         known = [self._in_frame(solution, evidence.frame) for solution in warm[:UPDATE_FINALISTS]]
-        climbing = torch.stack([*known, *theta[:, best].T], dim=1)
-        return self._solutions(self._climb(climbing.float(), evidence, UPDATE_STEPS, FIRST_TOLERANCE), evidence)
+        descent = self._descent(torch.stack([*known, *theta[:, best].T], dim=1).float(), evidence)
+        descent.run(UPDATE_STEPS)
+        return self._solutions(descent, evidence)
 
     def evidence(self, bags: Bags) -> Evidence:
         """The bags as this search sees them, to be searched and extended many times.
@@ -234,10 +240,12 @@ class ConceptSearch:
             points = distinct(evidence.scaled(given))
         return torch.from_numpy(points).to(evidence.device)
 
-    def _climb(self, theta: Tensor, evidence: Evidence, steps: int, tolerance: float) -> Minimum:
+    def _descent(self, theta: Tensor, evidence: Evidence) -> Descent:
         bounds = self.concept.bounds(len(evidence.frame.features))
-        low, high = (bound.to(theta) for bound in bounds)
-        return minimise(evidence.loss, theta, (low, high), steps=steps, tolerance=tolerance)
+        return Descent(evidence.loss, theta, bounds, tolerance=self.tolerance)
+
+    def _best_apart(self, descent: Descent, n: int) -> list[int]:
+        return _best_apart(self.concept.canonical(descent.theta), descent.value, self.merge_radius, n)
 
     def _in_frame(self, solution: Solution, frame: Frame) -> Tensor:
         if solution.concept != self.concept:
@@ -254,13 +262,13 @@ class ConceptSearch:
             )
         return torch.from_numpy(solution.theta)
 
-    def _solutions(self, found: Minimum, evidence: Evidence) -> list[Solution]:
-        theta = self.concept.canonical(found.theta.double())
+    def _solutions(self, descent: Descent, evidence: Evidence) -> list[Solution]:
+        theta = self.concept.canonical(descent.theta.double())
         loss, _ = evidence.loss(theta)
         density = -loss - self.concept.log_prior(theta)[0]
         return [
             Solution(
-                self.concept, theta[:, i].cpu().numpy(), evidence.frame, float(density[i]), bool(found.converged[i])
+                self.concept, theta[:, i].cpu().numpy(), evidence.frame, float(density[i]), bool(descent.converged[i])
             )
             for i in _best_apart(theta, loss, self.merge_radius, theta.shape[1])
         ]

@@ -7,7 +7,6 @@ all; after Bertsekas (1982), parameters at a bound that the gradient pushes agai
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -31,99 +30,118 @@ Objective = Callable[[Tensor], tuple[Tensor, Tensor]]
 """Parameters (P, S) → values (S,) to be minimised and gradients (P, S)."""
 
 
-class Minimum(NamedTuple):
-    """Where every start ended.
-
-    Attributes:
-        theta: (P, S).
-        value: (S,), never above the start's.
-        converged: (S,): whether the last decrease fell below the tolerance, or the gradient did.
-        evaluations: Calls of the objective.
-    """
-
-    theta: Tensor
-    value: Tensor
-    converged: Tensor
-    evaluations: int
-
-
-def minimise(
-    objective: Objective,
-    theta: Tensor,
-    bounds: tuple[Tensor, Tensor],
-    *,
-    steps: int,
-    tolerance: float,
-) -> Minimum:
-    """Descend from every column.
+class Descent:
+    """Many starts on their way down.
 
     Every call of the objective moves every start: those whose step decreased their value go on from there, the
-    others try a shorter one. A value that is not finite counts as no decrease.
+    others try a shorter one. A value or gradient that is not finite counts as no decrease.
 
     Args:
-        objective: Values and gradients of all columns.
+        objective: Values and gradients of all columns, in the precision of its argument.
         theta: (P, S) starts.
         bounds: Smallest and largest parameters, (P, 1).
-        steps: Most calls of the objective after the first.
         tolerance: A start has converged when two accepted steps running decrease its value by less than this times
             max(1, |value|), or no component of its gradient that is free exceeds this.
+
+    Attributes:
+        theta: (P, S), where each start is.
+        value: (S,), never above the start's.
+        converged: (S,): also if no step, however short, decreases the value any more.
+        evaluations: Calls of the objective so far.
     """
-    low, high = bounds
-    bounded = bool(low.isfinite().any() or high.isfinite().any())
-    theta = theta.clamp(low, high) if bounded else theta
-    value, gradient = objective(theta)
-    pairs = _Pairs(theta)
-    n_starts = theta.shape[1]
-    length = torch.ones(n_starts, dtype=theta.dtype, device=theta.device)
-    idle = torch.zeros(n_starts, dtype=torch.int64, device=theta.device)
-    noise = torch.finfo(theta.dtype).eps
-    direction, free = pairs.direction(gradient, _free(theta, gradient, low, high) if bounded else None)
-    evaluations = 1
-    for _ in range(steps):
-        tried = torch.addcmul(theta, direction, length)
-        if bounded:
-            tried = tried.clamp(low, high)
-        moved = tried - theta
-        new_value, new_gradient = objective(tried)
-        evaluations += 1
-        slope = (gradient * moved).sum(0)
-        rounding = noise * value.abs().clamp(min=1).nan_to_num(posinf=1)
-        # A start at an infinite value takes any step to a finite one.
-        better = (new_value <= value + SUFFICIENT * slope + rounding) & new_gradient.isfinite().all(0)
-        small = (value - new_value).abs() <= tolerance * value.abs().clamp(min=1)
-        idle = torch.where(better, torch.where(small, idle + 1, 0), idle)
-        pairs.add(moved * better, (new_gradient - gradient) * better)
-        theta = torch.where(better, tried, theta)
-        value = torch.where(better, new_value, value)
-        gradient = torch.where(better, new_gradient, gradient)
-        length = torch.where(better, 1.0, length * SHORTEN)
-        stuck = length < SHORTEST
-        new_direction, free = pairs.direction(gradient, _free(theta, gradient, low, high) if bounded else None)
-        direction = torch.where(better, new_direction, direction)
-        steepest = torch.where(free, gradient, 0) if free is not None else gradient
-        converged = (idle >= 2) | stuck | (steepest.abs().amax(0) <= tolerance)
-        if bool(converged.all()):
-            break
-    else:
-        if steps < 1:
-            converged = torch.zeros(n_starts, dtype=torch.bool, device=theta.device)
-    return Minimum(theta, value, converged, evaluations)
+
+    def __init__(self, objective: Objective, theta: Tensor, bounds: tuple[Tensor, Tensor], *, tolerance: float) -> None:
+        self._objective, self._tolerance = objective, tolerance
+        self._low, self._high = (bound.to(theta) for bound in bounds)
+        self._bounded = bool(self._low.isfinite().any() or self._high.isfinite().any())
+        self.theta = theta.clamp(self._low, self._high) if self._bounded else theta
+        self.value, self._gradient = objective(self.theta)
+        self._pairs = Pairs(theta)
+        self._length = torch.ones_like(self.value)
+        self._idle = torch.zeros_like(self.value)
+        self.converged = torch.zeros_like(self.value, dtype=torch.bool)
+        self.evaluations = 1
+        self._direction = self._pairs.direction(self._gradient, self._free())
+
+    def run(self, steps: int) -> None:
+        """Go on for at most ``steps`` calls of the objective."""
+        for _ in range(steps):
+            if bool(self.converged.all()):
+                return
+            self._step()
+
+    def keep(self, columns: list[int], dtype: torch.dtype) -> None:
+        """Go on with these starts only, in this precision, without forgetting curvature."""
+        changed = dtype != self.theta.dtype
+        for name in ("theta", "value", "_gradient", "_direction", "_length", "_idle", "converged"):
+            kept = getattr(self, name)[..., columns]
+            setattr(self, name, kept.to(dtype) if kept.is_floating_point() else kept)
+        self._pairs.keep(columns, dtype)
+        self._low, self._high = self._low.to(dtype), self._high.to(dtype)
+        if changed:
+            self.value, self._gradient = self._objective(self.theta)
+            self._idle.zero_()
+            self.converged.fill_(False)
+            self._length.fill_(1)
+            self._direction = self._pairs.direction(self._gradient, self._free())
+            self.evaluations += 1
+
+    def _step(self) -> None:
+        tried = torch.addcmul(self.theta, self._direction, self._length)
+        if self._bounded:
+            tried = tried.clamp(self._low, self._high)
+        value, gradient = self._objective(tried)
+        self.evaluations += 1
+        moved = tried - self.theta
+        size = self.value.abs().clamp(min=1).nan_to_num(posinf=1)  # an infinite value takes any step to a finite one
+        slope = (self._gradient * moved).sum(0)
+        enough = self.value + SUFFICIENT * slope + torch.finfo(size.dtype).eps * size
+        better = (value <= enough) & gradient.sum(0).isfinite()
+        small = (self.value - value).abs() <= self._tolerance * size
+        self._idle = torch.where(better, (self._idle + 1) * small, self._idle)
+        self._pairs.add(moved * better, torch.where(better, gradient - self._gradient, 0))
+        self.theta = torch.where(better, tried, self.theta)
+        self.value = torch.where(better, value, self.value)
+        self._gradient = torch.where(better, gradient, self._gradient)
+        self._length = torch.where(better, 1.0, self._length * SHORTEN)
+        free = self._free()
+        self._direction = torch.where(better, self._pairs.direction(self._gradient, free), self._direction)
+        steepest = self._gradient if free is None else torch.where(free, self._gradient, 0)
+        flat = steepest.abs().amax(0) <= self._tolerance
+        self.converged = (self._idle >= 2) | (self._length < SHORTEST) | flat
+
+    def _free(self) -> Tensor | None:
+        """Where a parameter may follow its gradient: (P, S), or None for everywhere."""
+        if not self._bounded:
+            return None
+        held_low = (self.theta <= self._low) & (self._gradient > 0)
+        return ~(held_low | ((self.theta >= self._high) & (self._gradient < 0)))
 
 
-def _free(theta: Tensor, gradient: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """Where a parameter may follow its gradient: (P, S)."""
-    return ~(((theta <= low) & (gradient > 0)) | ((theta >= high) & (gradient < 0)))
+class Pairs:
+    """The last steps s and changes of gradient y of every start, and the direction they make of a gradient.
 
-
-class _Pairs:
-    """The last steps and changes of gradient of every start, and the direction they make of a gradient."""
+    In the compact form of Byrd, Nocedal & Schnabel (1994, theorem 2.2), which takes a few products of small matrices
+    for all starts at once where the two-loop recursion takes a hundred operations on vectors:
+    H g = γ g + S q − γ Y p with p = R⁻¹ Sᵀg, q = R⁻ᵀ ((D + γ YᵀY) p − γ Yᵀg), R the upper triangle of SᵀY, D its
+    diagonal.
+    """
 
     def __init__(self, theta: Tensor) -> None:
-        self._steps = theta.new_zeros(PAIRS, *theta.shape)
-        self._changes = theta.new_zeros(PAIRS, *theta.shape)
-        self._inverse = theta.new_zeros(PAIRS, theta.shape[1])  # 1 / (s·y), 0 for a pair that says nothing
-        self._size = theta.new_zeros(theta.shape[1])  # s·y / y·y of the last good pair: the size of a step
+        n, n_starts = PAIRS, theta.shape[1]
+        self._steps = theta.new_zeros(n, *theta.shape)
+        self._changes = theta.new_zeros(n, *theta.shape)
+        self._sy = torch.eye(n, dtype=theta.dtype, device=theta.device).repeat(n_starts, 1, 1)  # (S, n, n)
+        self._yy = torch.zeros_like(self._sy)
+        self._good = torch.zeros_like(self._sy[:, 0])  # (S, n): 1 for a pair that says something, which others do not
+        self._size = theta.new_zeros(n_starts)  # γ = s·y / y·y of the last good pair
         self._n = 0
+
+    def keep(self, columns: list[int], dtype: torch.dtype) -> None:
+        """These starts only, in this precision."""
+        self._steps, self._changes = self._steps[..., columns].to(dtype), self._changes[..., columns].to(dtype)
+        self._sy, self._yy = self._sy[columns].to(dtype), self._yy[columns].to(dtype)
+        self._good, self._size = self._good[columns].to(dtype), self._size[columns].to(dtype)
 
     def add(self, step: Tensor, change: Tensor) -> None:
         """Take in a pair per start; (P, S), 0 where a start did not move."""
@@ -131,27 +149,34 @@ class _Pairs:
         self._n += 1
         along, square = (step * change).sum(0), change.square().sum(0)
         good = along > CURVED * square
-        self._steps[at], self._changes[at] = step, change
-        self._inverse[at] = torch.where(good, 1 / along, 0)
         self._size = torch.where(good, along / square, self._size)
+        self._steps[at], self._changes[at] = step * good, torch.where(good, change, 0)
+        self._good[:, at] = good.to(step.dtype)
+        self._sy[:, :, at] = (self._steps * self._changes[at]).sum(1).T
+        self._sy[:, at, :] = (self._changes * self._steps[at]).sum(1).T
+        self._sy[:, at, at] += 1 - self._good[:, at]
+        self._yy[:, :, at] = self._yy[:, at, :] = (self._changes * self._changes[at]).sum(1).T
 
-    def direction(self, gradient: Tensor, free: Tensor | None) -> tuple[Tensor, Tensor | None]:
-        """Two-loop recursion (Nocedal & Wright 2006, algorithm 7.4); where it does not descend, the gradient."""
+    def direction(self, gradient: Tensor, free: Tensor | None) -> Tensor:
+        """−H g, (P, S), within the parameters that are free; where it does not descend, against the gradient."""
         start = gradient if free is None else torch.where(free, gradient, 0)
-        out = start.clone()
-        order = [(self._n - 1 - i) % PAIRS for i in range(min(self._n, PAIRS))]
-        along = {}
-        for i in order:
-            along[i] = self._inverse[i] * (self._steps[i] * out).sum(0)
-            out.addcmul_(self._changes[i], along[i], value=-1)
         # The first step has length 1 at most.
         size = torch.where(self._size > 0, self._size, 1 / start.norm(dim=0).clamp(min=1))
-        out.mul_(size)
-        for i in reversed(order):
-            back = self._inverse[i] * (self._changes[i] * out).sum(0)
-            out.addcmul_(self._steps[i], along[i] - back)
-        out.neg_()
+        out = start * -size
+        if self._n == 0:
+            return out
+        order = [(self._n + i) % PAIRS for i in range(PAIRS)]  # oldest first
+        upper = self._sy[:, order][:, :, order].triu_()
+        diagonal = upper.diagonal(dim1=1, dim2=2).unsqueeze(2) * self._good[:, order].unsqueeze(2)
+        s_g = (self._steps * start).sum(1).T[:, order].unsqueeze(2)  # (S, n, 1)
+        y_g = (self._changes * start).sum(1).T[:, order].unsqueeze(2)
+        gamma = size[:, None, None]
+        p = torch.linalg.solve_triangular(upper, s_g, upper=True)
+        right = diagonal * p + gamma * (self._yy[:, order][:, :, order] @ p - y_g)
+        q = torch.linalg.solve_triangular(upper.transpose(1, 2), right, upper=False)
+        back = [(i - self._n) % PAIRS for i in range(PAIRS)]
+        q, p = q[:, back, 0].T.unsqueeze(1), (gamma * p)[:, back, 0].T.unsqueeze(1)  # (n, 1, S)
+        newton = out - (self._steps * q).sum(0) + (self._changes * p).sum(0)
         if free is not None:
-            out = torch.where(free, out, 0)
-        descends = (out * start).sum(0) < 0
-        return torch.where(descends, out, -start * size), free
+            newton = torch.where(free, newton, 0)
+        return torch.where((newton * start).sum(0) < 0, newton, out)
