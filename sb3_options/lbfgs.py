@@ -26,6 +26,9 @@ CURVED = 1e-8
 SHORTEST = 1e-10
 """A start whose step has been shortened below this is at rest as far as this precision can tell."""
 
+FINEST = 8
+"""Rounding errors of an objective, in units of the precision."""
+
 Objective = Callable[[Tensor], tuple[Tensor, Tensor]]
 """Parameters (P, S) → values (S,) to be minimised and gradients (P, S)."""
 
@@ -41,7 +44,8 @@ class Descent:
         theta: (P, S) starts.
         bounds: Smallest and largest parameters, (P, 1).
         tolerance: A start has converged when two accepted steps running decrease its value by less than this times
-            max(1, |value|), or no component of its gradient that is free exceeds this.
+            max(1, |value|), or no component of its gradient that is free exceeds this. In single precision, where a
+            smaller decrease is rounding, at least `FINEST` times its precision.
 
     Attributes:
         theta: (P, S), where each start is.
@@ -97,7 +101,8 @@ class Descent:
         slope = (self._gradient * moved).sum(0)
         enough = self.value + SUFFICIENT * slope + torch.finfo(size.dtype).eps * size
         better = (value <= enough) & gradient.sum(0).isfinite()
-        small = (self.value - value).abs() <= self._tolerance * size
+        tolerance = max(self._tolerance, FINEST * torch.finfo(size.dtype).eps)
+        small = (self.value - value).abs() <= tolerance * size
         self._idle = torch.where(better, (self._idle + 1) * small, self._idle)
         self._pairs.add(moved * better, torch.where(better, gradient - self._gradient, 0))
         self.theta = torch.where(better, tried, self.theta)
@@ -107,7 +112,7 @@ class Descent:
         free = self._free()
         self._direction = torch.where(better, self._pairs.direction(self._gradient, free), self._direction)
         steepest = self._gradient if free is None else torch.where(free, self._gradient, 0)
-        flat = steepest.abs().amax(0) <= self._tolerance
+        flat = steepest.abs().amax(0) <= tolerance
         self.converged = (self._idle >= 2) | (self._length < SHORTEST) | flat
 
     def _free(self) -> Tensor | None:
@@ -128,20 +133,22 @@ class Pairs:
     """
 
     def __init__(self, theta: Tensor) -> None:
-        n, n_starts = PAIRS, theta.shape[1]
-        self._steps = theta.new_zeros(n, *theta.shape)
-        self._changes = theta.new_zeros(n, *theta.shape)
+        n, (n_parameters, n_starts) = PAIRS, theta.shape
+        self._steps = theta.new_zeros(n_starts, n, n_parameters)
+        self._changes = torch.zeros_like(self._steps)
         self._sy = torch.eye(n, dtype=theta.dtype, device=theta.device).repeat(n_starts, 1, 1)  # (S, n, n)
         self._yy = torch.zeros_like(self._sy)
-        self._good = torch.zeros_like(self._sy[:, 0])  # (S, n): 1 for a pair that says something, which others do not
+        self._good = torch.zeros_like(self._sy[:, :, :1])  # (S, n, 1): 1 for a pair that says something, else 0
         self._size = theta.new_zeros(n_starts)  # γ = s·y / y·y of the last good pair
         self._n = 0
+        place = torch.arange(n, device=theta.device)
+        self._oldest_first = [(place + i) % n for i in range(n)]
+        self._as_stored = [(place - i) % n for i in range(n)]
 
     def keep(self, columns: list[int], dtype: torch.dtype) -> None:
         """These starts only, in this precision."""
-        self._steps, self._changes = self._steps[..., columns].to(dtype), self._changes[..., columns].to(dtype)
-        self._sy, self._yy = self._sy[columns].to(dtype), self._yy[columns].to(dtype)
-        self._good, self._size = self._good[columns].to(dtype), self._size[columns].to(dtype)
+        for name in ("_steps", "_changes", "_sy", "_yy", "_good", "_size"):
+            setattr(self, name, getattr(self, name)[columns].to(dtype))
 
     def add(self, step: Tensor, change: Tensor) -> None:
         """Take in a pair per start; (P, S), 0 where a start did not move."""
@@ -150,12 +157,14 @@ class Pairs:
         along, square = (step * change).sum(0), change.square().sum(0)
         good = along > CURVED * square
         self._size = torch.where(good, along / square, self._size)
-        self._steps[at], self._changes[at] = step * good, torch.where(good, change, 0)
-        self._good[:, at] = good.to(step.dtype)
-        self._sy[:, :, at] = (self._steps * self._changes[at]).sum(1).T
-        self._sy[:, at, :] = (self._changes * self._steps[at]).sum(1).T
-        self._sy[:, at, at] += 1 - self._good[:, at]
-        self._yy[:, :, at] = self._yy[:, at, :] = (self._changes * self._changes[at]).sum(1).T
+        self._steps[:, at] = (step * good).T
+        self._changes[:, at] = (change * good).T
+        self._good[:, at, 0] = good
+        s, y = self._steps[:, at, :, None], self._changes[:, at, :, None]
+        self._sy[:, :, at] = (self._steps @ y)[..., 0]
+        self._sy[:, at, :] = (self._changes @ s)[..., 0]
+        self._sy[:, at, at] += 1 - self._good[:, at, 0]
+        self._yy[:, :, at] = self._yy[:, at, :] = (self._changes @ y)[..., 0]
 
     def direction(self, gradient: Tensor, free: Tensor | None) -> Tensor:
         """−H g, (P, S), within the parameters that are free; where it does not descend, against the gradient."""
@@ -165,18 +174,17 @@ class Pairs:
         out = start * -size
         if self._n == 0:
             return out
-        order = [(self._n + i) % PAIRS for i in range(PAIRS)]  # oldest first
+        order, back = self._oldest_first[self._n % PAIRS], self._as_stored[self._n % PAIRS]
+        column = start.T.contiguous()[..., None]  # (S, P, 1)
+        s_g, y_g = (self._steps @ column)[:, order], (self._changes @ column)[:, order]  # (S, n, 1)
         upper = self._sy[:, order][:, :, order].triu_()
-        diagonal = upper.diagonal(dim1=1, dim2=2).unsqueeze(2) * self._good[:, order].unsqueeze(2)
-        s_g = (self._steps * start).sum(1).T[:, order].unsqueeze(2)  # (S, n, 1)
-        y_g = (self._changes * start).sum(1).T[:, order].unsqueeze(2)
+        diagonal = upper.diagonal(dim1=1, dim2=2).unsqueeze(2) * self._good[:, order]
         gamma = size[:, None, None]
         p = torch.linalg.solve_triangular(upper, s_g, upper=True)
         right = diagonal * p + gamma * (self._yy[:, order][:, :, order] @ p - y_g)
         q = torch.linalg.solve_triangular(upper.transpose(1, 2), right, upper=False)
-        back = [(i - self._n) % PAIRS for i in range(PAIRS)]
-        q, p = q[:, back, 0].T.unsqueeze(1), (gamma * p)[:, back, 0].T.unsqueeze(1)  # (n, 1, S)
-        newton = out - (self._steps * q).sum(0) + (self._changes * p).sum(0)
+        p, q = (gamma * p)[:, back].transpose(1, 2), q[:, back].transpose(1, 2)  # (S, 1, n)
+        newton = out + (p @ self._changes).sub_(q @ self._steps)[:, 0].T
         if free is not None:
             newton = torch.where(free, newton, 0)
         return torch.where((newton * start).sum(0) < 0, newton, out)
