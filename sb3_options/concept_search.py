@@ -204,6 +204,14 @@ class ConceptSearch:
         descent.run(UPDATE_STEPS)
         return self._solutions(descent, evidence)
 
+    def climb(self, evidence: Evidence, steps: int) -> Array:
+        """Where every start is after ``steps`` evaluations, none dropped and none merged: θ (P, S)."""
+        points = self._start_points(evidence, None)
+        theta = torch.cat([self.concept.start(points, scale) for scale in self.start_scales], dim=1)
+        descent = self._descent(theta.float(), evidence)
+        descent.run(steps)
+        return np.asarray(self.concept.canonical(descent.theta.double()).cpu().numpy())
+
     def evidence(self, bags: Bags) -> Evidence:
         """The bags as this search sees them, to be searched and extended many times.
 

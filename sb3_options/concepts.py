@@ -103,6 +103,8 @@ class Point(Concept):
     Attributes:
         scales: Learned for "each" feature, "one" for all, or "fixed" at the scale given.
         scale_bounds: Smallest and largest learned scale, as factors of the scale given; (0, inf) for none.
+        scale_prior: Standard deviation of a Gaussian prior of each learned scale about 0, as a factor of the scale
+            given: a feature counts only as far as the bags say so. inf for none.
 
     Raises:
         ValueError: An argument is out of its range.
@@ -110,6 +112,7 @@ class Point(Concept):
 
     scales: Literal["each", "one", "fixed"] = "each"
     scale_bounds: tuple[float, float] = SCALE_BOUNDS
+    scale_prior: float = math.inf
     link: ClassVar[Link] = "gaussian"
     n_powers: ClassVar[int] = 2
 
@@ -120,6 +123,8 @@ class Point(Concept):
         low, high = self.scale_bounds
         if not 0 <= low < high:
             raise ValueError(f"scale_bounds must be factors 0 <= low < high, got {self.scale_bounds}")
+        if not self.scale_prior > 0:
+            raise ValueError(f"scale_prior must be above 0, inf for none, got {self.scale_prior}")
 
     @property
     def learns_scale(self) -> bool:
@@ -163,6 +168,15 @@ class Point(Concept):
             torch.cat([-free, free.new_full((n_scales, 1), least)]),
             torch.cat([free, free.new_full((n_scales, 1), high)]),
         )
+
+    def log_prior(self, theta: Tensor) -> tuple[Tensor, Tensor]:
+        """−½ Σ_k (s_k / scale_prior)²."""
+        if self.scales == "fixed" or math.isinf(self.scale_prior):
+            return super().log_prior(theta)
+        n_scales = 1 if self.scales == "one" else len(theta) // 2
+        gradient = torch.zeros_like(theta)
+        gradient[-n_scales:] = theta[-n_scales:] * -(self.scale_prior**-2)
+        return (gradient * theta).sum(0) / 2, gradient
 
     def canonical(self, theta: Tensor) -> Tensor:
         """With no scale below 0."""

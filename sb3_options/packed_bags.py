@@ -120,6 +120,8 @@ class Layout(NamedTuple):
     rows: tuple[int, int]  # rows, width
     bag_of_row: Tensor | None  # (rows,), or None where every bag is one row
     n_bags: int
+    bag_weights: Tensor | None  # (bags,) of positive bags, or None where every weight is 1
+    negative_weights: Tensor | None  # (n_negative,): of the bag of each negative instance
 
     @classmethod
     def of(cls, bags: Bags, dtype: torch.dtype) -> "Layout":
@@ -139,6 +141,9 @@ class Layout(NamedTuple):
         device = bags.instances.device
         columns = torch.from_numpy(np.append(index.ravel(), np.arange(n_positive, n_instances))).to(device)
         x = (bags.instances - bags.instances[0])[columns].T
+        weights = torch.tensor(bags.bag_weights, dtype=dtype, device=device)
+        negative_lengths = bags.lengths[bags.n_positive :]
+        negative_bag = torch.from_numpy(np.repeat(np.arange(len(negative_lengths)), negative_lengths)).to(device)
         return cls(
             origin=bags.instances[0],
             powers=torch.cat([torch.ones_like(x[:1]), x, x * x]).to(dtype),
@@ -146,6 +151,8 @@ class Layout(NamedTuple):
             rows=(len(bag), width),
             bag_of_row=None if len(bag) == len(lengths) else torch.from_numpy(bag).to(device),
             n_bags=len(lengths),
+            bag_weights=None if bags.weights is None else weights[: bags.n_positive],
+            negative_weights=None if bags.weights is None else weights[bags.n_positive :][negative_bag],
         )
 
     def per_bag(self, rows: Tensor, reduce: Literal["amax", "prod", "sum"]) -> Tensor:
