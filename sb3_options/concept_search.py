@@ -152,7 +152,7 @@ class ConceptSearch:
     def search(
         self, bags: Bags | Evidence, *, starts: ArrayLike | None = None, warm: Sequence[Solution] = ()
     ) -> list[Solution]:
-        """Search for peaks, best first, no two within `merge_radius`.
+        """Search for peaks, the most probable first, prior included, no two within `merge_radius`.
 
         Args:
             bags: The evidence.
@@ -166,8 +166,7 @@ class ConceptSearch:
         points = self._start_points(evidence, starts)
         theta = [self._in_frame(solution, evidence.frame)[:, None] for solution in warm]
         if len(points):
-            scales = self.start_scales if self.concept.learns_scale else self.start_scales[:1]
-            theta += [self.concept.start(points, scale) for scale in scales]
+            theta.append(self._started(points))
         if not theta:
             raise ValueError("there is nothing to search from: without positive bags pass starts or warm")
         descent = self._descent(torch.cat(theta, dim=1).float(), evidence)
@@ -204,11 +203,17 @@ class ConceptSearch:
         descent.run(UPDATE_STEPS)
         return self._solutions(descent, evidence)
 
+    def starts(self, evidence: Evidence) -> Tensor:
+        """θ of every start, (P, S)."""
+        return self._started(self._start_points(evidence, None))
+
+    def _started(self, points: Tensor) -> Tensor:
+        scales = self.start_scales if self.concept.learns_scale else self.start_scales[:1]
+        return torch.cat([self.concept.start(points, scale) for scale in scales], dim=1)
+
     def climb(self, evidence: Evidence, steps: int) -> Array:
         """Where every start is after ``steps`` evaluations, none dropped and none merged: θ (P, S)."""
-        points = self._start_points(evidence, None)
-        theta = torch.cat([self.concept.start(points, scale) for scale in self.start_scales], dim=1)
-        descent = self._descent(theta.float(), evidence)
+        descent = self._descent(self.starts(evidence).float(), evidence)
         descent.run(steps)
         return np.asarray(self.concept.canonical(descent.theta.double()).cpu().numpy())
 
@@ -271,13 +276,15 @@ class ConceptSearch:
         return torch.from_numpy(solution.theta)
 
     def _solutions(self, descent: Descent, evidence: Evidence) -> list[Solution]:
-        theta = self.concept.canonical(descent.theta.double())
-        loss, _ = evidence.loss(theta)
+        theta = descent.theta.double()
+        return self.solutions(theta, evidence.loss(theta)[0], descent.converged, evidence)
+
+    def solutions(self, theta: Tensor, loss: Tensor, converged: Tensor, evidence: Evidence) -> list[Solution]:
+        """Solutions at θ (P, S), smallest loss first, merged; the loss is −log density − log prior, (S,)."""
+        theta = self.concept.canonical(theta)
         density = -loss - self.concept.log_prior(theta)[0]
         return [
-            Solution(
-                self.concept, theta[:, i].cpu().numpy(), evidence.frame, float(density[i]), bool(descent.converged[i])
-            )
+            Solution(self.concept, theta[:, i].cpu().numpy(), evidence.frame, float(density[i]), bool(converged[i]))
             for i in _best_apart(theta, loss, self.merge_radius, theta.shape[1])
         ]
 

@@ -103,8 +103,12 @@ class Point(Concept):
     Attributes:
         scales: Learned for "each" feature, "one" for all, or "fixed" at the scale given.
         scale_bounds: Smallest and largest learned scale, as factors of the scale given; (0, inf) for none.
-        scale_prior: Standard deviation of a Gaussian prior of each learned scale about 0, as a factor of the scale
-            given: a feature counts only as far as the bags say so. inf for none.
+        prior: What is thought of a learned scale before any bag is seen. "near": its logarithm is normal about the
+            scale given, so that of concepts which explain the bags alike the one of the expected size wins; in two
+            rooms that is the doorway, where without it a slab across the world ties. "small": the scale is normal
+            about 0, so that a feature counts only as far as the bags say so. None: all scales alike.
+        prior_width: Standard deviation of the prior, in e-folds for "near", as a factor of the scale given for
+            "small".
 
     Raises:
         ValueError: An argument is out of its range.
@@ -112,7 +116,8 @@ class Point(Concept):
 
     scales: Literal["each", "one", "fixed"] = "each"
     scale_bounds: tuple[float, float] = SCALE_BOUNDS
-    scale_prior: float = math.inf
+    prior: Literal["near", "small"] | None = "near"
+    prior_width: float = 1.0
     link: ClassVar[Link] = "gaussian"
     n_powers: ClassVar[int] = 2
 
@@ -123,8 +128,10 @@ class Point(Concept):
         low, high = self.scale_bounds
         if not 0 <= low < high:
             raise ValueError(f"scale_bounds must be factors 0 <= low < high, got {self.scale_bounds}")
-        if not self.scale_prior > 0:
-            raise ValueError(f"scale_prior must be above 0, inf for none, got {self.scale_prior}")
+        if self.prior not in ("near", "small", None):
+            raise ValueError(f'prior must be "near", "small" or None, got {self.prior!r}')
+        if not 0 < self.prior_width < math.inf:
+            raise ValueError(f"prior_width must be positive and finite, got {self.prior_width}")
 
     @property
     def learns_scale(self) -> bool:
@@ -159,7 +166,7 @@ class Point(Concept):
         return torch.cat([instances.T * scale, instances.new_full((n_scales, len(instances)), scale)])
 
     def bounds(self, n_features: int) -> tuple[Tensor, Tensor]:
-        """None on a. Without bounds s may change its sign, which changes nothing: (−s, −a) is the same concept."""
+        """None on a. With no lower bound s may change its sign, which changes nothing: (−s, −a) is the same."""
         n_scales = {"fixed": 0, "one": 1, "each": n_features}[self.scales]
         low, high = self.scale_bounds
         free = torch.full((n_features, 1), math.inf, dtype=torch.float64)
@@ -170,13 +177,17 @@ class Point(Concept):
         )
 
     def log_prior(self, theta: Tensor) -> tuple[Tensor, Tensor]:
-        """−½ Σ_k (s_k / scale_prior)²."""
-        if self.scales == "fixed" or math.isinf(self.scale_prior):
+        """−½ Σ_k (log s_k)² / width² for "near", −½ Σ_k s_k² / width² for "small"."""
+        if self.scales == "fixed" or self.prior is None:
             return super().log_prior(theta)
         n_scales = 1 if self.scales == "one" else len(theta) // 2
-        gradient = torch.zeros_like(theta)
-        gradient[-n_scales:] = theta[-n_scales:] * -(self.scale_prior**-2)
-        return (gradient * theta).sum(0) / 2, gradient
+        scales, precision, gradient = theta[-n_scales:], self.prior_width**-2, torch.zeros_like(theta)
+        if self.prior == "small":
+            gradient[-n_scales:] = -precision * scales
+            return -precision / 2 * scales.square().sum(0), gradient
+        logs = scales.abs().clamp(min=torch.finfo(theta.dtype).tiny ** 0.5).log()
+        gradient[-n_scales:] = -precision * logs / scales
+        return -precision / 2 * logs.square().sum(0), gradient
 
     def canonical(self, theta: Tensor) -> Tensor:
         """With no scale below 0."""

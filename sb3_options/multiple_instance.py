@@ -18,19 +18,25 @@ CHUNK = 1 << 20
 """(instances × concepts) whose probabilities are held at once in prediction."""
 
 
+REFERENCE_FEATURES = 10
+"""The number of features that start scales are meant for."""
+
+
 class DiverseDensityClassifier:
     """Multiple-instance classifier: a bag is positive if an instance of it lies in the concept.
 
     Climbs from every start and averages what the concepts at the ends say, Pr(positive) = mean over starts of
-    1 − Π_j (1 − p_j). A single best concept depends much on which bags it saw; the average less so. Features are
-    divided by their standard deviation over all training instances; those that do not vary are left out.
+    1 − Π_j (1 − p_j). A single best concept depends much on which bags it saw; the average less so. The defaults were
+    fixed on synthetic bags (docs/diverse-density.md). Features are divided by their standard deviation over all
+    training instances; those that do not vary are left out.
 
     Args:
         concept: Class of concepts; by default a point with a scale per feature and no bounds but a prior.
-        start_scale: Scale of the starts, as one over standard deviations, times √(10 / features): ten features'
-            worth of distance to begin with, however many there are.
-        max_starts: Most starts, evenly spaced among the instances of positive bags; None for all.
-        steps: Evaluations of the objective that each start may climb.
+        start_scales: Scales of the starts, as one over standard deviations, for `REFERENCE_FEATURES` features; with
+            others they are multiplied by √(REFERENCE_FEATURES / features), which keeps distances what they are.
+        max_starts: Most points to start from, evenly spaced among the instances of positive bags; None for all.
+        steps: Evaluations of the objective that each start may climb. Few: climbing on, the starts run together in
+            one concept that fits the training bags ever better and new ones worse.
         threshold: `predict` says 1 for a probability of at least this.
 
     Attributes:
@@ -44,13 +50,13 @@ class DiverseDensityClassifier:
         self,
         concept: Concept | None = None,
         *,
-        start_scale: float = 0.5,
+        start_scales: Sequence[float] = (0.25, 0.5),
         max_starts: int | None = None,
         steps: int = 20,
         threshold: float = 0.5,
     ) -> None:
         self.concept = concept
-        self.start_scale = start_scale
+        self.start_scales = start_scales
         self.max_starts = max_starts
         self.steps = steps
         self.threshold = threshold
@@ -96,7 +102,7 @@ class DiverseDensityClassifier:
             concept=self._concept(),
             scale=1 / np.where(deviation > 0, deviation, 1),
             features=varies.tolist(),
-            start_scales=(self.start_scale * math.sqrt(10 / len(varies)),),
+            start_scales=[scale * math.sqrt(REFERENCE_FEATURES / len(varies)) for scale in self.start_scales],
             max_starts=self.max_starts,
         )
         packed = Bags.pack(
@@ -132,7 +138,9 @@ class DiverseDensityClassifier:
         return float(np.mean(self.predict(bags) == np.asarray(labels)))
 
     def _concept(self) -> Concept:
-        return Point(scale_bounds=(0, math.inf), scale_prior=0.5) if self.concept is None else self.concept
+        return (
+            Point(scale_bounds=(0, math.inf), prior="small", prior_width=0.5) if self.concept is None else self.concept
+        )
 
     def _positive(self, bag: Array) -> float:
         scaled = (bag[:, self._frame.features] - self._frame.origin) * self._frame.scale

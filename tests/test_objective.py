@@ -20,7 +20,9 @@ def evidence_of(
 ) -> Evidence:
     d = bags.n_features
     frame = Frame(np.arange(d), np.zeros(d), np.ones(d), d)
-    return Evidence(bags, concept or Point(), frame, negative_strength=eta, negative_width=width, max_pairs=max_pairs)
+    return Evidence(
+        bags, concept or Point(prior=None), frame, negative_strength=eta, negative_width=width, max_pairs=max_pairs
+    )
 
 
 def theta_of(points: Array, scales: Array) -> Tensor:
@@ -100,7 +102,15 @@ def check_gradient(evidence: Evidence, theta: Tensor) -> None:
 
 @pytest.mark.parametrize(
     "concept",
-    [Point(), Point("one"), Point("fixed"), Point(scale_prior=0.5), Point("one", scale_prior=2.0), Plane()],
+    [
+        Point(),
+        Point("one"),
+        Point("fixed"),
+        Point(prior=None),
+        Point(prior="small", prior_width=0.5),
+        Point("one", prior="small"),
+        Plane(),
+    ],
 )
 @pytest.mark.parametrize(("eta", "width"), [(1.0, 1.0), (0.3, 1.0), (1.0, 0.5), (0.2, 2.0)])
 def test_gradient_of_every_concept(concept: Concept, eta: float, width: float) -> None:
