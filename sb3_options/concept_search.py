@@ -26,9 +26,9 @@ from sb3_options.packed_bags import Bags, distinct
 SURVIVORS = 4
 """After every `first_steps` the best quarter of the starts goes on, until `finalists` are left."""
 
-UPDATE_STARTS = 16
+UPDATE_STARTS = 8
 UPDATE_FINALISTS = 2
-UPDATE_STEPS = 10
+UPDATE_STEPS = 5
 """What `ConceptSearch.update` may cost: instances tried, of them and of earlier peaks climbing, steps they climb."""
 
 
@@ -183,8 +183,7 @@ class ConceptSearch:
     def update(self, evidence: Evidence, warm: Sequence[Solution], starts: ArrayLike) -> list[Solution]:
         """Search again after bags were added, at a small part of the cost of a search.
 
-        The earlier peaks and the best of a few new points climb `UPDATE_STEPS` steps, all in single precision; where
-        they end is evaluated in double precision.
+        The earlier peaks and the best of a few new points climb `UPDATE_STEPS` steps, all in single precision.
 
         Args:
             evidence: With the new bags in it.
@@ -201,7 +200,7 @@ class ConceptSearch:
         known = [self._in_frame(solution, evidence.frame) for solution in warm[:UPDATE_FINALISTS]]
         descent = self._descent(torch.stack([*known, *theta[:, best].T], dim=1).float(), evidence)
         descent.run(UPDATE_STEPS)
-        return self._solutions(descent, evidence)
+        return self.solutions(descent.theta.double(), descent.value.double(), descent.converged, evidence)
 
     def starts(self, evidence: Evidence) -> Tensor:
         """θ of every start, (P, S)."""
@@ -244,7 +243,8 @@ class ConceptSearch:
     def _start_points(self, evidence: Evidence, starts: ArrayLike | None) -> Tensor:
         """In scaled features, (S, m)."""
         if starts is None:
-            points = distinct(evidence.positive_instances())
+            instances = evidence.positive_instances()
+            points = instances[np.sort(np.unique(instances, axis=0, return_index=True)[1])]
             points = points if self.max_starts is None else _evenly(points, self.max_starts)
         else:
             given = np.asarray(starts, dtype=np.float64)

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-PAIRS = 8
+PAIRS = 6
 """Curvature pairs kept."""
 
 SUFFICIENT = 1e-4

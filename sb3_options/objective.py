@@ -15,7 +15,8 @@ done again by `_careful`, which factors out each bag's smallest energy and is ri
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import islice
 from typing import Literal, NamedTuple
 
 import torch
@@ -23,8 +24,11 @@ from torch import Tensor
 
 from sb3_options.segments import Segment
 
-MAX_PAIRS = 1 << 18
-"""Default for (instances × starts) held at once. Two such arrays in single precision are 2 MiB."""
+MAX_PAIRS = 1 << 20
+"""Default for (instances × starts) held at once. Two such arrays in single precision are 8 MiB."""
+
+NEAR_NEGATIVE = 2.0**-26
+"""In double precision 1 − p of a row of negative instances is exact to half its digits above this."""
 
 LOG2_E = math.log2(math.e)
 
@@ -38,19 +42,51 @@ class Evaluation(NamedTuple):
     gradient: Tensor
 
 
+class Arrays(NamedTuple):
+    """What one evaluation writes into, for N instances in R rows and S starts."""
+
+    p: Tensor  # (N, S)
+    q: Tensor  # (N, S)
+    hit: Tensor  # (R, S)
+    miss: Tensor  # (R, S)
+    ratio: Tensor  # (R, S)
+    p_blocks: tuple[Tensor, ...]  # views of the first instances of all rows, of the second ones, and so on
+    q_blocks: tuple[Tensor, ...]
+    hit_rows: tuple[Tensor, ...]  # views of the rows that have a first instance, a second one, and so on
+    miss_rows: tuple[Tensor, ...]
+    ratio_rows: tuple[Tensor, ...]
+
+
 class Workspace:
-    """Two arrays that every evaluation writes into: fresh memory would cost more than the arithmetic."""
+    """Arrays that every evaluation writes into: fresh memory and fresh views cost as much as the arithmetic."""
+
+    VIEWS = 64
+    """Shapes whose views are kept."""
 
     def __init__(self) -> None:
         self._flat: tuple[Tensor, Tensor] = (torch.empty(0), torch.empty(0))
+        self._views: dict[tuple[int, int, torch.dtype], tuple[Segment, Arrays]] = {}
 
-    def take(self, rows: int, columns: int, like: Tensor) -> tuple[Tensor, Tensor]:
-        """Two uninitialised (rows, columns) arrays with the precision and the device of ``like``."""
-        flat, n = self._flat[0], rows * columns
+    def take(self, segment: Segment, n_starts: int, like: Tensor) -> Arrays:
+        """Uninitialised arrays with the precision and the device of ``like``."""
+        key = (id(segment), n_starts, like.dtype)
+        known = self._views.get(key)
+        if known is not None and known[0] is segment:
+            return known[1]
+        n = len(segment.powers) * n_starts
+        flat = self._flat[0]
         if len(flat) < n or flat.dtype != like.dtype or flat.device != like.device:
             self._flat = (like.new_empty(n), like.new_empty(n))
-        first, second = (flat[:n].view(rows, columns) for flat in self._flat)
-        return first, second
+            self._views.clear()
+        if len(self._views) == self.VIEWS:
+            self._views.clear()
+        p, q = (flat[:n].view(-1, n_starts) for flat in self._flat)
+        hit, miss, ratio = (like.new_empty(segment.counts[0], n_starts) for _ in range(3))
+        p_blocks, q_blocks = (torch.split(array, list(segment.counts)) for array in (p, q))
+        rows = (tuple(array[:count] for count in segment.counts) for array in (hit, miss, ratio))
+        arrays = Arrays(p, q, hit, miss, ratio, p_blocks, q_blocks, *rows)
+        self._views[key] = (segment, arrays)
+        return arrays
 
 
 def evaluate(
@@ -89,11 +125,6 @@ def evaluate(
     return Evaluation(total, gradient)
 
 
-def _blocks(segment: Segment, array: Tensor) -> list[Tensor]:
-    """Views of the first instances of all rows, the second instances, and so on."""
-    return list(torch.split(array, list(segment.counts)))
-
-
 def _with_strength(coefficients: Tensor, segment: Segment, factor: float) -> Tensor:
     """``factor`` times the coefficients, with a row for log η if the segment has that column."""
     scaled = coefficients * factor
@@ -110,8 +141,8 @@ def _quick(coefficients: Tensor, segment: Segment, link: Link, workspace: Worksp
     1 − p_j over its row.
     """
     precision = torch.finfo(coefficients.dtype)
-    n_starts = coefficients.shape[1]
-    p, q = workspace.take(len(segment.powers), n_starts, coefficients)
+    arrays = workspace.take(segment, coefficients.shape[1], coefficients)
+    p, q = arrays.p, arrays.q
     if link == "gaussian":
         scaled = _with_strength(coefficients, segment, -LOG2_E)
         # A product that rounds to an energy below 0 would make p > 1; the margin keeps p below 1 and costs 1e-6 of it.
@@ -121,41 +152,54 @@ def _quick(coefficients: Tensor, segment: Segment, link: Link, workspace: Worksp
     else:
         torch.mm(segment.powers, _with_strength(coefficients, segment, -1.0), out=p)
         p.sigmoid_()
-    one = p.new_ones(())
-    blocks = _blocks(segment, p)
-    hit = blocks[0].clone()
-    for block in blocks[1:]:
-        rows = hit[: len(block)]
-        torch.lerp(rows, one, block, out=rows)
-    value, ratio, fine = _bags_of_rows(hit, segment, precision.tiny**0.75)
+    torch.sub(p.new_ones(()), p, out=q)
+    _rows(arrays)
+    value, fine = _bags_of_rows(arrays, segment, precision.tiny**0.75)
     if link == "gaussian":
-        torch.sub(one, p, out=q)
         torch.div(p, q, out=p)
-    for block in blocks:
-        block.mul_(ratio[: len(block)])
+    for block, ratio in zip(arrays.p_blocks, arrays.ratio_rows, strict=True):
+        block.mul_(ratio)
     gradient = torch.mm(segment.powers.T, p)
     # A p of exactly 1 leaves 0/0.
-    return value, gradient, fine & gradient.isfinite().all(0)
+    return value, gradient, fine & gradient.sum(0).isfinite()
 
 
-def _bags_of_rows(hit: Tensor, segment: Segment, smallest: float) -> tuple[Tensor, Tensor, Tensor]:
-    """From the probability of a hit in each row (R, S): value (S,), factor of each row's odds (R, S), reliable (S,)."""
-    miss = 1 - hit
-    # Near a negative instance 1 − p cancels.
-    fine = ((miss > torch.finfo(miss.dtype).eps ** 0.5) | ~segment.negative).all(0)
-    log_density = (torch.where(segment.negative, miss, 1.0).log() * segment.row_weight).sum(0)
-    ratio = (segment.row_weight * segment.negative).expand_as(hit)
+def _rows(arrays: Arrays) -> None:
+    """Probabilities of a hit and of none in each row, each without cancellation."""
+    one = arrays.p.new_ones(())
+    arrays.hit.copy_(arrays.p_blocks[0])
+    arrays.miss.copy_(arrays.q_blocks[0])
+    steps = zip(arrays.hit_rows, arrays.p_blocks, arrays.miss_rows, arrays.q_blocks, strict=True)
+    for hit, p, miss, q in islice(steps, 1, None):
+        torch.lerp(hit, one, p, out=hit)
+        miss.mul_(q)
+
+
+def _bags_of_rows(arrays: Arrays, segment: Segment, smallest: float) -> tuple[Tensor, Tensor]:
+    """From rows to the value (S,), which starts are reliable (S,), and the factor of each row's odds, in place."""
+    hit, miss = arrays.hit, arrays.miss
+    # Near a negative instance 1 − p cancels. In single precision a hit is worth some −15 nats instead of −∞, which
+    # refuses it as well and is not worth a second look.
+    near = NEAR_NEGATIVE if miss.dtype == torch.float64 else 0.0
+    negative = miss.index_select(0, segment.negative_rows)
+    fine = negative.amin(0) > near if len(negative) else torch.ones_like(hit[0], dtype=torch.bool)
+    log_density = segment.negative_weight @ negative.log_()
+    # One factor for each positive bag, and then one for all rows of negative bags, each of which is its own bag.
+    factors = hit.new_ones(len(segment.bag_weight) + 1, hit.shape[1])
     if segment.rows_of_bags:
         first, *others = segment.rows_of_bags
-        bag_hit, one = hit[first], hit.new_ones(())
+        one, bag_hit, bag_miss = hit.new_ones(()), hit.index_select(0, first), miss.index_select(0, first)
         for rows in others:
-            bags = bag_hit[: len(rows)]
-            torch.lerp(bags, one, hit[rows], out=bags)
-        fine &= ((bag_hit > smallest) & (bag_hit <= 1)).all(0)
-        log_density += segment.bag_weight @ bag_hit.log()
-        bag_ratio = ((1 - bag_hit) / bag_hit).neg_()[segment.bag_of_row]
-        ratio = torch.where(segment.negative, ratio, bag_ratio * segment.row_weight)
-    return log_density, ratio, fine
+            n = len(rows)
+            torch.lerp(bag_hit[:n], one, hit.index_select(0, rows), out=bag_hit[:n])
+            bag_miss[:n].mul_(miss.index_select(0, rows))
+        fine = fine & (bag_hit.amin(0) > smallest) & (bag_hit.amax(0) <= 1)
+        torch.div(bag_miss, bag_hit, out=factors[:-1]).neg_()
+        log_density = log_density + segment.bag_weight @ bag_hit.log_()
+    torch.index_select(factors, 0, segment.bag_of_row, out=arrays.ratio)
+    if segment.weighted:
+        arrays.ratio.mul_(segment.row_weight)
+    return log_density, fine
 
 
 def _careful(coefficients: Tensor, segment: Segment, link: Link, workspace: Workspace) -> tuple[Tensor, Tensor]:
@@ -166,7 +210,8 @@ def _careful(coefficients: Tensor, segment: Segment, link: Link, workspace: Work
     """
     precision = torch.finfo(coefficients.dtype)
     floor = math.log2(precision.tiny) / 2  # keeps products of two above the subnormal numbers, which are slow
-    share, odds = workspace.take(len(segment.powers), coefficients.shape[1], coefficients)
+    arrays = workspace.take(segment, coefficients.shape[1], coefficients)
+    share, odds = arrays.p, arrays.q
     if link == "gaussian":
         torch.mm(segment.powers, _with_strength(coefficients, segment, -LOG2_E), out=share)
         _measure_close_pairs_again(share, coefficients, segment)
@@ -176,12 +221,12 @@ def _careful(coefficients: Tensor, segment: Segment, link: Link, workspace: Work
         outside = energy.sigmoid()
         log2_p = torch.nn.functional.softplus(energy).mul_(-LOG2_E)
         share.copy_(log2_p)
-    blocks = _blocks(segment, share)
+    blocks = arrays.p_blocks
     row_top = _chain(blocks, torch.maximum)
     top = torch.zeros_like(row_top)  # instances of negative bags are taken as they are
     if segment.rows_of_bags:
         bag_top = _over_rows(row_top, segment, torch.maximum)
-        top = torch.where(segment.negative, top, bag_top[segment.bag_of_row])
+        top = torch.cat([bag_top, torch.zeros_like(bag_top[:1])])[segment.bag_of_row]
     for block in blocks:
         block.sub_(top[: len(block)])
     share.clamp_(min=floor).exp2_()
@@ -191,12 +236,12 @@ def _careful(coefficients: Tensor, segment: Segment, link: Link, workspace: Work
         return hit + other * (1 - largest * hit)
 
     hit = blocks[0].clone()
-    for block, odd in zip(blocks, _blocks(segment, odds), strict=True):
+    for block, odd in zip(blocks, arrays.q_blocks, strict=True):
         torch.addcmul(odd.fill_(1), block, largest[: len(block)], value=-1, out=odd)
         if block is not blocks[0]:
             rows = hit[: len(block)]
             rows.copy_(unite(rows, block, largest[: len(block)]))
-    ratio = segment.row_weight * segment.negative + torch.zeros_like(hit)
+    factors = hit.new_ones(len(segment.bag_weight) + 1, hit.shape[1])
     log_density = hit.new_zeros(hit.shape[1])
     if segment.rows_of_bags:
         first, *others = segment.rows_of_bags
@@ -205,9 +250,10 @@ def _careful(coefficients: Tensor, segment: Segment, link: Link, workspace: Work
             n = len(rows)
             bag_hit[:n] = unite(bag_hit[:n], hit[rows], bag_largest[:n])
         log_density += segment.bag_weight @ (bag_hit.log() + bag_top * math.log(2)).clamp_(max=0)
-        bag_ratio = ((1 - bag_largest * bag_hit).clamp_(min=0) / bag_hit).neg_()[segment.bag_of_row]
-        ratio = torch.where(segment.negative, ratio, bag_ratio * segment.row_weight)
-    negative = torch.cat([segment.negative[:count, 0] for count in segment.counts])
+        torch.div((1 - bag_largest * bag_hit).clamp_(min=0), bag_hit, out=factors[:-1]).neg_()
+    ratio = factors[segment.bag_of_row] * segment.row_weight
+    is_negative = segment.bag_of_row == len(segment.bag_weight)
+    negative = torch.cat([is_negative[:count] for count in segment.counts])
     if bool(negative.any()):
         # log(1 − p) from p where p is small, from 1 − p where it is not: the row's product may underflow.
         p, rows_weight = share[negative], torch.cat([segment.row_weight[:count] for count in segment.counts])[negative]
@@ -244,7 +290,7 @@ def _measure_close_pairs_again(log2_p: Tensor, coefficients: Tensor, segment: Se
     log2_p[place, start] = -LOG2_E * energy * rows[:, 0]
 
 
-def _chain(blocks: list[Tensor], unite: Callable[..., Tensor]) -> Tensor:
+def _chain(blocks: Sequence[Tensor], unite: Callable[..., Tensor]) -> Tensor:
     """Reduce the instances of each row: (R, S)."""
     out = blocks[0].clone()
     for block in blocks[1:]:

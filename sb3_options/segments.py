@@ -16,10 +16,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-SEGMENT_INSTANCES = 1 << 14
-"""Instances a segment holds, unless one bag alone has more: 16 starts at once then fill `MAX_PAIRS`."""
+SEGMENT_INSTANCES = 1 << 17
+"""Instances a segment holds, unless one bag alone has more: 8 starts at once then fill `MAX_PAIRS`."""
 
-SHORTEST_WIDTH = 8
+SHORTEST_WIDTH = 16
 """Rows are at least this wide: every place costs three calls, every row a share of the work on rows."""
 
 
@@ -30,17 +30,21 @@ class Segment(NamedTuple):
         powers: (N, K): 1, x_k, x_k², for negative instances over the square of their width; and, if negative
             instances are weakened, a column of log η for those.
         counts: Rows that have a first, second, … instance; their sum is N.
-        negative: (R, 1): whether the row belongs to a negative bag.
+        negative_rows: Numbers of the rows of negative bags.
+        negative_weight: Weights of their bags.
         row_weight: (R, 1): weight of the bag of each row.
+        weighted: Whether any weight is not 1.
         bag_weight: (B,): weights of the positive bags.
-        bag_of_row: (R,): positive bag of each row, 0 for rows of negative bags.
+        bag_of_row: (R,): positive bag of each row, B for rows of negative bags.
         rows_of_bags: The first rows of all positive bags, the second rows of those that have one, …
     """
 
     powers: Tensor
     counts: tuple[int, ...]
-    negative: Tensor
+    negative_rows: Tensor
+    negative_weight: Tensor
     row_weight: Tensor
+    weighted: bool
     bag_weight: Tensor
     bag_of_row: Tensor
     rows_of_bags: tuple[Tensor, ...]
@@ -99,12 +103,13 @@ def segment_of(
 
     positive = np.flatnonzero(bags.positive)
     positive = positive[np.argsort(-rows[positive], kind="stable")]
-    number = np.zeros(len(rows), dtype=np.int64)
+    number = np.full(len(rows), len(positive), dtype=np.int64)
     number[positive] = np.arange(len(positive))
     row_at = np.zeros((len(rows), int(rows.max())), dtype=np.int64)
     row_at[bag, row_in_bag] = np.arange(len(bag))
     rows_of_bags = [row_at[positive[rows[positive] > k], k] for k in range(int(rows[positive].max(initial=0)))]
 
+    negative_rows = np.flatnonzero(~bags.positive[bag])
     x = bags.instances[index]
     negative = np.concatenate([~bags.positive[bag[:count]] for count in counts])[:, None]
     powers = np.concatenate([np.ones((len(x), 1)), x, *([x * x] if n_powers > 1 else [])], axis=1)
@@ -118,8 +123,10 @@ def segment_of(
     return Segment(
         powers=tensor(powers).to(dtype),
         counts=tuple(counts),
-        negative=tensor(~bags.positive[bag][:, None]),
+        negative_rows=tensor(negative_rows),
+        negative_weight=tensor(bags.weights[bag][negative_rows]).to(dtype),
         row_weight=tensor(bags.weights[bag][:, None]).to(dtype),
+        weighted=bool((bags.weights != 1).any()),
         bag_weight=tensor(bags.weights[positive]).to(dtype),
         bag_of_row=tensor(number[bag]),
         rows_of_bags=tuple(tensor(rows) for rows in rows_of_bags),
