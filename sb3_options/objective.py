@@ -27,6 +27,9 @@ from sb3_options.segments import Segment
 MAX_PAIRS = 1 << 20
 """Default for (instances × starts) held at once. Two such arrays in single precision are 8 MiB."""
 
+FEW_STARTS = 9
+"""Below this many starts arrays are stored start by start: products with so few columns are slow."""
+
 NEAR_NEGATIVE = 2.0**-26
 """In double precision 1 − p of a row of negative instances is exact to half its digits above this."""
 
@@ -80,13 +83,18 @@ class Workspace:
             self._views.clear()
         if len(self._views) == self.VIEWS:
             self._views.clear()
-        p, q = (flat[:n].view(-1, n_starts) for flat in self._flat)
-        hit, miss, ratio = (like.new_empty(segment.counts[0], n_starts) for _ in range(3))
+        p, q = (_columns(flat[:n], n_starts) for flat in self._flat)
+        hit, miss, ratio = (_columns(like.new_empty(segment.counts[0] * n_starts), n_starts) for _ in range(3))
         p_blocks, q_blocks = (torch.split(array, list(segment.counts)) for array in (p, q))
         rows = (tuple(array[:count] for count in segment.counts) for array in (hit, miss, ratio))
         arrays = Arrays(p, q, hit, miss, ratio, p_blocks, q_blocks, *rows)
         self._views[key] = (segment, arrays)
         return arrays
+
+
+def _columns(flat: Tensor, n_starts: int) -> Tensor:
+    """As (rows, S), stored row by row or, for few starts, start by start."""
+    return flat.view(-1, n_starts) if n_starts >= FEW_STARTS else flat.view(n_starts, -1).T
 
 
 def evaluate(
@@ -147,10 +155,10 @@ def _quick(coefficients: Tensor, segment: Segment, link: Link, workspace: Worksp
         scaled = _with_strength(coefficients, segment, -LOG2_E)
         # A product that rounds to an energy below 0 would make p > 1; the margin keeps p below 1 and costs 1e-6 of it.
         scaled[0] -= (4 * precision.eps) * (1 + coefficients[0].abs())
-        torch.mm(segment.powers, scaled, out=p)
+        _energies(scaled, segment, p)
         p.exp2_()
     else:
-        torch.mm(segment.powers, _with_strength(coefficients, segment, -1.0), out=p)
+        _energies(_with_strength(coefficients, segment, -1.0), segment, p)
         p.sigmoid_()
     torch.sub(p.new_ones(()), p, out=q)
     _rows(arrays)
@@ -159,9 +167,24 @@ def _quick(coefficients: Tensor, segment: Segment, link: Link, workspace: Worksp
         torch.div(p, q, out=p)
     for block, ratio in zip(arrays.p_blocks, arrays.ratio_rows, strict=True):
         block.mul_(ratio)
-    gradient = torch.mm(segment.powers.T, p)
+    gradient = _moments(segment, p)
     # A p of exactly 1 leaves 0/0.
     return value, gradient, fine & gradient.sum(0).isfinite()
+
+
+def _energies(coefficients: Tensor, segment: Segment, p: Tensor) -> None:
+    """Energies of all instances into p, (N, S)."""
+    if p.is_contiguous():
+        torch.mm(segment.powers, coefficients, out=p)
+    else:
+        torch.mm(coefficients.T.contiguous(), segment.powers_by_power, out=p.T)
+
+
+def _moments(segment: Segment, p: Tensor) -> Tensor:
+    """Sums over instances of the weights in p times the powers, (K, S)."""
+    if p.is_contiguous():
+        return torch.mm(segment.powers_by_power, p)
+    return torch.stack([torch.mv(segment.powers_by_power, weights) for weights in p.T], dim=1)
 
 
 def _rows(arrays: Arrays) -> None:
@@ -196,7 +219,7 @@ def _bags_of_rows(arrays: Arrays, segment: Segment, smallest: float) -> tuple[Te
         fine = fine & (bag_hit.amin(0) > smallest) & (bag_hit.amax(0) <= 1)
         torch.div(bag_miss, bag_hit, out=factors[:-1]).neg_()
         log_density = log_density + segment.bag_weight @ bag_hit.log_()
-    torch.index_select(factors, 0, segment.bag_of_row, out=arrays.ratio)
+    arrays.ratio.copy_(factors.index_select(0, segment.bag_of_row))
     if segment.weighted:
         arrays.ratio.mul_(segment.row_weight)
     return log_density, fine
