@@ -45,7 +45,7 @@ def musk1(path: Path) -> LabelledBags:
     return LabelledBags(bags, np.array([data["y"][data["bag"] == i].max() > 0 for i in numbers]))
 
 
-def uneven(rng: np.random.Generator, d: int, n_bags: int = 200, shortest: int = 20, longest: int = 60) -> LabelledBags:
+def uneven(rng: np.random.Generator, d: int, n_bags: int = 180, shortest: int = 20, longest: int = 60) -> LabelledBags:
     """Standard normal bags of uneven length, half of them positive."""
     bags = [rng.normal(size=(int(rng.integers(shortest, longest + 1)), d)) for _ in range(n_bags)]
     return LabelledBags(bags, np.arange(n_bags) < n_bags // 2)

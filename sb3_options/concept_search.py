@@ -28,7 +28,7 @@ SURVIVORS = 4
 
 UPDATE_STARTS = 8
 UPDATE_FINALISTS = 2
-UPDATE_STEPS = 5
+UPDATE_STEPS = 4
 """What `ConceptSearch.update` may cost: instances tried, of them and of earlier peaks climbing, steps they climb."""
 
 

@@ -11,6 +11,9 @@ from sb3_options.objective import Workspace, evaluate
 from sb3_options.packed_bags import Bags
 from sb3_options.segments import SEGMENT_INSTANCES, BagArrays, Segment, segment_of
 
+GROWING_INSTANCES = SEGMENT_INSTANCES // 8
+"""What is packed again with every bag that is added; more segments cost calls in every evaluation."""
+
 
 class Evidence:
     """Bags in scaled features, in as many precisions as are asked for.
@@ -64,7 +67,7 @@ class Evidence:
         new = BagArrays(
             self.scaled(instances), np.array([len(instances)]), np.array([positive]), np.array([float(weight)])
         )
-        if self._parts and len(self._parts[-1].instances) + len(instances) <= SEGMENT_INSTANCES:
+        if self._parts and len(self._parts[-1].instances) + len(instances) <= GROWING_INSTANCES:
             new = self._parts.pop().joined(new)
             for segments in self._segments.values():
                 segments.pop()

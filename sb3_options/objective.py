@@ -200,13 +200,13 @@ def _rows(arrays: Arrays) -> None:
 
 def _bags_of_rows(arrays: Arrays, segment: Segment, smallest: float) -> tuple[Tensor, Tensor]:
     """From rows to the value (S,), which starts are reliable (S,), and the factor of each row's odds, in place."""
-    hit, miss = arrays.hit, arrays.miss
+    hit, miss = arrays.hit.contiguous(), arrays.miss.contiguous()  # rows are gathered one by one
     # Near a negative instance 1 − p cancels. In single precision a hit is worth some −15 nats instead of −∞, which
     # refuses it as well and is not worth a second look.
     near = NEAR_NEGATIVE if miss.dtype == torch.float64 else 0.0
     negative = miss.index_select(0, segment.negative_rows)
     fine = negative.amin(0) > near if len(negative) else torch.ones_like(hit[0], dtype=torch.bool)
-    log_density = segment.negative_weight @ negative.log_()
+    log_density = _weighted_sum(negative.log_(), segment.negative_weight, segment)
     # One factor for each positive bag, and then one for all rows of negative bags, each of which is its own bag.
     factors = hit.new_ones(len(segment.bag_weight) + 1, hit.shape[1])
     if segment.rows_of_bags:
@@ -218,11 +218,15 @@ def _bags_of_rows(arrays: Arrays, segment: Segment, smallest: float) -> tuple[Te
             bag_miss[:n].mul_(miss.index_select(0, rows))
         fine = fine & (bag_hit.amin(0) > smallest) & (bag_hit.amax(0) <= 1)
         torch.div(bag_miss, bag_hit, out=factors[:-1]).neg_()
-        log_density = log_density + segment.bag_weight @ bag_hit.log_()
+        log_density = log_density + _weighted_sum(bag_hit.log_(), segment.bag_weight, segment)
     arrays.ratio.copy_(factors.index_select(0, segment.bag_of_row))
     if segment.weighted:
         arrays.ratio.mul_(segment.row_weight)
     return log_density, fine
+
+
+def _weighted_sum(rows: Tensor, weights: Tensor, segment: Segment) -> Tensor:
+    return (rows * weights[:, None]).sum(0) if segment.weighted else rows.sum(0)
 
 
 def _careful(coefficients: Tensor, segment: Segment, link: Link, workspace: Workspace) -> tuple[Tensor, Tensor]:

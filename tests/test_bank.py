@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from safetensors import safe_open
 from safetensors.numpy import load as from_safetensors
 from safetensors.numpy import save as to_safetensors
 
 from sb3_options.bank import FILE_FORMAT, OptionBank, _digest
 from sb3_options.observations import FloatArray, Observations, flatten
-from sb3_options.option import Region, SubgoalOption
+from sb3_options.option import HalfSpace, Region, SubgoalOption
 from sb3_options.option_policy import NetworkPolicy, TabularPolicy
 from tests.helpers import steady_option
 
@@ -235,6 +236,27 @@ class TestFile:
         again = empty_bank()
         again.load(tmp_path / "options")
         assert behaviour(again, OBSERVATIONS) == behaviour(bank, OBSERVATIONS)
+
+    def test_a_half_space_comes_back_as_one(self, tmp_path: Path) -> None:
+        bank, flat = empty_bank(), table()
+        half_space = HalfSpace(np.array([[0.3, -0.2]]), np.ones(2), 0.0, np.array([1.0, 2.0]))
+        bank.add(SubgoalOption(half_space, flat.initiation_set, flat.option_policy))
+        bank.add(table(1))
+        bank.save(tmp_path / "bank.safetensors")
+        loaded = empty_bank()
+        loaded.load(tmp_path / "bank.safetensors")
+        subgoal, ball = loaded[0].subgoal, loaded[1].subgoal  # type: ignore[union-attr]  # both are SubgoalOptions
+        assert isinstance(subgoal, HalfSpace)
+        assert not isinstance(ball, HalfSpace)
+        points = np.random.default_rng(0).normal(size=(50, 2))
+        np.testing.assert_array_equal(subgoal.contains(points), half_space.contains(points))
+        np.testing.assert_array_equal(subgoal.contains(points), (points - [0.3, -0.2]) @ [1.0, 2.0] >= 0)
+        with safe_open(tmp_path / "bank.safetensors", framework="numpy") as file:
+            assert file.metadata()["format"] == "sb3-options 2"
+        bank.remove(0)
+        bank.save(tmp_path / "balls.safetensors")
+        with safe_open(tmp_path / "balls.safetensors", framework="numpy") as file:
+            assert file.metadata()["format"] == "sb3-options 1"
 
     def test_hand_made_options_must_be_there_already(self, tmp_path: Path) -> None:
         bank = filled_bank()
