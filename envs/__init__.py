@@ -3,10 +3,17 @@
 - ``sb3_options/TwoRooms-v0``: two rooms and one doorway, McGovern & Barto (2001), §6.1.
 - ``sb3_options/FourRooms-v0``: four rooms and four hallways, Sutton, Precup & Singh (1999).
 - ``sb3_options/KeyDoor-v0``: find the key that opens the door to the goal.
+- ``sb3_options/Pioneer-v0``: a simulated robot takes a ball to a wall, McGovern & Barto (2001), §7.
+- ``sb3_options/PioneerCorner-v0``: it takes the ball to one marked corner.
+- ``sb3_options/PioneerClutter-v0``: there are obstacles in its way.
+- ``sb3_options/PioneerTwoBalls-v0``: there are two balls to take to the walls.
 
-Each is a `GridWorld`, and `gymnasium.make` passes all of its keyword arguments on. The step limit is the
-environment's own ``max_steps``, so that ``gymnasium.make(..., max_steps=None)`` lifts it.
+The first three are `GridWorld`, the others `sb3_options.envs.pioneer.Pioneer`, which needs PyBullet
+(``pip install "sb3-options[pioneer]"``). `gymnasium.make` passes all of their keyword arguments on. The step limit is
+the environment's own ``max_steps``, so that ``gymnasium.make(..., max_steps=None)`` lifts it.
 """
+
+from typing import Any
 
 import gymnasium
 
@@ -38,3 +45,15 @@ def _register(name: str, map: str, max_steps: int) -> None:
 _register("TwoRooms", TWO_ROOMS, TWO_ROOMS_MAX_STEPS)
 _register("FourRooms", FOUR_ROOMS, FOUR_ROOMS_MAX_STEPS)
 _register("KeyDoor", KEY_DOOR, KEY_DOOR_MAX_STEPS)
+
+
+def _register_pioneer(name: str, **kwargs: Any) -> None:
+    env_id = f"sb3_options/{name}-v0"
+    if env_id not in gymnasium.registry:
+        gymnasium.register(env_id, entry_point="sb3_options.envs.pioneer:Pioneer", kwargs=kwargs)
+
+
+_register_pioneer("Pioneer")
+_register_pioneer("PioneerCorner", deposit="corner")
+_register_pioneer("PioneerClutter", n_obstacles=4)
+_register_pioneer("PioneerTwoBalls", n_balls=2)

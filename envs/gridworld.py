@@ -1,8 +1,6 @@
 """Gridworlds with bottlenecks: rooms joined by doorways, and doors that want a key."""
 
-import math
 from collections.abc import Sequence
-from numbers import Real
 from operator import index
 from typing import Any, Literal, SupportsIndex, get_args
 
@@ -13,6 +11,7 @@ from gymnasium.core import RenderFrame
 from numpy.typing import NDArray
 
 from sb3_options.envs import drawing
+from sb3_options.envs.checks import number, one_of, step_limit
 from sb3_options.envs.grid_map import Cell, Direction, GridMap
 from sb3_options.envs.maps import TWO_ROOMS, TWO_ROOMS_MAX_STEPS
 from sb3_options.envs.views import ImageView, OneHotView, View, XYView
@@ -97,12 +96,12 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         render_mode: RenderMode | None = None,
     ) -> None:
         self._grid = GridMap.parse(map, goal, starts)
-        self._success_probability = _number(success_probability, "success_probability", low=0, high=1)
-        self._goal_reward = _number(goal_reward, "goal_reward")
-        self._step_reward = _number(step_reward, "step_reward")
-        self._max_steps = _step_limit(max_steps)
-        self._view = _VIEWS[_one_of(observation, get_args(ObservationKind), "observation")](self._grid)
-        self.render_mode = None if render_mode is None else _one_of(render_mode, get_args(RenderMode), "render_mode")
+        self._success_probability = number(success_probability, "success_probability", low=0, high=1)
+        self._goal_reward = number(goal_reward, "goal_reward")
+        self._step_reward = number(step_reward, "step_reward")
+        self._max_steps = step_limit(max_steps)
+        self._view = _VIEWS[one_of(observation, get_args(ObservationKind), "observation")](self._grid)
+        self.render_mode = None if render_mode is None else one_of(render_mode, get_args(RenderMode), "render_mode")
 
         self.goal: Cell = self._grid.goal
         self.start_cells: list[Cell] = list(self._grid.starts)
@@ -263,30 +262,3 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         picture = self._scenes[has_key].copy()
         drawing.draw_agent(picture, self._grid.cell(state))
         return picture
-
-
-def _number(value: float, argument: str, low: float = -math.inf, high: float = math.inf) -> float:
-    if not isinstance(value, Real):
-        raise TypeError(f"{argument} must be a number, got {value!r}")
-    if not (math.isfinite(value) and low <= value <= high):
-        bounds = "finite" if math.isinf(low) else f"in {low}..{high}"
-        raise ValueError(f"{argument} must be {bounds}, got {value!r}")
-    return float(value)
-
-
-def _step_limit(value: int | None) -> int | None:
-    if value is None:
-        return None
-    try:
-        limit = index(value)
-    except TypeError:
-        raise TypeError(f"max_steps must be an integer or None, got {value!r}") from None
-    if limit < 1:
-        raise ValueError(f"max_steps must be at least 1, or None for no limit, got {limit}")
-    return limit
-
-
-def _one_of(value: str, allowed: tuple[str, ...], argument: str) -> str:
-    if value not in allowed:
-        raise ValueError(f"{argument} must be one of {', '.join(map(repr, allowed))}, got {value!r}")
-    return value

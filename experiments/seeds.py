@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,61 @@ def write_json(path: Path, content: Any) -> None:
         temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
+@dataclass(frozen=True)
+class Part:
+    """A part of a study that is run once per seed.
+
+    Attributes:
+        name: Its name.
+        function: Seed → a result that JSON can hold. Runs in a process of its own, with one torch thread.
+        out: Folder for its results, one file a seed.
+    """
+
+    name: str
+    function: Callable[[int], Result]
+    out: Path
+
+
+def run_parts(
+    parts: Sequence[Part],
+    seeds: Sequence[int],
+    *,
+    settings: Mapping[str, Any],
+    jobs: int | None = None,
+    description: str = "Seeds",
+) -> dict[str, list[Result]]:
+    """Results of every part for every seed, in their order.
+
+    Each result is kept in ``out/seeds/SEED.json`` as soon as it is there, and a seed whose file is there with the
+    same settings is not run again. All parts share the processes, so that a slow seed of one holds up no other.
+
+    Args:
+        parts: Which; the slowest first leaves no process idle at the end.
+        seeds: Which.
+        settings: What a result depends on beside the seed.
+        jobs: Processes; by default as many as there are cores.
+        description: Beside the progress bar.
+
+    Returns:
+        The results by name.
+    """
+    plain = json.loads(json.dumps(settings, default=str))
+    results: dict[tuple[str, int], Result] = {}
+    for part in parts:
+        for seed in seeds:
+            path = _path(part.out, seed)
+            kept = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+            if kept.get("settings") == plain:
+                results[part.name, seed] = kept["result"]
+    missing = [(part, seed) for part in parts for seed in seeds if (part.name, seed) not in results]
+    parallel = Parallel(n_jobs=jobs or os.cpu_count(), return_as="generator_unordered", batch_size=1)
+    finished = parallel(delayed(_single_threaded)(part, seed) for part, seed in missing)
+    for part, seed, result in track(finished, description=description, total=len(missing), disable=not missing):
+        results[part.name, seed] = result
+        write_json(_path(part.out, seed), {"settings": plain, "result": result})
+    return {part.name: [results[part.name, seed] for seed in seeds] for part in parts}
+
+
 def run_seeds(
     function: Callable[[int], Result],
     seeds: Sequence[int],
@@ -32,43 +88,16 @@ def run_seeds(
     jobs: int | None = None,
     description: str = "Seeds",
 ) -> list[Result]:
-    """Results of ``function`` for every seed, in their order.
-
-    Each result is kept in ``out/seeds/SEED.json`` as soon as it is there, and a seed whose file is there with the
-    same settings is not run again.
-
-    Args:
-        function: Seed → a result that JSON can hold. Runs in a process of its own, with one torch thread.
-        seeds: Which.
-        out: The study's folder.
-        settings: What a result depends on beside the seed.
-        jobs: Processes; by default as many as there are cores.
-        description: Beside the progress bar.
-
-    Returns:
-        The results.
-    """
-    plain = json.loads(json.dumps(settings, default=str))
-    results: dict[int, Result] = {}
-    for seed in seeds:
-        path = _path(out, seed)
-        kept = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-        if kept.get("settings") == plain:
-            results[seed] = kept["result"]
-    missing = [seed for seed in seeds if seed not in results]
-    parallel = Parallel(n_jobs=jobs or os.cpu_count(), return_as="generator_unordered")
-    finished = parallel(delayed(_single_threaded)(function, seed) for seed in missing)
-    for seed, result in track(finished, description=description, total=len(missing), disable=not missing):
-        results[seed] = result
-        write_json(_path(out, seed), {"settings": plain, "result": result})
-    return [results[seed] for seed in seeds]
+    """Results of one function for every seed, in their order: `run_parts` of a single part."""
+    part = Part("", function, out)
+    return run_parts([part], seeds, settings=settings, jobs=jobs, description=description)[""]
 
 
-def _single_threaded(function: Callable[[int], Result], seed: int) -> tuple[int, Result]:
+def _single_threaded(part: Part, seed: int) -> tuple[Part, int, Result]:
     import torch
 
     torch.set_num_threads(1)
-    return seed, function(seed)
+    return part, seed, part.function(seed)
 
 
 def _path(out: Path, seed: int) -> Path:

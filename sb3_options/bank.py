@@ -124,10 +124,15 @@ class OptionBank:
             Shape (batch, n_primitive + max_options): primitives always, options within their initiation sets, empty
             slots never.
         """
-        mask = np.zeros((batch_size(observations), self.n_primitive + self.max_options), dtype=bool)
-        mask[:, : self.n_primitive] = True
+        mask = np.ones((batch_size(observations), self.n_primitive + self.max_options), dtype=bool)
+        mask[:, self.n_primitive :] = self.available_slots(observations)
+        return mask
+
+    def available_slots(self, observations: Observations) -> BoolArray:
+        """Which options may start in each observation, shape (batch, max_options)."""
+        mask = np.zeros((batch_size(observations), self.max_options), dtype=bool)
         for slot in self.filled:
-            mask[:, self.n_primitive + slot] = cast("Option", self._slots[slot]).initiation(observations)
+            mask[:, slot] = cast("Option", self._slots[slot]).initiation(observations)
         return mask
 
     def save(self, path: str | os.PathLike[str]) -> None:

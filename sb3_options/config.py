@@ -7,6 +7,7 @@ import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,13 +17,22 @@ import yaml
 from sb3_options.discovery import DiscoverySettings
 from sb3_options.option_learning import OptionLearningSettings
 
+TUNED_FOLDER = Path(__file__).parent / "tuned"
+
+TUNED = {
+    f"sb3_options/{name}-v0": "pioneer.yml"
+    for name in ("Pioneer", "PioneerCorner", "PioneerClutter", "PioneerTwoBalls")
+}
+"""Defaults that ship with the library, by environment id."""
+
 
 @dataclass(frozen=True)
 class TrainConfig:
     """Train an agent that discovers its own options.
 
-    The defaults are tuned for the two-room gridworld. A second command, `evaluate RUN`, loads a run: see
-    `evaluate --help`. `--config FILE` reads any of these settings from YAML; flags win over the file.
+    The defaults are tuned for the two-room gridworld; other environments of this library bring their own, which
+    `--env ID --help` shows. A second command, `evaluate RUN`, loads a run: see `evaluate --help`. `--config FILE`
+    reads any of these settings from YAML; flags win over the file, and the file over the defaults.
 
     Attributes:
         algo: Algorithm; "optiondqn" is DQN that keeps to the options' initiation sets.
@@ -137,10 +147,18 @@ def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
     """
     config_file, rest = _split_config_flag(args)
     try:
-        from_file = [] if config_file is None else list(_flags(read_yaml(config_file)))
-        return tyro.cli(TrainConfig, prog=prog, args=[*from_file, *rest])
+        from_file = {} if config_file is None else read_yaml(config_file)
+        default = tuned(_env_of(rest) or str(from_file.get("env", TrainConfig.env)))
+        return tyro.cli(TrainConfig, prog=prog, default=default, args=[*_flags(from_file), *rest])
     except (ValueError, OSError) as error:
         sys.exit(f"{prog}: {error}")
+
+
+def tuned(env_id: str) -> TrainConfig:
+    """The defaults for an environment: those that ship for it, or else those of `TrainConfig`."""
+    name = TUNED.get(env_id)
+    settings = {} if name is None else read_yaml(TUNED_FOLDER / name)
+    return tyro.cli(TrainConfig, args=list(_flags(settings)))
 
 
 def load(path: Path) -> TrainConfig:
@@ -174,6 +192,13 @@ def read_yaml(path: Path) -> Mapping[str, Any]:
     if not isinstance(content, dict):
         raise ValueError(f"{path} must hold `name: value` lines, got a {type(content).__name__}.")
     return content
+
+
+def _env_of(args: Sequence[str]) -> str | None:
+    """The value of the last ``--env``."""
+    found = [value for flag, value in pairwise([*args, ""]) if flag == "--env"]
+    found += [arg.partition("=")[2] for arg in args if arg.startswith("--env=")]
+    return found[-1] if found else None
 
 
 def _split_config_flag(args: Sequence[str]) -> tuple[Path | None, list[str]]:

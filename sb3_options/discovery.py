@@ -41,6 +41,8 @@ class DiscoverySettings:
             bottleneck lies on nearly every successful trajectory. 0 lets every peak count.
         max_places: If the best diverse density is shared by more separate places than this, they are accidents of few
             or long trajectories, and none counts as found.
+        max_extent: A plateau of tied peaks that reaches farther than this from its middle is open space that all
+            trajectories happened to cross, no bottleneck: a search whose best peaks include one finds nothing.
         subgoal_radius: The subgoal is everything within this distance of the persistent peak.
         spacing: A new subgoal must be farther than this from those that have an option.
     """
@@ -59,6 +61,7 @@ class DiscoverySettings:
     peak_tolerance: float = 1e-3
     min_density: float = 0.5
     max_places: int = 2
+    max_extent: float = math.inf
     subgoal_radius: float = 0.5
     spacing: float = 3.0
 
@@ -72,6 +75,7 @@ class DiscoverySettings:
             "goal_radius",
             "peak_radius",
             "peak_tolerance",
+            "max_extent",
             "subgoal_radius",
             "spacing",
         ):
@@ -214,10 +218,11 @@ class SubgoalDiscovery:
             engine = self.engine()
             peaks = engine.search(bags, starts=self._warm_starts(engine))
             tied = [p.point for p in peaks if p.log_density >= peaks[0].log_density - self.settings.peak_tolerance]
-            places = plateau_centres(np.array(tied), self.scale, self.settings.peak_radius)
+            places, extent = plateau_centres(np.array(tied), self.scale, self.settings.peak_radius)
             log_density = float(engine.log_density(peaks[0].point[None], bags.positive())[0])
             dense = np.exp(log_density / bags.n_positive) >= self.settings.min_density
-            self.tracker.update(places if dense and len(places) <= self.settings.max_places else places[:0], self.scale)
+            few = len(places) <= self.settings.max_places and extent <= self.settings.max_extent
+            self.tracker.update(places if dense and few else places[:0], self.scale)
         self.last = Search(peaks, bags, time.perf_counter() - began)
         self.seconds += self.last.seconds
         return self._new_subgoal()

@@ -54,8 +54,8 @@ class OneHot:
     def active(self, observations: npt.NDArray[Any]) -> IntArray:
         """The state's index, shape (batch, 1)."""
         if self.coded:
-            index: IntArray = observations.reshape(-1, self.n_features).argmax(axis=1)
-            return index[:, None]
+            index: IntArray = observations.reshape(-1, self.n_features).argmax(axis=1, keepdims=True)
+            return index
         return observations.reshape(-1, 1).astype(np.int64)
 
 
@@ -121,3 +121,35 @@ class TileCoding:
             return index
         mixed = (index.astype(np.uint64) + np.uint64(1)) * HASH_MULTIPLIER >> HASH_SHIFT
         return (mixed % np.uint64(self._hash_size)).astype(np.int64)
+
+
+class Concatenated:
+    """Several feature sets side by side, each over some of the observation's numbers.
+
+    A tile coding of all numbers at once needs tiles for every combination; one of each group of numbers that belong
+    together needs far fewer, and the value is then a sum of functions of the groups (Sutton & Barto 2018, §9.5.4).
+
+    Args:
+        parts: Pairs of the numbers' indices in the flat observation, and features of these numbers.
+
+    Raises:
+        ValueError: There is no part.
+    """
+
+    def __init__(self, parts: Sequence[tuple[Sequence[int], LinearFeatures]]) -> None:
+        if not parts:
+            raise ValueError("parts must not be empty.")
+        self.parts = [(np.asarray(columns, dtype=np.int64), features) for columns, features in parts]
+        sizes = [features.n_features for _, features in self.parts]
+        self.n_features = sum(sizes)
+        self.n_active = sum(features.n_active for _, features in self.parts)
+        self._first = [sum(sizes[:i]) for i in range(len(sizes))]
+
+    def active(self, observations: npt.NDArray[Any]) -> IntArray:
+        """Those of all parts, one after another, shape (batch, n_active)."""
+        flat = observations.reshape(len(observations), -1)
+        found = [
+            features.active(flat[:, columns]) + first
+            for (columns, features), first in zip(self.parts, self._first, strict=True)
+        ]
+        return np.concatenate(found, axis=1)

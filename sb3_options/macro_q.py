@@ -183,9 +183,9 @@ class MacroQ(BaseAlgorithm):
             # After learning: a callback that stops training at the end of an episode loses nothing of it.
             callbacks.update_locals(locals())
             goes_on = callbacks.on_step()
-            self._update_info_buffer(infos, dones)
             self._update_current_progress_remaining(self.num_timesteps, total_timesteps)
             if any(over):
+                self._update_info_buffer(infos, dones)  # infos say something of episodes only at their ends
                 self._episode_num += sum(over)
                 choices = self._choices()  # options may have come, and the environment was reset
                 if log_interval is not None and self._episode_num % log_interval == 0:
@@ -215,9 +215,13 @@ class MacroQ(BaseAlgorithm):
             led: Active feature where each step led, shape (n,).
             ended: Whether nothing follows, shape (n,).
         """
-        self._begin_learning()
-        for step in zip(began, actions, rewards, led, ended, strict=True):
-            self._update([step[0]], step[1], step[2], self.gamma, [step[3]], step[4], ())
+        table = self.policy.table()
+        step_size, gamma, n_primitive = cast("float", self.learning_rate), self.gamma, self._n_primitive
+        rows: list[list[float]] = table.tolist()  # eight times faster to write to than an array
+        for state, action, reward, next_state, over in zip(began, actions, rewards, led, ended, strict=True):
+            target = reward if over else reward + gamma * max(rows[next_state][:n_primitive])
+            rows[state][action] += step_size * (target - rows[state][action])
+        table[:] = rows
 
     def _begin_learning(self) -> None:
         self._table = self.policy.table()
@@ -316,7 +320,7 @@ class MacroQ(BaseAlgorithm):
     def _explore(self, values: list[float], choices: list[int]) -> int:
         """ε-greedy among ``choices``, ties broken at random."""
         if self._random.random() >= self.epsilon:
-            best = max([values[a] for a in choices])
+            best = max(values) if len(choices) == len(values) else max([values[a] for a in choices])
             choices = [a for a in choices if values[a] == best]
         return choices[0] if len(choices) == 1 else choices[int(self._random.random() * len(choices))]
 

@@ -11,8 +11,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
-from sb3_options.observations import BoolArray, FeatureMap, FloatArray, IntArray, Observations, batch_size
+from sb3_options.observations import BoolArray, FeatureMap, FloatArray, IntArray, Observations, batch_size, key_of
 from sb3_options.option_policy import OptionPolicy
+
+JUDGED_BYTES = 1 << 20
+"""A `SubgoalOption` remembers its answers for about this many bytes of observations."""
 
 
 class Option:
@@ -160,6 +163,8 @@ class SubgoalOption(Option):
         self.max_duration = checked_duration(max_duration)
         self.name = name
         self._feature_map = feature_map
+        self._judged: dict[bytes, tuple[BoolArray, BoolArray]] = {}
+        self._judged_bytes = 0
 
     def bind(self, feature_map: FeatureMap | None) -> SubgoalOption:
         """The same option with φ set."""
@@ -174,8 +179,7 @@ class SubgoalOption(Option):
 
     def initiation(self, observations: Observations) -> BoolArray:
         """Whether each observation lies in I, shape (batch,)."""
-        features = self._features(observations)
-        return self.initiation_set.contains(features) & ~self.subgoal.contains(features)
+        return self._judge(observations)[0].copy()
 
     def policy(self, observations: Observations) -> IntArray:
         """The greedy action of the option's value function, shape (batch,)."""
@@ -183,7 +187,31 @@ class SubgoalOption(Option):
 
     def termination(self, observations: Observations) -> FloatArray:
         """1 at the subgoal, else 0, shape (batch,)."""
-        return self.subgoal.contains(self._features(observations)).astype(np.float64)
+        return self._judge(observations)[1].astype(np.float64)
+
+    def _judge(self, observations: Observations) -> tuple[BoolArray, BoolArray]:
+        """Whether each observation lies in I, and whether it is the subgoal.
+
+        A single observation's answer is kept: a step of the wrapper asks for the same one up to three times, and a
+        small environment shows the same ones again and again.
+        """
+        if batch_size(observations) != 1:
+            return self._judge_anew(observations)
+        key = key_of(observations)
+        judged = self._judged.get(key)
+        if judged is None:
+            judged = self._judge_anew(observations)
+            if self._judged_bytes > JUDGED_BYTES:
+                self._judged.clear()
+                self._judged_bytes = 0
+            self._judged[key] = judged
+            self._judged_bytes += len(key)
+        return judged
+
+    def _judge_anew(self, observations: Observations) -> tuple[BoolArray, BoolArray]:
+        features = self._features(observations)
+        reached = self.subgoal.contains(features)
+        return self.initiation_set.contains(features) & ~reached, reached
 
     def _features(self, observations: Observations) -> FloatArray:
         if self._feature_map is None:
@@ -194,4 +222,4 @@ class SubgoalOption(Option):
         return self._feature_map(observations)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_feature_map": None}
+        return {**self.__dict__, "_feature_map": None, "_judged": {}, "_judged_bytes": 0}

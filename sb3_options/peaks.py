@@ -11,7 +11,7 @@ from scipy.spatial.distance import cdist
 from sb3_options.observations import FloatArray
 
 
-def plateau_centres(points: FloatArray, scale: FloatArray, radius: float) -> FloatArray:
+def plateau_centres(points: FloatArray, scale: FloatArray, radius: float) -> tuple[FloatArray, float]:
     """Peaks that tie and touch are one plateau; the middle of each plateau.
 
     In two rooms every crossing visits the doorway and both its neighbours, so that the three tie exactly: the middle
@@ -23,16 +23,19 @@ def plateau_centres(points: FloatArray, scale: FloatArray, radius: float) -> Flo
         radius: Peaks within this distance touch.
 
     Returns:
-        The medoid of each plateau, the first where several are equally central, shape (m, d), in order of first peak.
+        The medoid of each plateau, the first where several are equally central, shape (m, d), in order of first peak;
+        and the farthest that any peak is from the medoid of its plateau.
     """
     distances = cdist(points * scale, points * scale)
     n_plateaus, plateau = connected_components(distances <= radius, directed=False)
-    centres = []
+    centres, extent = [], 0.0
     for label in range(n_plateaus):
         members = np.flatnonzero(plateau == label)
-        centres.append(members[distances[np.ix_(members, members)].sum(axis=1).argmin()])
+        centre = members[distances[np.ix_(members, members)].sum(axis=1).argmin()]
+        centres.append(centre)
+        extent = max(extent, float(distances[centre, members].max()))
     middle: FloatArray = points[np.array(centres)]
-    return middle
+    return middle, extent
 
 
 @dataclass

@@ -149,7 +149,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         observation, reward, terminated, truncated, info = self._primitive_step(action)
         info["option"] = {"index": -1, "duration": 1, "discount": self.gamma, "termination": "primitive"}
         if self._reports_availability and self.bank.filled:
-            info["option"]["available"] = self._available(batch_of_one(observation))
+            info["option"]["available"] = self.bank.available_slots(batch_of_one(observation))
         return observation, reward, terminated, truncated, info
 
     def _run_option(self, option: Option, slot: int) -> StepReturn:
@@ -184,7 +184,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             "rewards": np.array(rewards),
         }
         if self._reports_availability:
-            info["option"]["available"] = self._available(stack(observations[1:]))
+            info["option"]["available"] = self.bank.available_slots(stack(observations[1:]))
         return observation, total, terminated, truncated, info
 
     def _action_of(self, option: Option, observation: Any) -> int:
@@ -219,9 +219,6 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
                     is_success=None if success is None else bool(success),
                 )
         return observation, reward, terminated, truncated, info
-
-    def _available(self, observations: Observations) -> BoolArray:
-        return self.bank.available(observations)[:, self.n_primitive :]
 
     def action_masks(self) -> BoolArray:
         """Which augmented actions may start now, shape (n_primitive + max_options,).

@@ -2,8 +2,10 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import pytest
 
+import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import config as configs
 from sb3_options.config import TrainConfig
 from sb3_options.discovery import DiscoverySettings
@@ -18,7 +20,8 @@ EVERY_FIELD_CHANGED = TrainConfig(
     discovery=DiscoverySettings(
         capacity=7, min_positive=2, negative_bags=False, negative_strength=0.5, search="exhaustive", scale=2.5,
         start_radius=1.0, goal_radius=0.0, decay=0.75, threshold=0.25, peak_radius=2.0, peak_tolerance=0.01,
-        subgoal_radius=1.25, spacing=1.5, max_places=6, min_density=0.25,
+        subgoal_radius=1.25, spacing=1.5, max_places=6, max_extent=2.5,
+        min_density=0.25,
     ),
     option=OptionLearningSettings(
         initiation_steps=4, initiation_visits="every", initiation_radius=0.75, max_duration=9, step_reward=-2.0,
@@ -164,3 +167,23 @@ class TestRefuses:
     )
     def test_values(self, args: list[str], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
         assert expected in refusal(capsys, args)
+
+
+def test_an_environment_brings_its_own_defaults_and_files_and_flags_win_over_them(tmp_path: Path) -> None:
+    pioneer, file = "sb3_options/PioneerCorner-v0", tmp_path / "config.yml"
+    shipped = configs.tuned(pioneer)
+    assert shipped.discovery.scale == pytest.approx(11.46)
+    assert configs.parse(["--env", pioneer]) == dataclasses.replace(shipped, env=pioneer)
+    assert configs.parse(["--seed", "3", f"--env={pioneer}"]).discovery == shipped.discovery
+    file.write_text(f"env: {pioneer}\ndiscovery:\n  scale: 3.0\n")
+    from_file = configs.parse(["--config", str(file), "--gamma", "0.5"])
+    assert (from_file.env, from_file.gamma, from_file.discovery.scale) == (pioneer, 0.5, 3.0)
+    assert from_file.n_timesteps == shipped.n_timesteps
+    assert configs.parse(["--config", str(file), "--env", "CartPole-v1"]).n_timesteps == TrainConfig.n_timesteps
+    assert configs.parse([]) == TrainConfig()
+
+
+def test_every_shipped_default_is_of_an_environment_there_is() -> None:
+    for env_id in configs.TUNED:
+        assert env_id in gym.registry
+        assert configs.tuned(env_id) != TrainConfig()

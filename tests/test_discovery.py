@@ -143,6 +143,13 @@ class TestSearch:
             discovery.add(*on_a_line(1, 3.5, 5, 7, 12, 21))
             assert found(discovery) == expected
 
+    def test_a_wide_plateau_is_open_space(self) -> None:
+        for max_extent, expected in ((1.0, None), (2.0, [7.0])):
+            discovery = SubgoalDiscovery(settings_of(max_extent=max_extent))
+            discovery.add(*on_a_line(0, 2, 5, 6, 7, 8, 9, 20))
+            discovery.add(*on_a_line(1, 3.5, 5, 6, 7, 8, 9, 21))
+            assert found(discovery) == expected
+
     def test_a_peak_where_nobody_can_stand_moves_to_the_nearest_instance(self) -> None:
         discovery = SubgoalDiscovery(settings_of(search="gradient"))
         discovery.add(*on_a_line(0, 5.0, 20))
@@ -327,7 +334,15 @@ RANGES: list[tuple[str, tuple[Any, ...], str]] = [
     ),
     *(
         (name, (-0.1, math.nan), "must be at least 0, got ")
-        for name in ("start_radius", "goal_radius", "peak_radius", "peak_tolerance", "subgoal_radius", "spacing")
+        for name in (
+            "start_radius",
+            "goal_radius",
+            "peak_radius",
+            "peak_tolerance",
+            "max_extent",
+            "subgoal_radius",
+            "spacing",
+        )
     ),
     ("scale", (0.0, -1.0, math.nan, math.inf), "must be positive and finite, got "),
     ("negative_strength", (0.0, -0.5, 1.5, math.nan), r"must be in \(0, 1\], got "),

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sb3_options.linear_features import HASH_MULTIPLIER, OneHot, TileCoding
+from sb3_options.linear_features import HASH_MULTIPLIER, Concatenated, OneHot, TileCoding
 
 
 def test_one_hot_names_the_state() -> None:
@@ -57,6 +57,17 @@ def test_hashing_is_multiplicative_and_spreads_tiles_evenly() -> None:
     assert len(pairs) == len(np.unique(pairs[:, 0])) > 5000  # a tile has one place
     assert tiles_sharing.min() > 0
     assert tiles_sharing.max() < 2 * tiles_sharing.mean()
+
+
+def test_parts_see_their_own_numbers_and_have_features_of_their_own() -> None:
+    column, row = TileCoding([0.0], [2.0], [2], n_tilings=1), TileCoding([0.0], [3.0], [3], n_tilings=1)
+    both = Concatenated([([2], column), ([0], row)])
+    assert (both.n_features, both.n_active) == (3 + 4, 2)
+    observations = np.array([[2.5, 99.0, 1.5], [0.0, 99.0, 0.0]])
+    assert both.active(observations).tolist() == [[1, 3 + 2], [0, 3 + 0]]
+    assert both.active(observations.reshape(2, 3, 1)).tolist() == [[1, 5], [0, 3]]
+    with pytest.raises(ValueError, match="parts must not be empty"):
+        Concatenated([])
 
 
 @pytest.mark.parametrize(

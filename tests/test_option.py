@@ -113,6 +113,31 @@ class TestSubgoalOption:
         places = np.linspace(-1.0, 5.0, 601)[:, None]
         assert not np.any(option.initiation(places) & (option.termination(places) == 1.0))
 
+    def test_one_at_a_time_and_again_is_the_same(self) -> None:
+        asked: list[int] = []
+
+        def counting(observations: Observations) -> Any:
+            asked.append(len(observations))
+            return flat(observations)
+
+        together, option = subgoal_option(feature_map=flat), subgoal_option(feature_map=counting)
+        for _ in range(3):
+            for i in range(len(self.observations)):
+                one = self.observations[i : i + 1]
+                assert option.termination(one) == together.termination(self.observations)[i]
+                inside = option.initiation(one)
+                assert inside == together.initiation(self.observations)[i]
+                inside[:] = ~inside  # what a caller does with an answer changes no later one
+        assert asked == [1] * len(self.observations)
+        assert pickle.loads(pickle.dumps(option))._judged == {}
+
+    def test_what_is_remembered_is_bounded(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("sb3_options.option.JUDGED_BYTES", 100)
+        option = subgoal_option(feature_map=flat)
+        for place in np.linspace(0.0, 5.0, 1000):
+            assert option.termination(np.array([[place]])) == (2.5 <= place <= 3.5)
+            assert len(option._judged) <= 14
+
     def test_without_a_feature_map(self) -> None:
         option = subgoal_option(name="door")
         message = r"^Option 'door' has no feature map: add it to the bank of an OptionsWrapper that has one"

@@ -30,14 +30,23 @@ def peaks(*points: list[float]) -> np.ndarray[tuple[int, ...], np.dtype[np.float
     ],
 )
 def test_plateau_centres(points: list[float], radius: float, centres: list[float]) -> None:
-    result = plateau_centres(np.array(points, dtype=np.float64)[:, None], np.ones(1), radius)
+    result, _ = plateau_centres(np.array(points, dtype=np.float64)[:, None], np.ones(1), radius)
     assert result.ravel().tolist() == centres
 
 
 def test_plateaus_are_made_in_scaled_units() -> None:
     points = peaks([0, 0], [0, 1], [0, 2], [1, 0])
-    assert plateau_centres(points, np.array([10.0, 1.0]), 1.0).tolist() == [[0, 1], [1, 0]]
-    assert len(plateau_centres(points, np.array([10.0, 10.0]), 1.0)) == 4
+    assert plateau_centres(points, np.array([10.0, 1.0]), 1.0)[0].tolist() == [[0, 1], [1, 0]]
+    assert len(plateau_centres(points, np.array([10.0, 10.0]), 1.0)[0]) == 4
+
+
+@pytest.mark.parametrize(
+    ("points", "extent"),
+    [([3], 0), ([9, 10, 11], 1), ([0, 1, 2, 3, 4], 2), ([9, 10, 20, 21, 22, 23], 2), ([0, 5, 10], 0)],
+)
+def test_how_far_plateaus_reach(points: list[float], extent: float) -> None:
+    assert plateau_centres(np.array(points, dtype=np.float64)[:, None], np.ones(1), 1.0)[1] == extent
+    assert plateau_centres(np.array(points, dtype=np.float64)[:, None], np.full(1, 3.0), 3.0)[1] == 3 * extent
 
 
 class TestAverages:

@@ -21,7 +21,7 @@ from experiments.paper.claims import Claim, claims_of
 from experiments.paper.plots import draw
 from experiments.paper.settings import PaperSettings
 from experiments.paper.summary import numbers_of
-from experiments.seeds import Result, run_seeds, write_json
+from experiments.seeds import Part, Result, run_parts, write_json
 
 FigureName = Literal["figure1", "figure2", "figure3", "figure4", "figure5", "figure6", "controls", "negatives"]
 
@@ -37,8 +37,8 @@ GROUPS: dict[FigureName, tuple[str, ...]] = {
 }
 """What each figure is made from. A group is run once, however many figures need it."""
 
-IN_ORDER = ("learning", "controls", "transfer", "negatives", "reuse")
-"""What starts from the option and the values of ``learning`` comes after it, and the longest last."""
+IN_ORDER = (("learning",), ("controls", "transfer", "reuse", "negatives"))
+"""What starts from the option and the values of ``learning`` comes after it; the longest first, in one pool."""
 
 DPI = 90
 
@@ -51,7 +51,7 @@ class Study:
         figure: Which one, or all.
         out: Folder for results.json, the pictures and one file per finished seed.
         runs: Number of seeds.
-        first_seed: Seeds count up from here. Settings were chosen on seeds 0 to 19, so none of these.
+        first_seed: Seeds count up from here. Settings were chosen on seeds 0 to 99, so none of these.
         jobs: Processes; by default one a core.
         settings: Of the task, of learning and of discovery.
     """
@@ -59,7 +59,7 @@ class Study:
     figure: tyro.conf.Positional[Literal["all"] | FigureName]
     out: Annotated[Path, tyro.conf.arg(name="out")]
     runs: int = 30
-    first_seed: int = 2000
+    first_seed: int = 4000
     jobs: int | None = None
     settings: PaperSettings = field(default_factory=PaperSettings)
 
@@ -69,7 +69,9 @@ def main(study: Study) -> None:
     began = time.perf_counter()
     figures: list[FigureName] = list(GROUPS) if study.figure == "all" else [study.figure]
     needed = {group for figure in figures for group in GROUPS[figure]}
-    groups = {group: _run(study, group) for group in IN_ORDER if group in needed}
+    groups: dict[str, list[Result]] = {}
+    for stage in IN_ORDER:
+        groups |= _run(study, [group for group in stage if group in needed])
     numbers: dict[str, dict[str, Any]] = {figure: numbers_of(figure, groups) for figure in figures}
     claims = claims_of(numbers)
     study.out.mkdir(parents=True, exist_ok=True)
@@ -87,7 +89,7 @@ def main(study: Study) -> None:
     _print(claims, study, results["seconds"])
 
 
-def _run(study: Study, group: str) -> list[Result]:
+def _run(study: Study, groups: list[str]) -> dict[str, list[Result]]:
     settings, artifacts = study.settings, study.out / "groups" / "learning" / "artifacts"
     functions: dict[str, Callable[[int], Result]] = {
         "learning": partial(conditions.learning, settings, artifacts),
@@ -96,13 +98,12 @@ def _run(study: Study, group: str) -> list[Result]:
         "reuse": partial(conditions.reuse, settings, artifacts),
         "negatives": partial(conditions.negatives, settings),
     }
-    return run_seeds(
-        functions[group],
+    return run_parts(
+        [Part(group, functions[group], study.out / "groups" / group) for group in groups],
         range(study.first_seed, study.first_seed + study.runs),
-        study.out / "groups" / group,
         settings=settings.described(),
         jobs=study.jobs,
-        description=group.capitalize(),
+        description=", ".join(groups).capitalize(),
     )
 
 

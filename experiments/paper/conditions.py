@@ -7,7 +7,7 @@ the same agent, bit for bit, and are forked there. What differs afterwards is th
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import torch
@@ -15,6 +15,7 @@ import torch
 from experiments.paper import measures
 from experiments.paper.agents import (
     Replay,
+    SingleEnv,
     discoverer,
     fork,
     live,
@@ -204,6 +205,8 @@ def controls(settings: PaperSettings, seed: int) -> Result:
         agent = fork(start.agent)
         if option is not None:
             wrapper_of(agent).set_option(0, other)
+        if name == "random":
+            cast("SingleEnv", agent.get_env()).step_limit = settings.random_step_limit
         result[name] = start.lengths + live(agent, rest, discoverer(settings, seed, max_new_options=0)).lengths
     return result
 

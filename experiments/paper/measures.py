@@ -1,18 +1,16 @@
-"""What is measured: visits, diverse density, subgoals, and means and ratios with bootstrap intervals."""
+"""What is measured: visits, diverse density, subgoals."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from scipy.stats import bootstrap
 
 from experiments.paper.settings import PaperSettings
 from sb3_options.bags import SuccessRule, near_start_and_goal, reported_success
 from sb3_options.discovery import SubgoalDiscovery
 from sb3_options.diverse_density import log_diverse_density
 from sb3_options.envs import GridWorld
-from sb3_options.evaluation import CONFIDENCE, N_RESAMPLES, Interval, mean_interval
 from sb3_options.observations import FloatArray, IntArray
 from sb3_options.trajectories import LabelledTrajectory
 
@@ -23,8 +21,6 @@ NEAR = 1
 
 LOWEST_LOG_DENSITY = -200.0
 """In place of −∞ before a mean is taken: a negative bag of full strength gives that."""
-
-N_CURVE_RESAMPLES = 2000
 
 
 def cell_of(point: Iterable[float]) -> Cell:
@@ -126,44 +122,3 @@ def most_visited(
     best = np.argwhere(counts == counts.max())
     y, x = best[int(rng.integers(len(best)))]
     return int(x), int(y)
-
-
-def ratio_interval(ours: FloatArray, theirs: FloatArray) -> Interval:
-    """Ratio of the means of paired values, with a 95 % bootstrap interval over the pairs (bias-corrected)."""
-    ratio = float(ours.mean() / theirs.mean())
-    if len(ours) < 2 or np.ptp(ours / theirs) == 0:
-        return Interval(ratio, ratio, ratio)
-    result = bootstrap(
-        (ours, theirs),
-        lambda a, b, axis: a.mean(axis=axis) / b.mean(axis=axis),
-        paired=True,
-        vectorized=True,
-        confidence_level=CONFIDENCE,
-        n_resamples=N_RESAMPLES,
-        rng=np.random.default_rng(0),
-    )
-    return Interval(ratio, float(result.confidence_interval.low), float(result.confidence_interval.high))
-
-
-def window(curves: FloatArray, first: int, last: int) -> FloatArray:
-    """Mean over trials first … last of each run, (runs, trials) → (runs,); over the last trial if there are fewer."""
-    chosen = curves[:, first : last + 1]
-    means: FloatArray = (chosen if chosen.shape[1] else curves[:, -1:]).mean(axis=1)
-    return means
-
-
-def curve_interval(curves: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean of (runs, trials) for each trial, and its 95 % percentile bootstrap interval."""
-    n = len(curves)
-    weights = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=N_CURVE_RESAMPLES) / n
-    low, high = np.quantile(weights @ curves, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], axis=0)
-    return curves.mean(axis=0), low, high
-
-
-def by_ten(curves: FloatArray) -> list[dict[str, float]]:
-    """Mean steps of trials 0–9, 10–19, …, each with its interval over runs."""
-    means = []
-    for first in range(0, curves.shape[1], 10):
-        interval = mean_interval(window(curves, first, first + 9))
-        means.append({"first_trial": first, **interval._asdict()})
-    return means

@@ -11,7 +11,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.paper.measures import curve_interval
+from experiments.curves import curve_interval
 from experiments.seeds import Result
 from sb3_options.envs import GridWorld
 from sb3_options.observations import FloatArray

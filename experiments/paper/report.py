@@ -1,19 +1,18 @@
 """``python -m experiments.paper.report results.json docs/paper.md``: puts the numbers of a study into its document.
 
-What stands between ``<!-- NAME -->`` and ``<!-- end NAME -->`` is replaced, so that no number is copied by hand.
+No number is copied by hand.
 """
 
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
-from sb3_options.atomic import whole_file
+from experiments.documents import fill, number, settings_table
 
 SAYS: list[tuple[str, str, str, tuple[str, ...]]] = [
     (
@@ -97,9 +96,8 @@ class Report:
 
 
 def main(report: Report) -> None:
-    """Read, fill in and write."""
+    """Read, and fill in."""
     results = json.loads(report.results.read_text(encoding="utf-8"))
-    text = report.document.read_text(encoding="utf-8")
     parts = {
         "run": f"`{results['command']}`: {results['n_runs']} runs, {results['seconds']:.0f} s.",
         "claims": claims_table(results["claims"]),
@@ -107,19 +105,7 @@ def main(report: Report) -> None:
         "ratios": ratios_table(results["figures"]),
         "settings": settings_table(results["settings"]),
     }
-    for name, part in parts.items():
-        text = _filled(text, name, part, report.document)
-    with whole_file(report.document) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-
-
-def _filled(text: str, name: str, part: str, document: Path) -> str:
-    """The text with ``part`` between the markers of that name."""
-    pieces = re.split(rf"(<!-- (?:end )?{name} -->)", text)
-    if pieces[1::2] != [f"<!-- {name} -->", f"<!-- end {name} -->"]:
-        raise ValueError(f"{document} must have one <!-- {name} --> and one <!-- end {name} --> after it.")
-    pieces[2] = f"\n{part}\n"
-    return "".join(pieces)
+    fill(report.document, parts)
 
 
 def claims_table(claims: dict[str, dict[str, Any]]) -> str:
@@ -130,7 +116,7 @@ def claims_table(claims: dict[str, dict[str, Any]]) -> str:
             claim = claims[name]
             agrees = "yes" if claim["reached"] else "**no**"
             rows.append(
-                f"| {section} | {words} | [{figure}](images/paper/{figure}.png), `{name}` | {_number(claim)} | "
+                f"| {section} | {words} | [{figure}](images/paper/{figure}.png), `{name}` | {number(claim, 'value')} | "
                 f"{claim['bar']} | {agrees} |"
             )
     return "\n".join(rows)
@@ -158,22 +144,8 @@ def ratios_table(figures: dict[str, Any]) -> str:
     rows = ["| figure | ratio of mean steps | number (95 % interval) |", "|---|---|---|"]
     for figure, numbers in figures.items():
         for name, ratio in numbers.get("ratios", {}).items():
-            rows.append(f"| {figure} | `{name}` | {_number({**ratio, 'value': ratio['mean']})} |")
+            rows.append(f"| {figure} | `{name}` | {number(ratio)} |")
     return "\n".join(rows)
-
-
-def settings_table(settings: dict[str, dict[str, Any]]) -> str:
-    """Each setting, and whether the paper gives it."""
-    rows = ["| setting | value | in the paper |", "|---|---|---|"]
-    rows += [f"| `{name}` | {s['value']} | {s['in_paper'] or 'no'} |" for name, s in settings.items()]
-    return "\n".join(rows)
-
-
-def _number(claim: dict[str, Any]) -> str:
-    if claim["value"] is None:
-        return "–"
-    interval = "" if claim["low"] is None else f" ({claim['low']:.2f} to {claim['high']:.2f})"
-    return f"{claim['value']:.2f}{interval}"
 
 
 if __name__ == "__main__":

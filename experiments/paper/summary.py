@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.paper.measures import NEAR, by_ten, ratio_interval, window
+from experiments.curves import by_ten, ratio_interval, window
+from experiments.paper.measures import NEAR
 from experiments.paper.plots import CURVES, Groups, curves_of
 from experiments.seeds import Result
 from sb3_options.envs import GridWorld

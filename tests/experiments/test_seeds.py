@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from experiments.seeds import run_seeds
+from experiments.seeds import Part, run_parts, run_seeds
 
 
 def doubled(seed: int) -> dict[str, Any]:
@@ -29,3 +29,17 @@ def test_other_settings_run_again(tmp_path: Path) -> None:
     (tmp_path / "seeds").mkdir()
     (tmp_path / "seeds" / "3.json").write_text(json.dumps({"settings": {"a": 2}, "result": {"doubled": 0}}))
     assert run_seeds(doubled, [3], tmp_path, settings={"a": 1}, jobs=1) == [{"doubled": 6}]
+
+
+def squared(seed: int) -> dict[str, Any]:
+    return {"squared": seed * seed}
+
+
+def test_parts_share_the_processes_and_keep_their_results_apart(tmp_path: Path) -> None:
+    parts = [Part("double", doubled, tmp_path / "a"), Part("square", squared, tmp_path / "b")]
+    results = run_parts(parts, [5, 3], settings={}, jobs=2)
+    assert results == {
+        "double": [{"doubled": 10}, {"doubled": 6}],
+        "square": [{"squared": 25}, {"squared": 9}],
+    }
+    assert len(list(tmp_path.glob("*/seeds/*.json"))) == 4

@@ -1,0 +1,204 @@
+"""A thin layer over PyBullet: one physics client, the bodies of a scene, and the few calls a step needs."""
+
+from __future__ import annotations
+
+import ctypes.util
+import sys
+from collections.abc import Sequence
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import gymnasium
+
+__all__ = ["CONTACT_GAP", "Box", "Bullet", "Cylinder", "load_pybullet"]
+
+Point = Sequence[float]
+
+GRAVITY = 9.81
+"""m/s²."""
+
+CONTACT_GAP = 0.002
+"""Bodies whose surfaces are nearer than this touch, m; Bullet also reports neighbours that do not."""
+
+
+class Box(NamedTuple):
+    """An upright static box: its middle and its half sides, m."""
+
+    middle: tuple[float, float, float]
+    half_sides: tuple[float, float, float]
+
+
+class Cylinder(NamedTuple):
+    """An upright static cylinder: its middle, radius and height, m."""
+
+    middle: tuple[float, float, float]
+    radius: float
+    height: float
+
+
+def load_pybullet() -> ModuleType:
+    """Imports PyBullet, which is needed only by those who simulate.
+
+    Raises:
+        gymnasium.error.DependencyNotInstalled: PyBullet is not installed.
+    """
+    try:
+        import pybullet
+    except ImportError as error:
+        raise gymnasium.error.DependencyNotInstalled(
+            "the Pioneer environments need PyBullet, which is not installed: "
+            'pip install "sb3-options[pioneer]" (it has wheels for CPython up to 3.11)'
+        ) from error
+    module: ModuleType = pybullet
+    return module
+
+
+class Bullet:
+    """A physics client of its own. It connects when the first scene is built.
+
+    A scene is built anew for every episode: nothing that Bullet remembers (contacts, warm starts, the order of
+    its pairs) then depends on what was simulated before, so one seed gives one trajectory, bit for bit.
+
+    Args:
+        tick: Simulated time of one call of ``stepSimulation``, s.
+        substeps: Physics steps in a tick.
+        solver_iterations: Of the constraint solver, per physics step.
+        gui: Whether to open Bullet's own window.
+
+    Attributes:
+        p: The ``pybullet`` module.
+        client: The number of the physics client; -1 while there is none.
+        looks: Number of the visual shape that bodies are to have. Without a window that is a speck: meshes like the
+            bodies themselves, which nobody sees, would take most of the time of building a scene.
+
+    Raises:
+        gymnasium.error.DependencyNotInstalled: PyBullet is not installed.
+    """
+
+    def __init__(self, tick: float, substeps: int, solver_iterations: int, *, gui: bool = False) -> None:
+        self.p: Any = load_pybullet()
+        self.client = -1
+        self.looks = -1
+        self._tick = tick
+        self._substeps = substeps
+        self._solver_iterations = solver_iterations
+        self._gui = gui
+
+    def clear(self) -> None:
+        """Removes all bodies; connects first if need be.
+
+        Raises:
+            gymnasium.error.Error: Bullet's window cannot be opened, or there are too many physics clients.
+        """
+        if self.client < 0:
+            self._connect()
+        p, client = self.p, self.client
+        p.resetSimulation(physicsClientId=client)
+        p.setGravity(0, 0, -GRAVITY, physicsClientId=client)
+        p.setPhysicsEngineParameter(
+            fixedTimeStep=self._tick,
+            numSubSteps=self._substeps,
+            numSolverIterations=self._solver_iterations,
+            deterministicOverlappingPairs=1,
+            physicsClientId=client,
+        )
+        if not self._gui:
+            self.looks = int(p.createVisualShape(p.GEOM_BOX, halfExtents=(0.01, 0.01, 0.01), physicsClientId=client))
+
+    def add_static(self, boxes: Sequence[Box], cylinders: Sequence[Cylinder]) -> int:
+        """Adds boxes and cylinders as one immovable body, and returns its number."""
+        p, client = self.p, self.client
+        shape = p.createCollisionShapeArray(
+            shapeTypes=[p.GEOM_BOX] * len(boxes) + [p.GEOM_CYLINDER] * len(cylinders),
+            halfExtents=[box.half_sides for box in boxes] + [(0, 0, 0)] * len(cylinders),
+            radii=[0] * len(boxes) + [cylinder.radius for cylinder in cylinders],
+            lengths=[0] * len(boxes) + [cylinder.height for cylinder in cylinders],
+            collisionFramePositions=[box.middle for box in boxes] + [cylinder.middle for cylinder in cylinders],
+            physicsClientId=client,
+        )
+        return int(p.createMultiBody(0, shape, self.looks, physicsClientId=client))
+
+    def add_floor(self) -> int:
+        """Adds the plane z = 0, and returns its number."""
+        shape = self.p.createCollisionShape(self.p.GEOM_PLANE, physicsClientId=self.client)
+        floor = int(self.p.createMultiBody(0, shape, self.looks, physicsClientId=self.client))
+        # Bullet multiplies the frictions of what touches: with 1 here, that of the other body holds.
+        self.p.changeDynamics(floor, -1, lateralFriction=1, physicsClientId=self.client)
+        return floor
+
+    def add_ball(self, mass: float, radius: float, x: float, y: float, **dynamics: float) -> int:
+        """Adds a ball that lies on the floor, and returns its number.
+
+        Args:
+            mass: kg.
+            radius: m.
+            x: m.
+            y: m.
+            dynamics: Friction and damping, as PyBullet's ``changeDynamics`` calls them.
+        """
+        p, client = self.p, self.client
+        shape = p.createCollisionShape(p.GEOM_SPHERE, radius=radius, physicsClientId=client)
+        ball = int(p.createMultiBody(mass, shape, self.looks, basePosition=(x, y, radius), physicsClientId=client))
+        p.changeDynamics(ball, -1, **dynamics, physicsClientId=client)
+        return ball
+
+    def set_filter(self, body: int, link: int, group: int, mask: int) -> None:
+        """Puts a link (-1: the base) into a group, and lets it collide only with the groups in the mask."""
+        self.p.setCollisionFilterGroupMask(body, link, group, mask, physicsClientId=self.client)
+
+    def position(self, body: int) -> tuple[float, float, float]:
+        """Where a body is, m."""
+        position: tuple[float, float, float] = self.p.getBasePositionAndOrientation(body, physicsClientId=self.client)[
+            0
+        ]
+        return position
+
+    def place(self, body: int, x: float, y: float, z: float) -> None:
+        """Puts a body somewhere, m, upright and at rest."""
+        self.p.resetBasePositionAndOrientation(body, (x, y, z), (0, 0, 0, 1), physicsClientId=self.client)
+        self.p.resetBaseVelocity(body, (0, 0, 0), (0, 0, 0), physicsClientId=self.client)
+
+    def ray_fractions(self, starts: Sequence[Point], ends: Sequence[Point], mask: int) -> list[float]:
+        """How far along each ray the first hit is, 0..1; 1 where nothing is hit."""
+        hits = self.p.rayTestBatch(starts, ends, collisionFilterMask=mask, physicsClientId=self.client)
+        return [hit[2] for hit in hits]
+
+    def close(self) -> None:
+        """Disconnects; a second call does nothing."""
+        if self.client >= 0:
+            client, self.client = self.client, -1
+            if self.p.isConnected(client):
+                self.p.disconnect(client)
+
+    def _connect(self) -> None:
+        p = self.p
+        if self._gui and not _has_display():
+            raise gymnasium.error.Error(
+                "Bullet's window cannot be opened, there is no display: use render_mode='rgb_array', or set DISPLAY"
+            )
+        try:
+            client = p.connect(p.GUI if self._gui else p.DIRECT)
+        except p.error as error:
+            raise gymnasium.error.Error(f"PyBullet did not connect: {error}") from error
+        if client < 0:
+            what = (
+                "its window (is there a display?)" if self._gui else "another physics client: close some environments"
+            )
+            raise gymnasium.error.Error(f"PyBullet could not open {what}")
+        self.client = int(client)
+
+
+def _has_display() -> bool:
+    """Whether a window can be opened; without an X server Bullet would not say so, but wait for ever."""
+    if not sys.platform.startswith("linux"):
+        return True
+    library = ctypes.util.find_library("X11")
+    if library is None:
+        return False
+    x11 = ctypes.CDLL(library)
+    x11.XOpenDisplay.restype = ctypes.c_void_p
+    display = x11.XOpenDisplay(None)
+    if not display:
+        return False
+    x11.XCloseDisplay(ctypes.c_void_p(display))
+    return True

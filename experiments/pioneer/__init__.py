@@ -1,0 +1,1 @@
+"""The paper's simulated robot: McGovern & Barto (2001), §7."""

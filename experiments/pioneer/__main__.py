@@ -1,0 +1,120 @@
+"""``python -m experiments.pioneer figure7|figure8|learning|transfer|all --runs 30 --out FOLDER``.
+
+A picture for each figure, and results.json. Interrupted, it goes on where it was: every finished run of a seed is kept
+below ``FOLDER/groups``, and what two figures share is run once.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from experiments.pioneer import conditions
+from experiments.pioneer.plots import draw
+from experiments.pioneer.settings import PioneerSettings
+from experiments.pioneer.summary import numbers_of
+from experiments.seeds import Result, run_seeds, write_json
+
+FigureName = Literal["figure7", "figure8", "learning", "transfer"]
+
+GROUPS: dict[FigureName, tuple[str, ...]] = {
+    "figure7": (),
+    "figure8": ("learning",),
+    "learning": ("learning",),
+    "transfer": ("learning", "transfer"),
+}
+"""What each figure is made from; later groups take up what earlier ones left."""
+
+DPI = 100
+
+
+@dataclass(frozen=True)
+class Study:
+    """The simulated robot of McGovern & Barto (2001), §7.
+
+    Attributes:
+        figure: Which one, or all.
+        out: Folder for results.json, the pictures and one file per finished seed.
+        runs: Number of seeds.
+        first_seed: Seeds count up from here. Settings were chosen on seeds 0 to 19, so none of these.
+        jobs: Processes; by default one a core.
+        settings: Of the task, of learning and of discovery.
+    """
+
+    figure: tyro.conf.Positional[Literal["all"] | FigureName]
+    out: Annotated[Path, tyro.conf.arg(name="out")]
+    runs: int = 30
+    first_seed: int = 1000
+    jobs: int | None = None
+    settings: PioneerSettings = field(default_factory=PioneerSettings)
+
+
+def main(study: Study) -> None:
+    """Run what the figures need, and write and print what was found."""
+    began = time.perf_counter()
+    figures: list[FigureName] = list(GROUPS) if study.figure == "all" else [study.figure]
+    groups: dict[str, list[Result]] = {}
+    for name in ("learning", "transfer"):
+        if any(name in GROUPS[figure] for figure in figures):
+            groups[name] = _run(study, name)
+    numbers: dict[str, dict[str, Any]] = {figure: numbers_of(figure, groups) for figure in figures if GROUPS[figure]}
+    study.out.mkdir(parents=True, exist_ok=True)
+    for figure in figures:
+        draw(figure, groups).savefig(study.out / f"{figure}.png", dpi=DPI)
+    results: dict[str, Any] = {
+        "command": f"python -m experiments.pioneer {study.figure} --runs {study.runs} --first-seed {study.first_seed}",
+        "n_runs": study.runs,
+        "seconds": round(time.perf_counter() - began, 1),
+        "settings": study.settings.described(),
+        "figures": numbers,
+    }
+    write_json(study.out / "results.json", results)
+    _print(numbers, study, results["seconds"])
+
+
+def _run(study: Study, name: str) -> list[Result]:
+    artifacts = study.out / "groups" / "learning" / "artifacts"
+    function: Callable[[PioneerSettings, Path, int], Result] = getattr(conditions, name)
+    return run_seeds(
+        partial(function, study.settings, artifacts),
+        range(study.first_seed, study.first_seed + study.runs),
+        study.out / "groups" / name,
+        settings=study.settings.described(),
+        jobs=study.jobs,
+        description=name.capitalize(),
+    )
+
+
+def _print(numbers: dict[str, dict[str, Any]], study: Study, seconds: float) -> None:
+    table = Table("figure", "what", "number", "95 % interval", "bar", "reached")
+    for figure, values in numbers.items():
+        for name, value in _intervals(values):
+            reached = {True: "yes", False: "NO", None: ""}[value.get("reached")]
+            interval = f"{value['low']:.3g} to {value['high']:.3g}"
+            table.add_row(figure, name, f"{value['mean']:.3g}", interval, str(value.get("bar", "")), reached)
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(table)
+    for name, setting in study.settings.described().items():
+        console.print(f"  {name} = {setting['value']} ({setting['in_paper'] or 'not in the paper'})")
+    console.print(f"{study.runs} runs in {seconds:.0f} s. Results and pictures: {study.out}")
+
+
+def _intervals(values: dict[str, Any], prefix: str = "") -> list[tuple[str, dict[str, Any]]]:
+    """Everything in nested numbers that has an interval, with its path."""
+    found = []
+    for name, value in values.items():
+        if isinstance(value, dict):
+            found += [(prefix + name, value)] if "low" in value else _intervals(value, f"{prefix}{name}.")
+    return found
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Study))

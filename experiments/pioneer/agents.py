@@ -1,0 +1,168 @@
+"""The robot's agents: Q-learning over a CMAC, with or without options, and what their trials were like."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from experiments.pioneer.settings import PioneerSettings
+from experiments.seeds import Result
+from sb3_options import MacroQ, OptionsWrapper
+from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.envs.pioneer import DISPLACEMENT, GRIPPING, VISIBLE, WIDTH
+from sb3_options.envs.pioneer_senses import FIELD_OF_VIEW, MAX_WIDTH, SONAR_MIN
+from sb3_options.linear_features import Concatenated, TileCoding
+from sb3_options.observations import BoolArray, FloatArray
+
+NO_LIMIT = 10**12
+"""Primitive steps; trials end a run, not steps."""
+
+
+class CountTouches(gym.Wrapper[Any, Any, Any, Any]):
+    """Says in ``info["n_touches"]`` how often a wall was touched in this episode."""
+
+    def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
+        """Start counting."""
+        self._n_touches = 0
+        return super().reset(**kwargs)
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step, and count."""
+        observation, reward, terminated, truncated, info = super().step(action)
+        self._n_touches += info["touched_wall"]
+        return observation, reward, terminated, truncated, {**info, "n_touches": self._n_touches}
+
+
+def features(settings: PioneerSettings) -> Concatenated:
+    """A CMAC of what is seen of the ball, and one of the sonars, each together with whether the gripper is closed.
+
+    A binary number gets one tile: its two values fall into different ones.
+    """
+    half_view, n_sonars = FIELD_OF_VIEW / 2, len(settings.sonars)
+    ball = TileCoding(
+        [0, 0, -half_view, 0],
+        [1, 1, half_view, MAX_WIDTH],
+        (1, 1, *settings.ball_tiles),
+        n_tilings=settings.n_tilings,
+    )
+    walls = TileCoding(
+        [0] + [SONAR_MIN] * n_sonars,
+        [1] + [settings.sonar_horizon] * n_sonars,
+        (1, *[settings.sonar_tiles] * n_sonars),
+        n_tilings=settings.n_tilings,
+    )
+    return Concatenated([([GRIPPING, VISIBLE, DISPLACEMENT, WIDTH], ball), ([GRIPPING, *settings.sonars], walls)])
+
+
+def make_agent(settings: PioneerSettings, env_id: str, seed: int) -> MacroQ:
+    """An agent that knows nothing yet, with empty option slots.
+
+    Without an option in them it is the same agent as one without slots, bit for bit.
+    """
+
+    def make_env() -> gym.Env[Any, Any]:
+        env = CountTouches(gym.make(env_id, max_steps=settings.step_limit))
+        return OptionsWrapper(
+            Monitor(env, info_keywords=("is_success", "n_touches")), settings.options_per_run, gamma=settings.gamma
+        )
+
+    return MacroQ(
+        DummyVecEnv([make_env]),
+        features=features(settings),
+        learning_rate=settings.step_size,
+        gamma=settings.gamma,
+        epsilon=settings.epsilon,
+        seed=seed,
+    )
+
+
+def wrapper_of(agent: MacroQ) -> OptionsWrapper:
+    """The environment with its option bank."""
+    return cast("OptionsWrapper", cast("DummyVecEnv", agent.get_env()).envs[0])
+
+
+def ball_in_sight(scaled: FloatArray, start: FloatArray, end: FloatArray) -> BoolArray:
+    """The static filter: without a ball on the retina there is no width or displacement to speak of."""
+    seen: BoolArray = scaled[:, 1] > 0
+    return seen
+
+
+def discoverer(settings: PioneerSettings, seed: int, *, max_new_options: int) -> SubgoalDiscoveryCallback:
+    """The library's callback; with no new options it lets those there are be used."""
+    return SubgoalDiscoveryCallback(
+        settings.discovery(),
+        settings.option(),
+        static_filter=ball_in_sight,
+        max_new_options=max_new_options,
+        seed=seed,
+    )
+
+
+class Trials(BaseCallback):
+    """Ends training after some trials, and remembers them.
+
+    Args:
+        n_trials: How many.
+
+    Attributes:
+        episodes: What `Monitor` said of each.
+    """
+
+    def __init__(self, n_trials: int) -> None:
+        super().__init__()
+        self.n_trials = n_trials
+        self.episodes: list[dict[str, Any]] = []
+
+    def _on_step(self) -> bool:
+        info = self.locals["infos"][0]
+        if "episode" in info:
+            self.episodes.append(info["episode"])
+        return len(self.episodes) < self.n_trials
+
+
+def live(agent: MacroQ, n_trials: int, callback: BaseCallback) -> Result:
+    """Let an agent learn for some trials.
+
+    Returns:
+        Primitive ``steps``, ``returns``, ``successes`` and wall ``touches`` of every trial.
+    """
+    trials = Trials(n_trials)
+    agent.learn(NO_LIMIT, callback=CallbackList([callback, trials]), log_interval=None)
+    return described(trials.episodes)
+
+
+def evaluate(agent: MacroQ, n_trials: int, epsilon: float, seed: int) -> Result:
+    """Trials without learning, almost greedy: a robot that never errs may circle for ever where two views look alike.
+
+    Returns:
+        As `live`.
+    """
+    env = agent.get_env()
+    assert env is not None  # made with one
+    env.seed(seed)
+    rng = np.random.default_rng(seed)
+    observation, episodes = env.reset(), []
+    while len(episodes) < n_trials:
+        action, _ = agent.predict(observation, deterministic=True)  # type: ignore[arg-type]  # a batch, as reset gives it
+        if rng.random() < epsilon:
+            action = np.array([rng.integers(wrapper_of(agent).n_primitive)])
+        observation, _, dones, infos = env.step(action)
+        if dones[0]:
+            episodes.append(infos[0]["episode"])
+    return described(episodes)
+
+
+def described(episodes: Sequence[dict[str, Any]]) -> Result:
+    """Columns that JSON can hold."""
+    return {
+        "steps": [int(e["l"]) for e in episodes],
+        "returns": [float(e["r"]) for e in episodes],
+        "successes": [bool(e["is_success"]) for e in episodes],
+        "touches": [int(e["n_touches"]) for e in episodes],
+    }

@@ -1,0 +1,86 @@
+"""``python -m experiments.pioneer.report results.json docs/pioneer.md``: puts the numbers of a study into its document.
+
+No number is copied by hand.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from experiments.documents import fill, number, settings_table
+from experiments.pioneer.settings import TASKS
+
+
+@dataclass(frozen=True)
+class Report:
+    """Put the numbers of a study into its document.
+
+    Attributes:
+        results: What the study wrote.
+        document: Markdown with the markers.
+    """
+
+    results: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RESULTS")]
+    document: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DOCUMENT")]
+
+
+def main(report: Report) -> None:
+    """Read, and fill in."""
+    results = json.loads(report.results.read_text(encoding="utf-8"))
+    figures = results["figures"]
+    parts = {
+        "run": f"`{results['command']}`: {results['n_runs']} runs, {results['seconds']:.0f} s.",
+        "subgoals": subgoals(figures["figure8"]),
+        "evaluation": evaluation_table(figures["learning"]),
+        "ratios": ratios_table(figures),
+        "settings": settings_table(results["settings"]),
+    }
+    fill(report.document, parts)
+
+
+def subgoals(numbers: dict[str, Any]) -> str:
+    """Where the subgoals fell, in a sentence."""
+    found = [s for s in numbers["subgoals"] if s["width"] is not None]
+    displacement = [abs(math.degrees(s["displacement"])) for s in found]
+    width = [math.degrees(s["width"]) for s in found]
+    share = numbers["share_near_and_ahead"]
+    return (
+        f"{numbers['n_near_and_ahead']} of {numbers['n_runs']} runs made their option for the ball dead ahead and near "
+        f"(95 % interval of the share {share['low']:.2f} to {share['high']:.2f}), at trial {numbers['median_trial']:g} "
+        f"in the median. |displacement| is {max(displacement):.1f}° at most, width {min(width):.1f}° at least."
+    )
+
+
+def evaluation_table(numbers: dict[str, Any]) -> str:
+    """Success, length and touches of the trials after learning."""
+    rows = [
+        "| | success rate | worst run | primitive steps | wall touches a trial |",
+        "|---|---|---|---|---|",
+    ]
+    for name, words in (("primitive", "primitives only"), ("discovery", "with subgoal discovery")):
+        e = numbers[name]["evaluation"]
+        cells = [number(e[key]) for key in ("success_rate", "steps", "touches")]
+        rows.append(f"| {words} | {cells[0]} | {e['success_rate']['worst_run']:.2f} | {cells[1]} | {cells[2]} |")
+    return "\n".join(rows)
+
+
+def ratios_table(figures: dict[str, Any]) -> str:
+    """Every ratio of primitive steps, with the option to without."""
+    columns = {"main task": figures["learning"]["ratios"]}
+    columns |= {task.replace("_", " "): figures["transfer"][task]["ratios"] for task in TASKS}
+    names = list(dict.fromkeys(name for ratios in columns.values() for name in ratios))
+    rows = [f"| trials | {' | '.join(columns)} |", "|---" * (len(columns) + 1) + "|"]
+    for name in names:
+        cells = [number(ratios[name]) if name in ratios else "–" for ratios in columns.values()]
+        rows.append(f"| {name.removeprefix('steps_trials_').replace('_', '–')} | {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Report))

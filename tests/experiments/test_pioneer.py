@@ -1,0 +1,95 @@
+"""The robot's study leaves every picture and number it promises; what its pieces say is checked by hand."""
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pybullet")
+
+from experiments.pioneer import agents, conditions, summary
+from experiments.pioneer.__main__ import GROUPS, Study, main
+from experiments.pioneer.settings import IN_PAPER, MAIN_TASK, TASKS, PioneerSettings
+from sb3_options.envs.pioneer import DISPLACEMENT, GRIPPING, VISIBLE, WIDTH
+
+TINY = PioneerSettings(
+    trials=8,
+    transfer_trials=1,
+    evaluation_trials=1,
+    step_limit=300,
+    min_positive=2,
+    threshold=0.05,
+    network_updates=20,
+)
+
+
+@pytest.mark.slow
+def test_all_figures_with_their_numbers_and_again_from_what_was_kept(tmp_path: Path) -> None:
+    study = Study("all", tmp_path, runs=2, first_seed=0, jobs=2, settings=TINY)
+    main(study)
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert {path.stem for path in tmp_path.glob("*.png")} == set(GROUPS)
+    figures = results["figures"]
+    assert set(figures) == {"figure8", "learning", "transfer"}
+    assert figures["figure8"]["n_runs"] == len(figures["figure8"]["subgoals"]) == 2
+    assert set(figures["transfer"]) == set(TASKS)
+    for numbers in (figures["learning"], *figures["transfer"].values()):
+        assert all(ratio["low"] <= ratio["mean"] <= ratio["high"] for ratio in numbers["ratios"].values())
+    for condition in ("primitive", "discovery"):
+        assert set(figures["learning"][condition]["evaluation"]) == {"success_rate", "steps", "touches"}
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("groups/*/seeds/*.json")}
+    assert len(kept) == 2 * 2
+    main(dataclasses.replace(study, figure="figure8"))
+    again = json.loads((tmp_path / "results.json").read_text())
+    assert again["figures"]["figure8"] == figures["figure8"]
+    assert kept == {path: path.stat().st_mtime_ns for path in kept}
+
+
+@pytest.mark.slow
+def test_agents_of_a_seed_are_the_same_until_the_option(tmp_path: Path) -> None:
+    learned = conditions.learning(TINY, tmp_path, 3)
+    made = learned["option"]["trial"]
+    assert made is not None
+    for column in ("steps", "returns", "touches"):
+        assert learned["primitive"][column][:made] == learned["discovery"][column][:made]
+    assert len(learned["primitive"]["steps"]) == TINY.trials
+    assert (tmp_path / "3.safetensors").is_file()
+
+
+def test_touches_are_counted_and_paid_for() -> None:
+    agent = agents.make_agent(TINY, MAIN_TASK, 0)
+    trials = agents.live(agent, 2, agents.discoverer(TINY, 0, max_new_options=0))
+    for steps, total, success, touches in zip(*(trials[c] for c in trials), strict=True):
+        assert total == pytest.approx(10 * success - 0.1 * steps - touches)
+    assert sum(trials["touches"]) > 0
+
+
+def test_features_tell_apart_what_matters() -> None:
+    coding = agents.features(TINY)
+    seen = np.full((5, 11), 2.0)
+    seen[:, [VISIBLE, DISPLACEMENT, WIDTH, GRIPPING]] = [1, 0.0, 0.4, 0]
+    seen[1, GRIPPING] = 1
+    seen[2, 3] = 0.3  # the sonar straight ahead
+    seen[3, DISPLACEMENT] = 0.5
+    seen[4, 0] = 0.3  # a sonar that is not used
+    here, *others = coding.active(seen)
+    shared = [int((here == other).sum()) for other in others]
+    assert shared[0] == 0
+    assert shared[1] == shared[2] == coding.n_active / 2
+    assert shared[3] == coding.n_active
+
+
+@pytest.mark.parametrize(
+    ("displacement", "width", "good"),
+    [(0.0, 0.8, True), (-9.0, 0.56, True), (11.0, 0.8, False), (0.0, 0.5, False), (None, None, False)],
+)
+def test_dead_ahead_and_near(displacement: float | None, width: float | None, good: bool) -> None:
+    option = {"displacement": None if displacement is None else math.radians(displacement), "width": width}
+    assert summary.is_near_and_ahead(option) == good
+
+
+def test_what_the_paper_says_is_said_of_settings_there_are() -> None:
+    assert set(IN_PAPER) <= {field.name for field in dataclasses.fields(PioneerSettings)}
