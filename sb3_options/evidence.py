@@ -75,6 +75,7 @@ class Evidence:
         for dtype, segments in self._segments.items():
             segments.append(self._packed(new, dtype))
 
+    @torch.inference_mode()
     def loss(self, theta: Tensor) -> tuple[Tensor, Tensor]:
         """−log DD − log prior of every column of θ (P, S), shape (S,), and its gradient (P, S)."""
         at = evaluate(
@@ -85,7 +86,8 @@ class Evidence:
             max_pairs=self._max_pairs,
         )
         prior, pull = self.concept.log_prior(theta)
-        return -at.log_density - prior, -self.concept.pull_back(theta, at.gradient) - pull
+        pull.add_(self.concept.pull_back(theta, at.gradient))
+        return at.log_density.add_(prior).neg_(), pull.neg_()
 
     def positive_instances(self) -> Array:
         """Scaled instances of all positive bags, (n, m)."""

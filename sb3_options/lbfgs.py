@@ -54,6 +54,7 @@ class Descent:
         evaluations: Calls of the objective so far.
     """
 
+    @torch.inference_mode()
     def __init__(self, objective: Objective, theta: Tensor, bounds: tuple[Tensor, Tensor], *, tolerance: float) -> None:
         self._objective, self._tolerance = objective, tolerance
         self._low, self._high = (bound.to(theta) for bound in bounds)
@@ -67,6 +68,7 @@ class Descent:
         self.evaluations = 1
         self._direction = self._pairs.direction(self._gradient, self._free())
 
+    @torch.inference_mode()
     def run(self, steps: int) -> None:
         """Go on for at most ``steps`` calls of the objective."""
         for _ in range(steps):
@@ -74,6 +76,7 @@ class Descent:
                 return
             self._step()
 
+    @torch.inference_mode()
     def keep(self, columns: list[int], dtype: torch.dtype) -> None:
         """Go on with these starts only, in this precision, without forgetting curvature."""
         changed = dtype != self.theta.dtype
@@ -134,20 +137,20 @@ class Pairs:
 
     def __init__(self, theta: Tensor) -> None:
         n, (n_parameters, n_starts) = PAIRS, theta.shape
-        self._steps = theta.new_zeros(n_starts, n, n_parameters)
-        self._changes = torch.zeros_like(self._steps)
-        self._sy = torch.eye(n, dtype=theta.dtype, device=theta.device).repeat(n_starts, 1, 1)  # (S, n, n)
+        self._both = theta.new_zeros(n_starts, 2 * n, n_parameters)  # the last n of s and then of y, each a ring
+        self._sy = torch.eye(n, dtype=theta.dtype, device=theta.device).repeat(n_starts, 1, 1)  # (S, n, n), R is upper
         self._yy = torch.zeros_like(self._sy)
         self._good = torch.zeros_like(self._sy[:, :, :1])  # (S, n, 1): 1 for a pair that says something, else 0
         self._size = theta.new_zeros(n_starts)  # γ = s·y / y·y of the last good pair
         self._n = 0
         place = torch.arange(n, device=theta.device)
-        self._oldest_first = [(place + i) % n for i in range(n)]
-        self._as_stored = [(place - i) % n for i in range(n)]
+        rings = [(place + i) % n for i in range(n)]
+        self._oldest_first = [torch.cat([ring, ring + n]) for ring in rings]
+        self._as_stored = [order.argsort() for order in self._oldest_first]
 
     def keep(self, columns: list[int], dtype: torch.dtype) -> None:
         """These starts only, in this precision."""
-        for name in ("_steps", "_changes", "_sy", "_yy", "_good", "_size"):
+        for name in ("_both", "_sy", "_yy", "_good", "_size"):
             setattr(self, name, getattr(self, name)[columns].to(dtype))
 
     def add(self, step: Tensor, change: Tensor) -> None:
@@ -157,14 +160,15 @@ class Pairs:
         along, square = (step * change).sum(0), change.square().sum(0)
         good = along > CURVED * square
         self._size = torch.where(good, along / square, self._size)
-        self._steps[:, at] = (step * good).T
-        self._changes[:, at] = (change * good).T
-        self._good[:, at, 0] = good
-        s, y = self._steps[:, at, :, None], self._changes[:, at, :, None]
-        self._sy[:, :, at] = (self._steps @ y)[..., 0]
-        self._sy[:, at, :] = (self._changes @ s)[..., 0]
-        self._sy[:, at, at] += 1 - self._good[:, at, 0]
-        self._yy[:, :, at] = self._yy[:, at, :] = (self._changes @ y)[..., 0]
+        new = self._both[:, at::PAIRS]
+        torch.mul(torch.stack([step, change]), good, out=new.permute(1, 2, 0))
+        with_y = (self._both @ new[:, 1, :, None])[:, self._oldest_first[self._n % PAIRS], 0]
+        self._sy, self._yy = self._sy.roll((-1, -1), (1, 2)), self._yy.roll((-1, -1), (1, 2))
+        self._good = self._good.roll(-1, 1)
+        self._good[:, -1, 0] = good
+        self._sy[:, :, -1] = with_y[:, :PAIRS]
+        self._sy[:, -1, -1] += ~good
+        self._yy[:, :, -1] = self._yy[:, -1] = with_y[:, PAIRS:]
 
     def direction(self, gradient: Tensor, free: Tensor | None) -> Tensor:
         """−H g, (P, S), within the parameters that are free; where it does not descend, against the gradient."""
@@ -174,17 +178,14 @@ class Pairs:
         out = start * -size
         if self._n == 0:
             return out
-        order, back = self._oldest_first[self._n % PAIRS], self._as_stored[self._n % PAIRS]
-        column = start.T.contiguous()[..., None]  # (S, P, 1)
-        s_g, y_g = (self._steps @ column)[:, order], (self._changes @ column)[:, order]  # (S, n, 1)
-        upper = self._sy[:, order][:, :, order].triu_()
-        diagonal = upper.diagonal(dim1=1, dim2=2).unsqueeze(2) * self._good[:, order]
+        with_g = (self._both @ start.T.contiguous()[..., None])[:, self._oldest_first[self._n % PAIRS]]  # (S, 2 n, 1)
         gamma = size[:, None, None]
-        p = torch.linalg.solve_triangular(upper, s_g, upper=True)
-        right = diagonal * p + gamma * (self._yy[:, order][:, :, order] @ p - y_g)
-        q = torch.linalg.solve_triangular(upper.transpose(1, 2), right, upper=False)
-        p, q = (gamma * p)[:, back].transpose(1, 2), q[:, back].transpose(1, 2)  # (S, 1, n)
-        newton = out + (p @ self._changes).sub_(q @ self._steps)[:, 0].T
+        p = torch.linalg.solve_triangular(self._sy, with_g[:, :PAIRS], upper=True)
+        right = torch.baddbmm(with_g[:, PAIRS:], self._yy, p, beta=-1).mul_(gamma)
+        right.addcmul_(self._sy.diagonal(dim1=1, dim2=2)[..., None] * self._good, p)
+        q = torch.linalg.solve_triangular(self._sy.transpose(1, 2), right, upper=False)
+        parts = torch.cat([-q, gamma * p], dim=1)[:, self._as_stored[self._n % PAIRS]]
+        newton = out + (parts.transpose(1, 2) @ self._both)[:, 0].T
         if free is not None:
             newton = torch.where(free, newton, 0)
         return torch.where((newton * start).sum(0) < 0, newton, out)

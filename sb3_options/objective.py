@@ -14,6 +14,7 @@ done again by `_careful`, which factors out each bag's smallest energy and is ri
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from itertools import islice
@@ -50,14 +51,14 @@ class Arrays(NamedTuple):
 
     p: Tensor  # (N, S)
     q: Tensor  # (N, S)
-    hit: Tensor  # (R, S)
-    miss: Tensor  # (R, S)
+    rows: Tensor  # (2, R, S): probabilities of a hit in each row, and of none
     ratio: Tensor  # (R, S)
+    factors: Tensor  # (B + 1, S), the last one 1
+    ends: Tensor  # (2, 1, 1): what a hit makes of both probabilities, 1 and 0
     p_blocks: tuple[Tensor, ...]  # views of the first instances of all rows, of the second ones, and so on
     q_blocks: tuple[Tensor, ...]
-    hit_rows: tuple[Tensor, ...]  # views of the rows that have a first instance, a second one, and so on
-    miss_rows: tuple[Tensor, ...]
-    ratio_rows: tuple[Tensor, ...]
+    rows_blocks: tuple[Tensor, ...]  # views of the rows that have a first instance, a second one, and so on
+    ratio_blocks: tuple[Tensor, ...]
 
 
 class Workspace:
@@ -84,10 +85,21 @@ class Workspace:
         if len(self._views) == self.VIEWS:
             self._views.clear()
         p, q = (_columns(flat[:n], n_starts) for flat in self._flat)
-        hit, miss, ratio = (_columns(like.new_empty(segment.counts[0] * n_starts), n_starts) for _ in range(3))
-        p_blocks, q_blocks = (torch.split(array, list(segment.counts)) for array in (p, q))
-        rows = (tuple(array[:count] for count in segment.counts) for array in (hit, miss, ratio))
-        arrays = Arrays(p, q, hit, miss, ratio, p_blocks, q_blocks, *rows)
+        n_rows = segment.counts[0]
+        rows = _columns(like.new_empty(2 * n_rows * n_starts), n_starts).unflatten(0, (2, n_rows))
+        ratio = _columns(like.new_empty(n_rows * n_starts), n_starts)
+        arrays = Arrays(
+            p=p,
+            q=q,
+            rows=rows,
+            ratio=ratio,
+            factors=like.new_ones(len(segment.bag_weight) + 1, n_starts),
+            ends=like.new_tensor([1, 0]).view(2, 1, 1),
+            p_blocks=torch.split(p, list(segment.counts)),
+            q_blocks=torch.split(q, list(segment.counts)),
+            rows_blocks=tuple(rows[:, :count] for count in segment.counts),
+            ratio_blocks=tuple(ratio[:count] for count in segment.counts),
+        )
         self._views[key] = (segment, arrays)
         return arrays
 
@@ -117,20 +129,27 @@ def evaluate(
     Returns:
         Shapes (S,) and (K, S).
     """
-    k, n_starts = coefficients.shape
-    total = coefficients.new_zeros(n_starts)
-    gradient = torch.zeros_like(coefficients)
-    for segment in segments:
-        at_once = max(1, max_pairs // len(segment.powers))
-        for first in range(0, n_starts, at_once):
-            part = coefficients[:, first : first + at_once]
-            value, slope, fine = _quick(part, segment, link, workspace)
-            if not bool(fine.all()):
-                again = (~fine).nonzero()[:, 0]
-                value[again], slope[:, again] = _careful(part[:, again], segment, link, workspace)
-            total[first : first + at_once] += value
-            gradient[:, first : first + at_once] += slope[:k]
-    return Evaluation(total, gradient)
+    parts = [_of_segment(coefficients, segment, link, workspace, max_pairs) for segment in segments]
+    log_density, gradient = parts[0]
+    for value, slope in parts[1:]:
+        log_density.add_(value)
+        gradient.add_(slope)
+    return Evaluation(log_density, gradient[: len(coefficients)])
+
+
+def _of_segment(
+    coefficients: Tensor, segment: Segment, link: Link, workspace: Workspace, max_pairs: int
+) -> tuple[Tensor, Tensor]:
+    """Value (S,) and gradient (K, S)."""
+    at_once = max(1, max_pairs // len(segment.powers))
+    if coefficients.shape[1] > at_once:
+        parts = [_of_segment(c, segment, link, workspace, max_pairs) for c in coefficients.split(at_once, dim=1)]
+        return torch.cat([value for value, _ in parts]), torch.cat([slope for _, slope in parts], dim=1)
+    value, slope, fine = _quick(coefficients, segment, link, workspace)
+    if not bool(fine.all()):
+        again = (~fine).nonzero()[:, 0]
+        value[again], slope[:, again] = _careful(coefficients[:, again], segment, link, workspace)
+    return value, slope
 
 
 def _with_strength(coefficients: Tensor, segment: Segment, factor: float) -> Tensor:
@@ -154,22 +173,22 @@ def _quick(coefficients: Tensor, segment: Segment, link: Link, workspace: Worksp
     if link == "gaussian":
         scaled = _with_strength(coefficients, segment, -LOG2_E)
         # A product that rounds to an energy below 0 would make p > 1; the margin keeps p below 1 and costs 1e-6 of it.
-        scaled[0] -= (4 * precision.eps) * (1 + coefficients[0].abs())
+        scaled[0].mul_(1 + 4 * precision.eps).sub_(4 * precision.eps)
         _energies(scaled, segment, p)
         p.exp2_()
     else:
         _energies(_with_strength(coefficients, segment, -1.0), segment, p)
         p.sigmoid_()
-    torch.sub(p.new_ones(()), p, out=q)
+    torch.sub(arrays.ends[0, 0], p, out=q)
     _rows(arrays)
     value, fine = _bags_of_rows(arrays, segment, precision.tiny**0.75)
     if link == "gaussian":
         torch.div(p, q, out=p)
-    for block, ratio in zip(arrays.p_blocks, arrays.ratio_rows, strict=True):
+    for block, ratio in zip(arrays.p_blocks, arrays.ratio_blocks, strict=True):
         block.mul_(ratio)
     gradient = _moments(segment, p)
     # A p of exactly 1 leaves 0/0.
-    return value, gradient, fine & gradient.sum(0).isfinite()
+    return value, gradient, fine.logical_and_(gradient[0].abs() < math.inf)
 
 
 def _energies(coefficients: Tensor, segment: Segment, p: Tensor) -> None:
@@ -184,45 +203,46 @@ def _moments(segment: Segment, p: Tensor) -> Tensor:
     """Sums over instances of the weights in p times the powers, (K, S)."""
     if p.is_contiguous():
         return torch.mm(segment.powers_by_power, p)
-    return torch.stack([torch.mv(segment.powers_by_power, weights) for weights in p.T], dim=1)
+    return torch.mm(p.T, segment.powers).T
 
 
 def _rows(arrays: Arrays) -> None:
     """Probabilities of a hit and of none in each row, each without cancellation."""
-    one = arrays.p.new_ones(())
-    arrays.hit.copy_(arrays.p_blocks[0])
-    arrays.miss.copy_(arrays.q_blocks[0])
-    steps = zip(arrays.hit_rows, arrays.p_blocks, arrays.miss_rows, arrays.q_blocks, strict=True)
-    for hit, p, miss, q in islice(steps, 1, None):
-        torch.lerp(hit, one, p, out=hit)
-        miss.mul_(q)
+    arrays.rows[0] = arrays.p_blocks[0]
+    arrays.rows[1] = arrays.q_blocks[0]
+    for rows, p in islice(zip(arrays.rows_blocks, arrays.p_blocks, strict=True), 1, None):
+        torch.lerp(rows, arrays.ends, p, out=rows)
 
 
 def _bags_of_rows(arrays: Arrays, segment: Segment, smallest: float) -> tuple[Tensor, Tensor]:
     """From rows to the value (S,), which starts are reliable (S,), and the factor of each row's odds, in place."""
-    hit, miss = arrays.hit.contiguous(), arrays.miss.contiguous()  # rows are gathered one by one
+    rows = arrays.rows.contiguous()  # they are gathered one by one
     # Near a negative instance 1 − p cancels. In single precision a hit is worth some −15 nats instead of −∞, which
     # refuses it as well and is not worth a second look.
-    near = NEAR_NEGATIVE if miss.dtype == torch.float64 else 0.0
-    negative = miss.index_select(0, segment.negative_rows)
-    fine = negative.amin(0) > near if len(negative) else torch.ones_like(hit[0], dtype=torch.bool)
-    log_density = _weighted_sum(negative.log_(), segment.negative_weight, segment)
-    # One factor for each positive bag, and then one for all rows of negative bags, each of which is its own bag.
-    factors = hit.new_ones(len(segment.bag_weight) + 1, hit.shape[1])
+    near = NEAR_NEGATIVE if rows.dtype == torch.float64 else 0.0
+    parts, fine = [], []
+    if len(segment.negative_rows):
+        negative = rows[1].index_select(0, segment.negative_rows)
+        fine.append(negative.amin(0) > near)
+        parts.append(_weighted_sum(negative.log_(), segment.negative_weight, segment))
     if segment.rows_of_bags:
         first, *others = segment.rows_of_bags
-        one, bag_hit, bag_miss = hit.new_ones(()), hit.index_select(0, first), miss.index_select(0, first)
-        for rows in others:
-            n = len(rows)
-            torch.lerp(bag_hit[:n], one, hit.index_select(0, rows), out=bag_hit[:n])
-            bag_miss[:n].mul_(miss.index_select(0, rows))
-        fine = fine & (bag_hit.amin(0) > smallest) & (bag_hit.amax(0) <= 1)
-        torch.div(bag_miss, bag_hit, out=factors[:-1]).neg_()
-        log_density = log_density + _weighted_sum(bag_hit.log_(), segment.bag_weight, segment)
-    arrays.ratio.copy_(factors.index_select(0, segment.bag_of_row))
+        bags = rows.index_select(1, first)
+        hit, miss = bags
+        for numbers in others:
+            n, other = len(numbers), rows.index_select(1, numbers)
+            torch.lerp(hit[:n], arrays.ends[0], other[0], out=hit[:n])
+            miss[:n].mul_(other[1])
+        fine += [hit.amin(0) > smallest, hit.amax(0) <= 1]
+        torch.div(miss, hit, out=arrays.factors[:-1]).neg_()
+        parts.append(_weighted_sum(hit.log_(), segment.bag_weight, segment))
+    if arrays.ratio.is_contiguous():
+        torch.index_select(arrays.factors, 0, segment.bag_of_row, out=arrays.ratio)
+    else:
+        arrays.ratio.copy_(arrays.factors.index_select(0, segment.bag_of_row))
     if segment.weighted:
         arrays.ratio.mul_(segment.row_weight)
-    return log_density, fine
+    return functools.reduce(torch.add, parts), functools.reduce(torch.logical_and, fine)
 
 
 def _weighted_sum(rows: Tensor, weights: Tensor, segment: Segment) -> Tensor:
