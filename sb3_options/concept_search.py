@@ -26,7 +26,7 @@ from sb3_options.packed_bags import Bags, distinct
 SURVIVORS = 4
 """After every `first_steps` the best quarter of the starts goes on, until `finalists` are left."""
 
-UPDATE_STARTS = 8
+UPDATE_STARTS = 6
 UPDATE_FINALISTS = 2
 UPDATE_STEPS = 4
 """What `ConceptSearch.update` may cost: instances tried, of them and of earlier peaks climbing, steps they climb."""
@@ -193,12 +193,12 @@ class ConceptSearch:
         Raises:
             ValueError: As `search`.
         """
+        known = [self._in_frame(solution, evidence.frame)[:, None] for solution in warm[:UPDATE_FINALISTS]]
         points = _evenly(self._start_points(evidence, starts), UPDATE_STARTS)
-        theta = self.concept.start(points, self.start_scales[0])
-        value, _ = evidence.loss(theta.float())
-        best = value.argsort()[:UPDATE_FINALISTS]
-        known = [self._in_frame(solution, evidence.frame) for solution in warm[:UPDATE_FINALISTS]]
-        descent = self._descent(torch.stack([*known, *theta[:, best].T], dim=1).float(), evidence)
+        new = self.concept.start(points, self.start_scales[0])
+        descent = self._descent(torch.cat([*known, new], dim=1).float(), evidence)
+        best = descent.value[len(known) :].argsort()[:UPDATE_FINALISTS] + len(known)
+        descent.keep([*range(len(known)), *best.tolist()], torch.float32)
         descent.run(UPDATE_STEPS)
         return self.solutions(descent.theta.double(), descent.value.double(), descent.converged, evidence)
 

@@ -174,10 +174,10 @@ def _quick(coefficients: Tensor, segment: Segment, link: Link, workspace: Worksp
         scaled = _with_strength(coefficients, segment, -LOG2_E)
         # A product that rounds to an energy below 0 would make p > 1; the margin keeps p below 1 and costs 1e-6 of it.
         scaled[0].mul_(1 + 4 * precision.eps).sub_(4 * precision.eps)
-        _energies(scaled, segment, p)
+        _energies(scaled, segment, p, 0.95 * math.log2(precision.tiny))
         p.exp2_()
     else:
-        _energies(_with_strength(coefficients, segment, -1.0), segment, p)
+        _energies(_with_strength(coefficients, segment, -1.0), segment, p, 0.95 * math.log(precision.tiny))
         p.sigmoid_()
     torch.sub(arrays.ends[0, 0], p, out=q)
     _rows(arrays)
@@ -191,19 +191,24 @@ def _quick(coefficients: Tensor, segment: Segment, link: Link, workspace: Worksp
     return value, gradient, fine.logical_and_(gradient[0].abs() < math.inf)
 
 
-def _energies(coefficients: Tensor, segment: Segment, p: Tensor) -> None:
-    """Energies of all instances into p, (N, S)."""
+def _energies(coefficients: Tensor, segment: Segment, p: Tensor, lowest: float) -> None:
+    """Negative energies of all instances into p, (N, S), where they may be below ``lowest``, cut off there.
+
+    Below it p or its product with another is subnormal, and arithmetic with those is many times slower.
+    """
     if p.is_contiguous():
         torch.mm(segment.powers, coefficients, out=p)
     else:
         torch.mm(coefficients.T.contiguous(), segment.powers_by_power, out=p.T)
+    if bool((segment.reach @ coefficients.abs()).amax() > -lowest):
+        p.clamp_(min=lowest)
 
 
 def _moments(segment: Segment, p: Tensor) -> Tensor:
     """Sums over instances of the weights in p times the powers, (K, S)."""
     if p.is_contiguous():
         return torch.mm(segment.powers_by_power, p)
-    return torch.mm(p.T, segment.powers).T
+    return torch.mm(p.T, segment.powers_by_power.T).T
 
 
 def _rows(arrays: Arrays) -> None:

@@ -30,6 +30,7 @@ class Segment(NamedTuple):
         powers: (N, K): 1, x_k, x_k², for negative instances over the square of their width; and, if negative
             instances are weakened, a column of log η for those.
         powers_by_power: (K, N), the same.
+        reach: (K,), the largest magnitude of each power.
         counts: Rows that have a first, second, … instance; their sum is N.
         negative_rows: Numbers of the rows of negative bags.
         negative_weight: Weights of their bags.
@@ -42,6 +43,7 @@ class Segment(NamedTuple):
 
     powers: Tensor
     powers_by_power: Tensor
+    reach: Tensor
     counts: tuple[int, ...]
     negative_rows: Tensor
     negative_weight: Tensor
@@ -125,6 +127,7 @@ def segment_of(
     return Segment(
         powers=tensor(powers).to(dtype),
         powers_by_power=tensor(powers.T.copy()).to(dtype),
+        reach=tensor(np.abs(powers).max(axis=0)).to(dtype),
         counts=tuple(counts),
         negative_rows=tensor(negative_rows),
         negative_weight=tensor(bags.weights[bag][negative_rows]).to(dtype),
