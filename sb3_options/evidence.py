@@ -7,9 +7,10 @@ import torch
 from torch import Tensor
 
 from sb3_options.concepts import Array, Concept, Frame
-from sb3_options.objective import Workspace, evaluate
+from sb3_options.objective import evaluate
 from sb3_options.packed_bags import Bags
 from sb3_options.segments import SEGMENT_INSTANCES, BagArrays, Segment, segment_of
+from sb3_options.workspace import Workspace
 
 GROWING_INSTANCES = SEGMENT_INSTANCES // 8
 """What is packed again with every bag that is added; more segments cost calls in every evaluation."""

@@ -24,12 +24,10 @@ import torch
 from torch import Tensor
 
 from sb3_options.segments import Segment
+from sb3_options.workspace import Arrays, Workspace
 
 MAX_PAIRS = 1 << 20
 """Default for (instances × starts) held at once. Two such arrays in single precision are 8 MiB."""
-
-FEW_STARTS = 9
-"""Below this many starts arrays are stored start by start: products with so few columns are slow."""
 
 NEAR_NEGATIVE = 2.0**-26
 """In double precision 1 − p of a row of negative instances is exact to half its digits above this."""
@@ -44,69 +42,6 @@ class Evaluation(NamedTuple):
 
     log_density: Tensor
     gradient: Tensor
-
-
-class Arrays(NamedTuple):
-    """What one evaluation writes into, for N instances in R rows and S starts."""
-
-    p: Tensor  # (N, S)
-    q: Tensor  # (N, S)
-    rows: Tensor  # (2, R, S): probabilities of a hit in each row, and of none
-    ratio: Tensor  # (R, S)
-    factors: Tensor  # (B + 1, S), the last one 1
-    ends: Tensor  # (2, 1, 1): what a hit makes of both probabilities, 1 and 0
-    p_blocks: tuple[Tensor, ...]  # views of the first instances of all rows, of the second ones, and so on
-    q_blocks: tuple[Tensor, ...]
-    rows_blocks: tuple[Tensor, ...]  # views of the rows that have a first instance, a second one, and so on
-    ratio_blocks: tuple[Tensor, ...]
-
-
-class Workspace:
-    """Arrays that every evaluation writes into: fresh memory and fresh views cost as much as the arithmetic."""
-
-    VIEWS = 64
-    """Shapes whose views are kept."""
-
-    def __init__(self) -> None:
-        self._flat: tuple[Tensor, Tensor] = (torch.empty(0), torch.empty(0))
-        self._views: dict[tuple[int, int, torch.dtype], tuple[Segment, Arrays]] = {}
-
-    def take(self, segment: Segment, n_starts: int, like: Tensor) -> Arrays:
-        """Uninitialised arrays with the precision and the device of ``like``."""
-        key = (id(segment), n_starts, like.dtype)
-        known = self._views.get(key)
-        if known is not None and known[0] is segment:
-            return known[1]
-        n = len(segment.powers) * n_starts
-        flat = self._flat[0]
-        if len(flat) < n or flat.dtype != like.dtype or flat.device != like.device:
-            self._flat = (like.new_empty(n), like.new_empty(n))
-            self._views.clear()
-        if len(self._views) == self.VIEWS:
-            self._views.clear()
-        p, q = (_columns(flat[:n], n_starts) for flat in self._flat)
-        n_rows = segment.counts[0]
-        rows = _columns(like.new_empty(2 * n_rows * n_starts), n_starts).unflatten(0, (2, n_rows))
-        ratio = _columns(like.new_empty(n_rows * n_starts), n_starts)
-        arrays = Arrays(
-            p=p,
-            q=q,
-            rows=rows,
-            ratio=ratio,
-            factors=like.new_ones(len(segment.bag_weight) + 1, n_starts),
-            ends=like.new_tensor([1, 0]).view(2, 1, 1),
-            p_blocks=torch.split(p, list(segment.counts)),
-            q_blocks=torch.split(q, list(segment.counts)),
-            rows_blocks=tuple(rows[:, :count] for count in segment.counts),
-            ratio_blocks=tuple(ratio[:count] for count in segment.counts),
-        )
-        self._views[key] = (segment, arrays)
-        return arrays
-
-
-def _columns(flat: Tensor, n_starts: int) -> Tensor:
-    """As (rows, S), stored row by row or, for few starts, start by start."""
-    return flat.view(-1, n_starts) if n_starts >= FEW_STARTS else flat.view(n_starts, -1).T
 
 
 def evaluate(
@@ -143,7 +78,7 @@ def _of_segment(
     """Value (S,) and gradient (K, S)."""
     at_once = max(1, max_pairs // len(segment.powers))
     if coefficients.shape[1] > at_once:
-        parts = [_of_segment(c, segment, link, workspace, max_pairs) for c in coefficients.split(at_once, dim=1)]
+        parts = [_of_segment(c, segment, link, workspace, max_pairs) for c in torch.split(coefficients, at_once, dim=1)]
         return torch.cat([value for value, _ in parts]), torch.cat([slope for _, slope in parts], dim=1)
     value, slope, fine = _quick(coefficients, segment, link, workspace)
     if not bool(fine.all()):
@@ -231,13 +166,13 @@ def _bags_of_rows(arrays: Arrays, segment: Segment, smallest: float) -> tuple[Te
         fine.append(negative.amin(0) > near)
         parts.append(_weighted_sum(negative.log_(), segment.negative_weight, segment))
     if segment.rows_of_bags:
-        first, *others = segment.rows_of_bags
-        bags = rows.index_select(1, first)
-        hit, miss = bags
-        for numbers in others:
-            n, other = len(numbers), rows.index_select(1, numbers)
-            torch.lerp(hit[:n], arrays.ends[0], other[0], out=hit[:n])
-            miss[:n].mul_(other[1])
+        torch.index_select(rows, 1, segment.rows_by_bag, out=arrays.by_bag)
+        one = arrays.ends[0]
+        for hit, other in islice(zip(arrays.hit_of_bags, arrays.hit_by_bag, strict=True), 1, None):
+            torch.lerp(hit, one, other, out=hit)
+        for miss, other in islice(zip(arrays.miss_of_bags, arrays.miss_by_bag, strict=True), 1, None):
+            miss.mul_(other)
+        hit, miss = arrays.hit_of_bags[0], arrays.miss_of_bags[0]
         fine += [hit.amin(0) > smallest, hit.amax(0) <= 1]
         torch.div(miss, hit, out=arrays.factors[:-1]).neg_()
         parts.append(_weighted_sum(hit.log_(), segment.bag_weight, segment))

@@ -38,7 +38,8 @@ class Segment(NamedTuple):
         weighted: Whether any weight is not 1.
         bag_weight: (B,): weights of the positive bags.
         bag_of_row: (R,): positive bag of each row, B for rows of negative bags.
-        rows_of_bags: The first rows of all positive bags, the second rows of those that have one, …
+        rows_by_bag: The first rows of all positive bags, the second rows of those that have one, …
+        rows_of_bags: The same in parts.
     """
 
     powers: Tensor
@@ -51,6 +52,7 @@ class Segment(NamedTuple):
     weighted: bool
     bag_weight: Tensor
     bag_of_row: Tensor
+    rows_by_bag: Tensor
     rows_of_bags: tuple[Tensor, ...]
 
 
@@ -93,6 +95,10 @@ def segment_of(
         dtype: Precision of the powers.
         device: Where they lie.
     """
+
+    def tensor(array: NDArray[np.generic]) -> Tensor:
+        return torch.from_numpy(array).to(device)
+
     longest = max(SHORTEST_WIDTH, math.isqrt(int(bags.lengths.max()) - 1) + 1)
     rows = -(-bags.lengths // longest)
     bag = np.repeat(np.arange(len(rows)), rows)
@@ -111,7 +117,8 @@ def segment_of(
     number[positive] = np.arange(len(positive))
     row_at = np.zeros((len(rows), int(rows.max())), dtype=np.int64)
     row_at[bag, row_in_bag] = np.arange(len(bag))
-    rows_of_bags = [row_at[positive[rows[positive] > k], k] for k in range(int(rows[positive].max(initial=0)))]
+    row_counts = [int((rows[positive] > k).sum()) for k in range(int(rows[positive].max(initial=0)))]
+    rows_by_bag = tensor(np.concatenate([row_at[:0, 0], *(row_at[positive[:n], k] for k, n in enumerate(row_counts))]))
 
     negative_rows = np.flatnonzero(~bags.positive[bag])
     x = bags.instances[index]
@@ -120,9 +127,6 @@ def segment_of(
     powers *= np.where(negative, width**-2, 1.0)
     if strength < 1:
         powers = np.concatenate([powers, np.where(negative, math.log(strength), 0.0)], axis=1)
-
-    def tensor(array: NDArray[np.generic]) -> Tensor:
-        return torch.from_numpy(array).to(device)
 
     return Segment(
         powers=tensor(powers).to(dtype),
@@ -135,5 +139,6 @@ def segment_of(
         weighted=bool((bags.weights != 1).any()),
         bag_weight=tensor(bags.weights[positive]).to(dtype),
         bag_of_row=tensor(number[bag]),
-        rows_of_bags=tuple(tensor(rows) for rows in rows_of_bags),
+        rows_by_bag=rows_by_bag,
+        rows_of_bags=torch.split(rows_by_bag, row_counts) if row_counts else (),
     )

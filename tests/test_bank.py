@@ -389,7 +389,8 @@ class TestDamage:
 
     def test_another_safetensors_file(self, tmp_path: Path) -> None:
         (tmp_path / "weights").write_bytes(to_safetensors({"w": np.zeros(3)}))
-        message = r"weights is no options file of this version: its format is None, expected 'sb3-options 1' or 'sb3-options 2'\.$"
+        versions = r"'sb3-options 1' or 'sb3-options 2'\.$"
+        message = rf"weights is no options file of this version: its format is None, expected {versions}"
         refused(tmp_path / "weights", message)
 
 
