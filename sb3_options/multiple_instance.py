@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import math
 from collections.abc import Sequence
@@ -16,7 +17,6 @@ from sb3_options.packed_bags import Bags
 
 CHUNK = 1 << 20
 """(instances × concepts) whose probabilities are held at once in prediction."""
-
 
 REFERENCE_FEATURES = 10
 """The number of features that start scales are meant for."""
@@ -43,8 +43,6 @@ class DiverseDensityClassifier:
         classes_: The two labels, the positive one last; set by `fit`.
         n_features_in_: Features of the training instances.
     """
-
-    _estimator_type = "classifier"
 
     def __init__(
         self,
@@ -78,6 +76,20 @@ class DiverseDensityClassifier:
                 raise ValueError(f"{type(self).__name__} has no parameter {name!r}, only {', '.join(known)}")
             setattr(self, name, value)
         return self
+
+    def __sklearn_tags__(self) -> Any:
+        """What scikit-learn, which alone calls this, wants to know before it clones, splits and scores."""
+        utils = importlib.import_module("sklearn.utils")
+        return utils.Tags(
+            estimator_type="classifier",
+            target_tags=utils.TargetTags(required=True),
+            classifier_tags=utils.ClassifierTags(multi_class=False),
+            input_tags=utils.InputTags(two_d_array=False),
+        )
+
+    def __sklearn_is_fitted__(self) -> bool:
+        """Whether `fit` has been called."""
+        return hasattr(self, "_theta")
 
     def fit(self, bags: Sequence[ArrayLike], labels: ArrayLike) -> Self:
         """Learn from bags of shape (n_i, d) and a label each, of two kinds; the larger is the positive one.

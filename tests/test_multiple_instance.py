@@ -79,6 +79,21 @@ def test_parameters_in_the_manner_of_scikit_learn() -> None:
         clone.set_params(step=1)
 
 
+def test_scikit_learn_clones_splits_scores_and_selects() -> None:
+    base, selection, validation = (
+        pytest.importorskip(f"sklearn.{name}", reason="needs scikit-learn")
+        for name in ("base", "model_selection", "utils.validation")
+    )
+    bags, labels = bags_and_labels(0)
+    classifier = DiverseDensityClassifier(steps=10, max_starts=20)
+    assert base.clone(classifier).get_params() == classifier.get_params()
+    assert base.is_classifier(classifier)
+    assert selection.cross_val_score(classifier, bags, labels, cv=3, scoring="roc_auc").mean() > 0.6
+    selected = selection.GridSearchCV(classifier, {"steps": [5, 10]}, cv=2).fit(bags, labels)
+    validation.check_is_fitted(selected.best_estimator_)
+    assert not classifier.__sklearn_is_fitted__()
+
+
 @pytest.mark.parametrize(
     ("bags", "labels", "text"),
     [

@@ -5,6 +5,9 @@ import math
 import numpy as np
 import pytest
 import torch
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from torch import Tensor
 
 from sb3_options.concepts import Array, Concept, Frame, Plane, Point
@@ -189,6 +192,30 @@ def test_uneven_bags_waste_nothing(lengths: list[int]) -> None:
         evidence = evidence_of(Bags.pack(positive, negative))
         np.testing.assert_allclose(densities(evidence, points, scales), separate, rtol=1e-10, atol=1e-12)
         assert sum(len(s.powers) for s in evidence.segments(torch.float64)) == sum(lengths)
+
+
+FEATURE = st.floats(-30, 30, width=32)
+SOME_BAGS = st.lists(arrays(np.float64, st.tuples(st.integers(1, 5), st.just(2)), elements=FEATURE), max_size=4)
+
+
+@given(positive=SOME_BAGS, negative=SOME_BAGS, point=st.tuples(FEATURE, FEATURE), offset=FEATURE)
+@settings(max_examples=50, deadline=None)
+def test_order_and_origin_change_nothing(
+    positive: list[Array], negative: list[Array], point: tuple[float, float], offset: float
+) -> None:
+    assume(positive or negative)
+    at, ones = np.array([point]), np.ones(2)
+    before = densities(evidence_of(Bags.pack(positive, negative)), at, ones)
+    assume(np.isfinite(before).all())
+    reversed_bags = Bags.pack([bag[::-1] for bag in positive[::-1]], [bag[::-1] for bag in negative[::-1]])
+    np.testing.assert_allclose(densities(evidence_of(reversed_bags), at, ones), before, rtol=1e-9, atol=1e-9)
+    moved = Bags.pack([bag + offset for bag in positive], [bag + offset for bag in negative])
+    near = [b for b in negative if np.linalg.norm(b - at, axis=1).min() < 1e-3]
+    if not near:  # there 1 − p magnifies the rounding of the move
+        np.testing.assert_allclose(densities(evidence_of(moved), at + offset, ones), before, rtol=1e-6, atol=1e-6)
+    assert before[0] <= 0
+    more = densities(evidence_of(Bags.pack([*positive, np.vstack([*positive, at])], negative)), at, ones)
+    np.testing.assert_allclose(more, before, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("max_pairs", [1, 50, 333])
