@@ -1,16 +1,20 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import pytest
 import torch
 
+from sb3_options.bank import OptionBank
 from sb3_options.concept_search import ConceptSearch
 from sb3_options.concepts import Array, Plane, Point
 from sb3_options.lbfgs import Descent
-from sb3_options.option import HalfSpace
+from sb3_options.observations import flatten
+from sb3_options.option import HalfSpace, Region, SubgoalOption
+from sb3_options.option_policy import TabularPolicy
 from sb3_options.packed_bags import Bags
 from tests.test_diverse_density import planted, two_rooms
 
@@ -171,6 +175,31 @@ def test_regions_are_level_sets() -> None:
         np.testing.assert_array_equal(best.region(level).contains(points), best.probability(points) >= level)
     with pytest.raises(ValueError, match=re.escape("level must lie between 0 and 1, got 1")):
         best.region(1)
+
+
+@pytest.mark.parametrize(
+    "search",
+    [
+        ConceptSearch(concept=Point("one")),
+        ConceptSearch(concept=Point("each")),
+        ConceptSearch(concept=Point("fixed"), features=[1]),
+        ConceptSearch(concept=Plane()),
+    ],
+)
+def test_beta_tests_every_concept_before_and_after_a_file(search: ConceptSearch, tmp_path: Path) -> None:
+    best = search.search(planted(2, 5))[0]
+    nothing = TabularPolicy(np.zeros((1, 2)), np.zeros((1, 4)))
+    everywhere = Region(np.zeros((1, 2)), np.zeros(2), 1.0)
+    bank, again = (OptionBank(4, 2, feature_map=flatten, observation_size=2, feature_size=2) for _ in range(2))
+    bank.add(SubgoalOption(best.region(), everywhere, nothing))
+    bank.save(tmp_path / "options")
+    again.load(tmp_path / "options")
+    near = np.random.default_rng(0).uniform(-10, 10, size=(500, 2))
+    points = np.concatenate([near, 50 * near])  # no half-space explains these bags well; one far out explains them best
+    for option in (bank[0], again[0]):
+        assert isinstance(option, SubgoalOption)
+        np.testing.assert_array_equal(option.termination(points), best.probability(points) >= 0.5)
+        assert 0 < option.termination(points).mean() < 1
 
 
 def test_weak_and_narrow_negatives_tolerate_a_visit() -> None:
