@@ -141,22 +141,18 @@ class Point(Concept):
     def coefficients(self, theta: Tensor) -> Tensor:
         """‖a‖², −2 s a and s²."""
         a, s = self._split(theta)
-        out = theta.new_empty(1 + 2 * len(a), theta.shape[1])
-        torch.sum(a * a, 0, out=out[0])
-        torch.mul(a, s, out=out[1 : 1 + len(a)]).mul_(-2)
-        torch.mul(s, s, out=out[1 + len(a) :])
-        return out
+        return torch.cat([(a * a).sum(0, keepdim=True), (a * s).mul_(-2), s * s])
 
     def pull_back(self, theta: Tensor, gradient: Tensor) -> Tensor:
         """∂/∂a = 2 (a g₀ − s g_k) and ∂/∂s = 2 (s g_kk − a g_k)."""
         a, s = self._split(theta)
         m = len(a)
         first, second = gradient[1 : 1 + m], gradient[1 + m :]
-        in_a = torch.addcmul(a * gradient[:1], s, first, value=-1).mul_(2)
+        in_a = (a * gradient[:1]).addcmul_(s, first, value=-1)
         if self.scales == "fixed":
-            return in_a
-        in_s = torch.addcmul(s * second, a, first, value=-1).mul_(2)
-        return torch.cat([in_a, in_s.sum(0, keepdim=True) if self.scales == "one" else in_s])
+            return in_a.mul_(2)
+        in_s = (s * second).addcmul_(a, first, value=-1)
+        return torch.cat([in_a, in_s.sum(0, keepdim=True) if self.scales == "one" else in_s]).mul_(2)
 
     def start(self, instances: Tensor, scale: float) -> Tensor:
         """The instances themselves. A fixed scale stays 1."""
