@@ -114,13 +114,15 @@ def _quick(coefficients: Tensor, segment: Segment, link: Link, workspace: Worksp
     else:
         _energies(_with_strength(coefficients, segment, -1.0), segment, p, 0.95 * math.log(precision.tiny))
         p.sigmoid_()
-    torch.sub(arrays.ends[0, 0], p, out=q)
     _rows(arrays)
     value, fine = _bags_of_rows(arrays, segment, precision.tiny**0.75)
     if link == "gaussian":
+        for block, q_block, divisor in zip(arrays.p_blocks, arrays.q_blocks, arrays.divisor_blocks, strict=True):
+            torch.addcmul(divisor, block, divisor, value=-1, out=q_block)
         torch.div(p, q, out=p)
-    for block, ratio in zip(arrays.p_blocks, arrays.ratio_blocks, strict=True):
-        block.mul_(ratio)
+    else:
+        for block, divisor in zip(arrays.p_blocks, arrays.divisor_blocks, strict=True):
+            block.div_(divisor)
     gradient = _moments(segment, p)
     # A p of exactly 1 leaves 0/0.
     return value, gradient, fine.logical_and_(gradient[0].abs() < math.inf)
@@ -149,13 +151,13 @@ def _moments(segment: Segment, p: Tensor) -> Tensor:
 def _rows(arrays: Arrays) -> None:
     """Probabilities of a hit and of none in each row, each without cancellation."""
     arrays.rows[0] = arrays.p_blocks[0]
-    arrays.rows[1] = arrays.q_blocks[0]
+    torch.sub(arrays.ends[0], arrays.p_blocks[0], out=arrays.rows[1])
     for rows, p in islice(zip(arrays.rows_blocks, arrays.p_blocks, strict=True), 1, None):
         torch.lerp(rows, arrays.ends, p, out=rows)
 
 
 def _bags_of_rows(arrays: Arrays, segment: Segment, smallest: float) -> tuple[Tensor, Tensor]:
-    """From rows to the value (S,), which starts are reliable (S,), and the factor of each row's odds, in place."""
+    """From rows to the value (S,), which starts are reliable (S,), and what each row's odds are divided by, in place."""
     rows = arrays.rows.contiguous()  # they are gathered one by one
     # Near a negative instance 1 − p cancels. In single precision a hit is worth some −15 nats instead of −∞, which
     # refuses it as well and is not worth a second look.
@@ -174,14 +176,14 @@ def _bags_of_rows(arrays: Arrays, segment: Segment, smallest: float) -> tuple[Te
             miss.mul_(other)
         hit, miss = arrays.hit_of_bags[0], arrays.miss_of_bags[0]
         fine += [hit.amin(0) > smallest, hit.amax(0) <= 1]
-        torch.div(miss, hit, out=arrays.factors[:-1]).neg_()
+        torch.div(hit, miss, out=arrays.divisors[:-1]).clamp_(max=1 / smallest).neg_()
         parts.append(_weighted_sum(hit.log_(), segment.bag_weight, segment))
-    if arrays.ratio.is_contiguous():
-        torch.index_select(arrays.factors, 0, segment.bag_of_row, out=arrays.ratio)
+    if arrays.divisor.is_contiguous():
+        torch.index_select(arrays.divisors, 0, segment.bag_of_row, out=arrays.divisor)
     else:
-        arrays.ratio.copy_(arrays.factors.index_select(0, segment.bag_of_row))
+        arrays.divisor.copy_(arrays.divisors.index_select(0, segment.bag_of_row))
     if segment.weighted:
-        arrays.ratio.mul_(segment.row_weight)
+        arrays.divisor.div_(segment.row_weight).clamp_(-1 / smallest, 1 / smallest)
     return functools.reduce(torch.add, parts), functools.reduce(torch.logical_and, fine)
 
 

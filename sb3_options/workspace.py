@@ -19,13 +19,13 @@ class Arrays(NamedTuple):
     p: Tensor  # (N, S)
     q: Tensor  # (N, S)
     rows: Tensor  # (2, R, S): probabilities of a hit in each row, and of none
-    ratio: Tensor  # (R, S)
-    factors: Tensor  # (B + 1, S), the last one 1
+    divisor: Tensor  # (R, S)
+    divisors: Tensor  # (B + 1, S), the last one 1
     ends: Tensor  # (2, 1, 1): what a hit makes of both probabilities, 1 and 0
     p_blocks: tuple[Tensor, ...]  # views of the first instances of all rows, of the second ones, and so on
     q_blocks: tuple[Tensor, ...]
     rows_blocks: tuple[Tensor, ...]  # views of the rows that have a first instance, a second one, and so on
-    ratio_blocks: tuple[Tensor, ...]
+    divisor_blocks: tuple[Tensor, ...]
     by_bag: Tensor  # (2, R of positive bags, S): their rows, the first of every bag, then the second, and so on
     hit_by_bag: tuple[Tensor, ...]  # views of those, and of the bags that have them
     miss_by_bag: tuple[Tensor, ...]
@@ -58,9 +58,9 @@ class Workspace:
             self._views.clear()
         p, q = (_columns(flat[:n], n_starts) for flat in self._flat)
         n_rows = segment.counts[0]
-        ratio = _columns(like.new_empty(n_rows * n_starts), n_starts)
+        divisor = _columns(like.new_empty(n_rows * n_starts), n_starts)
         rows = like.new_empty(2, n_rows, n_starts)
-        if not ratio.is_contiguous():
+        if not divisor.is_contiguous():
             rows = like.new_empty(2, n_starts, n_rows).transpose(1, 2)
         of_bags = [len(numbers) for numbers in segment.rows_of_bags]
         by_bag = like.new_empty(2, sum(of_bags), n_starts)
@@ -69,13 +69,13 @@ class Workspace:
             p=p,
             q=q,
             rows=rows,
-            ratio=ratio,
-            factors=like.new_ones(len(segment.bag_weight) + 1, n_starts),
+            divisor=divisor,
+            divisors=like.new_ones(len(segment.bag_weight) + 1, n_starts),
             ends=like.new_tensor([1, 0]).view(2, 1, 1),
             p_blocks=torch.split(p, list(segment.counts)),
             q_blocks=torch.split(q, list(segment.counts)),
             rows_blocks=tuple(rows[:, :count] for count in segment.counts),
-            ratio_blocks=tuple(ratio[:count] for count in segment.counts),
+            divisor_blocks=tuple(divisor[:count] for count in segment.counts),
             by_bag=by_bag,
             hit_by_bag=tuple(hits),
             miss_by_bag=tuple(misses),
