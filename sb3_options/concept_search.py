@@ -98,7 +98,7 @@ class ConceptSearch:
             odds of p.
         negative_width: Energies of negative instances are divided by its square: below 1 they reach less far (the
             paper's "decrease the influence of each negative instance through the width of the Gaussians", §8).
-        max_pairs: (instances × starts) held at once; bounds the memory, 8 bytes each.
+        max_pairs: (instances × starts) held at once; bounds the memory, 4 bytes each.
 
     Raises:
         ValueError: An argument out of its range.

@@ -27,7 +27,7 @@ from sb3_options.segments import Segment
 from sb3_options.workspace import Arrays, Workspace
 
 MAX_PAIRS = 1 << 20
-"""Default for (instances × starts) held at once. Two such arrays in single precision are 8 MiB."""
+"""Default for (instances × starts) held at once. Such an array is 4 MiB in single precision."""
 
 NEAR_NEGATIVE = 2.0**-26
 """In double precision 1 − p of a row of negative instances is exact to half its digits above this."""
@@ -104,7 +104,7 @@ def _quick(coefficients: Tensor, segment: Segment, link: Link, workspace: Worksp
     """
     precision = torch.finfo(coefficients.dtype)
     arrays = workspace.take(segment, coefficients.shape[1], coefficients)
-    p, q = arrays.p, arrays.q
+    p = arrays.p
     if link == "gaussian":
         scaled = _with_strength(coefficients, segment, -LOG2_E)
         # A product that rounds to an energy below 0 would make p > 1; the margin keeps p below 1 and costs 1e-6 of it.
@@ -117,9 +117,10 @@ def _quick(coefficients: Tensor, segment: Segment, link: Link, workspace: Worksp
     _rows(arrays)
     value, fine = _bags_of_rows(arrays, segment, precision.tiny**0.75)
     if link == "gaussian":
-        for block, q_block, divisor in zip(arrays.p_blocks, arrays.q_blocks, arrays.divisor_blocks, strict=True):
-            torch.addcmul(divisor, block, divisor, value=-1, out=q_block)
-        torch.div(p, q, out=p)
+        steps = zip(arrays.p_blocks, arrays.spare_blocks, arrays.divisor_blocks, strict=True)
+        for block, spare, divisor in reversed(list(steps)):  # the last are in the cache still
+            torch.addcmul(divisor, block, divisor, value=-1, out=spare)
+            block.div_(spare)
     else:
         for block, divisor in zip(arrays.p_blocks, arrays.divisor_blocks, strict=True):
             block.div_(divisor)
@@ -157,7 +158,7 @@ def _rows(arrays: Arrays) -> None:
 
 
 def _bags_of_rows(arrays: Arrays, segment: Segment, smallest: float) -> tuple[Tensor, Tensor]:
-    """From rows to the value (S,), which starts are reliable (S,), and what each row's odds are divided by, in place."""
+    """The value (S,) and which starts are reliable (S,); in place, what each row's odds are divided by."""
     rows = arrays.rows.contiguous()  # they are gathered one by one
     # Near a negative instance 1 − p cancels. In single precision a hit is worth some −15 nats instead of −∞, which
     # refuses it as well and is not worth a second look.
@@ -200,7 +201,7 @@ def _careful(coefficients: Tensor, segment: Segment, link: Link, workspace: Work
     precision = torch.finfo(coefficients.dtype)
     floor = math.log2(precision.tiny) / 2  # keeps products of two above the subnormal numbers, which are slow
     arrays = workspace.take(segment, coefficients.shape[1], coefficients)
-    share, odds = arrays.p, arrays.q
+    share, odds = arrays.p, torch.empty_like(arrays.p)
     if link == "gaussian":
         torch.mm(segment.powers, _with_strength(coefficients, segment, -LOG2_E), out=share)
         _measure_close_pairs_again(share, coefficients, segment)
@@ -225,7 +226,7 @@ def _careful(coefficients: Tensor, segment: Segment, link: Link, workspace: Work
         return hit + other * (1 - largest * hit)
 
     hit = blocks[0].clone()
-    for block, odd in zip(blocks, arrays.q_blocks, strict=True):
+    for block, odd in zip(blocks, torch.split(odds, list(segment.counts)), strict=True):
         torch.addcmul(odd.fill_(1), block, largest[: len(block)], value=-1, out=odd)
         if block is not blocks[0]:
             rows = hit[: len(block)]

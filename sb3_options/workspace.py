@@ -17,15 +17,14 @@ class Arrays(NamedTuple):
     """What one evaluation writes into, for N instances in R rows and S starts."""
 
     p: Tensor  # (N, S)
-    q: Tensor  # (N, S)
     rows: Tensor  # (2, R, S): probabilities of a hit in each row, and of none
     divisor: Tensor  # (R, S)
     divisors: Tensor  # (B + 1, S), the last one 1
     ends: Tensor  # (2, 1, 1): what a hit makes of both probabilities, 1 and 0
     p_blocks: tuple[Tensor, ...]  # views of the first instances of all rows, of the second ones, and so on
-    q_blocks: tuple[Tensor, ...]
     rows_blocks: tuple[Tensor, ...]  # views of the rows that have a first instance, a second one, and so on
     divisor_blocks: tuple[Tensor, ...]
+    spare_blocks: tuple[Tensor, ...]  # of no meaning
     by_bag: Tensor  # (2, R of positive bags, S): their rows, the first of every bag, then the second, and so on
     hit_by_bag: tuple[Tensor, ...]  # views of those, and of the bags that have them
     miss_by_bag: tuple[Tensor, ...]
@@ -40,7 +39,7 @@ class Workspace:
     """Shapes whose views are kept."""
 
     def __init__(self) -> None:
-        self._flat: tuple[Tensor, Tensor] = (torch.empty(0), torch.empty(0))
+        self._flat = torch.empty(0)
         self._views: dict[tuple[int, int, torch.dtype], tuple[Segment, Arrays]] = {}
 
     def take(self, segment: Segment, n_starts: int, like: Tensor) -> Arrays:
@@ -50,15 +49,15 @@ class Workspace:
         if known is not None and known[0] is segment:
             return known[1]
         n = len(segment.powers) * n_starts
-        flat = self._flat[0]
+        flat = self._flat
         if len(flat) < n or flat.dtype != like.dtype or flat.device != like.device:
-            self._flat = (like.new_empty(n), like.new_empty(n))
+            self._flat = like.new_empty(n)
             self._views.clear()
         if len(self._views) == self.VIEWS:
             self._views.clear()
-        p, q = (_columns(flat[:n], n_starts) for flat in self._flat)
+        p = _columns(self._flat[:n], n_starts)
         n_rows = segment.counts[0]
-        divisor = _columns(like.new_empty(n_rows * n_starts), n_starts)
+        divisor, spare = (_columns(like.new_empty(n_rows * n_starts), n_starts) for _ in range(2))
         rows = like.new_empty(2, n_rows, n_starts)
         if not divisor.is_contiguous():
             rows = like.new_empty(2, n_starts, n_rows).transpose(1, 2)
@@ -67,13 +66,12 @@ class Workspace:
         hits, misses = (torch.split(part, of_bags) if of_bags else () for part in by_bag)
         arrays = Arrays(
             p=p,
-            q=q,
             rows=rows,
             divisor=divisor,
             divisors=like.new_ones(len(segment.bag_weight) + 1, n_starts),
             ends=like.new_tensor([1, 0]).view(2, 1, 1),
             p_blocks=torch.split(p, list(segment.counts)),
-            q_blocks=torch.split(q, list(segment.counts)),
+            spare_blocks=tuple(spare[:count] for count in segment.counts),
             rows_blocks=tuple(rows[:, :count] for count in segment.counts),
             divisor_blocks=tuple(divisor[:count] for count in segment.counts),
             by_bag=by_bag,
