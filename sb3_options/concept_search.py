@@ -164,7 +164,7 @@ class ConceptSearch:
         """
         evidence = bags if isinstance(bags, Evidence) else self.evidence(bags)
         points = self._start_points(evidence, starts)
-        theta = [self._in_frame(solution, evidence.frame)[:, None] for solution in warm]
+        theta = [self._in_frame(solution, evidence)[:, None] for solution in warm]
         if len(points):
             theta.append(self._started(points))
         if not theta:
@@ -193,7 +193,7 @@ class ConceptSearch:
         Raises:
             ValueError: As `search`.
         """
-        known = [self._in_frame(solution, evidence.frame)[:, None] for solution in warm[:UPDATE_FINALISTS]]
+        known = [self._in_frame(solution, evidence)[:, None] for solution in warm[:UPDATE_FINALISTS]]
         points = _evenly(self._start_points(evidence, starts), UPDATE_STARTS)
         new = self.concept.start(points, self.start_scales[0])
         descent = self._descent(torch.cat([*known, new], dim=1).float(), evidence)
@@ -260,10 +260,10 @@ class ConceptSearch:
     def _best_apart(self, descent: Descent, n: int) -> list[int]:
         return _best_apart(self.concept.canonical(descent.theta), descent.value, self.merge_radius, n)
 
-    def _in_frame(self, solution: Solution, frame: Frame) -> Tensor:
+    def _in_frame(self, solution: Solution, evidence: Evidence) -> Tensor:
         if solution.concept != self.concept:
             raise ValueError(f"warm holds a {solution.concept}, this search is for a {self.concept}")
-        known = solution.frame
+        known, frame = solution.frame, evidence.frame
         if not (
             np.array_equal(known.features, frame.features)
             and np.array_equal(known.origin, frame.origin)
@@ -273,7 +273,7 @@ class ConceptSearch:
                 "warm comes from other scaled features: keep the evidence of the first search, add bags to it, and "
                 "search that"
             )
-        return torch.from_numpy(solution.theta)
+        return torch.from_numpy(solution.theta).to(evidence.device)
 
     def _solutions(self, descent: Descent, evidence: Evidence) -> list[Solution]:
         theta = descent.theta.double()

@@ -10,7 +10,7 @@ import torch
 
 from sb3_options.bank import OptionBank
 from sb3_options.concept_search import ConceptSearch
-from sb3_options.concepts import Array, Plane, Point
+from sb3_options.concepts import Array, Concept, Plane, Point
 from sb3_options.lbfgs import Descent
 from sb3_options.observations import flatten
 from sb3_options.option import HalfSpace, Region, SubgoalOption
@@ -247,6 +247,23 @@ def test_too_few_steps_are_reported() -> None:
 def test_search_is_deterministic() -> None:
     first, second = (ConceptSearch().search(planted(1, 2)) for _ in range(2))
     assert [p.theta.tobytes() for p in first] == [p.theta.tobytes() for p in second]
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
+@pytest.mark.parametrize("concept", [Point(), Plane()])
+def test_cuda_finds_the_same(concept: Concept) -> None:
+    bags = planted(0, 5)
+    n = bags.n_positive
+    parts = [part.numpy() for part in torch.split(bags.instances, list(bags.lengths))]
+    there = Bags.pack(parts[:n], parts[n:], device="cuda")
+    search = ConceptSearch(concept=concept)
+    best, other = search.search(bags)[0], search.search(there)[0]
+    assert other.log_density == pytest.approx(best.log_density, abs=1e-4)
+    evidence = search.evidence(there)
+    peaks = search.search(evidence)
+    evidence.add(parts[0])
+    assert search.update(evidence, peaks, parts[0])
+    assert search.search(evidence, warm=peaks)
 
 
 @pytest.mark.parametrize(
