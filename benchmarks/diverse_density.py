@@ -66,7 +66,7 @@ def main(benchmark: Benchmark) -> None:
     else:
         console.print(f"There are no Musk1 data at {benchmark.musk1}: pass their place with --musk1. Skipped.")
     results["one_more_bag"] = one_more_bag(benchmark.bags, benchmark.instances, benchmark.added, benchmark.seed)
-    command = f"python -m benchmarks.diverse_density --rounds {benchmark.rounds} --repetitions {benchmark.repetitions}"
+    command = f"python -m benchmarks.diverse_density --rounds {benchmark.rounds} --nested {benchmark.nested}"
     write_json(benchmark.out / "results.json", {"command": command, **results})
     draw(results).savefig(benchmark.out / "diverse_density.png", dpi=110)
     table = Table("", "value", "interval or SD", "bar", "reached")
@@ -115,15 +115,18 @@ def draw(results: dict[str, Any]) -> Figure:
     left.set_xlabel("features")
     left.set_ylabel("ns per (start, instance)")
     left.set_xticks(dimensions, [str(d) for d in dimensions])
+    left.minorticks_off()
     left.legend()
     if "musk1_speed" in results:
         names = ("vectorised", "bag_by_bag")
         ratios = [results["musk1_speed"][f"times_faster_than_{name}"] for name in names]
         errors = [[r["mean"] - r["low"] for r in ratios], [r["high"] - r["mean"] for r in ratios]]
         right.bar(["vectorised scipy", "bag-by-bag scipy"], [r["mean"] for r in ratios], yerr=errors, capsize=4)
-        right.scatter(range(2), [r["bar"] for r in ratios], marker="_", s=2000, color="black", label="bar")
+        for place, ratio in enumerate(ratios):
+            right.hlines(ratio["bar"], place - 0.4, place + 0.4, color="black", label="" if place else "bar")
+        right.set_yscale("log")
         right.set_ylabel("times faster on Musk1")
-        right.legend()
+        right.legend(loc="upper left")
     return figure
 
 

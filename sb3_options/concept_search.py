@@ -28,7 +28,7 @@ SURVIVORS = 4
 
 UPDATE_STARTS = 6
 UPDATE_FINALISTS = 2
-UPDATE_STEPS = 4
+UPDATE_STEPS = 3
 """What `ConceptSearch.update` may cost: instances tried, of them and of earlier peaks climbing, steps they climb."""
 
 
