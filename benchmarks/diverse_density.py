@@ -66,7 +66,8 @@ def main(benchmark: Benchmark) -> None:
     else:
         console.print(f"There are no Musk1 data at {benchmark.musk1}: pass their place with --musk1. Skipped.")
     results["one_more_bag"] = one_more_bag(benchmark.bags, benchmark.instances, benchmark.added, benchmark.seed)
-    command = f"python -m benchmarks.diverse_density --rounds {benchmark.rounds} --nested {benchmark.nested}"
+    counts = {name: getattr(benchmark, name) for name in ("rounds", "repetitions", "nested")}
+    command = " ".join(["python -m benchmarks.diverse_density", *(f"--{name} {n}" for name, n in counts.items())])
     write_json(benchmark.out / "results.json", {"command": command, **results})
     draw(results).savefig(benchmark.out / "diverse_density.png", dpi=110)
     table = Table("", "value", "interval or SD", "bar", "reached")
