@@ -1,1 +1,5 @@
-"""Speed, side by side in one run: ``python -m benchmarks.NAME --out FOLDER``."""
+"""Speed, side by side with peers, on one thread: numpy reads how many when it is imported, which comes after this."""
+
+import os
+
+os.environ["OPENBLAS_NUM_THREADS"] = os.environ["MKL_NUM_THREADS"] = "1"

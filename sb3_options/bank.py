@@ -15,10 +15,12 @@ from safetensors.numpy import save as to_safetensors
 from sb3_options import option_policy
 from sb3_options.atomic import whole_file
 from sb3_options.observations import BoolArray, FeatureMap, Observations, batch_size
-from sb3_options.option import Option, Region, SubgoalOption
+from sb3_options.option import HalfSpace, Option, Region, SubgoalOption
 from sb3_options.option_policy import PolicyInput
 
 FILE_FORMAT = "sb3-options 1"
+FILE_FORMAT_HALF_SPACE = "sb3-options 2"
+"""Of a file with a half-space, which a reader of the first format would take for a ball."""
 
 
 class OptionBank:
@@ -145,6 +147,7 @@ class OptionBank:
         """
         tensors: dict[str, np.ndarray[Any, Any]] = {}
         slots: dict[str, Any] = {}
+        file_format = FILE_FORMAT
         for slot in self.filled:
             option = cast("Option", self._slots[slot])
             if isinstance(option, SubgoalOption):
@@ -155,6 +158,9 @@ class OptionBank:
                     "initiation_scale": option.initiation_set.scale,
                     **option.option_policy.arrays(),
                 }
+                if isinstance(option.subgoal, HalfSpace):
+                    arrays["subgoal_normal"] = option.subgoal.normal
+                    file_format = FILE_FORMAT_HALF_SPACE
                 tensors |= {f"{slot}.{k}": np.ascontiguousarray(a, dtype=np.float64) for k, a in arrays.items()}
                 radii = {"subgoal": float(option.subgoal.radius), "initiation": float(option.initiation_set.radius)}
                 slots[str(slot)] = {
@@ -166,7 +172,7 @@ class OptionBank:
             else:
                 slots[str(slot)] = {"name": option.name, "hand_made": True}
         about = json.dumps({"n_primitive": self.n_primitive, "max_options": self.max_options, "slots": slots})
-        metadata = {"format": FILE_FORMAT, "bank": about, "digest": _digest(about, tensors)}
+        metadata = {"format": file_format, "bank": about, "digest": _digest(about, tensors)}
         content = to_safetensors(tensors, metadata=metadata)
         with whole_file(path) as temporary:
             temporary.write_bytes(content)
@@ -189,10 +195,10 @@ class OptionBank:
                 tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  # no dictionary
         except (SafetensorError, OSError, ValueError, TypeError, AttributeError) as error:
             raise ValueError(f"{path} is no options file, or it is damaged: {error}") from error
-        if metadata.get("format") != FILE_FORMAT:
+        if metadata.get("format") not in (FILE_FORMAT, FILE_FORMAT_HALF_SPACE):
             raise ValueError(
                 f"{path} is no options file of this version: its format is {metadata.get('format')!r}, "
-                f"expected {FILE_FORMAT!r}."
+                f"expected {FILE_FORMAT!r} or {FILE_FORMAT_HALF_SPACE!r}."
             )
         if metadata.get("digest") != _digest(metadata.get("bank", ""), tensors):
             raise ValueError(f"{path} is damaged: its contents are not what was written to it.")
@@ -296,4 +302,9 @@ def _region(arrays: dict[str, Any], name: str, radius: float) -> Region:
         raise ValueError(f"its {name} has points of shape {points.shape} and a scale of shape {scale.shape}")
     if not (np.isfinite(points).all() and np.isfinite(scale).all() and np.isfinite(radius) and radius >= 0):
         raise ValueError(f"its {name} holds numbers that are not finite, or a negative radius")
-    return Region(points, scale, float(radius))
+    normal = arrays.get(f"{name}_normal")
+    if normal is None:
+        return Region(points, scale, float(radius))
+    if len(points) != 1 or normal.shape != scale.shape or not np.isfinite(normal).all():
+        raise ValueError(f"its {name} has points of shape {points.shape} and a normal of shape {normal.shape}")
+    return HalfSpace(points, scale, float(radius), normal)

@@ -76,11 +76,14 @@ def _noisy_or(log2_p: Tensor, layout: Layout) -> tuple[Tensor, Tensor]:
     minus_hit = torch.where(largest > precision.eps ** (1 / 3), all_miss - 1, series.expm1_())
     hit_share = minus_hit.div_(minus)  # Pr(t | B⁺) over the largest p: at least 1 on a hit, which the clamp makes log 1
     log_hit = hit_share.log().add_(top, alpha=math.log(2)).clamp_(max=0)
-    weights = share.div_(miss).mul_(layout.per_row(all_miss.div_(hit_share)))
+    ratio = all_miss.div_(hit_share)
+    if layout.bag_weights is not None:
+        log_hit, ratio = log_hit * layout.bag_weights, ratio * layout.bag_weights
+    weights = share.div_(miss).mul_(layout.per_row(ratio))
     return log_hit.sum(1), weights.flatten(1)
 
 
-def _noisy_nor(log2_p: Tensor, strength: float) -> tuple[Tensor, Tensor]:
+def _noisy_nor(log2_p: Tensor, strength: float, bag_weights: Tensor | None) -> tuple[Tensor, Tensor]:
     """Σ_i log Pr(t | B_i⁻) = Σ_ij log(1 − η p_ij), shape (S,), and weights ∂/∂D_ij, (S, places).
 
     The weight is η p_ij / (1 − η p_ij). An instance that is hit has weight 0: its distance is at its minimum,
@@ -90,7 +93,10 @@ def _noisy_nor(log2_p: Tensor, strength: float) -> tuple[Tensor, Tensor]:
     miss = (1 - strength) - strength * torch.expm1(log2_p * math.log(2))
     log_miss = torch.where(p < 0.5, torch.log1p(-p), miss.log())
     # Below the square of the precision a distance is noise, and its weight would only overflow.
-    return log_miss.sum(1), p * (miss > 0) / miss.clamp(min=torch.finfo(p.dtype).eps ** 2)
+    weights = p * (miss > 0) / miss.clamp(min=torch.finfo(p.dtype).eps ** 2)
+    if bag_weights is not None:
+        log_miss, weights = log_miss * bag_weights, weights * bag_weights
+    return log_miss.sum(1), weights
 
 
 def _by_nearest(points: Tensor, scale: Tensor, layout: Layout, n: int) -> Tensor:
@@ -133,7 +139,7 @@ def _evaluate(points: Tensor, scales: Tensor, layout: Layout, strength: float) -
     attract = weights @ layout.powers[:, :n].T
     if n == len(layout.padding):
         return _Densities(log_density, attract, attract)
-    log_none, weights = _noisy_nor(log2_p[:, n:], strength)
+    log_none, weights = _noisy_nor(log2_p[:, n:], strength, layout.negative_weights)
     repel = weights @ layout.powers[:, n:].T
     return _Densities(log_density.add_(log_none), attract - repel, attract + repel)
 

@@ -119,6 +119,22 @@ class Region:
         return nearest <= self.radius
 
 
+@dataclass(frozen=True)
+class HalfSpace(Region):
+    """One side of a plane in concept space, ``points`` being one point of the plane.
+
+    Attributes:
+        normal: (d,), at right angles to the plane, towards the side that is meant; 0 for features of no importance.
+    """
+
+    normal: FloatArray
+
+    def contains(self, features: FloatArray) -> BoolArray:
+        """Whether normal · (feature − point) ≥ 0, shape (batch,)."""
+        inside: BoolArray = (features - self.points[0]) @ self.normal >= 0
+        return inside
+
+
 class SubgoalOption(Option):
     """An option made of data only: reach a region of concept space, from within an initiation set.
 

@@ -22,12 +22,15 @@ class Bags:
         lengths: Number of instances in each bag.
         n_positive: Number of positive bags.
         dtype: Precision in which densities are computed.
+        weights: Of every bag, a relative measure of how far it can be trusted (the paper's §8): its log probability
+            is multiplied by it. None for 1.
     """
 
     instances: Tensor
     lengths: tuple[int, ...]
     n_positive: int
     dtype: torch.dtype
+    weights: tuple[float, ...] | None = None
     _layouts: "dict[torch.dtype, Layout]" = field(default_factory=dict, repr=False)
 
     @classmethod
@@ -36,13 +39,22 @@ class Bags:
         positive: Sequence[ArrayLike],
         negative: Sequence[ArrayLike] = (),
         *,
+        weights: ArrayLike | None = None,
         dtype: torch.dtype = torch.float64,
         device: torch.device | str = "cpu",
     ) -> Self:
         """Pack bags of shape (n_i, d). An instance given twice counts twice: pass first visits only.
 
+        Args:
+            positive: Bags that hold an instance of the concept.
+            negative: Bags that hold none.
+            weights: One for each bag, the positive ones first; 1 by default.
+            dtype: Precision in which densities are computed.
+            device: Where.
+
         Raises:
-            ValueError: No bag at all, an empty bag, bags that disagree about d, or NaN or infinite features.
+            ValueError: No bag at all, an empty bag, bags that disagree about d, NaN or infinite features, or
+                weights that are negative, not finite, or not one a bag.
         """
         names = [f"positive bag {i}" for i in range(len(positive))]
         names += [f"negative bag {i}" for i in range(len(negative))]
@@ -58,8 +70,20 @@ class Bags:
                 raise ValueError(f"{name} has {array.shape[1]} features, {names[0]} has {arrays[0].shape[1]}")
             if not np.isfinite(array).all():
                 raise ValueError(f"{name} holds NaN or infinite features")
+        if weights is not None:
+            weights = np.asarray(weights, dtype=np.float64)
+            if weights.shape != (len(arrays),) or not (np.isfinite(weights) & (weights >= 0)).all():
+                raise ValueError(
+                    f"weights must be {len(arrays)} finite numbers of at least 0, one a bag, got {weights}"
+                )
+            weights = tuple(weights.tolist())
         instances = torch.from_numpy(np.concatenate(arrays)).to(device)
-        return cls(instances, tuple(map(len, arrays)), len(positive), dtype)
+        return cls(instances, tuple(map(len, arrays)), len(positive), dtype, weights)
+
+    @property
+    def bag_weights(self) -> tuple[float, ...]:
+        """The weight of every bag."""
+        return (1.0,) * len(self.lengths) if self.weights is None else self.weights
 
     @property
     def n_features(self) -> int:
@@ -77,7 +101,8 @@ class Bags:
         if self.n_positive == len(self.lengths):
             return self
         n_instances = sum(self.lengths[: self.n_positive])
-        return Bags(self.instances[:n_instances], self.lengths[: self.n_positive], self.n_positive, self.dtype)
+        weights = None if self.weights is None else self.weights[: self.n_positive]
+        return Bags(self.instances[:n_instances], self.lengths[: self.n_positive], self.n_positive, self.dtype, weights)
 
     def layout(self, dtype: torch.dtype) -> "Layout":
         """The bags as the kernels read them, in this precision; made once."""
@@ -95,6 +120,8 @@ class Layout(NamedTuple):
     rows: tuple[int, int]  # rows, width
     bag_of_row: Tensor | None  # (rows,), or None where every bag is one row
     n_bags: int
+    bag_weights: Tensor | None  # (bags,) of positive bags, or None where every weight is 1
+    negative_weights: Tensor | None  # (n_negative,): of the bag of each negative instance
 
     @classmethod
     def of(cls, bags: Bags, dtype: torch.dtype) -> "Layout":
@@ -114,6 +141,9 @@ class Layout(NamedTuple):
         device = bags.instances.device
         columns = torch.from_numpy(np.append(index.ravel(), np.arange(n_positive, n_instances))).to(device)
         x = (bags.instances - bags.instances[0])[columns].T
+        weights = torch.tensor(bags.bag_weights, dtype=dtype, device=device)
+        negative_lengths = bags.lengths[bags.n_positive :]
+        negative_bag = torch.from_numpy(np.repeat(np.arange(len(negative_lengths)), negative_lengths)).to(device)
         return cls(
             origin=bags.instances[0],
             powers=torch.cat([torch.ones_like(x[:1]), x, x * x]).to(dtype),
@@ -121,6 +151,8 @@ class Layout(NamedTuple):
             rows=(len(bag), width),
             bag_of_row=None if len(bag) == len(lengths) else torch.from_numpy(bag).to(device),
             n_bags=len(lengths),
+            bag_weights=None if bags.weights is None else weights[: bags.n_positive],
+            negative_weights=None if bags.weights is None else weights[bags.n_positive :][negative_bag],
         )
 
     def per_bag(self, rows: Tensor, reduce: Literal["amax", "prod", "sum"]) -> Tensor:

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from safetensors import safe_open
 from safetensors.numpy import load as from_safetensors
 from safetensors.numpy import save as to_safetensors
 
 from sb3_options.bank import FILE_FORMAT, OptionBank, _digest
 from sb3_options.observations import FloatArray, Observations, flatten
-from sb3_options.option import Region, SubgoalOption
+from sb3_options.option import HalfSpace, Region, SubgoalOption
 from sb3_options.option_policy import NetworkPolicy, TabularPolicy
 from tests.helpers import steady_option
 
@@ -236,6 +237,27 @@ class TestFile:
         again.load(tmp_path / "options")
         assert behaviour(again, OBSERVATIONS) == behaviour(bank, OBSERVATIONS)
 
+    def test_a_half_space_comes_back_as_one(self, tmp_path: Path) -> None:
+        bank, flat = empty_bank(), table()
+        half_space = HalfSpace(np.array([[0.3, -0.2]]), np.ones(2), 0.0, np.array([1.0, 2.0]))
+        bank.add(SubgoalOption(half_space, flat.initiation_set, flat.option_policy))
+        bank.add(table(1))
+        bank.save(tmp_path / "bank.safetensors")
+        loaded = empty_bank()
+        loaded.load(tmp_path / "bank.safetensors")
+        subgoal, ball = loaded[0].subgoal, loaded[1].subgoal  # type: ignore[union-attr]  # both are SubgoalOptions
+        assert isinstance(subgoal, HalfSpace)
+        assert not isinstance(ball, HalfSpace)
+        points = np.random.default_rng(0).normal(size=(50, 2))
+        np.testing.assert_array_equal(subgoal.contains(points), half_space.contains(points))
+        np.testing.assert_array_equal(subgoal.contains(points), (points - [0.3, -0.2]) @ [1.0, 2.0] >= 0)
+        with safe_open(tmp_path / "bank.safetensors", framework="numpy") as file:
+            assert file.metadata()["format"] == "sb3-options 2"
+        bank.remove(0)
+        bank.save(tmp_path / "balls.safetensors")
+        with safe_open(tmp_path / "balls.safetensors", framework="numpy") as file:
+            assert file.metadata()["format"] == "sb3-options 1"
+
     def test_hand_made_options_must_be_there_already(self, tmp_path: Path) -> None:
         bank = filled_bank()
         bank.add(steady_option(name="mine"), 0)
@@ -367,7 +389,8 @@ class TestDamage:
 
     def test_another_safetensors_file(self, tmp_path: Path) -> None:
         (tmp_path / "weights").write_bytes(to_safetensors({"w": np.zeros(3)}))
-        message = r"weights is no options file of this version: its format is None, expected 'sb3-options 1'\.$"
+        versions = r"'sb3-options 1' or 'sb3-options 2'\.$"
+        message = rf"weights is no options file of this version: its format is None, expected {versions}"
         refused(tmp_path / "weights", message)
 
 

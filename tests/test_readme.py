@@ -22,7 +22,10 @@ def test_every_file_that_readme_names_is_there() -> None:
         assert (ROOT / link).exists(), link
 
 
-@pytest.mark.parametrize("document", ["README.md", "docs/how-it-works.md", "docs/results.md", "CONTRIBUTING.md"])
+@pytest.mark.parametrize(
+    "document",
+    ["README.md", "docs/how-it-works.md", "docs/diverse-density.md", "docs/results.md", "CONTRIBUTING.md"],
+)
 def test_every_module_that_documents_run_is_there(document: str) -> None:
     text = (ROOT / document).read_text(encoding="utf-8")
     for module in re.findall(r"python -m ((?:experiments|benchmarks)\.\w+)", text):
@@ -36,6 +39,14 @@ def test_make_targets_of_readme_are_there() -> None:
     assert targets == ["train", "test"]
     for target in targets:
         assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE)
+
+
+def test_examples_of_diverse_density_run() -> None:
+    text = (ROOT / "docs/diverse-density.md").read_text(encoding="utf-8")
+    examples = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    assert len(examples) == 2
+    for code in examples:
+        exec(code, {"__name__": "example"})
 
 
 @pytest.mark.slow

@@ -1,0 +1,196 @@
+"""Limited-memory BFGS within bounds, for many starts at once.
+
+Nocedal (1980) with the curvature pairs of every start in its own column, so that one call of the objective serves
+all; after Bertsekas (1982), parameters at a bound that the gradient pushes against are left out of the direction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+PAIRS = 6
+"""Curvature pairs kept."""
+
+SUFFICIENT = 1e-4
+"""Armijo's constant: the part of the decrease that the slope promises."""
+
+SHORTEN = 0.3
+"""Factor of a step that did not decrease enough."""
+
+CURVED = 1e-8
+"""A pair with s·y below this times y·y says nothing about curvature."""
+
+SHORTEST = 1e-10
+"""A start whose step has been shortened below this is at rest as far as this precision can tell."""
+
+FINEST = 8
+"""Rounding errors of an objective, in units of the precision."""
+
+Objective = Callable[[Tensor], tuple[Tensor, Tensor]]
+"""Parameters (P, S) → values (S,) to be minimised and gradients (P, S)."""
+
+
+class Descent:
+    """Many starts on their way down.
+
+    Every call of the objective moves every start: those whose step decreased their value go on from there, the
+    others try a shorter one. A value or gradient that is not finite counts as no decrease.
+
+    Args:
+        objective: Values and gradients of all columns, in the precision of its argument.
+        theta: (P, S) starts.
+        bounds: Smallest and largest parameters, (P, 1).
+        tolerance: A start has converged when two accepted steps running decrease its value by less than this times
+            max(1, |value|), or no component of its gradient that is free exceeds this. In single precision, where a
+            smaller decrease is rounding, at least `FINEST` times its precision.
+
+    Attributes:
+        theta: (P, S), where each start is.
+        value: (S,), never above the start's.
+        converged: (S,): also if no step, however short, decreases the value any more.
+        evaluations: Calls of the objective so far.
+    """
+
+    @torch.inference_mode()
+    def __init__(self, objective: Objective, theta: Tensor, bounds: tuple[Tensor, Tensor], *, tolerance: float) -> None:
+        self._objective, self._tolerance = objective, tolerance
+        self._low, self._high = (bound.to(theta) for bound in bounds)
+        self._bounded = bool(self._low.isfinite().any() or self._high.isfinite().any())
+        self.theta = theta.clamp(self._low, self._high) if self._bounded else theta
+        self.value, self._gradient = objective(self.theta)
+        self._pairs = Pairs(theta)
+        self._length = torch.ones_like(self.value)
+        self._idle = torch.zeros_like(self.value)
+        self.converged = torch.zeros_like(self.value, dtype=torch.bool)
+        self.evaluations = 1
+        self._direction = self._pairs.direction(self._gradient, self._free())
+
+    @torch.inference_mode()
+    def run(self, steps: int) -> None:
+        """Go on for at most ``steps`` calls of the objective."""
+        for _ in range(steps):
+            if bool(self.converged.all()):
+                return
+            self._step()
+
+    @torch.inference_mode()
+    def keep(self, columns: list[int], dtype: torch.dtype) -> None:
+        """Go on with these starts only, in this precision, without forgetting curvature."""
+        changed = dtype != self.theta.dtype
+        for name in ("theta", "value", "_gradient", "_direction", "_length", "_idle", "converged"):
+            kept = getattr(self, name)[..., columns]
+            setattr(self, name, kept.to(dtype) if kept.is_floating_point() else kept)
+        self._pairs.keep(columns, dtype)
+        self._low, self._high = self._low.to(dtype), self._high.to(dtype)
+        if changed:
+            self.value, self._gradient = self._objective(self.theta)
+            self._idle.zero_()
+            self.converged.fill_(False)
+            self._length.fill_(1)
+            self._direction = self._pairs.direction(self._gradient, self._free())
+            self.evaluations += 1
+
+    def _step(self) -> None:
+        tried = torch.addcmul(self.theta, self._direction, self._length)
+        if self._bounded:
+            tried = tried.clamp(self._low, self._high)
+        value, gradient = self._objective(tried)
+        self.evaluations += 1
+        moved = tried - self.theta
+        size = self.value.abs().clamp(min=1).nan_to_num(posinf=1)  # an infinite value takes any step to a finite one
+        slope = (self._gradient * moved).sum(0)
+        enough = self.value + SUFFICIENT * slope + torch.finfo(size.dtype).eps * size
+        better = (value <= enough) & gradient.sum(0).isfinite()
+        tolerance = max(self._tolerance, FINEST * torch.finfo(size.dtype).eps)
+        small = (self.value - value).abs() <= tolerance * size
+        self._idle = torch.where(better, (self._idle + 1) * small, self._idle)
+        self._pairs.add(moved * better, torch.where(better, gradient - self._gradient, 0))
+        self.theta = torch.where(better, tried, self.theta)
+        self.value = torch.where(better, value, self.value)
+        self._gradient = torch.where(better, gradient, self._gradient)
+        self._length = torch.where(better, 1.0, self._length * SHORTEN)
+        free = self._free()
+        self._direction = torch.where(better, self._pairs.direction(self._gradient, free), self._direction)
+        steepest = self._gradient if free is None else torch.where(free, self._gradient, 0)
+        flat = steepest.abs().amax(0) <= tolerance
+        self.converged = (self._idle >= 2) | (self._length < SHORTEST) | flat
+
+    def _free(self) -> Tensor | None:
+        """Where a parameter may follow its gradient: (P, S), or None for everywhere."""
+        if not self._bounded:
+            return None
+        held_low = (self.theta <= self._low) & (self._gradient > 0)
+        return ~(held_low | ((self.theta >= self._high) & (self._gradient < 0)))
+
+
+class Pairs:
+    """The last steps s and changes of gradient y of every start, and the direction they make of a gradient.
+
+    In the compact form of Byrd, Nocedal & Schnabel (1994, theorem 2.2), which takes a few products of small matrices
+    for all starts at once where the two-loop recursion takes a hundred operations on vectors:
+    H g = γ g + S q − γ Y p with p = R⁻¹ Sᵀg, q = R⁻ᵀ ((D + γ YᵀY) p − γ Yᵀg), R the upper triangle of SᵀY, D its
+    diagonal.
+    """
+
+    def __init__(self, theta: Tensor) -> None:
+        n, (n_parameters, n_starts) = PAIRS, theta.shape
+        self._both = theta.new_zeros(n_starts, 2 * n, n_parameters)  # the last n of s and then of y, each a ring
+        self._sy = torch.eye(n, dtype=theta.dtype, device=theta.device).repeat(n_starts, 1, 1)  # (S, n, n), R is upper
+        self._yy = torch.zeros_like(self._sy)
+        self._good = torch.zeros_like(self._sy[:, :, :1])  # (S, n, 1): 1 for a pair that says something, else 0
+        self._size = theta.new_zeros(n_starts)  # γ = s·y / y·y of the last good pair
+        self._n = 0
+        place = torch.arange(n, device=theta.device)
+        rings = [(place + i) % n for i in range(n)]
+        self._oldest_first = [torch.cat([ring, ring + n]) for ring in rings]
+        self._as_stored = [order.argsort() for order in self._oldest_first]
+
+    def keep(self, columns: list[int], dtype: torch.dtype) -> None:
+        """These starts only, in this precision."""
+        for name in ("_both", "_sy", "_yy", "_good", "_size"):
+            setattr(self, name, getattr(self, name)[columns].to(dtype))
+
+    def add(self, step: Tensor, change: Tensor) -> None:
+        """Take in a pair per start; (P, S), 0 where a start did not move."""
+        at = self._n % PAIRS
+        self._n += 1
+        along, square = (step * change).sum(0), change.square().sum(0)
+        good = along > CURVED * square
+        self._size = torch.where(good, along / square, self._size)
+        new = self._both[:, at::PAIRS]
+        torch.mul(torch.stack([step, change]), good, out=new.permute(1, 2, 0))
+        with_y = self._products(new[:, 1:])[..., 0]
+        self._sy, self._yy = self._sy.roll((-1, -1), (1, 2)), self._yy.roll((-1, -1), (1, 2))
+        self._good = self._good.roll(-1, 1)
+        self._good[:, -1, 0] = good
+        self._sy[:, :, -1] = with_y[:, :PAIRS]
+        self._sy[:, -1, -1] += ~good
+        self._yy[:, :, -1] = self._yy[:, -1] = with_y[:, PAIRS:]
+
+    def direction(self, gradient: Tensor, free: Tensor | None) -> Tensor:
+        """−H g, (P, S), within the parameters that are free; where it does not descend, against the gradient."""
+        start = gradient if free is None else torch.where(free, gradient, 0)
+        # The first step has length 1 at most.
+        size = torch.where(self._size > 0, self._size, start.square().sum(0).rsqrt().clamp(max=1))
+        out = start * -size
+        if self._n == 0:
+            return out
+        with_g = self._products(start.T.contiguous()[:, None])
+        gamma = size[:, None, None]
+        p = torch.linalg.solve_triangular(self._sy, with_g[:, :PAIRS], upper=True)
+        right = torch.baddbmm(with_g[:, PAIRS:], self._yy, p, beta=-1).mul_(gamma)
+        right.addcmul_(self._sy.diagonal(dim1=1, dim2=2)[..., None] * self._good, p)
+        q = torch.linalg.solve_triangular(self._sy.transpose(1, 2), right, upper=False)
+        parts = torch.cat([-q, gamma * p], dim=1)[:, self._as_stored[self._n % PAIRS]]
+        newton = out + (parts.transpose(1, 2) @ self._both)[:, 0].T
+        if free is not None:
+            newton = torch.where(free, newton, 0)
+        return torch.where((newton * start).sum(0) < 0, newton, out)
+
+    def _products(self, row: Tensor) -> Tensor:
+        """Of (S, 1, P) with every s and every y, oldest first: (S, 2 n, 1)."""
+        # The other way about, with a column on the right, the product takes nine times as long.
+        return (row @ self._both.transpose(1, 2)).transpose(1, 2)[:, self._oldest_first[self._n % PAIRS]]

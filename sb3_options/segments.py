@@ -1,0 +1,144 @@
+"""Bags cut into segments that fit the cache, laid out so that uneven bags waste nothing.
+
+A bag is cut into rows of nearly equal length, at most `width` instances each. The rows of a segment are ordered by
+length, longest first, and stored place by place: first the first instance of every row, then the second instance of
+every row that has one, and so on. So the k-th places are a block whose rows are a prefix of all rows, every reduction
+over a bag is a chain of operations on whole blocks, and no place is padding.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+SEGMENT_INSTANCES = 1 << 17
+"""Instances a segment holds, unless one bag alone has more: 8 starts at once then fill `MAX_PAIRS`."""
+
+SHORTEST_WIDTH = 16
+"""Rows are at least this wide: every place costs three calls, every row a share of the work on rows."""
+
+
+class Segment(NamedTuple):
+    """Some bags, as the kernels read them; R rows, N instances, B positive bags.
+
+    Attributes:
+        powers: (N, K): 1, x_k, x_k², for negative instances over the square of their width; and, if negative
+            instances are weakened, a column of log η for those.
+        powers_by_power: (K, N), the same.
+        reach: (K,), the largest magnitude of each power.
+        counts: Rows that have a first, second, … instance; their sum is N.
+        negative_rows: Numbers of the rows of negative bags.
+        negative_weight: Weights of their bags.
+        row_weight: (R, 1): weight of the bag of each row.
+        weighted: Whether any weight is not 1.
+        bag_weight: (B,): weights of the positive bags.
+        bag_of_row: (R,): positive bag of each row, B for rows of negative bags.
+        rows_by_bag: The first rows of all positive bags, the second rows of those that have one, …
+        rows_of_bags: The same in parts.
+    """
+
+    powers: Tensor
+    powers_by_power: Tensor
+    reach: Tensor
+    counts: tuple[int, ...]
+    negative_rows: Tensor
+    negative_weight: Tensor
+    row_weight: Tensor
+    weighted: bool
+    bag_weight: Tensor
+    bag_of_row: Tensor
+    rows_by_bag: Tensor
+    rows_of_bags: tuple[Tensor, ...]
+
+
+class BagArrays(NamedTuple):
+    """Bags as arrays: instances (N, m) bag after bag, lengths (n,), which are positive (n,), and weights (n,)."""
+
+    instances: NDArray[np.float64]
+    lengths: NDArray[np.int64]
+    positive: NDArray[np.bool_]
+    weights: NDArray[np.float64]
+
+    def joined(self, other: BagArrays) -> BagArrays:
+        """These bags and then those."""
+        return BagArrays(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
+
+    def split(self, n_instances: int) -> list[BagArrays]:
+        """Parts of up to ``n_instances`` instances, no bag divided between two."""
+        ends = np.cumsum(self.lengths)
+        parts, first = [], 0
+        while first < len(ends):
+            began = ends[first] - self.lengths[first]
+            last = max(first + 1, int(np.searchsorted(ends, began + n_instances, side="right")))
+            bags = slice(first, last)
+            instances = self.instances[began : ends[last - 1]]
+            parts.append(BagArrays(instances, self.lengths[bags], self.positive[bags], self.weights[bags]))
+            first = last
+        return parts
+
+
+def segment_of(
+    bags: BagArrays, *, n_powers: int, strength: float, width: float, dtype: torch.dtype, device: torch.device
+) -> Segment:
+    """Lay out bags that fit one segment.
+
+    Args:
+        bags: In the units the concept is searched in, near the origin.
+        n_powers: 1 for coefficients of 1 and x_k, 2 for those of x_k² too.
+        strength: η in (0, 1] of negative instances.
+        width: Of negative instances: their powers, and so their energies, are divided by its square.
+        dtype: Precision of the powers.
+        device: Where they lie.
+    """
+
+    def tensor(array: NDArray[np.generic]) -> Tensor:
+        return torch.from_numpy(array).to(device)
+
+    longest = max(SHORTEST_WIDTH, math.isqrt(int(bags.lengths.max()) - 1) + 1)
+    rows = -(-bags.lengths // longest)
+    bag = np.repeat(np.arange(len(rows)), rows)
+    row_in_bag = np.arange(len(bag)) - np.repeat(np.cumsum(rows) - rows, rows)
+    shortest, longer = bags.lengths[bag] // rows[bag], bags.lengths[bag] % rows[bag]
+    length = shortest + (row_in_bag < longer)
+    began = (np.cumsum(bags.lengths) - bags.lengths)[bag] + row_in_bag * shortest + np.minimum(row_in_bag, longer)
+    order = np.argsort(-length, kind="stable")
+    bag, row_in_bag, length, began = bag[order], row_in_bag[order], length[order], began[order]
+    counts = [int((length > place).sum()) for place in range(int(length[0]))]
+    index = np.concatenate([began[:count] + place for place, count in enumerate(counts)])
+
+    positive = np.flatnonzero(bags.positive)
+    positive = positive[np.argsort(-rows[positive], kind="stable")]
+    number = np.full(len(rows), len(positive), dtype=np.int64)
+    number[positive] = np.arange(len(positive))
+    row_at = np.zeros((len(rows), int(rows.max())), dtype=np.int64)
+    row_at[bag, row_in_bag] = np.arange(len(bag))
+    row_counts = [int((rows[positive] > k).sum()) for k in range(int(rows[positive].max(initial=0)))]
+    rows_by_bag = tensor(np.concatenate([row_at[:0, 0], *(row_at[positive[:n], k] for k, n in enumerate(row_counts))]))
+
+    negative_rows = np.flatnonzero(~bags.positive[bag])
+    x = bags.instances[index]
+    negative = np.concatenate([~bags.positive[bag[:count]] for count in counts])[:, None]
+    powers = np.concatenate([np.ones((len(x), 1)), x, *([x * x] if n_powers > 1 else [])], axis=1)
+    powers *= np.where(negative, width**-2, 1.0)
+    if strength < 1:
+        powers = np.concatenate([powers, np.where(negative, math.log(strength), 0.0)], axis=1)
+
+    return Segment(
+        powers=tensor(powers).to(dtype),
+        powers_by_power=tensor(powers.T.copy()).to(dtype),
+        reach=tensor(np.abs(powers).max(axis=0)).to(dtype),
+        counts=tuple(counts),
+        negative_rows=tensor(negative_rows),
+        negative_weight=tensor(bags.weights[bag][negative_rows]).to(dtype),
+        row_weight=tensor(bags.weights[bag][:, None]).to(dtype),
+        weighted=bool((bags.weights != 1).any()),
+        bag_weight=tensor(bags.weights[positive]).to(dtype),
+        bag_of_row=tensor(number[bag]),
+        rows_by_bag=rows_by_bag,
+        rows_of_bags=torch.split(rows_by_bag, row_counts) if row_counts else (),
+    )
