@@ -49,7 +49,8 @@ class Study:
         out: Folder for results.json, the pictures and one file per finished seed.
         runs: Number of seeds.
         first_seed: Seeds count up from here. Settings were chosen on seeds 0 to 19, so none of these.
-        dqn_runs: Number of seeds for DQN, which takes longer.
+        transfer_runs: Number of seeds for the transfer tasks, which take longer.
+        dqn_runs: Number of seeds for DQN, which takes longest.
         jobs: Processes; by default one a core.
         settings: Of the task, of learning and of discovery.
         dqn: Of training DQN; seed, folder, `discover` and `progress` are the study's.
@@ -59,7 +60,8 @@ class Study:
     out: Annotated[Path, tyro.conf.arg(name="out")]
     runs: int = 30
     first_seed: int = 1000
-    dqn_runs: int = 10
+    transfer_runs: int = 10
+    dqn_runs: int = 5
     jobs: int | None = None
     settings: PioneerSettings = field(default_factory=PioneerSettings)
     dqn: TrainConfig = field(default_factory=partial(tuned, MAIN_TASK))
@@ -79,7 +81,7 @@ def main(study: Study) -> None:
         draw(figure, groups).savefig(study.out / f"{figure}.png", dpi=DPI)
     results: dict[str, Any] = {
         "command": f"python -m experiments.pioneer {study.figure} --runs {study.runs} --first-seed {study.first_seed}"
-        f" --dqn-runs {study.dqn_runs}",
+        f" --transfer-runs {study.transfer_runs} --dqn-runs {study.dqn_runs}",
         "n_runs": study.runs,
         "seconds": round(time.perf_counter() - began, 1),
         "settings": study.settings.described(),
@@ -91,7 +93,8 @@ def main(study: Study) -> None:
 
 
 def _run(study: Study, name: str) -> list[Result]:
-    settings, runs = study.settings, study.dqn_runs if name == "dqn" else study.runs
+    settings = study.settings
+    runs = {"learning": study.runs, "transfer": min(study.transfer_runs, study.runs), "dqn": study.dqn_runs}[name]
     artifacts = study.out / "groups" / ("dqn" if name == "dqn" else "learning") / "artifacts"
     functions: dict[str, Callable[[int], Result]] = {
         "learning": partial(conditions.learning, settings, artifacts),

@@ -42,8 +42,11 @@ def main(report: Report) -> None:
         "evaluation": evaluation_table({"MacroQ": figures["learning"], "DQN": figures["dqn"]}),
         "dqn": ratios_table({f"DQN, {figures['dqn']['n_runs']} runs": figures["dqn"]["ratios"]}),
         "ratios": ratios_table(
-            {"main task": figures["learning"]["ratios"]}
-            | {task.replace("_", " "): figures["transfer"][task]["ratios"] for task in TASKS}
+            {f"main task, {results['n_runs']} runs": figures["learning"]["ratios"]}
+            | {
+                f"{task.replace('_', ' ')}, {figures['transfer']['n_runs']} runs": figures["transfer"][task]["ratios"]
+                for task in TASKS
+            }
         ),
         "settings": settings_table(results["settings"]),
     }

@@ -77,7 +77,7 @@ def _learning(groups: Groups) -> dict[str, Any]:
 
 
 def _transfer(groups: Groups) -> dict[str, Any]:
-    numbers: dict[str, Any] = {}
+    numbers: dict[str, Any] = {"n_runs": len(groups["transfer"])}
     for task in TASKS:
         columns = {name: [r[task][name] for r in groups["transfer"]] for name in ("primitive", "option")}
         numbers[task] = {"ratios": ratios_of(columns["option"], columns["primitive"])}
