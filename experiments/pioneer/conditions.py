@@ -8,7 +8,7 @@ from io import StringIO
 from pathlib import Path
 from shutil import rmtree
 
-from stable_baselines3.common.monitor import load_results
+import numpy as np
 
 from experiments.pioneer.agents import discoverer, evaluate, live, make_agent, wrapper_of
 from experiments.pioneer.settings import MAIN_TASK, TASKS, PioneerSettings
@@ -77,10 +77,10 @@ def dqn(config: TrainConfig, artifacts: Path, seed: int) -> Result:
         with redirect_stdout(StringIO()):
             run = train(replace(config, seed=seed, discover=discover, progress=False, tensorboard_log=folder))
             found = evaluate_run(run, episodes=DQN_EVALUATION_EPISODES, seed=EVALUATION_SEED + seed)
-        episodes = load_results(str(run / MONITOR))
+        returns, steps, _ = np.loadtxt(run / MONITOR / "0.monitor.csv", delimiter=",", skiprows=2, ndmin=2).T
         result[name] = {
-            "steps": episodes["l"].tolist(),
-            "returns": episodes["r"].tolist(),
+            "steps": steps.tolist(),
+            "returns": returns.tolist(),
             "success_rate": found.success_rate.mean,
             "evaluation_steps": found.steps.mean,
             "evaluation_touches": touches_of(found.success_rate.mean, found.steps.mean, found.mean_return.mean),
