@@ -1,4 +1,4 @@
-"""``python -m experiments.pioneer.report results.json docs/pioneer.md``: puts the numbers of a study into its document.
+"""``python -m experiments.pioneer.report STUDY.json BENCHMARK.json docs/pioneer.md``: numbers into their document.
 
 No number is copied by hand.
 """
@@ -19,14 +19,16 @@ from experiments.pioneer.settings import TASKS
 
 @dataclass(frozen=True)
 class Report:
-    """Put the numbers of a study into its document.
+    """Put the numbers of the study and of the benchmark into their document.
 
     Attributes:
         results: What the study wrote.
+        benchmark: What `benchmarks.pioneer` wrote.
         document: Markdown with the markers.
     """
 
     results: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RESULTS")]
+    benchmark: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="BENCHMARK")]
     document: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DOCUMENT")]
 
 
@@ -37,7 +39,7 @@ def main(report: Report) -> None:
     if not {"figure8", "learning", "transfer", "dqn"} <= set(figures):
         raise ValueError(f"{report.results} holds {', '.join(figures)} only: run `all` into that folder first.")
     parts = {
-        "run": f"`{results['command']}`: {results['n_runs']} runs, {results['seconds']:.0f} s.",
+        "run": f"`{results['command']}`",
         "subgoals": subgoals(figures["figure8"]),
         "evaluation": evaluation_table({"MacroQ": figures["learning"], "DQN": figures["dqn"]}),
         "dqn": ratios_table({f"DQN, {figures['dqn']['n_runs']} runs": figures["dqn"]["ratios"]}),
@@ -48,6 +50,7 @@ def main(report: Report) -> None:
                 for task in TASKS
             }
         ),
+        "cost": cost_table(json.loads(report.benchmark.read_text(encoding="utf-8"))),
         "settings": settings_table(results["settings"]),
     }
     fill(report.document, parts)
@@ -86,6 +89,22 @@ def ratios_table(columns: dict[str, dict[str, Any]]) -> str:
         cells = [number(ratios[name]) if name in ratios else "–" for ratios in columns.values()]
         rows.append(f"| {name.removeprefix('steps_trials_').replace('_', '–')} | {' | '.join(cells)} |")
     return "\n".join(rows)
+
+
+def cost_table(benchmark: dict[str, Any]) -> str:
+    """What a step takes, beside the peer."""
+    peer, share = benchmark["peer"], benchmark["pybullet_share_of_step"]
+    rows = {
+        "primitive actions per second": "primitive_actions_per_second",
+        "physics steps in an action": "physics_steps_per_action",
+        f"share of a step inside PyBullet's C functions (bar: {share['bar']})": "pybullet_share_of_step",
+        f"the same of panda-gym's {peer}": "panda_gym_pybullet_share_of_step",
+        "µs per physics step": "pioneer_microseconds_per_physics_step",
+        "the same of panda-gym": "panda_gym_microseconds_per_physics_step",
+        "ours to panda-gym's": "pioneer_of_panda_gym_per_physics_step",
+    }
+    lines = [f"| {words} | {number(benchmark[key])} |" for words, key in rows.items()]
+    return "\n".join(["| | mean (95 % interval) |", "|---|---|", *lines])
 
 
 if __name__ == "__main__":

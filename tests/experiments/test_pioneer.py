@@ -32,7 +32,7 @@ TINY = PioneerSettings(
 
 @pytest.mark.slow
 def test_all_figures_with_their_numbers_and_again_from_what_was_kept(tmp_path: Path) -> None:
-    dqn = dataclasses.replace(tuned(MAIN_TASK), n_timesteps=700, learning_starts=100)
+    dqn = dataclasses.replace(tuned(MAIN_TASK), n_timesteps=300, learning_starts=100, env_kwargs=("max_steps:20",))
     study = Study("all", tmp_path, runs=2, dqn_runs=1, first_seed=0, jobs=2, settings=TINY, dqn=dqn)
     main(study)
     results = json.loads((tmp_path / "results.json").read_text())
@@ -49,7 +49,8 @@ def test_all_figures_with_their_numbers_and_again_from_what_was_kept(tmp_path: P
 
     document = tmp_path / "pioneer.md"
     shutil.copy(Path(__file__).parents[2] / "docs" / "pioneer.md", document)
-    fill_in(Report(tmp_path / "results.json", document))
+    benchmark = Path(__file__).parents[2] / "docs" / "results" / "pioneer_benchmark.json"
+    fill_in(Report(tmp_path / "results.json", benchmark, document))
     filled = document.read_text()
     assert "| `decay` | 0.8 | no |" in filled
     assert "of 2 runs made their option" in filled
