@@ -28,7 +28,8 @@ class IncrementalSearch:
     """Search for points of a known scale that remembers its bags and its peaks.
 
     A bag that was not there at the last search is packed and added, one that is gone is removed, and the last peaks
-    climb on, beside the best few instances of the newest positive bag: it holds an instance of the concept too.
+    climb on, beside instances of the newest positive bag: it holds an instance of the concept too. All of them while
+    there is little evidence, so that whatever ties is found; the best few when there is much.
 
     Args:
         scale: Factor for every feature, shape (d,).
