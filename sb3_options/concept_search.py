@@ -26,10 +26,15 @@ from sb3_options.packed_bags import Bags, distinct
 SURVIVORS = 4
 """After every `first_steps` the best quarter of the starts goes on, until `finalists` are left."""
 
-UPDATE_STARTS = 6
-UPDATE_FINALISTS = 2
-UPDATE_STEPS = 3
-"""What `ConceptSearch.update` may cost: instances tried, of them and of earlier peaks climbing, steps they climb."""
+UPDATE_PAIRS = 1 << 21
+UPDATE_STARTS = 8
+UPDATE_FINALISTS = 4
+"""What `ConceptSearch.update` may cost: (instances × starts) of an evaluation; and if that would be fewer, starts that
+are tried and starts that climb."""
+
+UPDATE_STEPS = 2
+UPDATE_MOST_STEPS = 6
+"""Steps that they climb with much and with little evidence."""
 
 
 class Solution(NamedTuple):
@@ -180,27 +185,48 @@ class ConceptSearch:
         descent.run(self.final_steps)
         return self._solutions(descent, evidence)
 
-    def update(self, evidence: Evidence, warm: Sequence[Solution], starts: ArrayLike) -> list[Solution]:
-        """Search again after bags were added, at a small part of the cost of a search.
+    def update(
+        self, evidence: Evidence, warm: Sequence[Solution], starts: ArrayLike, *, steps: int | None = None
+    ) -> list[Solution]:
+        """Search again after bags were added or removed, at a small part of the cost of a search.
 
-        The earlier peaks and the best of a few new points climb `UPDATE_STEPS` steps, all in single precision.
+        The earlier peaks and some new points are evaluated, and the best of all climb a few steps, in single precision.
+        Peaks that did not climb are returned as well; those that are far worse than the best are forgotten.
 
         Args:
-            evidence: With the new bags in it.
-            warm: Peaks of the search before.
-            starts: (m, d) new points, such as instances of the new bag; `UPDATE_STARTS` of them, evenly spaced.
+            evidence: As it is now.
+            warm: Peaks of the search before; the best `update_starts`.
+            starts: (m, d) new points, such as instances of the new bag; `update_starts` of them, evenly spaced.
+            steps: Most evaluations of those that climb; the more evidence, the fewer by default.
 
         Raises:
             ValueError: As `search`.
         """
-        known = [self._in_frame(solution, evidence)[:, None] for solution in warm[:UPDATE_FINALISTS]]
-        points = _evenly(self._start_points(evidence, starts), UPDATE_STARTS)
-        new = self.concept.start(points, self.start_scales[0])
-        descent = self._descent(torch.cat([*known, new], dim=1).float(), evidence)
-        best = descent.value[len(known) :].argsort()[:UPDATE_FINALISTS] + len(known)
-        descent.keep([*range(len(known)), *best.tolist()], torch.float32)
-        descent.run(UPDATE_STEPS)
-        return self.solutions(descent.theta.double(), descent.value.double(), descent.converged, evidence)
+        most = self.update_starts(evidence)
+        known = [self._in_frame(solution, evidence)[:, None] for solution in warm[:most]]
+        points = _evenly(self._start_points(evidence, starts), most)
+        theta = torch.cat([*known, self.concept.start(points, self.start_scales[0])], dim=1).float()
+        if not theta.shape[1]:
+            raise ValueError("there is nothing to search from: pass starts or warm")
+        # Of a point whose every bag pulls with all its weight: a step is then never much too long.
+        curvature = 2 * max(1.0, evidence.positive_weight)
+        descent = self._descent(theta, evidence, curvature=curvature)
+        best = self._best_apart(descent, most)
+        # Twice what a point loses within `merge_radius` of a peak: below that it cannot become as good as the best.
+        reach = curvature * self.merge_radius**2
+        best = [i for i in best if descent.value[i] <= descent.value[best[0]] + reach]
+        n = min(self.finalists, max(UPDATE_FINALISTS, most // 4))
+        climbing, resting = best[:n], best[n:]
+        still = (theta[:, resting], descent.value[resting], descent.converged[resting])
+        descent.keep(climbing, torch.float32)
+        descent.run(min(UPDATE_MOST_STEPS, max(UPDATE_STEPS, most // 16)) if steps is None else steps)
+        moved = (descent.theta, descent.value, descent.converged)
+        theta, loss, converged = (torch.cat(pair, dim=-1) for pair in zip(moved, still, strict=True))
+        return self.solutions(theta.double(), loss.double(), converged, evidence)
+
+    def update_starts(self, evidence: Evidence) -> int:
+        """How many earlier peaks and how many new points `update` can afford."""
+        return max(UPDATE_STARTS, UPDATE_PAIRS // evidence.n_instances)
 
     def starts(self, evidence: Evidence) -> Tensor:
         """θ of every start, (P, S)."""
@@ -253,9 +279,9 @@ class ConceptSearch:
             points = distinct(evidence.scaled(given))
         return torch.from_numpy(points).to(evidence.device)
 
-    def _descent(self, theta: Tensor, evidence: Evidence) -> Descent:
+    def _descent(self, theta: Tensor, evidence: Evidence, curvature: float | None = None) -> Descent:
         bounds = self.concept.bounds(len(evidence.frame.features))
-        return Descent(evidence.loss, theta, bounds, tolerance=self.tolerance)
+        return Descent(evidence.loss, theta, bounds, tolerance=self.tolerance, curvature=curvature)
 
     def _best_apart(self, descent: Descent, n: int) -> list[int]:
         return _best_apart(self.concept.canonical(descent.theta), descent.value, self.merge_radius, n)

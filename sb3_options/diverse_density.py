@@ -351,7 +351,7 @@ class DiverseDensity:
         shortlist = _by_nearest(points, base, layout, SHORTLIST * self.n_starts)
         value = points.new_full((len(points),), -math.inf)
         value[shortlist] = evaluate(points[shortlist], base.expand_as(points[shortlist])).log_density
-        kept = _best_apart(starts * width, value.cpu().numpy(), self.merge_radius, self.n_starts)
+        kept = best_apart(starts * width, value.cpu().numpy(), self.merge_radius, self.n_starts)
         starts, points = starts[kept], points[kept]
         scales = base.repeat(len(kept), 1)
         best, best_points, best_scales = points.new_full((len(kept),), -math.inf), points, scales
@@ -386,12 +386,12 @@ class DiverseDensity:
         arrived = (moved < ARRIVED).cpu().numpy()
         return [
             Peak(found[j], found_scale[j], float(values.flat[j]), bool(arrived[i]))
-            for i in _best_apart(found[chosen] * width, values.flat[chosen], self.merge_radius, len(kept))
+            for i in best_apart(found[chosen] * width, values.flat[chosen], self.merge_radius, len(kept))
             for j in [chosen[i]]
         ]
 
 
-def _best_apart(points: NDArray[np.float64], values: NDArray[Any], radius: float, n: int) -> list[int]:
+def best_apart(points: NDArray[np.float64], values: NDArray[Any], radius: float, n: int) -> list[int]:
     """Indices of up to `n` points, best first, each further than `radius` from every better one."""
     kept: list[int] = []
     left = np.argsort(-values, kind="stable")

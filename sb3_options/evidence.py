@@ -1,4 +1,4 @@
-"""Bags as a search for one class of concepts sees them: scaled, packed once, and extended bag by bag."""
+"""Bags as a search for one class of concepts sees them: scaled, packed once, then added and removed one by one."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from sb3_options.packed_bags import Bags
 from sb3_options.segments import SEGMENT_INSTANCES, BagArrays, Segment, segment_of
 from sb3_options.workspace import Workspace
 
-GROWING_INSTANCES = SEGMENT_INSTANCES // 8
-"""What is packed again with every bag that is added; more segments cost calls in every evaluation."""
+GROWING_INSTANCES = SEGMENT_INSTANCES // 4
+"""What is packed again with every bag that is added or removed; more segments cost calls in every evaluation."""
 
 
 class Evidence:
@@ -54,6 +54,16 @@ class Evidence:
         """How many bags there are."""
         return sum(len(part.lengths) for part in self._parts)
 
+    @property
+    def n_instances(self) -> int:
+        """How many instances they hold."""
+        return sum(len(part.instances) for part in self._parts)
+
+    @property
+    def positive_weight(self) -> float:
+        """Sum of the weights of the positive bags."""
+        return float(sum(part.weights[part.positive].sum() for part in self._parts))
+
     def add(self, bag: Array, *, positive: bool = True, weight: float = 1.0) -> None:
         """Add a bag (n, d), at the cost of packing one segment.
 
@@ -75,6 +85,23 @@ class Evidence:
         self._parts.append(new)
         for dtype, segments in self._segments.items():
             segments.append(self._packed(new, dtype))
+
+    def remove(self, number: int) -> None:
+        """Remove the bag of this number, as packed and added since, at the cost of packing one segment.
+
+        Raises:
+            ValueError: There is no such bag.
+        """
+        if not 0 <= number < self.n_bags:
+            raise ValueError(f"number must be that of one of {self.n_bags} bags, from 0, got {number}")
+        ends = np.cumsum([len(part.lengths) for part in self._parts])
+        at = int(np.searchsorted(ends, number, side="right"))
+        part = self._parts[at]
+        # A large part is divided once, so that the next bag to go costs less.
+        left = part.without(number - int(ends[at]) + len(part.lengths)).split(GROWING_INSTANCES)
+        self._parts[at : at + 1] = left
+        for dtype, segments in self._segments.items():
+            segments[at : at + 1] = [self._packed(rest, dtype) for rest in left]
 
     @torch.inference_mode()
     def loss(self, theta: Tensor) -> tuple[Tensor, Tensor]:

@@ -43,6 +43,8 @@ class Descent:
         objective: Values and gradients of all columns, in the precision of its argument.
         theta: (P, S) starts.
         bounds: Smallest and largest parameters, (P, 1).
+        curvature: What to take for the curvature of the objective before a step has shown it; without it the first
+            step has length 1 at most, which from near a minimum is too far.
         tolerance: A start has converged when two accepted steps running decrease its value by less than this times
             max(1, |value|), or no component of its gradient that is free exceeds this. In single precision, where a
             smaller decrease is rounding, at least `FINEST` times its precision.
@@ -55,13 +57,21 @@ class Descent:
     """
 
     @torch.inference_mode()
-    def __init__(self, objective: Objective, theta: Tensor, bounds: tuple[Tensor, Tensor], *, tolerance: float) -> None:
+    def __init__(
+        self,
+        objective: Objective,
+        theta: Tensor,
+        bounds: tuple[Tensor, Tensor],
+        *,
+        tolerance: float,
+        curvature: float | None = None,
+    ) -> None:
         self._objective, self._tolerance = objective, tolerance
         self._low, self._high = (bound.to(theta) for bound in bounds)
         self._bounded = bool(self._low.isfinite().any() or self._high.isfinite().any())
         self.theta = theta.clamp(self._low, self._high) if self._bounded else theta
         self.value, self._gradient = objective(self.theta)
-        self._pairs = Pairs(theta)
+        self._pairs = Pairs(theta, 0.0 if curvature is None else 1 / curvature)
         self._length = torch.ones_like(self.value)
         self._idle = torch.zeros_like(self.value)
         self.converged = torch.zeros_like(self.value, dtype=torch.bool)
@@ -135,13 +145,13 @@ class Pairs:
     diagonal.
     """
 
-    def __init__(self, theta: Tensor) -> None:
+    def __init__(self, theta: Tensor, size: float = 0.0) -> None:
         n, (n_parameters, n_starts) = PAIRS, theta.shape
         self._both = theta.new_zeros(n_starts, 2 * n, n_parameters)  # the last n of s and then of y, each a ring
         self._sy = torch.eye(n, dtype=theta.dtype, device=theta.device).repeat(n_starts, 1, 1)  # (S, n, n), R is upper
         self._yy = torch.zeros_like(self._sy)
         self._good = torch.zeros_like(self._sy[:, :, :1])  # (S, n, 1): 1 for a pair that says something, else 0
-        self._size = theta.new_zeros(n_starts)  # γ = s·y / y·y of the last good pair
+        self._size = theta.new_full((n_starts,), size)  # γ = s·y / y·y of the last good pair; 0 if none is known
         self._n = 0
         place = torch.arange(n, device=theta.device)
         rings = [(place + i) % n for i in range(n)]

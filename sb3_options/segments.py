@@ -68,6 +68,17 @@ class BagArrays(NamedTuple):
         """These bags and then those."""
         return BagArrays(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
+    def without(self, number: int) -> BagArrays:
+        """These bags but one."""
+        ends = np.cumsum(self.lengths)
+        gone = slice(ends[number] - self.lengths[number], ends[number])
+        return BagArrays(
+            np.delete(self.instances, gone, axis=0),
+            np.delete(self.lengths, number),
+            np.delete(self.positive, number),
+            np.delete(self.weights, number),
+        )
+
     def split(self, n_instances: int) -> list[BagArrays]:
         """Parts of up to ``n_instances`` instances, no bag divided between two."""
         ends = np.cumsum(self.lengths)

@@ -11,6 +11,7 @@ import torch
 from sb3_options.bank import OptionBank
 from sb3_options.concept_search import ConceptSearch
 from sb3_options.concepts import Array, Concept, Plane, Point
+from sb3_options.evidence import Evidence
 from sb3_options.lbfgs import Descent
 from sb3_options.observations import flatten
 from sb3_options.option import HalfSpace, Region, SubgoalOption
@@ -233,6 +234,70 @@ def test_update_follows_added_bags() -> None:
     assert np.linalg.norm(peaks[0].region().points[0] - [3, -2]) < 0.5
 
 
+def bags_of(rng: np.random.Generator, n: int) -> list[Array]:
+    return [np.vstack([rng.uniform(-10, 10, (int(rng.integers(1, 40)), 2)), [[3.0, -2.0]]]) for _ in range(n)]
+
+
+def values_at(evidence: Evidence, points: Array, dtype: torch.dtype) -> Array:
+    loss = evidence.loss(torch.from_numpy(evidence.scaled(points).T.copy()).to(dtype))[0]
+    return np.asarray(-loss.double().numpy())
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_adding_and_removing_one_by_one_equals_building_at_once(
+    monkeypatch: pytest.MonkeyPatch, dtype: torch.dtype
+) -> None:
+    monkeypatch.setattr("sb3_options.evidence.GROWING_INSTANCES", 100)  # so that there are several segments
+    rng = np.random.default_rng(6)
+    bags, points = bags_of(rng, 30), rng.uniform(-10, 10, (20, 2))
+    is_positive = [bool(i % 3) for i in range(30)]
+    search = ConceptSearch(concept=Point("fixed"), negative_strength=0.5)
+    grown = search.evidence(Bags.pack([bags[1]], [bags[0]]))
+    order = [1, 0]
+    for i in range(2, 30):
+        values_at(grown, points, dtype)  # packs segments, which must follow
+        grown.add(bags[i], positive=is_positive[i])
+        order.append(i)
+    for number in (29, 0, 0, 13, 5, 5, 0):
+        grown.remove(number)
+        del order[number]
+    left = [[bags[i] for i in order if is_positive[i] == sign] for sign in (True, False)]
+    whole = search.evidence(Bags.pack(*left))
+    assert (grown.n_bags, grown.n_instances) == (23, sum(len(bags[i]) for i in order))
+    assert grown.positive_weight == len(left[0])
+    np.testing.assert_allclose(
+        values_at(grown, points, dtype), values_at(whole, points, dtype), rtol=1e-4 if dtype == torch.float32 else 1e-11
+    )
+    with pytest.raises(ValueError, match=re.escape("number must be that of one of 23 bags, from 0, got 23")):
+        grown.remove(23)
+
+
+def test_removing_divides_a_large_segment(monkeypatch: pytest.MonkeyPatch) -> None:
+    bags, points = bags_of(np.random.default_rng(7), 30), np.array([[3.0, -2.0], [0.0, 0.0]])
+    search = ConceptSearch(concept=Point("fixed"))
+    evidence = search.evidence(Bags.pack(bags))
+    assert len(evidence.segments(torch.float64)) == 1
+    monkeypatch.setattr("sb3_options.evidence.GROWING_INSTANCES", 100)
+    evidence.remove(17)
+    assert len(evidence.segments(torch.float64)) > 3
+    whole = search.evidence(Bags.pack(bags[:17] + bags[18:]))
+    np.testing.assert_allclose(
+        values_at(evidence, points, torch.float64), values_at(whole, points, torch.float64), rtol=1e-11, atol=1e-12
+    )
+
+
+def test_update_climbs_from_a_peak_that_a_bag_moved() -> None:
+    """With many bags the step that one more bag asks for is far shorter than 1."""
+    rng = np.random.default_rng(8)
+    bags = [rng.normal([3, -2], 0.3, size=(1, 2)) for _ in range(301)]
+    search = ConceptSearch(concept=Point("fixed"))
+    evidence = search.evidence(Bags.pack(bags[:-1]))
+    peaks = search.search(evidence)
+    evidence.add(bags[-1])
+    moved = search.update(evidence, peaks, np.zeros((0, 2)))[0]
+    np.testing.assert_allclose(moved.region().points[0], np.concatenate(bags).mean(0), atol=1e-4)
+
+
 def test_several_start_scales_are_no_worse() -> None:
     bags = planted(5, 5)
     one = ConceptSearch(start_scales=(1.0,)).search(bags)[0].log_density
@@ -293,6 +358,8 @@ def test_bad_searches() -> None:
         ConceptSearch(features=[2]).search(bags)
     with pytest.raises(ValueError, match=re.escape("scale has shape (3,), the bags have 2 features")):
         ConceptSearch(scale=[1.0, 1.0, 1.0]).search(bags)
+    with pytest.raises(ValueError, match="nothing to search from: pass starts or warm"):
+        search.update(search.evidence(bags), [], np.zeros((0, 2)))
     warm = search.search(bags)
     with pytest.raises(ValueError, match="keep the evidence of the first search"):
         search.search(planted(1), warm=warm)

@@ -26,6 +26,9 @@ SMALL: dict[str, Any] = {
 }
 
 
+SEARCHES: tuple[Literal["gradient", "exhaustive", "incremental"], ...] = ("gradient", "exhaustive", "incremental")
+
+
 def settings_of(**changes: Any) -> DiscoverySettings:
     return DiscoverySettings(**{**SMALL, **changes})
 
@@ -67,9 +70,11 @@ def walks() -> list[list[tuple[Trajectory, FloatArray]]]:
 
 
 class TestTwoRooms:
-    @pytest.mark.parametrize("search", ["gradient", "exhaustive"])
+    @pytest.mark.parametrize("search", SEARCHES)
     def test_random_walks_lead_to_the_doorway(
-        self, walks: list[list[tuple[Trajectory, FloatArray]]], search: Literal["gradient", "exhaustive"]
+        self,
+        walks: list[list[tuple[Trajectory, FloatArray]]],
+        search: Literal["gradient", "exhaustive", "incremental"],
     ) -> None:
         near = 0
         for trajectories in walks:
@@ -82,10 +87,34 @@ class TestTwoRooms:
             near += subgoal is not None and bool(np.linalg.norm(subgoal.points[0] - DOORWAY) <= 1.0)
         assert near >= 9
 
-    def test_one_seed_one_result(self, walks: list[list[tuple[Trajectory, FloatArray]]]) -> None:
+    @pytest.mark.parametrize("capacity", [100, 20])
+    def test_incremental_search_finds_what_exhaustive_search_finds(
+        self, walks: list[list[tuple[Trajectory, FloatArray]]], capacity: int
+    ) -> None:
+        """The first subgoal of every training, within a cell and an episode; a capacity of 20 evicts."""
+        same = 0
+        for trajectories in walks[:5]:
+            firsts = []
+            for search in SEARCHES[1:]:
+                discovery = SubgoalDiscovery(DiscoverySettings(search=search, capacity=capacity), kind="environment")
+                firsts.append((N_WALKS, np.zeros(2)))
+                for episode, (trajectory, features) in enumerate(trajectories):
+                    discovery.add(trajectory, features)
+                    subgoal = discovery.search()
+                    if subgoal is not None:
+                        firsts[-1] = (episode, subgoal.points[0])
+                        break
+            (one, place), (other, again) = firsts
+            same += abs(one - other) <= 1 and bool(np.linalg.norm(place - again) <= 1.0)
+        assert same >= 4
+
+    @pytest.mark.parametrize("search", ["gradient", "incremental"])
+    def test_one_seed_one_result(
+        self, walks: list[list[tuple[Trajectory, FloatArray]]], search: Literal["gradient", "incremental"]
+    ) -> None:
         results = []
         for _ in range(2):
-            discovery = SubgoalDiscovery(DiscoverySettings(), kind="environment")
+            discovery = SubgoalDiscovery(DiscoverySettings(search=search), kind="environment")
             for trajectory, features in walks[0][:25]:
                 discovery.add(trajectory, features)
                 discovery.search()
@@ -115,8 +144,9 @@ class TestSearch:
         discovery.add(*on_a_line(1, 3.5, 5, 7, 21))
         assert [found(discovery) for _ in range(3)] == [None, None, [5.0]]
 
-    def test_found_subgoals_are_taken(self) -> None:
-        discovery = SubgoalDiscovery(settings_of(spacing=3.0))
+    @pytest.mark.parametrize("search", ["exhaustive", "incremental"])
+    def test_found_subgoals_are_taken(self, search: str) -> None:
+        discovery = SubgoalDiscovery(settings_of(search=search, spacing=3.0))
         discovery.add(*on_a_line(0, 2, 5, 9, 12, 20))
         discovery.add(*on_a_line(1, 3.5, 5, 7, 12, 21))
         assert sorted(p for _ in range(2) for p in found(discovery) or []) == [5.0, 12.0]
@@ -128,24 +158,29 @@ class TestSearch:
         # In the end nothing is left to search, which is no error.
         assert discovery.bags() is None
 
-    def test_negative_bags_speak_against(self) -> None:
+    @pytest.mark.parametrize("search", ["exhaustive", "incremental"])
+    def test_negative_bags_speak_against(self, search: str) -> None:
         for negative_bags, expected in ((True, [12.0]), (False, [5.0])):
-            discovery = SubgoalDiscovery(settings_of(negative_bags=negative_bags, max_places=1, peak_radius=100.0))
+            discovery = SubgoalDiscovery(
+                settings_of(search=search, negative_bags=negative_bags, max_places=1, peak_radius=100.0)
+            )
             discovery.add(*on_a_line(0, 2, 5, 12, 20))
             discovery.add(*on_a_line(1, 3.5, 5, 12, 21))
             discovery.add(*on_a_line(0, 4, 5, 6, 30, success=False))
             assert found(discovery) == expected
 
-    def test_too_many_places_are_accidents(self) -> None:
+    @pytest.mark.parametrize("search", ["exhaustive", "incremental"])
+    def test_too_many_places_are_accidents(self, search: str) -> None:
         for max_places, expected in ((1, None), (2, [5.0])):
-            discovery = SubgoalDiscovery(settings_of(max_places=max_places))
+            discovery = SubgoalDiscovery(settings_of(search=search, max_places=max_places))
             discovery.add(*on_a_line(0, 2, 5, 9, 12, 20))
             discovery.add(*on_a_line(1, 3.5, 5, 7, 12, 21))
             assert found(discovery) == expected
 
-    def test_a_wide_plateau_is_open_space(self) -> None:
+    @pytest.mark.parametrize("search", ["exhaustive", "incremental"])
+    def test_a_wide_plateau_is_open_space(self, search: str) -> None:
         for max_extent, expected in ((1.0, None), (2.0, [7.0])):
-            discovery = SubgoalDiscovery(settings_of(max_extent=max_extent))
+            discovery = SubgoalDiscovery(settings_of(search=search, max_extent=max_extent))
             discovery.add(*on_a_line(0, 2, 5, 6, 7, 8, 9, 20))
             discovery.add(*on_a_line(1, 3.5, 5, 6, 7, 8, 9, 21))
             assert found(discovery) == expected
@@ -158,8 +193,9 @@ class TestSearch:
         assert subgoal in ([5.0], [5.5])
         assert discovery.found[0].bags.n_positive == 2
 
-    def test_only_the_last_trajectories_count(self) -> None:
-        discovery = SubgoalDiscovery(settings_of(capacity=2))
+    @pytest.mark.parametrize("search", ["exhaustive", "incremental"])
+    def test_only_the_last_trajectories_count(self, search: str) -> None:
+        discovery = SubgoalDiscovery(settings_of(search=search, capacity=2))
         for _ in range(5):
             discovery.add(*on_a_line(0, 5, 20))
         for _ in range(2):
@@ -176,10 +212,11 @@ class TestSearch:
         assert discovery.add(*on_a_line(0, 7, 8)).success
         assert found(discovery) == [7.0]
 
-    def test_what_most_successes_miss_is_no_peak(self) -> None:
+    @pytest.mark.parametrize("search", ["exhaustive", "incremental"])
+    def test_what_most_successes_miss_is_no_peak(self, search: str) -> None:
         subgoals = []
         for min_density in (0.5, 0.0):
-            discovery = SubgoalDiscovery(settings_of(min_density=min_density, max_places=9))
+            discovery = SubgoalDiscovery(settings_of(search=search, min_density=min_density, max_places=9))
             for place in (10, 20, 30, 40):
                 discovery.add(*on_a_line(0, place, 60))
             subgoals.append(found(discovery))
@@ -229,21 +266,21 @@ class TestNothingToFind:
             discovery.add(*on_a_line(0, 5, 20, success=False))
             assert discovery.search() is None
 
-    @pytest.mark.parametrize("search", ["gradient", "exhaustive"])
+    @pytest.mark.parametrize("search", SEARCHES)
     def test_duplicates(self, search: str) -> None:
         discovery = SubgoalDiscovery(settings_of(search=search))
         for _ in range(10):
             discovery.add(*on_a_line(0, 5, 5, 5, 20, 5, 20))
         assert found(discovery) == pytest.approx([5.0], abs=1e-6)
 
-    @pytest.mark.parametrize("search", ["gradient", "exhaustive"])
+    @pytest.mark.parametrize("search", SEARCHES)
     def test_a_single_instance(self, search: str) -> None:
         discovery = SubgoalDiscovery(settings_of(search=search, negative_bags=False))
         discovery.add(*on_a_line(0, 5, 20))
         assert found(discovery) == pytest.approx([5.0], abs=1e-6)
         assert discovery.search() is None
 
-    @pytest.mark.parametrize("search", ["gradient", "exhaustive"])
+    @pytest.mark.parametrize("search", SEARCHES)
     def test_one_place_in_positive_and_negative_bags(self, search: str) -> None:
         discovery = SubgoalDiscovery(settings_of(search=search))
         for success in (True, False):
@@ -315,6 +352,10 @@ class TestScale:
         discovery = SubgoalDiscovery(DiscoverySettings(search="gradient"), kind="categorical")
         assert discovery.engine().method == "exhaustive"
         assert SubgoalDiscovery(DiscoverySettings(search="gradient"), kind="identity").engine().method == "gradient"
+        for search in SEARCHES:
+            assert (
+                SubgoalDiscovery(DiscoverySettings(search=search), kind="categorical").engine().method == "exhaustive"
+            )
 
     def test_categorical_states_are_equal_or_far_apart(self) -> None:
         """One-hot features of a Discrete space: the state that both walks share is found."""
@@ -346,7 +387,7 @@ RANGES: list[tuple[str, tuple[Any, ...], str]] = [
     ),
     ("scale", (0.0, -1.0, math.nan, math.inf), "must be positive and finite, got "),
     ("negative_strength", (0.0, -0.5, 1.5, math.nan), r"must be in \(0, 1\], got "),
-    ("search", ("random", None), "must be 'gradient' or 'exhaustive', got "),
+    ("search", ("random", None), "must be 'gradient', 'exhaustive' or 'incremental', got "),
     ("min_density", (-0.1, 1.5, math.nan), r"must be in \[0, 1\], got "),
     ("decay", (0.0, 1.0, -0.1, math.nan), r"\(λ\) must be in \(0, 1\), got "),
     ("threshold", (1.0, -0.1, math.nan), r"must be a share of the limit λ/\(1−λ\), in \[0, 1\), got "),

@@ -41,3 +41,14 @@ def test_runs_without_the_musk_data(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert set(results) == {"command", "kernel", "one_more_bag"}
     assert set(results["kernel"]["8"]) == {"nanoseconds", "limit_nanoseconds", "share_of_limit"}
     assert (out / "diverse_density.png").stat().st_size > 0
+
+
+def test_one_part_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    diverse_density.main(
+        diverse_density.Benchmark(out=tmp_path / "out", parts=("one_more_bag",), bags=20, instances=20, added=2)
+    )
+    assert "one more bag, ms" in capsys.readouterr().out
+    part = json.loads((tmp_path / "out" / "results.json").read_text())["one_more_bag"]
+    assert part["distance_of_best_peak"] < 0.5
+    assert part["nats_below_search_anew"] < 0.01
+    assert not (tmp_path / "out" / "diverse_density.png").exists()
