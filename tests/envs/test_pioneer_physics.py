@@ -75,7 +75,7 @@ def test_no_action_passes_through_a_wall(env: Pioneer, heading: float) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_paddles_and_a_held_ball_stay_inside_whatever_is_done(env: Pioneer, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    start(env, 1.2, 0, 0, ball=(1.6, 0))
+    start(env, 1.2, 0, 0, ball=(1.75, 0))
     env.step(1)
     for _ in range(150):
         _, _, terminated, _, _ = env.step(int(rng.choice([0, 1, 2, 2, 2, 3, 4, 5, 6])))
@@ -85,7 +85,7 @@ def test_paddles_and_a_held_ball_stay_inside_whatever_is_done(env: Pioneer, seed
         for ball in env.ball_positions.values():
             assert max(map(abs, ball)) + BALL_RADIUS < 2.01
         if terminated:
-            start(env, 1.2, 0, 0, ball=(1.6, 0))
+            start(env, 1.2, 0, 0, ball=(1.75, 0))
 
 
 def test_a_forward_action_stops_at_the_wall_and_backs_off(env: Pioneer) -> None:
