@@ -49,7 +49,7 @@ class Study:
         out: Folder for results.json, the pictures and one file per finished seed.
         runs: Number of seeds.
         first_seed: Seeds count up from here. Settings were chosen on seeds 0 to 19, so none of these.
-        transfer_runs: Number of seeds for the transfer tasks, which take longer.
+        transfer_runs: Number of seeds for the transfer tasks, which take longer; by default all of them.
         dqn_runs: Number of seeds for DQN, which takes longest.
         jobs: Processes; by default one a core.
         settings: Of the task, of learning and of discovery.
@@ -60,7 +60,7 @@ class Study:
     out: Annotated[Path, tyro.conf.arg(name="out")]
     runs: int = 30
     first_seed: int = 1000
-    transfer_runs: int = 10
+    transfer_runs: int | None = None
     dqn_runs: int = 5
     jobs: int | None = None
     settings: PioneerSettings = field(default_factory=PioneerSettings)
@@ -81,7 +81,7 @@ def main(study: Study) -> None:
         draw(figure, groups).savefig(study.out / f"{figure}.png", dpi=DPI)
     results: dict[str, Any] = {
         "command": f"python -m experiments.pioneer {study.figure} --runs {study.runs} --first-seed {study.first_seed}"
-        f" --transfer-runs {study.transfer_runs} --dqn-runs {study.dqn_runs}",
+        f" --transfer-runs {study.transfer_runs or study.runs} --dqn-runs {study.dqn_runs}",
         "n_runs": study.runs,
         "seconds": round(time.perf_counter() - began, 1),
         "settings": study.settings.described(),
@@ -94,7 +94,8 @@ def main(study: Study) -> None:
 
 def _run(study: Study, name: str) -> list[Result]:
     settings = study.settings
-    runs = {"learning": study.runs, "transfer": min(study.transfer_runs, study.runs), "dqn": study.dqn_runs}[name]
+    transfer_runs = min(study.runs, study.transfer_runs or study.runs)
+    runs = {"learning": study.runs, "transfer": transfer_runs, "dqn": study.dqn_runs}[name]
     artifacts = study.out / "groups" / ("dqn" if name == "dqn" else "learning") / "artifacts"
     functions: dict[str, Callable[[int], Result]] = {
         "learning": partial(conditions.learning, settings, artifacts),
