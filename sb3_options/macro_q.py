@@ -217,7 +217,7 @@ class MacroQ(BaseAlgorithm):
         """
         table = self.policy.table()
         step_size, gamma, n_primitive = cast("float", self.learning_rate), self.gamma, self._n_primitive
-        rows: list[list[float]] = table.tolist()  # eight times faster to write to than an array
+        rows: list[list[float]] = table.tolist()  # five times faster to write to than an array
         for state, action, reward, next_state, over in zip(began, actions, rewards, led, ended, strict=True):
             target = reward if over else reward + gamma * max(rows[next_state][:n_primitive])
             rows[state][action] += step_size * (target - rows[state][action])

@@ -48,7 +48,7 @@ class Study:
         figure: Which one, or all.
         out: Folder for results.json, the pictures and one file per finished seed.
         runs: Number of seeds.
-        first_seed: Seeds count up from here. Settings were chosen on seeds 0 to 19, so none of these.
+        first_seed: Seeds count up from here. Settings were chosen on seeds 0 to 7, so none of these.
         transfer_runs: Number of seeds for the transfer tasks, which take longer; by default all of them.
         dqn_runs: Number of seeds for DQN, which takes longest.
         jobs: Processes; by default one a core.
@@ -83,13 +83,12 @@ def main(study: Study) -> None:
         "command": f"python -m experiments.pioneer {study.figure} --runs {study.runs} --first-seed {study.first_seed}"
         f" --transfer-runs {study.transfer_runs or study.runs} --dqn-runs {study.dqn_runs}",
         "n_runs": study.runs,
-        "seconds": round(time.perf_counter() - began, 1),
         "settings": study.settings.described(),
         "dqn_settings": json.loads(json.dumps(dataclasses.asdict(study.dqn), default=str)),
         "figures": numbers,
     }
     write_json(study.out / "results.json", results)
-    _print(numbers, study, results["seconds"])
+    _print(numbers, study, time.perf_counter() - began)
 
 
 def _run(study: Study, name: str) -> list[Result]:

@@ -22,7 +22,7 @@ MAIN_TASK = "sb3_options/Pioneer-v0"
 
 @dataclass(frozen=True)
 class PioneerSettings:
-    """The defaults of what the paper leaves open were chosen on seeds 0 to 19; reported seeds count from 1000.
+    """The defaults of what the paper leaves open were chosen on seeds 0 to 7; reported seeds count from 1000.
 
     Lengths are in m, angles in rad. `IN_PAPER` says for each field what the paper says of it.
     """
