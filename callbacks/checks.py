@@ -64,14 +64,9 @@ def _check_nothing_above_changes_observations(model: BaseAlgorithm, venv: VecEnv
 
 
 def _check_deep(model: BaseAlgorithm) -> None:
-    """Refuse a deep algorithm without `OptionReplayBuffer`, or without heads that could be opened."""
+    """Refuse an off-policy algorithm without `OptionReplayBuffer`, and any without heads that could be opened."""
     buffer = getattr(model, "replay_buffer", None)
-    if buffer is None:
-        raise ValueError(
-            f"Options cannot be discovered for {type(model).__name__} yet: use DQN or QRDQN with "
-            "replay_buffer_class=OptionReplayBuffer, or OptionDQN."
-        )
-    if not isinstance(buffer, OptionReplayBuffer):
+    if buffer is not None and not isinstance(buffer, OptionReplayBuffer):
         raise ValueError(
             f"{type(model).__name__} was built with {type(buffer).__name__}, which discounts an option of k steps "
             f"with γ instead of γᵏ: pass {type(model).__name__}(..., replay_buffer_class=OptionReplayBuffer)."

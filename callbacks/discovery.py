@@ -8,32 +8,26 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import torch
-from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Figure, TensorBoardOutputFormat
-from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_options import heads
 from sb3_options.bags import StaticFilter, SuccessRule, reported_success
 from sb3_options.bank import OptionBank
-from sb3_options.callbacks.checks import check_model, check_same_slots
-from sb3_options.callbacks.primitive_steps import all_callbacks, count_inner_steps, monitor_primitive_steps
+from sb3_options.callbacks.checks import check_model
+from sb3_options.callbacks.on_policy import option_rollout_buffer
+from sb3_options.callbacks.primitive_steps import count_inner_steps, monitor_primitive_steps
+from sb3_options.callbacks.serving import OptionServer
 from sb3_options.callbacks.statistics import OptionStatistics
 from sb3_options.discovery import DiscoverySettings, SubgoalDiscovery
-from sb3_options.macro_q import MacroQ
-from sb3_options.observations import FloatArray, Observations, take
-from sb3_options.option import Option, Region, SubgoalOption
+from sb3_options.observations import FloatArray
+from sb3_options.option import Region, SubgoalOption
 from sb3_options.option_learning import OptionLearningSettings, learn_further, learn_option
 from sb3_options.plots import discovery_figures
-from sb3_options.replay_buffer import OptionReplayBuffer
+from sb3_options.rollout_buffer import SMDPAdvantages, passage_of
 from sb3_options.trajectories import LabelledTrajectory, Trajectory
-from sb3_options.vec_env import as_wrapper_sees
 
 logger = logging.getLogger("sb3_options")
-
-AVAILABILITY_CHUNK = 4096
-"""Stored observations are sent to the environment in batches of this many when an option moves in."""
 
 
 @dataclass(frozen=True)
@@ -115,17 +109,19 @@ class SubgoalDiscoveryCallback(BaseCallback):
         self.discovery: SubgoalDiscovery | None = None
         self._generator = torch.Generator().manual_seed(seed)
         self._statistics = OptionStatistics()
-        self._eval_envs: list[VecEnv] = []
-        self._slots_just_filled: list[int] = []
-        self.bank = OptionBank(1, 0)
-        self._n_primitive = 0
+        self._server: OptionServer | None = None
+        self._rollout_buffer: SMDPAdvantages | None = None
+
+    @property
+    def bank(self) -> OptionBank:
+        """The options there are; an empty bank before training starts."""
+        return OptionBank(1, 0) if self._server is None else self._server.bank
 
     def _on_training_start(self) -> None:
         venv = self.training_env
         check_model(self.model, venv)
+        self._rollout_buffer = option_rollout_buffer(self.model)
         monitor_primitive_steps(venv)
-        self._n_primitive = venv.get_attr("n_primitive", [0])[0]
-        self._eval_envs = self._find_eval_envs()
         if self.discovery is None:
             self.discovery = SubgoalDiscovery(
                 self.settings,
@@ -134,32 +130,21 @@ class SubgoalDiscoveryCallback(BaseCallback):
                 kind=venv.env_method("feature_kind", indices=[0])[0],
             )
         venv.env_method("record_trajectories", True)
-        self._take_over(venv.get_attr("bank", [0])[0])
+        self._server = OptionServer(self.model, venv, self.locals.get("callback"))
 
-    def _take_over(self, present: OptionBank) -> None:
-        """Start from the options that the training environment has already."""
-        self.bank = OptionBank(present.n_primitive, present.max_options, feature_map=self._features_of)
-        for slot, option in enumerate(present.slots):
-            if option is not None:
-                self._serve(slot, option)
-            elif not isinstance(self.model, MacroQ):
-                heads.close_head(self.model.policy, self._n_primitive + slot)
+    def _on_rollout_start(self) -> None:
+        self._serving.rollout_starts()
 
-    def _features_of(self, observations: Observations) -> FloatArray:
-        # φ may live in a worker process only.
-        features: FloatArray = self.training_env.env_method("concept_features", observations, indices=[0])[0]
-        return features
-
-    def _find_eval_envs(self) -> list[VecEnv]:
-        found = [c.eval_env for c in all_callbacks(self.locals.get("callback")) if isinstance(c, EvalCallback)]
-        for eval_env in found:
-            check_same_slots(self.training_env, eval_env)
-            monitor_primitive_steps(eval_env)
-        return found
+    @property
+    def _serving(self) -> OptionServer:
+        assert self._server is not None  # made when training started
+        return self._server
 
     def _on_step(self) -> bool:
         infos: list[dict[str, Any]] = self.locals["infos"]
         count_inner_steps(self, infos)
+        if self._rollout_buffer is not None:
+            self._rollout_buffer.expect(passage_of(self.locals["rewards"], infos))
         for info in infos:
             if info["option"]["index"] >= 0:
                 self._statistics.add(info["option"])
@@ -181,7 +166,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
         discovers = self._may_discover()
         if not (discovers or (self.option_settings.keep_learning and len(self.bank))):
             return
-        labelled = self.discovery.add(trajectory, self._features_of(trajectory.states))
+        labelled = self.discovery.add(trajectory, self._serving.features_of(trajectory.states))
         if self.option_settings.keep_learning:
             self._learn_further(labelled)
         if discovers and (labelled.success or self.settings.negative_bags):
@@ -195,7 +180,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
             if isinstance(option, SubgoalOption):
                 further = learn_further(option, labelled, self.option_settings)
                 if further is not option:
-                    self._send(slot, further)
+                    self._serving.replace(slot, further)
 
     def _may_discover(self) -> bool:
         if self.max_new_options is not None and len(self.discoveries) >= self.max_new_options:
@@ -209,7 +194,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
         option = learn_option(
             subgoal,
             self.discovery.database,
-            self._n_primitive,
+            self._serving.n_primitive,
             self.option_settings,
             self._generator,
             name=name,
@@ -218,7 +203,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
             logger.warning("No option for the subgoal at %s: no saved trajectory leads to it.", centre)
             return
         slot = self.bank.slots.index(None)
-        self._serve(slot, option)
+        self._serving.put(slot, option)
         self.discoveries.append(
             DiscoveredOption(
                 slot,
@@ -238,37 +223,8 @@ class SubgoalDiscoveryCallback(BaseCallback):
                 logger.warning("The options could not be saved to %s, training goes on: %s", self.save_path, error)
         self._draw()
 
-    def _serve(self, slot: int, option: Option) -> None:
-        """Put an option into every environment, and open its head."""
-        self._send(slot, option)
-        if isinstance(self.model, MacroQ):
-            return  # it has no heads, and asks for what is available in every step
-        action = self._n_primitive + slot
-        if heads.is_closed(self.model.policy, action):
-            heads.open_head(self.model.policy, action, self._n_primitive)
-        self._slots_just_filled.append(slot)
-
     def _on_rollout_end(self) -> None:
-        # Only now is the step stored at whose end an option was made, and no gradient step was taken in between.
-        buffer = getattr(self.model, "replay_buffer", None)
-        if isinstance(buffer, OptionReplayBuffer) and buffer.next_available.shape[1]:
-            for slot in self._slots_just_filled:
-                buffer.set_next_available(slot, self._available_in(buffer, self._n_primitive + slot))
-        self._slots_just_filled.clear()
-
-    def _send(self, slot: int, option: Option) -> None:
-        self.bank.add(option, slot)
-        travelling = option.bind(None) if isinstance(option, SubgoalOption) else option
-        for venv in [self.training_env, *self._eval_envs]:
-            venv.env_method("set_option", slot, travelling)
-
-    def _available_in(self, buffer: OptionReplayBuffer, action: int) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        available = [np.zeros(0, dtype=bool)]
-        stored = buffer.next_observations_stored()
-        for start in range(0, buffer.size(), AVAILABILITY_CHUNK):
-            chunk = as_wrapper_sees(self.training_env, take(stored, slice(start, start + AVAILABILITY_CHUNK)))
-            available.append(self.training_env.env_method("available", chunk, indices=[0])[0][:, action])
-        return np.concatenate(available)
+        self._serving.rollout_ends()
 
     def _log(self) -> None:
         assert self.discovery is not None  # made when training started
@@ -293,5 +249,6 @@ class SubgoalDiscoveryCallback(BaseCallback):
             )
 
     def _on_training_end(self) -> None:
+        self._serving.rollout_starts()  # no option is left waiting
         self._draw()
         self.logger.dump(self.num_timesteps)

@@ -18,6 +18,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from sb3_options import heads
 from sb3_options.bank import OptionBank
 from sb3_options.callbacks.checks import check_wrapped
+from sb3_options.callbacks.on_policy import option_rollout_buffer
+from sb3_options.rollout_buffer import passage_of
 from sb3_options.wrapper import OptionsWrapper
 
 
@@ -25,13 +27,19 @@ class PrimitiveStepsCallback(BaseCallback):
     """Makes ``num_timesteps``, and with it budget, schedules and every x-axis, count primitive steps.
 
     SB3 counts calls of ``step``; an option of k primitive steps is one call, so k − 1 are added. A progress bar among
-    the other callbacks is moved along. Use it alone with hand-made options; `SubgoalDiscoveryCallback` does the same.
+    the other callbacks is moved along, and the rollout buffer of an on-policy algorithm learns how long every action
+    took. Use it alone with hand-made options, or with an environment of your own whose actions take different times
+    (it leaves ``info["option"] = {"index": -1, "duration": k, "discount": gamma**k}``); `SubgoalDiscoveryCallback`
+    does the same.
 
     Raises:
-        ValueError: When training starts, if the environment is not wrapped in `OptionsWrapper`.
+        ValueError: The environment reports no durations.
     """
 
     def _on_training_start(self) -> None:
+        self._rollout_buffer = option_rollout_buffer(self.model)
+        if not any(self.training_env.env_is_wrapped(OptionsWrapper)):
+            return  # its own environment's actions take times of their own; the first step shows it
         check_wrapped(self.training_env, "The model's environment")
         monitor_primitive_steps(self.training_env)
         if heads.has_heads(self.model.policy):
@@ -41,6 +49,10 @@ class PrimitiveStepsCallback(BaseCallback):
                     heads.close_head(self.model.policy, bank.n_primitive + slot)
 
     def _on_step(self) -> bool:
+        if self._rollout_buffer is not None or self.n_calls == 1:
+            passage = passage_of(self.locals["rewards"], self.locals["infos"])
+            if self._rollout_buffer is not None:
+                self._rollout_buffer.expect(passage)
         count_inner_steps(self, self.locals["infos"])
         return True
 

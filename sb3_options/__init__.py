@@ -6,6 +6,17 @@ from sb3_options.dqn import OptionDQN
 from sb3_options.macro_q import MacroQ
 from sb3_options.option import Option
 from sb3_options.replay_buffer import OptionReplayBuffer
+from sb3_options.rollout_buffer import OptionDictRolloutBuffer, OptionRolloutBuffer
 from sb3_options.wrapper import OptionsWrapper
 
-__all__ = ["DiverseDensity", "MacroQ", "Option", "OptionBank", "OptionDQN", "OptionReplayBuffer", "OptionsWrapper"]
+__all__ = [
+    "DiverseDensity",
+    "MacroQ",
+    "Option",
+    "OptionBank",
+    "OptionDQN",
+    "OptionDictRolloutBuffer",
+    "OptionReplayBuffer",
+    "OptionRolloutBuffer",
+    "OptionsWrapper",
+]

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 CLOSED_VALUE = -1e6
-"""Bias of a closed output: below any return, and far from where float32 loses a gradient to overflow."""
+"""Bias of a closed output: below any return, of probability 0 as a logit, and far from where float32 overflows."""
 
 
 def option_outputs(policy: Any) -> list[tuple[torch.nn.Linear, int]]:
@@ -22,7 +22,8 @@ def option_outputs(policy: Any) -> list[tuple[torch.nn.Linear, int]]:
         policy: Of an SB3 model.
 
     Returns:
-        Pairs of a layer and its outputs per action: the online and the target network of DQN and QRDQN.
+        Pairs of a layer and its outputs per action: the online and the target network of DQN and QRDQN, the logits of
+        an actor-critic policy (PPO, A2C, TRPO, MaskablePPO, RecurrentPPO).
 
     Raises:
         TypeError: The policy is none whose heads are known.
@@ -33,8 +34,11 @@ def option_outputs(policy: Any) -> list[tuple[torch.nn.Linear, int]]:
     networks = [getattr(policy, name, None) for name in ("quantile_net", "quantile_net_target")]
     if all(n is not None for n in networks):
         return [(_last_linear(n.quantile_net), n.n_quantiles) for n in networks if n is not None]
+    if isinstance(getattr(policy, "action_net", None), torch.nn.Linear):
+        return [(policy.action_net, 1)]
     raise TypeError(
-        f"The heads of {type(policy).__name__} are not known: options can be discovered for DQN, QRDQN and OptionDQN."
+        f"The heads of {type(policy).__name__} are not known: options can be discovered for DQN, QRDQN, OptionDQN, "
+        "PPO, A2C, TRPO, MaskablePPO and RecurrentPPO."
     )
 
 
@@ -71,9 +75,9 @@ def close_head(policy: Any, action: int) -> None:
 
 @torch.no_grad()
 def open_head(policy: Any, action: int, n_primitive: int) -> None:
-    """Start ``action`` at the mean of the primitive actions' values.
+    """Start ``action`` at the mean of the primitive actions' values, or of their logits.
 
-    The mean never exceeds the best primitive's value, so that a new option is tried because it is explored and not
+    The mean never exceeds the best primitive's, so that a new option is tried because it is explored and not
     because of a lucky initialisation. The outputs of all other actions stay what they were, bit for bit.
     """
     for layer, outputs in option_outputs(policy):

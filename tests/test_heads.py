@@ -1,15 +1,16 @@
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
 from sb3_contrib import QRDQN
-from stable_baselines3 import DQN, PPO
+from stable_baselines3 import DQN, SAC
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from sb3_options import OptionDQN, OptionReplayBuffer, heads
 from tests.helpers import steady_option
-from tests.sb3_helpers import RANDOM, env_of, optioned_rooms, small_rooms
+from tests.sb3_helpers import RANDOM, env_of, optioned_rooms
 
 N_PRIMITIVE, MAX_OPTIONS = 4, 3
 N_ACTIONS = N_PRIMITIVE + MAX_OPTIONS
@@ -132,8 +133,8 @@ def test_training_leaves_closed_heads_closed(algorithm: type[OffPolicyAlgorithm]
 
 
 def test_an_unknown_policy_is_refused() -> None:
-    model = PPO("MlpPolicy", small_rooms(), n_steps=16, batch_size=16)
-    with pytest.raises(TypeError, match=r"heads of ActorCriticPolicy are not known: options can be .* for DQN, QRDQN"):
+    model = SAC("MlpPolicy", gym.make("Pendulum-v1"), buffer_size=10)
+    with pytest.raises(TypeError, match=r"heads of SACPolicy are not known: options can be .* for DQN, QRDQN"):
         heads.close_head(model.policy, 4)
 
 

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from sb3_contrib import QRDQN
-from stable_baselines3 import A2C, DQN, PPO, SAC
+from stable_baselines3 import DQN, PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack
 
@@ -30,6 +31,10 @@ class BoxActions(gym.Env[Any, Any]):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         return np.zeros(2, np.float32), {}
+
+
+class OwnBuffer(RolloutBuffer):
+    """A user's own."""
 
 
 @pytest.mark.parametrize(
@@ -81,19 +86,14 @@ class BoxActions(gym.Env[Any, Any]):
             r"no default feature map for Dict\(.*: pass OptionsWrapper\(env, feature_map=\.\.\.\)",
         ),
         (
-            lambda: PPO("MlpPolicy", optioned_rooms(), gamma=0.9, n_steps=16, batch_size=16),
+            lambda: PPO("MlpPolicy", optioned_rooms(), n_steps=64, batch_size=64, rollout_buffer_class=OwnBuffer),
             ValueError,
-            r"cannot be discovered for PPO yet: use DQN or QRDQN with replay_buffer_class=OptionReplayBuffer, or",
-        ),
-        (
-            lambda: A2C("MlpPolicy", optioned_rooms(), gamma=0.9),
-            ValueError,
-            r"cannot be discovered for A2C yet: use DQN or QRDQN",
+            r"PPO was built with OwnBuffer, .*: derive a class from \(SMDPAdvantages, OwnBuffer\)",
         ),
     ],
     ids=[
         "DQN-bare", "PPO-bare", "one-gamma-differs", "DQN-buffer", "QRDQN-buffer", "DQN-gamma", "OptionDQN-gamma",
-        "Box", "Dict", "PPO", "A2C",
+        "Box", "Dict", "PPO",
     ],
 )  # fmt: skip
 def test_says_what_to_change(model: Any, error: type[Exception], text: str) -> None:
@@ -107,10 +107,9 @@ def test_dict_observations_with_a_feature_map_are_welcome() -> None:
     dqn(env, "MultiInputPolicy").learn(60, callback=SubgoalDiscoveryCallback())
 
 
-@pytest.mark.parametrize("callback", [PrimitiveStepsCallback, SubgoalDiscoveryCallback])
-def test_counting_alone_needs_the_wrapper_too(callback: type[BaseCallback]) -> None:
-    with pytest.raises(ValueError, match="environment is not wrapped in OptionsWrapper"):
-        dqn(small_rooms(), replay_buffer_class=None).learn(20, callback=callback())
+def test_counting_alone_needs_durations_too() -> None:
+    with pytest.raises(ValueError, match=r"There is no info\[\"option\"\]: wrap the environment in OptionsWrapper, or"):
+        dqn(small_rooms(), replay_buffer_class=None).learn(20, callback=PrimitiveStepsCallback())
 
 
 class TestEvaluationEnvironment:

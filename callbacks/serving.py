@@ -1,0 +1,116 @@
+"""Putting options where they take effect: into every environment, the network's heads and the replay buffer."""
+
+from __future__ import annotations
+
+import inspect
+
+import numpy as np
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
+from stable_baselines3.common.vec_env import VecEnv
+
+from sb3_options import heads
+from sb3_options.bank import OptionBank
+from sb3_options.callbacks.checks import check_same_slots
+from sb3_options.callbacks.primitive_steps import all_callbacks, monitor_primitive_steps
+from sb3_options.macro_q import MacroQ
+from sb3_options.observations import BoolArray, FloatArray, Observations, take
+from sb3_options.option import Option, SubgoalOption
+from sb3_options.replay_buffer import OptionReplayBuffer
+from sb3_options.vec_env import as_wrapper_sees
+
+AVAILABILITY_CHUNK = 4096
+"""Stored observations are sent to the environment in batches of this many when an option moves in."""
+
+
+class OptionServer:
+    """Keeps the options of all environments, the heads of the network and the replay buffer in step with its `bank`.
+
+    An option reaches off-policy algorithms at once. Those that sample actions from a policy without masks get it when
+    the next rollout starts: a rollout that began with the head closed and ended with it open would be learned from
+    with probabilities that its actions never had.
+
+    Args:
+        model: Being trained.
+        venv: Its environment.
+        callbacks: The tree that ``learn`` was given: the environment of an ``EvalCallback`` in it is served as well.
+    """
+
+    def __init__(self, model: BaseAlgorithm, venv: VecEnv, callbacks: BaseCallback | None) -> None:
+        self.model, self.venv = model, venv
+        self.eval_envs = [c.eval_env for c in all_callbacks(callbacks) if isinstance(c, EvalCallback)]
+        for eval_env in self.eval_envs:
+            check_same_slots(venv, eval_env)
+            monitor_primitive_steps(eval_env)
+        self.has_heads = not isinstance(model, MacroQ)
+        masks = "action_masks" in inspect.signature(model.policy.forward).parameters
+        self.waits_for_rollout = hasattr(model, "rollout_buffer") and not masks
+        self._waiting: dict[int, Option] = {}
+        self._moved_in: list[int] = []
+        present: OptionBank = venv.get_attr("bank", [0])[0]
+        self.n_primitive = present.n_primitive
+        self.bank = OptionBank(present.n_primitive, present.max_options, feature_map=self.features_of)
+        for slot, option in enumerate(present.slots):
+            if option is not None:
+                self._move_in(slot, option)
+            elif self.has_heads:
+                heads.close_head(model.policy, self.n_primitive + slot)
+
+    def features_of(self, observations: Observations) -> FloatArray:
+        """φ of a batch of observations, which may live in a worker process only, (batch, d)."""
+        features: FloatArray = self.venv.env_method("concept_features", observations, indices=[0])[0]
+        return features
+
+    def put(self, slot: int, option: Option) -> None:
+        """Let ``option`` move into a slot."""
+        if self.waits_for_rollout:
+            self.bank.add(option, slot)
+            self._waiting[slot] = option
+        else:
+            self._move_in(slot, option)
+
+    def replace(self, slot: int, option: Option) -> None:
+        """Put a later version of an option into the slot it is in."""
+        if slot in self._waiting:
+            self.bank.add(option, slot)
+            self._waiting[slot] = option
+        else:
+            self._send(slot, option)
+
+    def rollout_starts(self) -> None:
+        """Let the options in that waited."""
+        for slot, option in self._waiting.items():
+            self._move_in(slot, option)
+        self._waiting.clear()
+
+    def rollout_ends(self) -> None:
+        """Say of all stored transitions whether the options that just moved in may start after them."""
+        # Only now is the step stored at whose end an option was made, and no gradient step was taken in between.
+        buffer = getattr(self.model, "replay_buffer", None)
+        if isinstance(buffer, OptionReplayBuffer) and buffer.next_available.shape[1]:
+            for slot in self._moved_in:
+                buffer.set_next_available(slot, self._available_in(buffer, self.n_primitive + slot))
+        self._moved_in.clear()
+
+    def _move_in(self, slot: int, option: Option) -> None:
+        self._send(slot, option)
+        if not self.has_heads:
+            return  # MacroQ asks for what is available in every step
+        action = self.n_primitive + slot
+        if heads.is_closed(self.model.policy, action):
+            heads.open_head(self.model.policy, action, self.n_primitive)
+        self._moved_in.append(slot)
+
+    def _send(self, slot: int, option: Option) -> None:
+        self.bank.add(option, slot)
+        travelling = option.bind(None) if isinstance(option, SubgoalOption) else option
+        for venv in [self.venv, *self.eval_envs]:
+            venv.env_method("set_option", slot, travelling)
+
+    def _available_in(self, buffer: OptionReplayBuffer, action: int) -> BoolArray:
+        available = [np.zeros(0, dtype=bool)]
+        stored = buffer.next_observations_stored()
+        for start in range(0, buffer.size(), AVAILABILITY_CHUNK):
+            chunk = as_wrapper_sees(self.venv, take(stored, slice(start, start + AVAILABILITY_CHUNK)))
+            available.append(self.venv.env_method("available", chunk, indices=[0])[0][:, action])
+        return np.concatenate(available)
