@@ -86,7 +86,7 @@ class OwnBuffer(RolloutBuffer):
             r"no default feature map for Dict\(.*: pass OptionsWrapper\(env, feature_map=\.\.\.\)",
         ),
         (
-            lambda: PPO("MlpPolicy", optioned_rooms(), n_steps=64, batch_size=64, rollout_buffer_class=OwnBuffer),
+            lambda: PPO("MlpPolicy", optioned_rooms(), gamma=0.9, rollout_buffer_class=OwnBuffer),
             ValueError,
             r"PPO was built with OwnBuffer, .*: derive a class from \(SMDPAdvantages, OwnBuffer\)",
         ),
