@@ -3,6 +3,7 @@
 from sb3_options.bank import OptionBank
 from sb3_options.diverse_density import DiverseDensity
 from sb3_options.dqn import OptionDQN
+from sb3_options.expansion import expand_action_space
 from sb3_options.macro_q import MacroQ
 from sb3_options.option import Option
 from sb3_options.replay_buffer import OptionReplayBuffer
@@ -19,4 +20,5 @@ __all__ = [
     "OptionReplayBuffer",
     "OptionRolloutBuffer",
     "OptionsWrapper",
+    "expand_action_space",
 ]

@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -47,6 +48,16 @@ def test_examples_of_diverse_density_run() -> None:
     assert len(examples) == 2
     for code in examples:
         exec(code, {"__name__": "example"})
+
+
+def test_example_of_a_trained_model_runs_but_shorter() -> None:
+    text = (ROOT / "docs/how-it-works.md").read_text(encoding="utf-8")
+    (code,) = [c for c in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL) if "expand_action_space" in c]
+    shorter = code.replace("20_000", "200").replace("30_000", "300")
+    scope: dict[str, Any] = {"__name__": "example"}
+    exec(shorter, scope)
+    assert scope["model"].num_timesteps == 500
+    assert scope["model"].action_space.n == 8
 
 
 @pytest.mark.slow
