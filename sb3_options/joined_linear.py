@@ -44,23 +44,22 @@ class JoinedLinear(nn.Linear):
 
     def forward(self, features: torch.Tensor) -> torch.Tensor:
         """All outputs, (batch, out_features)."""
-        later = self.out_features // self.outputs_per_action - self.n_first
-        weights = self._by_action(self.weight).split([self.n_first, later], dim=1)
-        biases = self._by_action(self.bias).split([self.n_first, later], dim=1)
+        weight, bias = by_action(self.weight, self.outputs_per_action), by_action(self.bias, self.outputs_per_action)
+        shape = (*features.shape[:-1], self.outputs_per_action, -1)
         outputs = [
-            functional.linear(features, weight.flatten(0, 1), bias.flatten()).unflatten(
-                -1, (self.outputs_per_action, -1)
-            )
-            for weight, bias in zip(weights, biases, strict=True)
+            functional.linear(features, weight[:, some].flatten(0, 1), bias[:, some].flatten()).reshape(shape)
+            for some in (slice(None, self.n_first), slice(self.n_first, None))
         ]
         return torch.cat(outputs, dim=-1).flatten(-2)
-
-    def _by_action(self, rows: torch.Tensor) -> torch.Tensor:
-        return rows.unflatten(0, (self.outputs_per_action, -1))
 
     def extra_repr(self) -> str:
         """What ``print`` shows."""
         return f"{super().extra_repr()}, n_first={self.n_first}"
+
+
+def by_action(rows: torch.Tensor, outputs_per_action: int) -> torch.Tensor:
+    """Rows (outputs per action · actions, …) as (outputs per action, actions, …)."""
+    return rows.reshape(outputs_per_action, -1, *rows.shape[1:])
 
 
 def widened(rows: torch.Tensor, n_later: int, outputs_per_action: int = 1) -> torch.Tensor:
@@ -74,9 +73,9 @@ def widened(rows: torch.Tensor, n_later: int, outputs_per_action: int = 1) -> to
     Returns:
         (outputs per action · (actions + n_later), …).
     """
-    by_action = rows.detach().unflatten(0, (outputs_per_action, -1))
-    zeros = by_action.new_zeros((outputs_per_action, n_later, *rows.shape[1:]))
-    return torch.cat([by_action, zeros], dim=1).flatten(0, 1).contiguous()
+    present = by_action(rows.detach(), outputs_per_action)
+    zeros = present.new_zeros((outputs_per_action, n_later, *rows.shape[1:]))
+    return torch.cat([present, zeros], dim=1).flatten(0, 1).contiguous()
 
 
 def widened_linear(

@@ -108,13 +108,17 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         """Reset the environment; ``seed`` also seeds what empty slots draw."""
         observation, info = self.env.reset(seed=seed, options=options)
         if seed is not None:
-            self._random = np.random.default_rng([seed, EMPTY_SLOT_SEED])
+            self.seed_empty_slots(seed)
         self._observation = observation
         if self.features is not None and self.bank.feature_size is None:
             self.bank.feature_size = feature_maps.checked_size(self.features.map(batch_of_one(observation)))
         if self._recorder is not None:
             self._recorder.begin(observation)
         return observation, info
+
+    def seed_empty_slots(self, seed: int) -> None:
+        """Seed what empty slots draw, and nothing of the environment."""
+        self._random = np.random.default_rng([seed, EMPTY_SLOT_SEED])
 
     def step(self, action: int) -> StepReturn:
         """Run one primitive action once, or one option to its end.

@@ -19,7 +19,9 @@ from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNormalize, VecTransposeImage
 
 from sb3_options import OptionReplayBuffer, OptionsWrapper, expand_action_space, heads
-from sb3_options.joined_linear import JoinedLinear
+from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.joined_linear import JoinedLinear, by_action
+from sb3_options.rollout_buffer import SMDPAdvantages
 from tests.helpers import steady_option
 from tests.sb3_helpers import (
     DOORWAY,
@@ -102,7 +104,7 @@ def random_observations(model: BaseAlgorithm, n: int) -> npt.NDArray[Any]:
 
 
 def old_rows(rows: torch.Tensor, outputs_per_action: int, n_later: int = MAX_OPTIONS) -> torch.Tensor:
-    return rows.unflatten(0, (outputs_per_action, -1))[:, :-n_later].flatten(0, 1)
+    return by_action(rows, outputs_per_action)[:, :-n_later].flatten(0, 1)
 
 
 def weights_of_old(model: Any, stock: Any) -> list[tuple[str, torch.Tensor, torch.Tensor]]:
@@ -151,12 +153,13 @@ def test_every_kind_of_observation(name: str, kind: str) -> None:
     after = outputs(model, seen)
     assert all(torch.equal(a, b[..., :2]) for a, b in zip(before, after, strict=True))
     assert is_transposed(model) == (kind in ("image", "dict"))
-    if name == "dqn":  # PPO's rollout buffer is looked after by the callback
-        model.learn(64, reset_num_timesteps=False)
-        assert model.num_timesteps == 128
+    callback = SubgoalDiscoveryCallback()
+    model.learn(64, callback=callback, reset_num_timesteps=False)
+    assert model.num_timesteps == 128
+    assert callback.episodes > 0
+    if name == "dqn":
         assert model.replay_buffer.size() == 100
-        samples = model.replay_buffer.sample(16)
-        assert (samples.discounts == GAMMA).all()
+        assert (model.replay_buffer.sample(16).discounts == GAMMA).all()
 
 
 def is_transposed(model: BaseAlgorithm) -> bool:
@@ -169,7 +172,9 @@ def test_training_goes_on_as_it_would_have(name: str) -> None:
 
     TRPO's step solves a linear system by conjugate gradients whose sums run over the new actions as well.
     """
-    unclipped: dict[str, Any] = {} if name == "trpo" else {"max_grad_norm": 1e9}  # a norm over more numbers rounds otherwise
+    unclipped: dict[str, Any] = (
+        {} if name == "trpo" else {"max_grad_norm": 1e9}
+    )  # a norm over more numbers rounds otherwise
     stock, model = (trained(name, **unclipped) for _ in range(2))
     rollout = dict(vars(stock.rollout_buffer)) if hasattr(stock, "rollout_buffer") else {}
     expand_action_space(model, MAX_OPTIONS)
@@ -216,7 +221,7 @@ def test_optimizer_and_counters_are_kept(name: str) -> None:
         for moment, value in states[old].items():
             other = model.policy.optimizer.state[new][moment]
             if torch.is_tensor(value) and value.shape == old.shape != new.shape:
-                assert (other.unflatten(0, (per_action, -1))[:, N_PRIMITIVE:] == 0).all()
+                assert (by_action(other, per_action)[:, N_PRIMITIVE:] == 0).all()
                 other = old_rows(other, per_action)
             assert torch.equal(torch.as_tensor(value), torch.as_tensor(other)), (key, moment)
 
@@ -329,7 +334,8 @@ def test_saved_and_loaded(name: str, tmp_path: Path) -> None:
 
 
 def test_dqn_discovers_after_it_was_expanded() -> None:
-    model = DQN("MlpPolicy", small_rooms(), gamma=GAMMA, **TINY, **RANDOM)
+    """Of seeds 10 to 49, 27 find a place within one cell of the doorway; of models built with slots, 30."""
+    model = DQN("MlpPolicy", small_rooms(), gamma=GAMMA, **{**TINY, "seed": 1}, **RANDOM)
     model.learn(1008)  # a multiple of train_freq
     expand_action_space(model, MAX_OPTIONS)
     assert model.replay_buffer is not None
@@ -345,6 +351,25 @@ def test_dqn_discovers_after_it_was_expanded() -> None:
     assert set(actions) == set(range(N_PRIMITIVE + 1))
     assert discounts[actions == N_PRIMITIVE].min() < GAMMA**2
     assert model.num_timesteps >= 5000
+
+
+@pytest.mark.parametrize("name", ["ppo", "a2c", "trpo", "maskableppo", "recurrentppo"])
+def test_on_policy_algorithms_discover_after_they_were_expanded(name: str) -> None:
+    quick: dict[str, Any] = {} if name in ("a2c", "trpo") else {"n_epochs": 1}
+    model = trained(name, **quick, **({"ent_coef": 0.5} if name in ("ppo", "a2c") else {}))
+    expand_action_space(model, MAX_OPTIONS)
+    callback = fast_callback()
+    steps = 0
+    while not callback.discoveries and steps < 10:
+        model.learn(1000, callback=callback, reset_num_timesteps=False)
+        steps += 1
+    assert len(callback.discoveries) == 1
+    assert np.abs(callback.discoveries[0].subgoal - DOORWAY).max() <= 1
+    model.learn(256, callback=callback, reset_num_timesteps=False)
+    assert not heads.is_closed(model.policy, N_PRIMITIVE)
+    assert heads.is_closed(model.policy, N_PRIMITIVE + 1)
+    assert isinstance(model.rollout_buffer, SMDPAdvantages)
+    assert N_PRIMITIVE in cast("Any", model.rollout_buffer).actions
 
 
 def test_worker_processes_and_a_model_without_environment(tmp_path: Path) -> None:
@@ -445,6 +470,20 @@ def test_other_models_are_refused() -> None:
 
     with pytest.raises(TypeError, match="transitions of a Own cannot be taken over"):
         expand_action_space(small_model(replay_buffer_class=Own))
+
+
+def test_one_seed_one_result() -> None:
+    """What empty slots draw is seeded by the model, for each environment apart."""
+    draws = []
+    for _ in range(2):
+        model = DQN("MlpPolicy", make_vec_env(small_rooms, 2, seed=0), gamma=GAMMA, seed=0, buffer_size=200, **RANDOM)
+        expand_action_space(model.learn(50), MAX_OPTIONS)
+        model.learn(100, reset_num_timesteps=False)
+        draws.append(cast("OptionReplayBuffer", model.replay_buffer).actions[:, 0].copy())
+        inner = cast("DummyVecEnv", env_of(model).unwrapped)
+        first, second = (cast("OptionsWrapper", env)._random for env in inner.envs)
+        assert first.bit_generator.state != second.bit_generator.state
+    assert np.array_equal(draws[0], draws[1])
 
 
 def test_options_that_move_in_by_hand_run() -> None:

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import nn
 
-from sb3_options.joined_linear import JoinedLinear, check_optimizer, widened, widened_linear
+from sb3_options.joined_linear import JoinedLinear, by_action, check_optimizer, widened, widened_linear
 
 N_FIRST, N_LATER = 5, 3
 
@@ -17,7 +17,7 @@ def layer_of(outputs_per_action: int = 1, n_features: int = 64) -> nn.Linear:
 def opened(layer: JoinedLinear) -> JoinedLinear:
     """With something in its later rows."""
     with torch.no_grad():
-        later = layer.weight.unflatten(0, (layer.outputs_per_action, -1))[:, N_FIRST:]
+        later = by_action(layer.weight, layer.outputs_per_action)[:, N_FIRST:]
         later.copy_(torch.randn(later.shape))
     return layer
 
@@ -54,7 +54,7 @@ def test_gradients_of_first_rows_are_bit_identical() -> None:
         (values * weights).sum().backward()
         assert each.weight.grad is not None
         assert seen.grad is not None
-        gradients.append((each.weight.grad.unflatten(0, (7, -1)), seen.grad))
+        gradients.append((by_action(each.weight.grad, 7), seen.grad))
     (stock, stock_x), (joined, joined_x) = gradients
     assert torch.equal(stock, joined[:, :N_FIRST])
     assert (joined[:, N_FIRST:] == 0).all()
@@ -102,10 +102,10 @@ def test_moments_are_kept_for_old_rows(optimizer_class: Any, kwargs: dict[str, A
     assert keys <= set(moments) == set(kept)
     for key, value in moments.items():
         if key in keys:
-            by_action = value.unflatten(0, (2, -1))
-            assert torch.equal(by_action[:, :N_FIRST], kept[key].unflatten(0, (2, -1)))
+            rows = by_action(value, 2)
+            assert torch.equal(rows[:, :N_FIRST], by_action(kept[key], 2))
             assert (kept[key] != 0).any()
-            assert (by_action[:, N_FIRST:] == 0).all()
+            assert (rows[:, N_FIRST:] == 0).all()
         else:
             assert value == kept[key]
     assert all(a is b for a, b in zip(groups, optimizer.param_groups, strict=True))
