@@ -68,6 +68,11 @@ KINDS = {
     ),
 }
 every = pytest.mark.parametrize("name", list(KINDS))
+every_and_a_size_that_matters = pytest.mark.parametrize(
+    # 7 quantiles of 4 + 1 actions: here a plain wider layer says something else in the last bit.
+    ("name", "max_options"),
+    [*((name, MAX_OPTIONS) for name in KINDS), ("qrdqn", 1)],
+)
 off_policy = pytest.mark.parametrize("name", ["dqn", "qrdqn"])
 
 
@@ -118,24 +123,24 @@ def weights_of_old(model: Any, stock: Any) -> list[tuple[str, torch.Tensor, torc
     ]
 
 
-@every
-def test_outputs_for_old_actions_are_bit_identical(name: str) -> None:
+@every_and_a_size_that_matters
+def test_outputs_for_old_actions_are_bit_identical(name: str, max_options: int) -> None:
     model = trained(name)
     batches = [random_observations(model, n) for n in (1, 3, 64)]
     before = [outputs(model, batch) for batch in batches]
     chosen = [model.predict(batch, deterministic=True)[0] for batch in batches]
-    assert expand_action_space(model, MAX_OPTIONS) is model
-    for opened in (None, *range(MAX_OPTIONS)):
+    assert expand_action_space(model, max_options) is model
+    for opened in (None, *range(max_options)):
         if opened is not None:
             heads.open_head(model.policy, N_PRIMITIVE + opened, N_PRIMITIVE)
         for batch, old in zip(batches, before, strict=True):
             new = outputs(model, batch)
             assert len(old) == len(new) == (2 if name in ("dqn", "qrdqn") else 1)
             for a, b in zip(old, new, strict=True):
-                assert b.shape[-1] == N_ACTIONS
+                assert b.shape[-1] == N_PRIMITIVE + max_options
                 assert torch.equal(a, b[..., :N_PRIMITIVE])
         if opened is None:
-            assert all(heads.is_closed(model.policy, N_PRIMITIVE + i) for i in range(MAX_OPTIONS))
+            assert all(heads.is_closed(model.policy, N_PRIMITIVE + i) for i in range(max_options))
             for batch, actions in zip(batches, chosen, strict=True):
                 assert np.array_equal(actions, model.predict(batch, deterministic=True)[0])
 
@@ -308,10 +313,10 @@ def test_environments_are_wrapped_beneath_whatever_stands_above() -> None:
     assert model.num_timesteps == 512 + 304  # whole train_freq's of 2 environments
 
 
-@every
-def test_saved_and_loaded(name: str, tmp_path: Path) -> None:
-    model = expand_action_space(trained(name), MAX_OPTIONS)
-    heads.open_head(model.policy, N_PRIMITIVE + 1, N_PRIMITIVE)
+@every_and_a_size_that_matters
+def test_saved_and_loaded(name: str, max_options: int, tmp_path: Path) -> None:
+    model = expand_action_space(trained(name), max_options)
+    heads.open_head(model.policy, N_PRIMITIVE, N_PRIMITIVE)
     batches = [random_observations(model, n) for n in (1, 3, 64)]
     model.save(tmp_path / "model.zip")
     loaded = type(model).load(tmp_path / "model.zip", device="cpu")
@@ -319,7 +324,7 @@ def test_saved_and_loaded(name: str, tmp_path: Path) -> None:
         for a, b in zip(outputs(model, batch), outputs(loaded, batch), strict=True):
             assert torch.equal(a, b)
     assert loaded.action_space == model.action_space
-    env = make_vec_env(optioned_rooms, 1, env_kwargs={"max_options": MAX_OPTIONS}, seed=0)
+    env = make_vec_env(optioned_rooms, 1, env_kwargs={"max_options": max_options}, seed=0)
     again = type(model).load(tmp_path / "model.zip", env=env, device="cpu")
     kept, loaded_state = (m.policy.optimizer.state_dict()["state"] for m in (model, again))
     assert len(kept) == len(loaded_state) > 0
@@ -355,8 +360,10 @@ def test_dqn_discovers_after_it_was_expanded() -> None:
 
 @pytest.mark.parametrize("name", ["ppo", "a2c", "trpo", "maskableppo", "recurrentppo"])
 def test_on_policy_algorithms_discover_after_they_were_expanded(name: str) -> None:
-    quick: dict[str, Any] = {} if name in ("a2c", "trpo") else {"n_epochs": 1}
-    model = trained(name, **quick, **({"ent_coef": 0.5} if name in ("ppo", "a2c") else {}))
+    kwargs: dict[str, Any] = {} if name in ("a2c", "trpo") else {"n_epochs": 1}
+    if name in ("ppo", "a2c"):
+        kwargs["ent_coef"] = 0.5
+    model = trained(name, **kwargs)
     expand_action_space(model, MAX_OPTIONS)
     callback = fast_callback()
     steps = 0
