@@ -227,10 +227,14 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
     def action_masks(self) -> BoolArray:
         """Which augmented actions may start now, shape (n_primitive + max_options,).
 
+        An environment that masks its own actions goes on doing so; what an option does inside is not masked.
+
         Raises:
             gymnasium.error.ResetNeeded: Before the first ``reset``.
         """
         mask: BoolArray = self.bank.available(batch_of_one(self._current_observation("action_masks()")))[0]
+        if self.env.has_wrapper_attr("action_masks"):
+            mask[: self.n_primitive] &= np.asarray(self.env.get_wrapper_attr("action_masks")(), dtype=bool)
         return mask
 
     def _current_observation(self, needed_by: str) -> Any:

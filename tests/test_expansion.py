@@ -379,6 +379,25 @@ def test_on_policy_algorithms_discover_after_they_were_expanded(name: str) -> No
     assert N_PRIMITIVE in cast("Any", model.rollout_buffer).actions
 
 
+def test_masks_of_the_environment_itself_go_on() -> None:
+    class Masked(Corridor):
+        def action_masks(self) -> list[bool]:
+            return [self.place > 0, True]
+
+        def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+            assert action == 1 or self.place > 0
+            return super().step(action)
+
+    kwargs = {**KINDS["maskableppo"].kwargs, "n_epochs": 1}
+    model = MaskablePPO("MlpPolicy", Masked(), gamma=GAMMA, seed=0, **kwargs).learn(128)
+    expand_action_space(model, 2)
+    model.learn(256, callback=SubgoalDiscoveryCallback(), reset_num_timesteps=False)
+    masks = model.rollout_buffer.action_masks.reshape(-1, 4)
+    assert not masks[:, 0].all()
+    assert masks[:, 1].all()
+    assert not masks[:, 2:].any()
+
+
 def test_worker_processes_and_a_model_without_environment(tmp_path: Path) -> None:
     trained("dqn", steps=64).save(tmp_path / "model.zip")
     model = DQN.load(tmp_path / "model.zip")

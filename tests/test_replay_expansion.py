@@ -84,6 +84,13 @@ def test_the_oldest_are_overwritten_first(n_steps: int) -> None:
     assert {900, 901} <= set(values_of(buffer._observations))
 
 
+def test_nothing_is_copied() -> None:
+    stock = stock_buffer("image", 2, 4, 16)
+    buffer = option_replay_buffer(stock, spaces.Discrete(7), GAMMA)
+    assert np.shares_memory(stock.observations, buffer._observations[""])
+    assert np.shares_memory(stock.next_observations, buffer._next_observations[""])
+
+
 def test_samples_are_those_of_the_stock_buffer() -> None:
     stock = stock_buffer("box", 1, 11, 8)
     set_random_seed(0)

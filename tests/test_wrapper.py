@@ -496,6 +496,20 @@ class TestProtocol:
             assert equal(left[4], right[4])
         assert env.action_space == twin.action_space
 
+    def test_an_environment_that_masks_its_own_actions_goes_on_doing_so(self) -> None:
+        class Masked(CountingEnv):
+            def action_masks(self) -> list[bool]:
+                return [self.time % 2 == 0, True]
+
+        env = OptionsWrapper(Masked(), 2)
+        env.bank.add(steady_option())
+        env.reset()
+        assert env.action_masks().tolist() == [True, True, True, False]
+        env.step(1)
+        assert env.action_masks().tolist() == [False, True, True, False]
+        env.step(1)
+        assert env.action_masks().tolist() == [True, True, True, False]
+
     def test_action_masks_and_options_need_a_reset(self) -> None:
         env = OptionsWrapper(CountingEnv())
         env.bank.add(steady_option())
