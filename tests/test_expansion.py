@@ -417,6 +417,17 @@ def test_worker_processes_and_a_model_without_environment(tmp_path: Path) -> Non
         workers.close()
 
 
+def test_another_environment_takes_the_place_of_the_models() -> None:
+    model = trained("dqn", steps=64)
+    other = optioned_rooms(2)
+    expand_action_space(model, 2, env=other)
+    model.learn(64, callback=fast_callback(), reset_num_timesteps=False)
+    (env,) = cast("DummyVecEnv", env_of(model)).envs
+    assert env is other
+    assert isinstance(env.env, Monitor)
+    assert n_actions_of(model) == N_PRIMITIVE + 2
+
+
 def bare_workers() -> Any:
     return small_rooms()
 
