@@ -44,13 +44,17 @@ class JoinedLinear(nn.Linear):
 
     def forward(self, features: torch.Tensor) -> torch.Tensor:
         """All outputs, (batch, out_features)."""
-        weight, bias = by_action(self.weight, self.outputs_per_action), by_action(self.bias, self.outputs_per_action)
-        shape = (*features.shape[:-1], self.outputs_per_action, -1)
+        n, per_action = self.n_first, self.outputs_per_action
+        if per_action == 1:  # the same without reshaping, which takes longer than so small a product
+            first = functional.linear(features, self.weight[:n], self.bias[:n])
+            return torch.cat([first, functional.linear(features, self.weight[n:], self.bias[n:])], dim=-1)
+        weight, bias = by_action(self.weight, per_action), by_action(self.bias, per_action)
         outputs = [
-            functional.linear(features, weight[:, some].flatten(0, 1), bias[:, some].flatten()).reshape(shape)
-            for some in (slice(None, self.n_first), slice(self.n_first, None))
+            functional.linear(features, weight[:, some].flatten(0, 1), bias[:, some].flatten())
+            for some in (slice(None, n), slice(n, None))
         ]
-        return torch.cat(outputs, dim=-1).flatten(-2)
+        shape = (*features.shape[:-1], per_action, -1)
+        return torch.cat([each.reshape(shape) for each in outputs], dim=-1).flatten(-2)
 
     def extra_repr(self) -> str:
         """What ``print`` shows."""
