@@ -68,6 +68,8 @@ class SubgoalDiscoveryCallback(BaseCallback):
             above all earlier ones in a terminal state where the environment does not say.
         static_filter: What may be a subgoal; by default not near the start and end of a trajectory.
         max_new_options: Most options to make; by default as many as there are slots.
+        teach_head: Whether what the replay buffer holds teaches the head of a new option at once (`head_teaching`).
+            Algorithms without a replay buffer have no values of options, and nothing to teach.
         save_path: Where to write the options each time one is made; None writes nothing.
         seed: For option policies that are networks.
         verbose: 1 prints each new option.
@@ -85,6 +87,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
         success: SuccessRule = reported_success,
         static_filter: StaticFilter | None = None,
         max_new_options: int | None = None,
+        teach_head: bool = True,
         save_path: str | os.PathLike[str] | None = None,
         seed: int = 0,
         verbose: int = 0,
@@ -103,6 +106,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
         self.success = success
         self.static_filter = static_filter
         self.max_new_options = max_new_options
+        self.teach_head = teach_head
         self.save_path = save_path
         self.episodes = 0
         self.discoveries: list[DiscoveredOption] = []
@@ -130,7 +134,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
                 kind=venv.env_method("feature_kind", indices=[0])[0],
             )
         venv.env_method("record_trajectories", True)
-        self._server = OptionServer(self.model, venv, self.locals.get("callback"))
+        self._server = OptionServer(self.model, venv, self.locals.get("callback"), teach_head=self.teach_head)
 
     def _on_rollout_start(self) -> None:
         self._serving.rollout_starts()
