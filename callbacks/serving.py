@@ -14,6 +14,7 @@ from sb3_options.bank import OptionBank
 from sb3_options.callbacks.checks import check_same_slots
 from sb3_options.callbacks.primitive_steps import all_callbacks, monitor_primitive_steps
 from sb3_options.callbacks.teaching import IntraOptionTeacher
+from sb3_options.exploration import cap_option_exploration
 from sb3_options.macro_q import MacroQ
 from sb3_options.observations import BoolArray, FloatArray, Observations, take
 from sb3_options.option import Option, SubgoalOption
@@ -36,10 +37,17 @@ class OptionServer:
         venv: Its environment.
         callbacks: The tree that ``learn`` was given: the environment of an ``EvalCallback`` in it is served as well.
         teach_head: Whether stored transitions teach the head of an option as it moves in.
+        max_option_exploration: Largest share of options among exploratory choices.
     """
 
     def __init__(
-        self, model: BaseAlgorithm, venv: VecEnv, callbacks: BaseCallback | None, *, teach_head: bool = True
+        self,
+        model: BaseAlgorithm,
+        venv: VecEnv,
+        callbacks: BaseCallback | None,
+        *,
+        teach_head: bool = True,
+        max_option_exploration: float = 1.0,
     ) -> None:
         self.model, self.venv = model, venv
         self.eval_envs = [c.eval_env for c in all_callbacks(callbacks) if isinstance(c, EvalCallback)]
@@ -55,6 +63,7 @@ class OptionServer:
         present: OptionBank = venv.get_attr("bank", [0])[0]
         self.n_primitive = present.n_primitive
         self.bank = OptionBank(present.n_primitive, present.max_options, feature_map=self.features_of)
+        self.explored = cap_option_exploration(model, self.n_primitive, max_option_exploration)
         self.teach_head = teach_head
         self.teacher: IntraOptionTeacher | None = None
         if IntraOptionTeacher.teaches(model) and (teach_head or model.replay_buffer.intra_option):  # type: ignore[attr-defined]  # teaches() has looked
@@ -123,6 +132,8 @@ class OptionServer:
 
     def _send(self, slot: int, option: Option) -> None:
         self.bank.add(option, slot)
+        if self.explored is not None:
+            self.explored.filled = self.bank.filled
         travelling = option.bind(None) if isinstance(option, SubgoalOption) else option
         for venv in [self.venv, *self.eval_envs]:
             venv.env_method("set_option", slot, travelling)
