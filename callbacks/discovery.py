@@ -20,6 +20,7 @@ from sb3_options.callbacks.primitive_steps import count_inner_steps, monitor_pri
 from sb3_options.callbacks.serving import OptionServer
 from sb3_options.callbacks.statistics import OptionStatistics
 from sb3_options.discovery import DiscoverySettings, SubgoalDiscovery
+from sb3_options.exploration import checked_share
 from sb3_options.observations import FloatArray
 from sb3_options.option import Region, SubgoalOption
 from sb3_options.option_learning import OptionLearningSettings, learn_further, learn_option
@@ -68,6 +69,9 @@ class SubgoalDiscoveryCallback(BaseCallback):
             above all earlier ones in a terminal state where the environment does not say.
         static_filter: What may be a subgoal; by default not near the start and end of a trajectory.
         max_new_options: Most options to make; by default as many as there are slots.
+        teach_head: Whether what the replay buffer holds teaches the head of a new option at once (`head_teaching`).
+            Algorithms without a replay buffer have no values of options, and nothing to teach.
+        max_option_exploration: Largest share of options among the exploratory choices of DQN, QRDQN and OptionDQN.
         save_path: Where to write the options each time one is made; None writes nothing.
         seed: For option policies that are networks.
         verbose: 1 prints each new option.
@@ -85,6 +89,8 @@ class SubgoalDiscoveryCallback(BaseCallback):
         success: SuccessRule = reported_success,
         static_filter: StaticFilter | None = None,
         max_new_options: int | None = None,
+        teach_head: bool = True,
+        max_option_exploration: float = 0.5,
         save_path: str | os.PathLike[str] | None = None,
         seed: int = 0,
         verbose: int = 0,
@@ -103,6 +109,8 @@ class SubgoalDiscoveryCallback(BaseCallback):
         self.success = success
         self.static_filter = static_filter
         self.max_new_options = max_new_options
+        self.teach_head = teach_head
+        self.max_option_exploration = checked_share(max_option_exploration)
         self.save_path = save_path
         self.episodes = 0
         self.discoveries: list[DiscoveredOption] = []
@@ -130,7 +138,13 @@ class SubgoalDiscoveryCallback(BaseCallback):
                 kind=venv.env_method("feature_kind", indices=[0])[0],
             )
         venv.env_method("record_trajectories", True)
-        self._server = OptionServer(self.model, venv, self.locals.get("callback"))
+        self._server = OptionServer(
+            self.model,
+            venv,
+            self.locals.get("callback"),
+            teach_head=self.teach_head,
+            max_option_exploration=self.max_option_exploration,
+        )
 
     def _on_rollout_start(self) -> None:
         self._serving.rollout_starts()

@@ -13,6 +13,8 @@ from sb3_options import heads
 from sb3_options.bank import OptionBank
 from sb3_options.callbacks.checks import check_same_slots
 from sb3_options.callbacks.primitive_steps import all_callbacks, monitor_primitive_steps
+from sb3_options.callbacks.teaching import IntraOptionTeacher
+from sb3_options.exploration import cap_option_exploration
 from sb3_options.macro_q import MacroQ
 from sb3_options.observations import BoolArray, FloatArray, Observations, take
 from sb3_options.option import Option, SubgoalOption
@@ -34,9 +36,19 @@ class OptionServer:
         model: Being trained.
         venv: Its environment.
         callbacks: The tree that ``learn`` was given: the environment of an ``EvalCallback`` in it is served as well.
+        teach_head: Whether stored transitions teach the head of an option as it moves in.
+        max_option_exploration: Largest share of options among exploratory choices.
     """
 
-    def __init__(self, model: BaseAlgorithm, venv: VecEnv, callbacks: BaseCallback | None) -> None:
+    def __init__(
+        self,
+        model: BaseAlgorithm,
+        venv: VecEnv,
+        callbacks: BaseCallback | None,
+        *,
+        teach_head: bool = True,
+        max_option_exploration: float = 1.0,
+    ) -> None:
         self.model, self.venv = model, venv
         self.eval_envs = [c.eval_env for c in all_callbacks(callbacks) if isinstance(c, EvalCallback)]
         for eval_env in self.eval_envs:
@@ -47,9 +59,15 @@ class OptionServer:
         self.waits_for_rollout = hasattr(model, "rollout_buffer") and not masks
         self._waiting: dict[int, Option] = {}
         self._moved_in: list[int] = []
+        self._untaught: set[int] = set()
         present: OptionBank = venv.get_attr("bank", [0])[0]
         self.n_primitive = present.n_primitive
         self.bank = OptionBank(present.n_primitive, present.max_options, feature_map=self.features_of)
+        self.explored = cap_option_exploration(model, self.n_primitive, max_option_exploration)
+        self.teach_head = teach_head
+        self.teacher: IntraOptionTeacher | None = None
+        if IntraOptionTeacher.teaches(model) and (teach_head or model.replay_buffer.intra_option):  # type: ignore[attr-defined]  # teaches() has looked
+            self.teacher = IntraOptionTeacher(model, venv, self.bank)
         for slot, option in enumerate(present.slots):
             if option is not None:
                 self._move_in(slot, option)
@@ -76,6 +94,8 @@ class OptionServer:
             self._waiting[slot] = option
         else:
             self._send(slot, option)
+            if self.teacher is not None:
+                self.teacher.changed(slot)
 
     def rollout_starts(self) -> None:
         """Let the options in that waited."""
@@ -84,13 +104,20 @@ class OptionServer:
         self._waiting.clear()
 
     def rollout_ends(self) -> None:
-        """Say of all stored transitions whether the options that just moved in may start after them."""
+        """Let the replay buffer know of the options that just moved in, and of what was stored since."""
         # Only now is the step stored at whose end an option was made, and no gradient step was taken in between.
         buffer = getattr(self.model, "replay_buffer", None)
         if isinstance(buffer, OptionReplayBuffer) and buffer.next_available.shape[1]:
             for slot in self._moved_in:
                 buffer.set_next_available(slot, self._available_in(buffer, self.n_primitive + slot))
+        if self.teacher is not None:
+            for slot in self._moved_in:
+                self.teacher.judge_all(slot)
+                if slot in self._untaught:
+                    self.teacher.teach_new_head(slot)
+            self.teacher.judge_new()
         self._moved_in.clear()
+        self._untaught.clear()
 
     def _move_in(self, slot: int, option: Option) -> None:
         self._send(slot, option)
@@ -99,10 +126,14 @@ class OptionServer:
         action = self.n_primitive + slot
         if heads.is_closed(self.model.policy, action):
             heads.open_head(self.model.policy, action, self.n_primitive)
+            if self.teach_head:
+                self._untaught.add(slot)
         self._moved_in.append(slot)
 
     def _send(self, slot: int, option: Option) -> None:
         self.bank.add(option, slot)
+        if self.explored is not None:
+            self.explored.filled = self.bank.filled
         travelling = option.bind(None) if isinstance(option, SubgoalOption) else option
         for venv in [self.venv, *self.eval_envs]:
             venv.env_method("set_option", slot, travelling)

@@ -16,6 +16,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.dqn.policies import DQNPolicy
 from torch.nn import functional
 
+from sb3_options.exploration import CappedActions
 from sb3_options.observations import BoolArray, batch_of_one, batch_size
 from sb3_options.replay_buffer import OptionReplayBuffer, OptionReplayBufferSamples
 from sb3_options.vec_env import as_wrapper_sees
@@ -134,7 +135,7 @@ class OptionDQN(DQN):
             random = self.action_space.np_random
             explores = random.random(len(actions)) < self.exploration_rate
             for i in np.flatnonzero(explores):
-                actions[i] = random.choice(np.flatnonzero(masks[i]))
+                actions[i] = self._explore(masks[i])
         return (actions if vectorized else actions[0]), state
 
     def _sample_action(
@@ -143,12 +144,17 @@ class OptionDQN(DQN):
         assert self._last_obs is not None  # SB3 resets the environment before it collects
         if self.num_timesteps < learning_starts:
             masks = self._masks_now()
-            random = self.action_space.np_random
-            actions = np.array([random.choice(np.flatnonzero(mask)) for mask in masks])
+            actions = np.array([self._explore(mask) for mask in masks])
         else:
             last_obs = cast("npt.NDArray[Any]", self._last_obs)
             actions, _ = self.predict(last_obs, deterministic=False, action_masks=self._masks_now())
         return actions, actions
+
+    def _explore(self, mask: BoolArray) -> int:
+        """One random action among those available, (n_actions,)."""
+        if isinstance(self.action_space, CappedActions):
+            return self.action_space.choose(mask)
+        return int(self.action_space.np_random.choice(np.flatnonzero(mask)))
 
     def train(self, gradient_steps: int, batch_size: int = 100) -> None:
         """DQN's update with the maximum taken over available actions."""

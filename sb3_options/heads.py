@@ -51,6 +51,29 @@ def has_heads(policy: Any) -> bool:
     return True
 
 
+def networks(policy: Any) -> tuple[Any, Any]:
+    """The online and the target network of DQN or QRDQN.
+
+    Raises:
+        TypeError: The policy has none that values actions.
+    """
+    for online, target in (("q_net", "q_net_target"), ("quantile_net", "quantile_net_target")):
+        if hasattr(policy, online):
+            return getattr(policy, online), getattr(policy, target)
+    raise TypeError(f"{type(policy).__name__} gives no values of actions; DQN, QRDQN and OptionDQN do.")
+
+
+def has_networks(policy: Any) -> bool:
+    """Whether the policy gives values of actions, as DQN's and QRDQN's do."""
+    return hasattr(policy, "q_net") or hasattr(policy, "quantile_net")
+
+
+def body_of(network: Any) -> torch.nn.Sequential:
+    """A network of `networks` between its features and its last layer."""
+    layers = network.q_net if hasattr(network, "q_net") else network.quantile_net
+    return torch.nn.Sequential(*list(layers)[:-1])
+
+
 def _last_linear(network: Any) -> torch.nn.Linear:
     layer = list(network)[-1]
     if not isinstance(layer, torch.nn.Linear):
@@ -58,7 +81,7 @@ def _last_linear(network: Any) -> torch.nn.Linear:
     return layer
 
 
-def _rows(layer: torch.nn.Linear, outputs_per_action: int, action: int) -> torch.Tensor:
+def rows_of(layer: torch.nn.Linear, outputs_per_action: int, action: int) -> torch.Tensor:
     """Rows of the layer that belong to an action; QRDQN lays its outputs out as (quantile, action)."""
     n_actions = layer.out_features // outputs_per_action
     return torch.arange(outputs_per_action, device=layer.weight.device) * n_actions + action
@@ -68,9 +91,20 @@ def _rows(layer: torch.nn.Linear, outputs_per_action: int, action: int) -> torch
 def close_head(policy: Any, action: int) -> None:
     """Make ``action`` lose every comparison."""
     for layer, outputs in option_outputs(policy):
-        rows = _rows(layer, outputs, action)
+        rows = rows_of(layer, outputs, action)
         layer.weight[rows] = 0.0
         layer.bias[rows] = CLOSED_VALUE
+
+
+@torch.no_grad()
+def mean_of_heads(policy: Any, n_primitive: int) -> list[torch.Tensor]:
+    """The mean of the primitive actions' heads of each layer, float64, (inputs + 1, outputs per action), bias last."""
+    means = []
+    for layer, outputs in option_outputs(policy):
+        primitive = torch.stack([rows_of(layer, outputs, a) for a in range(n_primitive)])
+        both = torch.cat([layer.weight[primitive], layer.bias[primitive][..., None]], dim=-1)
+        means.append(both.double().mean(dim=0).T)
+    return means
 
 
 @torch.no_grad()
@@ -81,8 +115,8 @@ def open_head(policy: Any, action: int, n_primitive: int) -> None:
     because of a lucky initialisation. The outputs of all other actions stay what they were, bit for bit.
     """
     for layer, outputs in option_outputs(policy):
-        primitive = torch.stack([_rows(layer, outputs, a) for a in range(n_primitive)])
-        rows = _rows(layer, outputs, action)
+        primitive = torch.stack([rows_of(layer, outputs, a) for a in range(n_primitive)])
+        rows = rows_of(layer, outputs, action)
         layer.weight[rows] = layer.weight[primitive].mean(dim=0)
         layer.bias[rows] = layer.bias[primitive].mean(dim=0)
 
@@ -90,5 +124,5 @@ def open_head(policy: Any, action: int, n_primitive: int) -> None:
 def is_closed(policy: Any, action: int) -> bool:
     """Whether ``action`` is closed."""
     layer, outputs = option_outputs(policy)[0]
-    rows = _rows(layer, outputs, action)
+    rows = rows_of(layer, outputs, action)
     return bool((layer.bias[rows] <= CLOSED_VALUE / 2).all())

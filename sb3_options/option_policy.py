@@ -43,9 +43,13 @@ class TabularPolicy:
     def actions(self, observations: Observations) -> IntArray:
         """The greedy primitive action in each observation, shape (batch,)."""
         rows = flatten(observations) + 0.0
-        known = [self._row_of.get(row.tobytes(), -1) for row in rows]
-        if -1 in known:
-            known = [i if i >= 0 else self._nearest(row) for i, row in zip(known, rows, strict=True)]
+        known = np.array([self._row_of.get(row.tobytes(), -1) for row in rows], dtype=np.int64)
+        new = np.flatnonzero(known < 0)
+        if len(new):
+            # The same observation comes many times when a replay buffer is judged.
+            distinct, which = np.unique(rows[new], axis=0, return_inverse=True)
+            nearest = np.array([self._nearest(row) for row in distinct])
+            known[new] = nearest[which.ravel()]
         return self._greedy[known]
 
     def rows_for(self, observations: Observations) -> tuple[IntArray, FloatArray, FloatArray]:

@@ -13,9 +13,13 @@ from stable_baselines3.common.preprocessing import is_image_space
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.common.vec_env import VecNormalize
 
+from sb3_options.intra_option import IntraOptionMemory
 from sb3_options.observations import BoolArray, Observations, take
 
 Rows = dict[str, npt.NDArray[Any]]
+
+QUANTILE_LESSONS = 0.25
+"""QRDQN takes batches of one size only, so that there at most this share of a batch makes room for lessons."""
 
 
 class OptionReplayBufferSamples(NamedTuple):
@@ -51,6 +55,11 @@ class OptionReplayBuffer(ReplayBuffer):
     Macro-Q learning (McGovern & Sutton 1998): each primitive step inside an option is stored as well, with its own
     action and reward and a discount of γ, so that one run of an option teaches k + 1 values.
 
+    Intra-option learning (Sutton, Precup & Singh 1999, §6; `intra_option`): every primitive step of a batch also
+    becomes a transition of each option whose policy would have taken it. Options are known where
+    `SubgoalDiscoveryCallback` trains the model. At most as many such rows are added as were drawn; SB3's loss is a
+    mean over all rows, so that those drawn keep at least half of their weight.
+
     The rows of all environments stand one behind the other, because their options take different numbers of steps.
 
     Args:
@@ -62,6 +71,7 @@ class OptionReplayBuffer(ReplayBuffer):
         optimize_memory_usage: Not supported.
         handle_timeout_termination: Bootstrap after a timeout instead of taking it for an end.
         macro_q: Whether the steps inside options are stored.
+        intra_option: Whether primitive steps teach the options that would have taken them.
 
     Raises:
         ValueError: ``optimize_memory_usage`` is set.
@@ -78,6 +88,7 @@ class OptionReplayBuffer(ReplayBuffer):
         handle_timeout_termination: bool = True,
         *,
         macro_q: bool = True,
+        intra_option: bool = True,
     ) -> None:
         if optimize_memory_usage:
             raise ValueError(
@@ -88,6 +99,9 @@ class OptionReplayBuffer(ReplayBuffer):
         self.optimize_memory_usage = False
         self.handle_timeout_termination = handle_timeout_termination
         self.macro_q = macro_q
+        self.intra_option = intra_option
+        self.memory: IntraOptionMemory | None = None
+        self.written = 0
         self._spaces = (
             observation_space.spaces if isinstance(observation_space, spaces.Dict) else {"": observation_space}
         )
@@ -112,9 +126,16 @@ class OptionReplayBuffer(ReplayBuffer):
 
     def next_observations_stored(self) -> Observations:
         """The next observations of all stored transitions, as the VecEnv gave them, row by row."""
-        size = self.size()
-        stored = {k: v[:size].reshape(size, *(self._spaces[k].shape or ())) for k, v in self._next_observations.items()}
-        return self._joined(stored)
+        return self._as_given(self._next_observations, np.s_[: self.size()])
+
+    def stored(self, rows: slice | npt.NDArray[Any]) -> tuple[Observations, npt.NDArray[np.int64], Observations]:
+        """Observations as the VecEnv gave them, augmented actions (n,) and next observations of some rows."""
+        given = self._as_given(self._observations, rows), self._as_given(self._next_observations, rows)
+        return given[0], self.actions[rows, 0], given[1]
+
+    def _as_given(self, stored: Rows, rows: slice | npt.NDArray[Any]) -> Observations:
+        taken = {k: v[rows] for k, v in stored.items()}
+        return self._joined({k: v.reshape(len(v), *(self._spaces[k].shape or ())) for k, v in taken.items()})
 
     def set_next_available(self, slot: int, available: BoolArray) -> None:
         """Say of all stored transitions whether ``slot`` may start in their next observations, shape (size,)."""
@@ -231,6 +252,9 @@ class OptionReplayBuffer(ReplayBuffer):
         self.discounts[rows] = discounts
         if self.next_available.shape[1]:
             self.next_available[rows] = False if available is None else available
+        if self.memory is not None:
+            self.memory.forget(rows)
+        self.written += n
         self.full = self.full or self.pos + n >= self.buffer_size
         self.pos = (self.pos + n) % self.buffer_size
 
@@ -248,20 +272,32 @@ class OptionReplayBuffer(ReplayBuffer):
         return BaseBuffer.sample(self, batch_size, env)  # type: ignore[no-any-return]  # SB3 leaves it unannotated
 
     def _get_samples(self, batch_inds: npt.NDArray[Any], env: VecNormalize | None = None) -> ReplayBufferSamples:
-        obs = self._normalize_obs(self._joined_rows(self._observations, batch_inds), env)
-        next_obs = self._normalize_obs(self._joined_rows(self._next_observations, batch_inds), env)
-        dones = self.dones[batch_inds] * (1 - self.timeouts[batch_inds])
-        available = self.next_available[batch_inds] if self.next_available.shape[1] else None
-        samples = OptionReplayBufferSamples(
+        if self.memory is None:
+            return cast("ReplayBufferSamples", self.rows_as_samples(batch_inds, env))
+        n = len(batch_inds)
+        limit = int(QUANTILE_LESSONS * n) if self.memory.quantiles else n
+        lessons = self.memory.lessons(batch_inds, limit)
+        if lessons is None:
+            return cast("ReplayBufferSamples", self.rows_as_samples(batch_inds, env))
+        drawn = batch_inds[: n - len(lessons.rows)] if self.memory.quantiles else batch_inds
+        samples = self.rows_as_samples(np.concatenate([drawn, lessons.rows]), env)
+        return cast("ReplayBufferSamples", self.memory.teach(samples, lessons))
+
+    def rows_as_samples(self, rows: npt.NDArray[Any], env: VecNormalize | None = None) -> OptionReplayBufferSamples:
+        """These stored transitions, as the algorithm takes them."""
+        obs = self._normalize_obs(self._joined_rows(self._observations, rows), env)
+        next_obs = self._normalize_obs(self._joined_rows(self._next_observations, rows), env)
+        dones = self.dones[rows] * (1 - self.timeouts[rows])
+        available = self.next_available[rows] if self.next_available.shape[1] else None
+        return OptionReplayBufferSamples(
             observations=self._tensors(obs),
-            actions=self.to_torch(self.actions[batch_inds]),
+            actions=self.to_torch(self.actions[rows]),
             next_observations=self._tensors(next_obs),
             dones=self.to_torch(dones.reshape(-1, 1)),
-            rewards=self.to_torch(self._normalize_reward(self.rewards[batch_inds].reshape(-1, 1), env)),
-            discounts=self.to_torch(self.discounts[batch_inds].reshape(-1, 1)),
+            rewards=self.to_torch(self._normalize_reward(self.rewards[rows].reshape(-1, 1), env)),
+            discounts=self.to_torch(self.discounts[rows].reshape(-1, 1)),
             next_available=None if available is None else self.to_torch(available),
         )
-        return cast("ReplayBufferSamples", samples)
 
     def _split(self, observations: Any) -> Rows:
         rows = observations if isinstance(observations, dict) else {"": observations}

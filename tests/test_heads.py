@@ -118,8 +118,8 @@ def test_an_opened_head_is_the_mean_of_the_primitives(algorithm: type[OffPolicyA
 def test_training_leaves_closed_heads_closed(algorithm: type[OffPolicyAlgorithm]) -> None:
     model = model_of(algorithm, **RANDOM)
     close_all(model)
-    rows = [(layer, heads._rows(layer, n, N_PRIMITIVE + 1)) for layer, n in heads.option_outputs(model.policy)]
-    primitive_rows = heads._rows(rows[0][0], heads.option_outputs(model.policy)[0][1], 0)
+    rows = [(layer, heads.rows_of(layer, n, N_PRIMITIVE + 1)) for layer, n in heads.option_outputs(model.policy)]
+    primitive_rows = heads.rows_of(rows[0][0], heads.option_outputs(model.policy)[0][1], 0)
     learned = rows[0][0].weight[primitive_rows].clone()
     model.learn(1300)
     assert model._n_updates > 300
