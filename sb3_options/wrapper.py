@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any, Literal, SupportsFloat, TypeAlias
 
 import gymnasium as gym
@@ -59,10 +60,12 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         feature_map: φ from a batch of observations to concept space, shape (batch, d). By default the environment's
             own ``concept_features``; else a one-hot code for ``Discrete`` observations and the flat observation for
             ``Box``. A ``Dict`` space has no default.
+        options_file: Start with the options of this file, which `OptionBank.save` wrote.
 
     Raises:
         TypeError: The action space is not ``Discrete``, or ``feature_map`` is not callable.
-        ValueError: An argument is out of its range.
+        ValueError: An argument is out of its range, or the file's options do not fit the environment.
+        FileNotFoundError: There is no ``options_file``.
     """
 
     def __init__(
@@ -72,10 +75,16 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         *,
         gamma: float = 0.99,
         feature_map: FeatureMap | None = None,
+        options_file: str | os.PathLike[str] | None = None,
     ) -> None:
         # Not copied: a feature map may be a method of the environment, which would be copied with it.
         RecordConstructorArgs.__init__(
-            self, _disable_deepcopy=True, max_options=max_options, gamma=gamma, feature_map=feature_map
+            self,
+            _disable_deepcopy=True,
+            max_options=max_options,
+            gamma=gamma,
+            feature_map=feature_map,
+            options_file=options_file,
         )
         gym.Wrapper.__init__(self, env)
         primitive = env.action_space
@@ -98,6 +107,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             observation_size=feature_maps.flat_size(env.observation_space),
             feature_size=self.features.size if self.features else None,
         )
+        if options_file is not None:
+            self.bank.load(options_file)
         self.action_space: Any = spaces.Discrete(self.n_primitive + max_options)
         self._random = np.random.default_rng()
         self._observation: Any = None
