@@ -49,7 +49,9 @@ class OptionServer:
         self._moved_in: list[int] = []
         present: OptionBank = venv.get_attr("bank", [0])[0]
         self.n_primitive = present.n_primitive
-        self.bank = OptionBank(present.n_primitive, present.max_options, feature_map=self.features_of)
+        self.bank = OptionBank(
+            present.n_primitive, present.max_options, feature_map=self.features_of, made_for=present.made_for
+        )
         for slot, option in enumerate(present.slots):
             if option is not None:
                 self._move_in(slot, option)
