@@ -122,15 +122,16 @@ class SubgoalDiscoveryCallback(BaseCallback):
         check_model(self.model, venv)
         self._rollout_buffer = option_rollout_buffer(self.model)
         monitor_primitive_steps(venv)
+        self._server = OptionServer(self.model, venv, self.locals.get("callback"))
         if self.discovery is None:
             self.discovery = SubgoalDiscovery(
                 self.settings,
                 success=self.success,
                 static_filter=self.static_filter,
                 kind=venv.env_method("feature_kind", indices=[0])[0],
+                taken=[option.subgoal for option in self.bank.slots if isinstance(option, SubgoalOption)],
             )
         venv.env_method("record_trajectories", True)
-        self._server = OptionServer(self.model, venv, self.locals.get("callback"))
 
     def _on_rollout_start(self) -> None:
         self._serving.rollout_starts()

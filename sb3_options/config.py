@@ -47,8 +47,9 @@ class TrainConfig:
         progress: Show a progress bar.
         device: Where the network lives: "cpu", "cuda" or "auto".
         num_threads: Threads of torch; a network this small is trained fastest by one.
+        options: Start with the options of another run: a file or a run folder.
         max_options: Number of option slots.
-        max_new_options: Most options to discover; by default one, as in the paper.
+        max_new_options: Most options to discover, besides those it starts with; by default one, as in the paper.
         discover: Discover options; without it the slots stay empty.
         gamma: Discount per primitive step.
         learning_rate: Of Adam.
@@ -76,6 +77,7 @@ class TrainConfig:
     progress: bool = True
     device: str = "auto"
     num_threads: int = 1
+    options: Path | None = None
     max_options: int = 4
     max_new_options: int | None = 1
     discover: bool = True

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from numbers import Integral
 from typing import Literal, NamedTuple
@@ -163,12 +164,14 @@ class SubgoalDiscovery:
         success: Which trajectories make positive bags; by default what the environment reports.
         static_filter: What may be a subgoal; by default not near start and goal.
         kind: Where φ comes from, for `default_scale`.
+        taken: Subgoals that have an option already, besides those `found`.
     """
 
     settings: DiscoverySettings = field(default_factory=DiscoverySettings)
     success: SuccessRule = reported_success
     static_filter: StaticFilter | None = None
     kind: str | None = None
+    taken: Sequence[Region] = ()
 
     def __post_init__(self) -> None:
         """Set up what grows with experience."""
@@ -297,8 +300,8 @@ class SubgoalDiscovery:
     def _filtered(self, labelled: LabelledTrajectory) -> FloatArray:
         assert self.scale is not None  # set by _chosen() before any bag is made
         bag = bag_of(labelled.features, int(labelled.trajectory.visits[-1]), self.scale, self._filter)
-        for finding in self.found:
-            centre = finding.subgoal.points[0]
+        for subgoal in [*self.taken, *(finding.subgoal for finding in self.found)]:
+            centre = subgoal.points[0]
             bag = bag[np.linalg.norm((bag - centre) * self.scale, axis=1) > self.settings.spacing]
         return bag
 

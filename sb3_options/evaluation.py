@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from pickle import UnpicklingError
@@ -205,7 +206,8 @@ def _film(run: Path, episodes: int, seed: int, video: Path) -> None:
 
 
 def _play(run: Path, episodes: int, seed: int, film: Video | None = None, mode: str | None = None) -> Evaluation:
-    config = configs.load(run / runs.CONFIG)
+    # What the run started with is in its own options file, too.
+    config = replace(configs.load(run / runs.CONFIG), options=None)
     venv = runs.make_env(
         config,
         1,

@@ -132,6 +132,20 @@ def read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, Any]]:
     return about, tensors
 
 
+def slots_of(path: str | os.PathLike[str]) -> list[int]:
+    """The slots that a file has options for.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is damaged, or something else.
+    """
+    about, _ = read(path)
+    try:
+        return [int(slot) for slot in about["slots"]]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is damaged: {error!r}") from error
+
+
 def taken_apart(option: SubgoalOption) -> tuple[dict[str, Any], dict[str, np.ndarray[Any, Any]]]:
     """A discovered option as JSON and arrays; `put_together` turns it back."""
     arrays = {

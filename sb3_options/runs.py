@@ -13,6 +13,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
+from sb3_options import option_file
 from sb3_options.config import TrainConfig
 from sb3_options.dqn import OptionDQN
 from sb3_options.replay_buffer import OptionReplayBuffer
@@ -58,6 +59,27 @@ def check_env_id(env_id: str) -> None:
     raise ValueError(f"There is no environment {env_id!r}. Did you mean {near[0]!r}?")
 
 
+def options_file(config: TrainConfig) -> Path | None:
+    """The file behind ``--options``; None where there is none.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is damaged, or has more slots than ``--max-options``.
+    """
+    if config.options is None:
+        return None
+    path = config.options / OPTIONS if config.options.is_dir() else config.options
+    if not path.is_file():
+        raise FileNotFoundError(f"--options: there is no options file at {path}.")
+    needed = 1 + max(option_file.slots_of(path), default=-1)
+    if needed > config.max_options:
+        raise ValueError(
+            f"--options: {path} has an option in slot {needed - 1}, --max-options {config.max_options} is too few for "
+            f"it: pass --max-options {needed} or more."
+        )
+    return path
+
+
 def make_env(
     config: TrainConfig,
     n_envs: int,
@@ -69,6 +91,8 @@ def make_env(
 ) -> VecEnv:
     """Environments with option slots, and a ``Monitor`` beneath these, so that it counts primitive steps.
 
+    The slots start with the options of ``--options``.
+
     Args:
         config: Of the run.
         n_envs: How many.
@@ -79,15 +103,20 @@ def make_env(
 
     Returns:
         A ``DummyVecEnv``.
+
+    Raises:
+        FileNotFoundError: ``--options`` names no file.
+        ValueError: Its options do not fit.
     """
     keywords = config.env_keywords()
+    options = options_file(config)
     if render_mode is not None:
         keywords["render_mode"] = render_mode
 
     def with_options(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
         if beneath is not None:
             env = beneath(env)
-        return OptionsWrapper(env, config.max_options, gamma=config.gamma)
+        return OptionsWrapper(env, config.max_options, gamma=config.gamma, options_file=options)
 
     return make_vec_env(
         config.env,

@@ -1,4 +1,5 @@
 import csv
+import dataclasses
 import json
 import os
 import re
@@ -13,6 +14,7 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator  # type: ignore[import-untyped]  # no stubs
 
 from sb3_options import OptionBank, cli, runs
 from sb3_options import config as configs
@@ -150,6 +152,63 @@ class TestTrain:
         assert all((folder / name).is_file() for name in ("model.zip", "options.safetensors", "config.yml"))
 
 
+class TestOptions:
+    """A run that starts with the options of another."""
+
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def second(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Run:
+        """A new process, and the goal moved to the upper corner."""
+        folder = tmp_path_factory.mktemp("transfer")
+        (folder / "config.yml").write_text(CONFIG.replace("  max_steps: 150", "  max_steps: 150\n  goal: [8, 0]"))
+        args = ["--options", str(run.folder), "--max-new-options", "0", "--n-timesteps", "1500", "--eval-freq", "1000"]
+        done = shell("--config", "config.yml", *args, "--eval-episodes", "1", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        return Run(folder / "runs" / "dqn" / "sb3_options-TwoRooms-v0_1", done.stdout)
+
+    def test_uses_them(self, second: Run) -> None:
+        (events,) = (second.folder / "tensorboard_1").glob("events*")
+        scalars = EventAccumulator(str(events))
+        scalars.Reload()
+        assert scalars.Scalars("options/slot_0/uses")[-1].value > 10
+        assert scalars.Scalars("options/slot_0/mean_duration")[-1].value > 1
+        assert scalars.Scalars("options/count")[0].value == 1
+
+    def test_keeps_them(self, run: Run, second: Run) -> None:
+        first, again = OptionBank(4, 4), OptionBank(4, 4)
+        first.load(run.folder / "options.safetensors")
+        again.load(second.folder / "options.safetensors")
+        assert again.filled == (0,)
+        assert again[0].subgoal.points.tolist() == first[0].subgoal.points.tolist()  # type: ignore[union-attr]  # discovered
+
+    def test_says_so(self, run: Run, second: Run) -> None:
+        assert re.search(
+            rf"Finished after .+\nStarted with the options of {run.folder}: 0 \(reach \d, \d\)\.\n", second.printed
+        )
+
+    def test_evaluates_without_the_first_run(
+        self, second: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        for name in ("config.yml", "model.zip", "options.safetensors"):
+            (tmp_path / name).write_bytes((second.folder / name).read_bytes())
+        config = configs.load(tmp_path / "config.yml")
+        configs.save(dataclasses.replace(config, options=tmp_path / "gone"), tmp_path / "config.yml")
+        cli.main(["evaluate", str(tmp_path), "--episodes", "2"])
+        assert "2 episodes" in capsys.readouterr().out
+
+    def test_discovery_goes_on_elsewhere(self, run: Run, tmp_path: Path) -> None:
+        (tmp_path / "config.yml").write_text(CONFIG)
+        args = ["--config", str(tmp_path / "config.yml"), "--options", str(run.folder / "options.safetensors")]
+        folder = cli.train(
+            configs.parse([*args, "--tensorboard-log", str(tmp_path), "--discovery.min-density", "0", "--seed", "1"])
+        )
+        bank = OptionBank(4, 4)
+        bank.load(folder / "options.safetensors")
+        assert bank.filled == (0, 1)
+        old, new = (bank[slot].subgoal.points[0] for slot in (0, 1))  # type: ignore[union-attr]  # discovered
+        assert np.linalg.norm(old - new) > configs.load(folder / "config.yml").discovery.spacing
+
+
 class TestEvaluate:
     @pytest.fixture(scope="class")
     @staticmethod
@@ -227,6 +286,26 @@ class TestErrors:
         self, args: list[str], expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
         assert expected in self.stopped(capsys, *args, "--tensorboard-log", str(tmp_path / "runs"))
+        assert not (tmp_path / "runs").exists()
+
+    def test_options_that_do_not_fit_leave_no_folder(
+        self, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        def text(options: Path, *args: str) -> str:
+            logs = ["--tensorboard-log", str(tmp_path / "runs")]
+            return self.stopped(capsys, "--options", str(options), *args, *logs)
+
+        file = run.folder / "options.safetensors"
+        assert f"--options: there is no options file at {tmp_path / 'no'}." in text(tmp_path / "no")
+        assert f"there is no options file at {tmp_path / 'options.safetensors'}." in text(tmp_path)
+        assert "model.zip is no options file" in text(run.folder / "model.zip")
+        assert (
+            f"--options: {file} has an option in slot 0, --max-options 0 is too few for it: pass --max-options 1 or "
+            "more."
+        ) in text(run.folder, "--max-options", "0")
+        assert f"{file} does not fit: its options were made for observations Box(0.0, 1.0, (45,), float32)" in text(
+            run.folder
+        )
         assert not (tmp_path / "runs").exists()
 
     def test_gymnasiums_own_errors(

@@ -11,7 +11,7 @@ from sb3_options.bags import success_by_steps
 from sb3_options.discovery import CATEGORICAL_SCALE, DiscoverySettings, SubgoalDiscovery, default_scale
 from sb3_options.observations import FloatArray
 from sb3_options.trajectories import Trajectory, TrajectoryRecorder
-from tests.helpers import trajectory_of
+from tests.helpers import ball, trajectory_of
 
 DOORWAY = (10.0, 5.0)
 N_WALKS = 40
@@ -157,6 +157,13 @@ class TestSearch:
             centres += subgoal or []
         # In the end nothing is left to search, which is no error.
         assert discovery.bags() is None
+
+    @pytest.mark.parametrize("search", ["exhaustive", "incremental"])
+    def test_so_are_those_that_had_an_option_before(self, search: Literal["exhaustive", "incremental"]) -> None:
+        discovery = SubgoalDiscovery(settings_of(search=search, spacing=3.0), taken=[ball(5.0)])
+        discovery.add(*on_a_line(0, 2, 5, 9, 12, 20))
+        discovery.add(*on_a_line(1, 3.5, 5, 7, 12, 21))
+        assert found(discovery) == [12.0]
 
     @pytest.mark.parametrize("search", ["exhaustive", "incremental"])
     def test_negative_bags_speak_against(self, search: str) -> None:

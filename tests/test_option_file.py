@@ -14,7 +14,7 @@ from sb3_options.envs import FOUR_ROOMS
 from sb3_options.features import made_for
 from sb3_options.observations import flatten
 from sb3_options.option import SubgoalOption
-from sb3_options.option_file import digest, read, write
+from sb3_options.option_file import digest, read, slots_of, write
 from sb3_options.option_policy import PolicyInput, TabularPolicy
 from tests.helpers import ball, steady_option
 
@@ -174,6 +174,21 @@ class TestOtherFeatures:
         other.bank.add(steady_option())
         other.bank.load(tmp_path / "hand_made")
         assert other.bank.filled == (0,)
+
+
+class TestSlotsOf:
+    def test_filled_slots(self, tmp_path: Path) -> None:
+        env = grid()
+        env.bank.add(option(), 3)
+        env.bank.add(steady_option(), 1)
+        env.bank.save(tmp_path / "options")
+        assert sorted(slots_of(tmp_path / "options")) == [1, 3]
+
+    @pytest.mark.parametrize("about", [{}, {"slots": 3}, {"slots": ["a"]}])
+    def test_a_strangers(self, about: Any, tmp_path: Path) -> None:
+        write(tmp_path / "stranger", about, {})
+        with pytest.raises(ValueError, match="stranger is damaged: "):
+            slots_of(tmp_path / "stranger")
 
 
 @pytest.mark.parametrize(
