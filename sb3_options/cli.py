@@ -131,18 +131,19 @@ def train(config: TrainConfig) -> Path:
         with whole_file(folder / runs.SUBGOALS) as temporary:
             subgoals_figure(discovery.discovery, discovery.bank).savefig(temporary, dpi=FIGURE_DPI)
     env.close()
-    took = f"{discovery.num_timesteps:,} primitive steps, {discovery.episodes:,} episodes"
+    unit = "episode" if config.discovery.segmentation == "episodes" else "segment"
+    took = f"{discovery.num_timesteps:,} primitive steps, {discovery.episodes:,} {unit}s"
     console.print(f"\n[bold]{'Finished' if finished else 'Interrupted'}[/] after {took}.")
     if config.options is not None:
         what = ", ".join(f"{slot} ({name})" for slot, name in started_with) or "none"
         console.print(f"Started with the options of {escape(str(config.options))}: {escape(what)}.")
-    _report(discovery, folder)
+    _report(discovery, folder, unit)
     return folder
 
 
-def _report(discovery: SubgoalDiscoveryCallback, folder: Path) -> None:
+def _report(discovery: SubgoalDiscoveryCallback, folder: Path, unit: str) -> None:
     if discovery.discoveries:
-        table = Table("option", "subgoal", "found after episode", "primitive steps", "initiation states")
+        table = Table("option", "subgoal", f"found after {unit}", "primitive steps", "initiation states")
         for found in discovery.discoveries:
             where = ", ".join(f"{x:g}" for x in found.subgoal[:6]) + (", …" if len(found.subgoal) > 6 else "")
             table.add_row(

@@ -21,6 +21,7 @@ from sb3_options import runs
 from sb3_options.atomic import whole_file
 from sb3_options.bags import reported_success
 from sb3_options.observations import FloatArray
+from sb3_options.trajectories import LONGEST_EPISODE
 
 CONFIDENCE = 0.95
 N_RESAMPLES = 9999
@@ -173,7 +174,8 @@ def evaluate_run(run: Path, *, episodes: int = 100, seed: int = 10_000, video: P
 
     Raises:
         FileNotFoundError: The folder lacks a file of a run.
-        ValueError: ``episodes`` < 1, a file does not fit, or the environment draws no pictures.
+        ValueError: ``episodes`` < 1, a file does not fit, the environment draws no pictures, or an episode does not
+            end.
     """
     if episodes < 1:
         raise ValueError(f"--episodes must be at least 1, got {episodes}.")
@@ -228,11 +230,17 @@ def _play(run: Path, episodes: int, seed: int, film: Video | None = None, mode: 
     returns, steps, successes = [], [], 0
     observation = venv.reset()
     for _ in track(range(episodes), description="Evaluating", transient=True):
-        done = False
+        done, played = False, 0
         while not done:
             action, _ = model.predict(observation, deterministic=True)  # type: ignore[arg-type]  # a batch, as reset gives it
             observation, _, dones, infos = venv.step(action)
             done = bool(dones[0])
+            played += infos[0]["option"]["duration"]
+            if played >= LONGEST_EPISODE:
+                raise ValueError(
+                    f"An episode has not ended after {played:,} primitive steps: only episodes that end can be "
+                    f"evaluated. Give the environment a time limit in {run / runs.CONFIG}."
+                )
         trajectory = infos[0]["trajectory"]
         returns.append(float(trajectory.rewards.sum()))
         steps.append(float(len(trajectory)))

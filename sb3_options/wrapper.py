@@ -12,6 +12,7 @@ from gymnasium.utils import RecordConstructorArgs
 
 from sb3_options import features as feature_maps
 from sb3_options.bank import OptionBank
+from sb3_options.continuing import RewardPeaks, SegmentRecorder
 from sb3_options.observations import (
     BoolArray,
     FeatureMap,
@@ -22,7 +23,7 @@ from sb3_options.observations import (
     stack,
 )
 from sb3_options.option import Option
-from sb3_options.trajectories import TrajectoryRecorder
+from sb3_options.trajectories import EpisodeRecorder, TrajectoryRecorder
 
 Termination: TypeAlias = Literal[
     "primitive", "subgoal", "left_initiation", "max_duration", "interrupted", "terminated", "truncated"
@@ -114,6 +115,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         self._random = np.random.default_rng()
         self._observation: Any = None
         self._recorder: TrajectoryRecorder | None = None
+        self._recorded_at: RewardPeaks | None = None
         self._reports_availability = False
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -146,6 +148,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             raise ValueError(
                 f"action must be between 0 and {self.n_primitive + self.bank.max_options - 1}, got {action}."
             )
+        if self._recorder is not None:
+            self._recorder.finished.clear()
         if action < self.n_primitive:
             return self._run_primitive(action)
         slot = action - self.n_primitive
@@ -225,11 +229,14 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self._recorder.record(action, float(reward), observation)
             if terminated or truncated:
                 success = info.get("is_success")
-                info["trajectory"] = self._recorder.end(
+                self._recorder.end(
                     terminated=terminated,
                     truncated=truncated,
                     is_success=None if success is None else bool(success),
                 )
+            if self._recorder.finished:
+                # All that was finished since `step` was called: of an option's infos only the last goes out.
+                info |= self._recorder.report()
         return observation, reward, terminated, truncated, info
 
     def action_masks(self) -> BoolArray:
@@ -282,14 +289,22 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         """Whether ``info["option"]["available"]`` says which slots may start in each observation arrived in."""
         self._reports_availability = report
 
-    def record_trajectories(self, record: bool) -> None:
-        """Whether the info that ends an episode holds it as ``info["trajectory"]``, a `Trajectory`."""
-        if record and self._recorder is None:
-            self._recorder = TrajectoryRecorder()
+    def record_trajectories(self, record: bool, peaks: RewardPeaks | None = None) -> None:
+        """Whether infos hold what was lived through.
+
+        Args:
+            record: Whether they do.
+            peaks: Without it, the info that ends an episode holds it as ``info["trajectory"]``, a `Trajectory`. With
+                it, ``info["segments"]`` is a list of those segments, cut at peaks of reward, that were finished during
+                the call of ``step``; several may be while one option runs.
+        """
+        if record and (self._recorder is None or peaks != self._recorded_at):
+            self._recorder = EpisodeRecorder() if peaks is None else SegmentRecorder(peaks)
             if self._observation is not None:
                 self._recorder.begin(self._observation)
         elif not record:
             self._recorder = None
+        self._recorded_at = peaks
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # A copied or unpickled bank has no feature map (see `OptionBank.__getstate__`); this wrapper does.

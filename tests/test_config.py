@@ -19,6 +19,7 @@ EVERY_FIELD_CHANGED = TrainConfig(
     buffer_size=77, learning_starts=11, batch_size=5, train_freq=6, target_update_interval=8,
     exploration_fraction=0.25, exploration_final_eps=0.125, net_arch=(3,),
     discovery=DiscoverySettings(
+        segmentation="peaks", peak_reward=0.75, max_segment=70,
         capacity=7, min_positive=2, negative_bags=False, negative_strength=0.5, search="incremental", scale=2.5,
         start_radius=1.0, goal_radius=0.0, decay=0.75, threshold=0.25, peak_radius=2.0, peak_tolerance=0.01,
         subgoal_radius=1.25, spacing=1.5, max_places=6, max_extent=2.5,
