@@ -107,7 +107,7 @@ def train(config: TrainConfig) -> Path:
     )
     callbacks: list[BaseCallback] = [discovery]
     if config.eval_freq > 0:
-        evaluation_callback = EvalCallback(
+        evaluation_callback = _eval_callback_class(config.algo)(
             runs.make_env(config, 1, EVAL_SEED + config.seed),
             n_eval_episodes=config.eval_episodes,
             eval_freq=1,
@@ -139,6 +139,15 @@ def train(config: TrainConfig) -> Path:
         console.print(f"Started with the options of {escape(str(config.options))}: {escape(what)}.")
     _report(discovery, folder, unit)
     return folder
+
+
+def _eval_callback_class(algo: str) -> type[EvalCallback]:
+    """The one that masks, for an algorithm that does so from outside."""
+    if algo != "maskableppo":
+        return EvalCallback
+    from sb3_contrib.common.maskable.callbacks import MaskableEvalCallback
+
+    return MaskableEvalCallback
 
 
 def _report(discovery: SubgoalDiscoveryCallback, folder: Path, unit: str) -> None:

@@ -217,7 +217,7 @@ def _play(run: Path, episodes: int, seed: int, film: Video | None = None, mode: 
         beneath=None if film is None else partial(Film, take=film.take, episodes=episodes),
         render_mode=mode,
     )
-    model = runs.make_model(config, venv, buffer_size=1)
+    model = runs.make_model(config, venv, playing=True)
     venv.seed(seed)  # the model has seeded it with the training seed
     # set_parameters reads tensors only, where load would unpickle.
     try:
@@ -228,11 +228,15 @@ def _play(run: Path, episodes: int, seed: int, film: Video | None = None, mode: 
     venv.env_method("record_trajectories", True)
 
     returns, steps, successes = [], [], 0
-    observation = venv.reset()
+    masks = config.algo == "maskableppo"
+    observation, memory = venv.reset(), None
     for _ in track(range(episodes), description="Evaluating", transient=True):
         done, played = False, 0
         while not done:
-            action, _ = model.predict(observation, deterministic=True)  # type: ignore[arg-type]  # a batch, as reset gives it
+            masked = {"action_masks": np.stack(venv.env_method("action_masks"))} if masks else {}
+            # Others than RecurrentPPO have no memory, and do not ask where episodes start.
+            starts = np.array([played == 0])
+            action, memory = model.predict(observation, memory, starts, deterministic=True, **masked)  # type: ignore[arg-type]  # a batch, as reset gives it
             observation, _, dones, infos = venv.step(action)
             done = bool(dones[0])
             played += infos[0]["option"]["duration"]

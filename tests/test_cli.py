@@ -7,7 +7,7 @@ import subprocess
 import sys
 import zipfile
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import gymnasium as gym
 import imageio.v3 as iio
@@ -18,8 +18,9 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from sb3_options import OptionBank, cli, runs
 from sb3_options import config as configs
+from sb3_options.algorithms import AlgorithmName
 from sb3_options.config import TrainConfig
-from tests.sb3_helpers import SMALL_ROOMS, TAXI, read_video
+from tests.sb3_helpers import DOORWAY, SMALL_ROOMS, TAXI, read_video
 
 ROOT = Path(__file__).parents[1]
 CONFIG = """
@@ -128,14 +129,33 @@ class TestTrain:
         names = [runs.new_run_folder(config).relative_to(tmp_path).as_posix() for _ in range(3)]
         assert names == ["dqn/a-B-v0_1", "dqn/a-B-v0_2", "dqn/a-B-v0_3"]
 
-    @pytest.mark.parametrize("algo", ["qrdqn", "optiondqn"])
+    @pytest.mark.parametrize("algo", [name for name in get_args(AlgorithmName) if name != "dqn"])
+    @pytest.mark.filterwarnings("ignore:You have specified a mini-batch size")  # 2 environments, not 8
     def test_other_algorithms_and_several_environments(self, algo: str, tmp_path: Path) -> None:
         args = ["--algo", algo, "--n-envs", "2", "--n-timesteps", "400", "--tensorboard-log", str(tmp_path)]
-        cli.main([*args, "--no-progress", "--no-discover", "--learning-starts", "300", "--num-threads", "1"])
+        args += ["--no-progress", "--no-discover", "--eval-freq", "200", "--eval-episodes", "1", "--num-threads", "1"]
+        args += ["--learning-starts", "300"] if "dqn" in algo else ["--n-steps", "64"]
+        args += ["--n-epochs", "1"] if "ppo" in algo else []
+        cli.main([*args, "--env-kwargs", "max_steps:30"])
         folder = tmp_path / algo / "sb3_options-TwoRooms-v0_1"
         assert (folder / "model.zip").is_file()
         assert len(list((folder / "monitor").iterdir())) == 2
+        assert len(np.load(folder / "evaluations.npz")["timesteps"]) >= 1
         cli.main(["evaluate", str(folder), "--episodes", "1"])
+
+    @pytest.mark.parametrize("algo", ["ppo", "maskableppo"])
+    def test_on_policy_discovery(self, algo: str, tmp_path: Path) -> None:
+        text = CONFIG.replace("learning_starts: 200\n", "n_envs: 4\nn_steps: 64\n").replace("4000", "7000")
+        (tmp_path / "config.yml").write_text(text)
+        args = ["--config", str(tmp_path / "config.yml"), "--algo", algo, "--tensorboard-log", str(tmp_path)]
+        folder = cli.train(configs.parse([*args, "--discovery.min-positive", "5", "--discovery.decay", "0.5"]))
+        bank = OptionBank(4, 4)
+        bank.load(folder / "options.safetensors")
+        assert bank.filled == (0,)
+        subgoal = bank[0].subgoal.points[0]  # type: ignore[union-attr]  # discovered
+        assert np.abs(subgoal - DOORWAY).sum() <= 1
+        result = cli.evaluate(cli.EvaluateConfig(folder, episodes=2))
+        assert result.episodes == 2
 
     def test_an_interrupt_keeps_what_was_learned(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
