@@ -30,6 +30,9 @@ from sb3_options.trajectories import LabelledTrajectory, Trajectory
 
 logger = logging.getLogger("sb3_options")
 
+SEGMENTS_PER_LOG = 4
+"""As many episodes are between two entries of SB3's log by default."""
+
 
 @dataclass(frozen=True)
 class DiscoveredOption:
@@ -37,7 +40,7 @@ class DiscoveredOption:
 
     Attributes:
         slot: Its slot.
-        episode: Number of episodes that had ended.
+        episode: Number of episodes, or of segments between peaks of reward, that had ended.
         timestep: Primitive steps taken.
         subgoal: The subgoal's centre in concept space, shape (d,).
         log_density: Best log diverse density of the search that completed it.
@@ -58,9 +61,12 @@ class SubgoalDiscoveryCallback(BaseCallback):
     At the end of every episode the trajectory becomes a positive or negative bag, diverse density is searched, and a
     concept that stays a peak becomes the subgoal of a new option: initiation set and policy come from the saved
     trajectories, the option moves into the next free slot of every environment, and its head in the network opens.
+    In a continuing task, segments between peaks of reward take the place of episodes:
+    ``DiscoverySettings(segmentation="peaks")``.
 
     Also makes ``num_timesteps`` count primitive steps, serves the environment of an ``EvalCallback`` beside it, and
-    logs to TensorBoard. `bank` holds the options, and `discoveries` says when and where each was found.
+    logs to TensorBoard. `bank` holds the options, `discoveries` says when and where each was found, and `episodes` is
+    the number of episodes (or segments) that discovery has seen.
 
     Args:
         settings: How subgoals are found; a mapping of fields is as good as a `DiscoverySettings`.
@@ -130,14 +136,6 @@ class SubgoalDiscoveryCallback(BaseCallback):
         check_model(self.model, venv)
         self._rollout_buffer = option_rollout_buffer(self.model)
         monitor_primitive_steps(venv)
-        if self.discovery is None:
-            self.discovery = SubgoalDiscovery(
-                self.settings,
-                success=self.success,
-                static_filter=self.static_filter,
-                kind=venv.env_method("feature_kind", indices=[0])[0],
-            )
-        venv.env_method("record_trajectories", True)
         self._server = OptionServer(
             self.model,
             venv,
@@ -145,6 +143,15 @@ class SubgoalDiscoveryCallback(BaseCallback):
             teach_head=self.teach_head,
             max_option_exploration=self.max_option_exploration,
         )
+        if self.discovery is None:
+            self.discovery = SubgoalDiscovery(
+                self.settings,
+                success=self.success,
+                static_filter=self.static_filter,
+                kind=venv.env_method("feature_kind", indices=[0])[0],
+                taken=[option.subgoal for option in self.bank.slots if isinstance(option, SubgoalOption)],
+            )
+        venv.env_method("record_trajectories", True, self.settings.reward_peaks())
 
     def _on_rollout_start(self) -> None:
         self._serving.rollout_starts()
@@ -164,6 +171,11 @@ class SubgoalDiscoveryCallback(BaseCallback):
                 self._statistics.add(info["option"])
             if "trajectory" in info:
                 self._episode_ended(info.pop("trajectory"))
+            for segment in info.pop("segments", ()):
+                self._episode_ended(segment)
+                # An algorithm without rollouts writes its log when episodes end, which may never be.
+                if self.episodes % SEGMENTS_PER_LOG == 0 and self._rollout_buffer is None:
+                    self.logger.dump(self.num_timesteps)
         return True
 
     def _episode_ended(self, trajectory: Trajectory) -> None:

@@ -62,7 +62,9 @@ class OptionServer:
         self._untaught: set[int] = set()
         present: OptionBank = venv.get_attr("bank", [0])[0]
         self.n_primitive = present.n_primitive
-        self.bank = OptionBank(present.n_primitive, present.max_options, feature_map=self.features_of)
+        self.bank = OptionBank(
+            present.n_primitive, present.max_options, feature_map=self.features_of, made_for=present.made_for
+        )
         self.explored = cap_option_exploration(model, self.n_primitive, max_option_exploration)
         self.teach_head = teach_head
         self.teacher: IntraOptionTeacher | None = None

@@ -4,7 +4,7 @@ import math
 from numbers import Real
 from operator import index
 
-__all__ = ["count", "number", "one_of", "step_limit"]
+__all__ = ["count", "flag", "number", "one_of", "step_limit"]
 
 
 def number(value: float, argument: str, low: float = -math.inf, high: float = math.inf) -> float:
@@ -39,6 +39,17 @@ def count(value: int, argument: str, low: int) -> int:
     if number < low:
         raise ValueError(f"{argument} must be at least {low}, got {number}")
     return number
+
+
+def flag(value: bool, argument: str) -> bool:
+    """The value, if it is True or False.
+
+    Raises:
+        TypeError: It is neither.
+    """
+    if not isinstance(value, bool):
+        raise TypeError(f"{argument} must be True or False, got {value!r}")
+    return value
 
 
 def step_limit(value: int | None) -> int | None:

@@ -11,7 +11,7 @@ from gymnasium.core import RenderFrame
 from numpy.typing import NDArray
 
 from sb3_options.envs import drawing
-from sb3_options.envs.checks import number, one_of, step_limit
+from sb3_options.envs.checks import flag, number, one_of, step_limit
 from sb3_options.envs.grid_map import Cell, Direction, GridMap
 from sb3_options.envs.maps import TWO_ROOMS, TWO_ROOMS_MAX_STEPS
 from sb3_options.envs.views import ImageView, OneHotView, View, XYView
@@ -40,7 +40,8 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
     probability ``success_probability``, else in a uniformly random one of the four. Where a wall, the border
     or a locked door is in the way it stays. An episode terminates on entering the goal, and truncates after
     ``max_steps`` steps; the ``info`` of each step says ``is_success``, whether the goal was reached with it.
-    A key is picked up by entering its cell and is kept until the episode ends.
+    A key is picked up by entering its cell and is kept until the episode ends. A ``continuing`` task does not
+    terminate: the step after the one that entered the goal, whatever its action, leads to a start.
 
     Observations, for a map of ``n`` cells:
 
@@ -61,6 +62,8 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         goal_reward: Reward for the step that enters the goal.
         step_reward: Reward for every other step.
         max_steps: Steps after which an episode truncates; None for never.
+        continuing: Whether the agent goes on from a start, in the same episode, when it has reached the goal.
+            ``is_success`` then says whether the episode has reached it so far.
         observation: What the agent sees.
         render_mode: ``"rgb_array"`` for pictures, ``"ansi"`` for the map as text with ``A`` for the agent,
             ``"human"`` for a matplotlib window.
@@ -92,6 +95,7 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         goal_reward: float = 1.0,
         step_reward: float = 0.0,
         max_steps: int | None = TWO_ROOMS_MAX_STEPS,
+        continuing: bool = False,
         observation: ObservationKind = "onehot",
         render_mode: RenderMode | None = None,
     ) -> None:
@@ -100,6 +104,7 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         self._goal_reward = number(goal_reward, "goal_reward")
         self._step_reward = number(step_reward, "step_reward")
         self._max_steps = step_limit(max_steps)
+        self._continuing = flag(continuing, "continuing")
         self._view = _VIEWS[one_of(observation, get_args(ObservationKind), "observation")](self._grid)
         self.render_mode = None if render_mode is None else one_of(render_mode, get_args(RenderMode), "render_mode")
 
@@ -124,6 +129,7 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         self._state: int | None = None
         self._elapsed = 0
         self._over = False
+        self._reached = False
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -149,9 +155,10 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         if "start" in options:
             state = self._grid.start_state(options["start"], "options['start']")
         else:
-            state = self._start_states[int(self.np_random.integers(len(self._start_states)))]
+            state = self._drawn_start()
         self._state = state
         self._elapsed = 0
+        self._reached = False
         self._over = False
         if self.render_mode == "human":
             self.render()
@@ -184,15 +191,21 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         rng = self.np_random
         if rng.random() >= self._success_probability:
             direction = int(_N_DIRECTIONS * rng.random())  # uniform like rng.integers(4), in half its time
-        self._state = state = self._successors[direction][state]
+        # Only in a continuing task a step can begin at the goal.
+        self._state = state = self._drawn_start() if self._is_goal[state] else self._successors[direction][state]
         self._elapsed += 1
-        terminated = self._is_goal[state]
+        at_goal = self._is_goal[state]
+        self._reached |= at_goal
+        terminated = at_goal and not self._continuing
         truncated = self._elapsed == self._max_steps and not terminated
         self._over = terminated or truncated
         if self.render_mode == "human":
             self.render()
-        reward = self._goal_reward if terminated else self._step_reward
-        return self._observe(state), reward, terminated, truncated, {"is_success": terminated}
+        reward = self._goal_reward if at_goal else self._step_reward
+        return self._observe(state), reward, terminated, truncated, {"is_success": self._reached}
+
+    def _drawn_start(self) -> int:
+        return self._start_states[int(self.np_random.integers(len(self._start_states)))]
 
     def concept_features(self, observations: NDArray[Any]) -> NDArray[np.float64]:
         """Where the agent is in each observation: the space in which subgoals are looked for.

@@ -23,6 +23,7 @@ import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import config as configs
 from sb3_options import evaluation, runs
 from sb3_options.atomic import whole_file
+from sb3_options.bank import OptionBank
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.config import TrainConfig
 from sb3_options.plots import subgoals_figure
@@ -87,7 +88,10 @@ def train(config: TrainConfig) -> Path:
     """
     torch.set_num_threads(config.num_threads)
     runs.check_env_id(config.env)
-    runs.make_env(config, 1, config.seed).close()  # what cannot be made leaves no folder behind
+    first = runs.make_env(config, 1, config.seed)  # what cannot be made leaves no folder behind
+    bank: OptionBank = first.get_attr("bank")[0]
+    started_with = [(slot, option.name) for slot, option in enumerate(bank.slots) if option is not None]
+    first.close()
     folder = runs.new_run_folder(config)
     env = runs.make_env(config, config.n_envs, config.seed, monitor_dir=folder / runs.MONITOR)
     configs.save(config, folder / runs.CONFIG)
@@ -103,7 +107,7 @@ def train(config: TrainConfig) -> Path:
     )
     callbacks: list[BaseCallback] = [discovery]
     if config.eval_freq > 0:
-        evaluation_callback = EvalCallback(
+        evaluation_callback = _eval_callback_class(config.algo)(
             runs.make_env(config, 1, EVAL_SEED + config.seed),
             n_eval_episodes=config.eval_episodes,
             eval_freq=1,
@@ -127,15 +131,28 @@ def train(config: TrainConfig) -> Path:
         with whole_file(folder / runs.SUBGOALS) as temporary:
             subgoals_figure(discovery.discovery, discovery.bank).savefig(temporary, dpi=FIGURE_DPI)
     env.close()
-    _report(discovery, folder, finished=finished)
+    unit = "episode" if config.discovery.segmentation == "episodes" else "segment"
+    took = f"{discovery.num_timesteps:,} primitive steps, {discovery.episodes:,} {unit}s"
+    console.print(f"\n[bold]{'Finished' if finished else 'Interrupted'}[/] after {took}.")
+    if config.options is not None:
+        what = ", ".join(f"{slot} ({name})" for slot, name in started_with) or "none"
+        console.print(f"Started with the options of {escape(str(config.options))}: {escape(what)}.")
+    _report(discovery, folder, unit)
     return folder
 
 
-def _report(discovery: SubgoalDiscoveryCallback, folder: Path, *, finished: bool) -> None:
-    took = f"{discovery.num_timesteps:,} primitive steps, {discovery.episodes:,} episodes"
-    console.print(f"\n[bold]{'Finished' if finished else 'Interrupted'}[/] after {took}.")
+def _eval_callback_class(algo: str) -> type[EvalCallback]:
+    """The one that masks, for an algorithm that does so from outside."""
+    if algo != "maskableppo":
+        return EvalCallback
+    from sb3_contrib.common.maskable.callbacks import MaskableEvalCallback
+
+    return MaskableEvalCallback
+
+
+def _report(discovery: SubgoalDiscoveryCallback, folder: Path, unit: str) -> None:
     if discovery.discoveries:
-        table = Table("option", "subgoal", "found after episode", "primitive steps", "initiation states")
+        table = Table("option", "subgoal", f"found after {unit}", "primitive steps", "initiation states")
         for found in discovery.discoveries:
             where = ", ".join(f"{x:g}" for x in found.subgoal[:6]) + (", …" if len(found.subgoal) > 6 else "")
             table.add_row(

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import tyro
 import yaml
 
+from sb3_options import algorithms
+from sb3_options.algorithms import AlgorithmName
 from sb3_options.discovery import DiscoverySettings
 from sb3_options.option_learning import OptionLearningSettings
 
@@ -23,7 +26,16 @@ TUNED = {
     f"sb3_options/{name}-v0": "pioneer.yml"
     for name in ("Pioneer", "PioneerCorner", "PioneerClutter", "PioneerTwoBalls")
 }
-"""Defaults that ship with the library, by environment id."""
+"""Defaults that ship with the library, by environment id, ..."""
+
+TUNED_ALGORITHMS = {
+    "ppo": "ppo.yml",
+    "maskableppo": "ppo.yml",
+    "recurrentppo": "ppo.yml",
+    "trpo": "ppo.yml",
+    "a2c": "a2c.yml",
+}
+"""... and by algorithm."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +47,7 @@ class TrainConfig:
     reads any of these settings from YAML; flags win over the file, and the file over the defaults.
 
     Attributes:
-        algo: Algorithm; "optiondqn" is DQN that keeps to the options' initiation sets.
+        algo: Algorithm; "optiondqn" is DQN that keeps to the options' initiation sets, as "maskableppo" does too.
         env: Gymnasium environment id, with Discrete actions.
         env_kwargs: Keyword arguments of the environment, as `name:value`; in a file also as a mapping.
         n_timesteps: Length of training, primitive steps over all environments.
@@ -47,24 +59,30 @@ class TrainConfig:
         progress: Show a progress bar.
         device: Where the network lives: "cpu", "cuda" or "auto".
         num_threads: Threads of torch; a network this small is trained fastest by one.
+        options: Start with the options of another run: a file or a run folder.
         max_options: Number of option slots.
-        max_new_options: Most options to discover; by default one, as in the paper.
+        max_new_options: Most options to discover, besides those it starts with; by default one, as in the paper.
         discover: Discover options; without it the slots stay empty.
         gamma: Discount per primitive step.
         learning_rate: Of Adam.
-        buffer_size: Transitions in the replay buffer.
-        learning_starts: Random primitive steps before learning starts.
-        batch_size: Transitions a gradient step.
-        train_freq: Decisions between gradient steps.
-        target_update_interval: Decisions between updates of the target network.
-        exploration_fraction: Share of training over which ε falls.
-        exploration_final_eps: ε after that.
+        batch_size: Transitions a gradient step; not for A2C.
+        buffer_size: DQN: transitions in the replay buffer.
+        learning_starts: DQN: random primitive steps before learning starts.
+        train_freq: DQN: decisions between gradient steps.
+        target_update_interval: DQN: decisions between updates of the target network.
+        exploration_fraction: DQN: share of training over which ε falls.
+        exploration_final_eps: DQN: ε after that.
+        n_steps: PPO, A2C, TRPO: decisions of each environment in a rollout.
+        gae_lambda: PPO, A2C, TRPO: λ of the advantages.
+        ent_coef: PPO, A2C: weight of the policy's entropy.
+        n_epochs: PPO: passes over a rollout.
+        clip_range: PPO: how far the policy may move in an update.
         net_arch: Hidden layers of the network.
         discovery: How subgoals are found.
         option: How options are learned.
     """
 
-    algo: Literal["dqn", "qrdqn", "optiondqn"] = "dqn"
+    algo: AlgorithmName = "dqn"
     env: str = "sb3_options/TwoRooms-v0"
     env_kwargs: tuple[str, ...] = ()
     n_timesteps: int = 60_000
@@ -76,18 +94,24 @@ class TrainConfig:
     progress: bool = True
     device: str = "auto"
     num_threads: int = 1
+    options: Path | None = None
     max_options: int = 4
     max_new_options: int | None = 1
     discover: bool = True
     gamma: float = 0.97
     learning_rate: float = 5e-4
+    batch_size: int = 64
     buffer_size: int = 50_000
     learning_starts: int = 500
-    batch_size: int = 64
     train_freq: int = 4
     target_update_interval: int = 500
     exploration_fraction: float = 0.5
     exploration_final_eps: float = 0.05
+    n_steps: int = 128
+    gae_lambda: float = 0.95
+    ent_coef: float = 0.01
+    n_epochs: int = 10
+    clip_range: float = 0.2
     net_arch: tuple[int, ...] = (64, 64)
     discovery: DiscoverySettings = field(default_factory=DiscoverySettings)
     option: OptionLearningSettings = field(default_factory=OptionLearningSettings)
@@ -101,6 +125,8 @@ class TrainConfig:
             "buffer_size",
             "batch_size",
             "train_freq",
+            "n_steps",
+            "n_epochs",
             "num_threads",
         ):
             if getattr(self, name) < 1:
@@ -113,10 +139,33 @@ class TrainConfig:
             raise ValueError(f"--learning-rate must be positive, got {self.learning_rate}.")
         if not 0.0 < self.exploration_fraction <= 1.0:
             raise ValueError(f"--exploration-fraction must be in (0, 1], got {self.exploration_fraction}.")
-        if not 0.0 <= self.exploration_final_eps <= 1.0:
-            raise ValueError(f"--exploration-final-eps must be in [0, 1], got {self.exploration_final_eps}.")
+        for name in ("exploration_final_eps", "gae_lambda"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"--{name.replace('_', '-')} must be in [0, 1], got {getattr(self, name)}.")
+        if not self.clip_range > 0.0:
+            raise ValueError(f"--clip-range must be positive, got {self.clip_range}.")
+        if not 0.0 <= self.ent_coef < math.inf:
+            raise ValueError(f"--ent-coef must be at least 0, got {self.ent_coef}.")
         if any(":" not in pair for pair in self.env_kwargs):
             raise ValueError(f"--env-kwargs takes pairs name:value, got {' '.join(self.env_kwargs)}.")
+
+        self._check_settings_of_the_algorithm()
+
+    def _check_settings_of_the_algorithm(self) -> None:
+        known = algorithms.SETTINGS.get(self.algo, frozenset())
+        if known >= {"n_steps", "batch_size"} and (self.n_steps * self.n_envs < 2 or self.batch_size < 2):
+            raise ValueError(
+                f"{self.algo} normalises advantages, which takes two: --n-steps times --n-envs and --batch-size must "
+                f"be at least 2, got {self.n_steps} times {self.n_envs} and {self.batch_size}."
+            )
+        defaults = {f.name: f.default for f in dataclasses.fields(self)}
+        # A setting that the algorithm does not know must be left at its default.
+        for name in sorted(algorithms.EVERY_SETTING - known):
+            if getattr(self, name) != defaults[name]:
+                raise ValueError(
+                    f"--{name.replace('_', '-')} has no effect on {self.algo}: it is a setting of "
+                    f"{', '.join(algorithms.knowing(name))}. Leave it out."
+                )
 
     def env_keywords(self) -> dict[str, Any]:
         """``env_kwargs`` as keyword arguments; values are read as YAML, so that 3 is a number.
@@ -148,16 +197,28 @@ def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
     config_file, rest = _split_config_flag(args)
     try:
         from_file = {} if config_file is None else read_yaml(config_file)
-        default = tuned(_env_of(rest) or str(from_file.get("env", TrainConfig.env)))
+        env, algo = (
+            _last(flag, rest) or str(from_file.get(flag, getattr(TrainConfig, flag))) for flag in ("env", "algo")
+        )
+        default = tuned(env, algo)
         return tyro.cli(TrainConfig, prog=prog, default=default, args=[*_flags(from_file), *rest])
     except (ValueError, OSError) as error:
         sys.exit(f"{prog}: {error}")
 
 
-def tuned(env_id: str) -> TrainConfig:
-    """The defaults for an environment: those that ship for it, or else those of `TrainConfig`."""
-    name = TUNED.get(env_id)
-    settings = {} if name is None else read_yaml(TUNED_FOLDER / name)
+def tuned(env_id: str, algo: str = TrainConfig.algo) -> TrainConfig:
+    """The defaults for an environment and an algorithm: those that ship for them, or else those of `TrainConfig`.
+
+    Those of an environment win. They were chosen with DQN; an on-policy algorithm takes over what is not about
+    learning.
+    """
+    settings: dict[str, Any] = {}
+    if algo in TUNED_ALGORITHMS:
+        settings |= {**read_yaml(TUNED_FOLDER / TUNED_ALGORITHMS[algo]), "algo": algo}
+    if env_id in TUNED:
+        of_env = read_yaml(TUNED_FOLDER / TUNED[env_id])
+        keep = algo not in algorithms.ON_POLICY
+        settings |= {k: v for k, v in of_env.items() if keep or k not in algorithms.EVERY_SETTING | {"learning_rate"}}
     return tyro.cli(TrainConfig, args=list(_flags(settings)))
 
 
@@ -194,13 +255,13 @@ def read_yaml(path: Path) -> Mapping[str, Any]:
     return content
 
 
-def _env_of(args: Sequence[str]) -> str | None:
-    """The value of the last ``--env``."""
+def _last(name: str, args: Sequence[str]) -> str | None:
+    """The value of the last flag of this name."""
     found = None
     for arg, following in pairwise([*args, ""]):
-        if arg == "--env":
+        if arg == f"--{name}":
             found = following
-        elif arg.startswith("--env="):
+        elif arg.startswith(f"--{name}="):
             found = arg.partition("=")[2]
     return found
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from numbers import Integral
 from typing import Literal, NamedTuple
@@ -11,6 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from sb3_options.bags import StaticFilter, SuccessRule, bag_of, near_start_and_goal, reported_success
+from sb3_options.continuing import RewardPeaks
 from sb3_options.diverse_density import DiverseDensity, Peak
 from sb3_options.incremental import IncrementalSearch
 from sb3_options.observations import FloatArray, batch_size
@@ -25,6 +27,10 @@ class DiscoverySettings:
     """How subgoals are found (McGovern & Barto 2001, §4–5). Distances are in scaled units of concept space.
 
     Attributes:
+        segmentation: What a trajectory is: one of the ``episodes``, or, for continuing tasks, a segment between two
+            ``peaks`` of reward (`continuing.RewardPeaks`).
+        peak_reward: The least reward of a peak; None takes any that is positive.
+        max_segment: Primitive steps without a peak that make an unsuccessful segment.
         capacity: How many trajectories are kept: the last n.
         min_positive: Positive bags needed before the first search: over a few bags, accidents tie with bottlenecks.
         negative_bags: Whether unsuccessful trajectories become negative bags.
@@ -50,6 +56,9 @@ class DiscoverySettings:
         spacing: A new subgoal must be farther than this from those that have an option.
     """
 
+    segmentation: Literal["episodes", "peaks"] = "episodes"
+    peak_reward: float | None = None
+    max_segment: int = 1000
     capacity: int = 100
     min_positive: int = 8
     negative_bags: bool = True
@@ -92,7 +101,15 @@ class DiscoverySettings:
             raise ValueError(f"min_density must be in [0, 1], got {self.min_density}.")
         if self.search not in ("gradient", "exhaustive", "incremental"):
             raise ValueError(f"search must be 'gradient', 'exhaustive' or 'incremental', got {self.search!r}.")
-        PeakTracker(decay=self.decay, threshold=self.threshold)  # refuses what is out of its range
+        if self.segmentation not in ("episodes", "peaks"):
+            raise ValueError(f"segmentation must be 'episodes' or 'peaks', got {self.segmentation!r}.")
+        # These refuse what is out of their range.
+        PeakTracker(decay=self.decay, threshold=self.threshold)
+        RewardPeaks(self.peak_reward, self.max_segment)
+
+    def reward_peaks(self) -> RewardPeaks | None:
+        """Where experience is cut; None where episodes end it."""
+        return RewardPeaks(self.peak_reward, self.max_segment) if self.segmentation == "peaks" else None
 
 
 CATEGORICAL_SCALE = 6.0
@@ -163,12 +180,14 @@ class SubgoalDiscovery:
         success: Which trajectories make positive bags; by default what the environment reports.
         static_filter: What may be a subgoal; by default not near start and goal.
         kind: Where φ comes from, for `default_scale`.
+        taken: Subgoals that have an option already, besides those `found`.
     """
 
     settings: DiscoverySettings = field(default_factory=DiscoverySettings)
     success: SuccessRule = reported_success
     static_filter: StaticFilter | None = None
     kind: str | None = None
+    taken: Sequence[Region] = ()
 
     def __post_init__(self) -> None:
         """Set up what grows with experience."""
@@ -297,8 +316,8 @@ class SubgoalDiscovery:
     def _filtered(self, labelled: LabelledTrajectory) -> FloatArray:
         assert self.scale is not None  # set by _chosen() before any bag is made
         bag = bag_of(labelled.features, int(labelled.trajectory.visits[-1]), self.scale, self._filter)
-        for finding in self.found:
-            centre = finding.subgoal.points[0]
+        for subgoal in [*self.taken, *(finding.subgoal for finding in self.found)]:
+            centre = subgoal.points[0]
             bag = bag[np.linalg.norm((bag - centre) * self.scale, axis=1) > self.settings.spacing]
         return bag
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from pickle import UnpicklingError
@@ -20,6 +21,7 @@ from sb3_options import runs
 from sb3_options.atomic import whole_file
 from sb3_options.bags import reported_success
 from sb3_options.observations import FloatArray
+from sb3_options.trajectories import LONGEST_EPISODE
 
 CONFIDENCE = 0.95
 N_RESAMPLES = 9999
@@ -172,7 +174,8 @@ def evaluate_run(run: Path, *, episodes: int = 100, seed: int = 10_000, video: P
 
     Raises:
         FileNotFoundError: The folder lacks a file of a run.
-        ValueError: ``episodes`` < 1, a file does not fit, or the environment draws no pictures.
+        ValueError: ``episodes`` < 1, a file does not fit, the environment draws no pictures, or an episode does not
+            end.
     """
     if episodes < 1:
         raise ValueError(f"--episodes must be at least 1, got {episodes}.")
@@ -205,7 +208,8 @@ def _film(run: Path, episodes: int, seed: int, video: Path) -> None:
 
 
 def _play(run: Path, episodes: int, seed: int, film: Video | None = None, mode: str | None = None) -> Evaluation:
-    config = configs.load(run / runs.CONFIG)
+    # What the run started with is in its own options file, too.
+    config = replace(configs.load(run / runs.CONFIG), options=None)
     venv = runs.make_env(
         config,
         1,
@@ -213,7 +217,7 @@ def _play(run: Path, episodes: int, seed: int, film: Video | None = None, mode: 
         beneath=None if film is None else partial(Film, take=film.take, episodes=episodes),
         render_mode=mode,
     )
-    model = runs.make_model(config, venv, buffer_size=1)
+    model = runs.make_model(config, venv, playing=True)
     venv.seed(seed)  # the model has seeded it with the training seed
     # set_parameters reads tensors only, where load would unpickle.
     try:
@@ -224,13 +228,23 @@ def _play(run: Path, episodes: int, seed: int, film: Video | None = None, mode: 
     venv.env_method("record_trajectories", True)
 
     returns, steps, successes = [], [], 0
-    observation = venv.reset()
+    masks = config.algo == "maskableppo"
+    observation, memory = venv.reset(), None
     for _ in track(range(episodes), description="Evaluating", transient=True):
-        done = False
+        done, played = False, 0
         while not done:
-            action, _ = model.predict(observation, deterministic=True)  # type: ignore[arg-type]  # a batch, as reset gives it
+            masked = {"action_masks": np.stack(venv.env_method("action_masks"))} if masks else {}
+            # Others than RecurrentPPO have no memory, and do not ask where episodes start.
+            starts = np.array([played == 0])
+            action, memory = model.predict(observation, memory, starts, deterministic=True, **masked)  # type: ignore[arg-type]  # a batch, as reset gives it
             observation, _, dones, infos = venv.step(action)
             done = bool(dones[0])
+            played += infos[0]["option"]["duration"]
+            if played >= LONGEST_EPISODE:
+                raise ValueError(
+                    f"An episode has not ended after {played:,} primitive steps: only episodes that end can be "
+                    f"evaluated. Give the environment a time limit in {run / runs.CONFIG}."
+                )
         trajectory = infos[0]["trajectory"]
         returns.append(float(trajectory.rewards.sum()))
         steps.append(float(len(trajectory)))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import hashlib
+from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple
 
 import gymnasium as gym
@@ -10,9 +12,13 @@ import numpy as np
 from gymnasium import spaces
 
 from sb3_options.observations import FeatureMap, FloatArray, Observations, batch_of_one, flatten
+from sb3_options.option_file import MadeFor
 
 MAX_FEATURES = 4096
 """Concept spaces with more dimensions than this (images, say) are refused: distances in them mean nothing."""
+
+LONGEST_DESCRIPTION = 200
+"""Of an observation space, in characters: an error must stay readable."""
 
 FeatureKind = Literal["given", "environment", "categorical", "identity"]
 
@@ -112,3 +118,39 @@ def checked_size(features: FloatArray, name: str = "feature_map") -> int:
             f"{name} must return features of shape (batch, d); for a batch of one it gave shape {features.shape}."
         )
     return int(features.shape[1])
+
+
+def made_for(space: gym.Space[Any], features: Features | None) -> MadeFor:
+    """What an options file says of the observations its options act on.
+
+    Args:
+        space: Of the observations.
+        features: Their way into concept space.
+    """
+    text = " ".join(str(space).split())
+    if len(text) > LONGEST_DESCRIPTION:
+        text = text[:LONGEST_DESCRIPTION] + "…"
+    sha256 = hashlib.sha256()
+    for part in _parts(space, ""):
+        sha256.update(part + b"\n")
+    return MadeFor(text, sha256.hexdigest(), None if features is None else features.kind)
+
+
+def _parts(space: gym.Space[Any], name: str) -> Iterator[bytes]:
+    """Everything that tells one space from another, part by part."""
+    if isinstance(space, spaces.Dict):
+        yield f"{name} Dict {sorted(space.spaces)}".encode()
+        for key in sorted(space.spaces):
+            yield from _parts(space[key], f"{name}.{key}")
+    elif isinstance(space, spaces.Tuple):
+        yield f"{name} Tuple {len(space.spaces)}".encode()
+        for i, part in enumerate(space.spaces):
+            yield from _parts(part, f"{name}.{i}")
+    elif isinstance(space, spaces.Box):
+        yield f"{name} Box {space.shape} {space.dtype}".encode()
+        yield space.low.tobytes() + space.high.tobytes()
+    elif isinstance(space, spaces.MultiDiscrete):
+        # Not its text, in which numpy leaves out the middle of a long array.
+        yield f"{name} MultiDiscrete {space.dtype} {space.nvec.tolist()} {space.start.tolist()}".encode()
+    else:
+        yield f"{name} {space}".encode()

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-from stable_baselines3 import DQN
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
+from sb3_options import algorithms, option_file
 from sb3_options.config import TrainConfig
-from sb3_options.dqn import OptionDQN
 from sb3_options.replay_buffer import OptionReplayBuffer
 from sb3_options.wrapper import OptionsWrapper
 
@@ -58,6 +57,27 @@ def check_env_id(env_id: str) -> None:
     raise ValueError(f"There is no environment {env_id!r}. Did you mean {near[0]!r}?")
 
 
+def options_file(config: TrainConfig) -> Path | None:
+    """The file behind ``--options``; None where there is none.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is damaged, or has more slots than ``--max-options``.
+    """
+    if config.options is None:
+        return None
+    path = config.options / OPTIONS if config.options.is_dir() else config.options
+    if not path.is_file():
+        raise FileNotFoundError(f"--options: there is no options file at {path}.")
+    needed = 1 + max(option_file.slots_of(path), default=-1)
+    if needed > config.max_options:
+        raise ValueError(
+            f"--options: {path} has an option in slot {needed - 1}, --max-options {config.max_options} is too few for "
+            f"it: pass --max-options {needed} or more."
+        )
+    return path
+
+
 def make_env(
     config: TrainConfig,
     n_envs: int,
@@ -69,6 +89,8 @@ def make_env(
 ) -> VecEnv:
     """Environments with option slots, and a ``Monitor`` beneath these, so that it counts primitive steps.
 
+    The slots start with the options of ``--options``.
+
     Args:
         config: Of the run.
         n_envs: How many.
@@ -79,15 +101,20 @@ def make_env(
 
     Returns:
         A ``DummyVecEnv``.
+
+    Raises:
+        FileNotFoundError: ``--options`` names no file.
+        ValueError: Its options do not fit.
     """
     keywords = config.env_keywords()
+    options = options_file(config)
     if render_mode is not None:
         keywords["render_mode"] = render_mode
 
     def with_options(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
         if beneath is not None:
             env = beneath(env)
-        return OptionsWrapper(env, config.max_options, gamma=config.gamma)
+        return OptionsWrapper(env, config.max_options, gamma=config.gamma, options_file=options)
 
     return make_vec_env(
         config.env,
@@ -99,52 +126,37 @@ def make_env(
     )
 
 
-def make_model(config: TrainConfig, env: VecEnv, *, buffer_size: int | None = None) -> OffPolicyAlgorithm:
+def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> BaseAlgorithm:
     """The untrained model of a run.
 
     Args:
         config: Of the run.
         env: As `make_env` makes it.
-        buffer_size: Of the replay buffer, if another than the configuration's.
+        playing: Whether it is to be loaded and played only, which needs no large buffer.
 
     Returns:
         An SB3 model.
 
     Raises:
-        ModuleNotFoundError: QRDQN is asked for, and sb3-contrib is not installed.
+        ModuleNotFoundError: The algorithm is one of sb3-contrib's, which is not installed.
     """
     image = len(env.observation_space.shape or ()) == 3
-    policy = "MultiInputPolicy" if isinstance(env.observation_space, gym.spaces.Dict) else "MlpPolicy"
-    model: OffPolicyAlgorithm = algorithm(config.algo)(
-        "CnnPolicy" if image else policy,
+    policy = "MultiInput" if isinstance(env.observation_space, gym.spaces.Dict) else "Cnn" if image else "Mlp"
+    settings = {name: getattr(config, name) for name in algorithms.SETTINGS[config.algo]}
+    if config.algo in algorithms.OFF_POLICY:
+        settings["replay_buffer_class"] = OptionReplayBuffer  # rollout buffers are the callback's affair
+    if playing and config.algo in algorithms.OFF_POLICY:
+        settings["buffer_size"] = 1
+    elif playing:
+        settings["n_steps"] = settings.get("batch_size", 1)
+    model: BaseAlgorithm = algorithms.class_of(config.algo)(
+        f"{policy}{'Lstm' if config.algo == 'recurrentppo' else ''}Policy",
         env,
         seed=config.seed,
         device=config.device,
         gamma=config.gamma,
         learning_rate=config.learning_rate,
-        buffer_size=buffer_size or config.buffer_size,
-        learning_starts=config.learning_starts,
-        batch_size=config.batch_size,
-        train_freq=config.train_freq,
-        target_update_interval=config.target_update_interval,
-        exploration_fraction=config.exploration_fraction,
-        exploration_final_eps=config.exploration_final_eps,
-        replay_buffer_class=OptionReplayBuffer,
         policy_kwargs={"net_arch": list(config.net_arch)},
+        **settings,
     )
     return model
-
-
-def algorithm(name: str) -> Any:
-    """The class behind ``--algo``.
-
-    Raises:
-        ModuleNotFoundError: It is QRDQN, and sb3-contrib is not installed.
-    """
-    if name == "qrdqn":
-        try:
-            from sb3_contrib import QRDQN
-        except ModuleNotFoundError as error:
-            raise ModuleNotFoundError("QRDQN needs sb3-contrib: pip install 'sb3-options[contrib]'") from error
-        return QRDQN
-    return {"dqn": DQN, "optiondqn": OptionDQN}[name]

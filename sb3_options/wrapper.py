@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any, Literal, SupportsFloat, TypeAlias
 
 import gymnasium as gym
@@ -11,6 +12,7 @@ from gymnasium.utils import RecordConstructorArgs
 
 from sb3_options import features as feature_maps
 from sb3_options.bank import OptionBank
+from sb3_options.continuing import RewardPeaks, SegmentRecorder
 from sb3_options.observations import (
     BoolArray,
     FeatureMap,
@@ -21,7 +23,7 @@ from sb3_options.observations import (
     stack,
 )
 from sb3_options.option import Option
-from sb3_options.trajectories import TrajectoryRecorder
+from sb3_options.trajectories import EpisodeRecorder, TrajectoryRecorder
 
 Termination: TypeAlias = Literal[
     "primitive", "subgoal", "left_initiation", "max_duration", "interrupted", "terminated", "truncated"
@@ -59,10 +61,12 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         feature_map: φ from a batch of observations to concept space, shape (batch, d). By default the environment's
             own ``concept_features``; else a one-hot code for ``Discrete`` observations and the flat observation for
             ``Box``. A ``Dict`` space has no default.
+        options_file: Start with the options of this file, which `OptionBank.save` wrote.
 
     Raises:
         TypeError: The action space is not ``Discrete``, or ``feature_map`` is not callable.
-        ValueError: An argument is out of its range.
+        ValueError: An argument is out of its range, or the file's options do not fit the environment.
+        FileNotFoundError: There is no ``options_file``.
     """
 
     def __init__(
@@ -72,10 +76,16 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         *,
         gamma: float = 0.99,
         feature_map: FeatureMap | None = None,
+        options_file: str | os.PathLike[str] | None = None,
     ) -> None:
         # Not copied: a feature map may be a method of the environment, which would be copied with it.
         RecordConstructorArgs.__init__(
-            self, _disable_deepcopy=True, max_options=max_options, gamma=gamma, feature_map=feature_map
+            self,
+            _disable_deepcopy=True,
+            max_options=max_options,
+            gamma=gamma,
+            feature_map=feature_map,
+            options_file=options_file,
         )
         gym.Wrapper.__init__(self, env)
         primitive = env.action_space
@@ -97,11 +107,15 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             feature_map=self.features.map if self.features else None,
             observation_size=feature_maps.flat_size(env.observation_space),
             feature_size=self.features.size if self.features else None,
+            made_for=feature_maps.made_for(env.observation_space, self.features),
         )
+        if options_file is not None:
+            self.bank.load(options_file)
         self.action_space: Any = spaces.Discrete(self.n_primitive + max_options)
         self._random = np.random.default_rng()
         self._observation: Any = None
         self._recorder: TrajectoryRecorder | None = None
+        self._recorded_at: RewardPeaks | None = None
         self._reports_availability = False
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -138,6 +152,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             raise ValueError(
                 f"action must be between 0 and {self.n_primitive + self.bank.max_options - 1}, got {action}."
             )
+        if self._recorder is not None:
+            self._recorder.finished.clear()
         if action < self.n_primitive:
             return self._run_primitive(action)
         slot = action - self.n_primitive
@@ -217,11 +233,14 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self._recorder.record(action, float(reward), observation)
             if terminated or truncated:
                 success = info.get("is_success")
-                info["trajectory"] = self._recorder.end(
+                self._recorder.end(
                     terminated=terminated,
                     truncated=truncated,
                     is_success=None if success is None else bool(success),
                 )
+            if self._recorder.finished:
+                # All that was finished since `step` was called: of an option's infos only the last goes out.
+                info |= self._recorder.report()
         return observation, reward, terminated, truncated, info
 
     def action_masks(self) -> BoolArray:
@@ -278,14 +297,22 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         """Whether ``info["option"]["available"]`` says which slots may start in each observation arrived in."""
         self._reports_availability = report
 
-    def record_trajectories(self, record: bool) -> None:
-        """Whether the info that ends an episode holds it as ``info["trajectory"]``, a `Trajectory`."""
-        if record and self._recorder is None:
-            self._recorder = TrajectoryRecorder()
+    def record_trajectories(self, record: bool, peaks: RewardPeaks | None = None) -> None:
+        """Whether infos hold what was lived through.
+
+        Args:
+            record: Whether they do.
+            peaks: Without it, the info that ends an episode holds it as ``info["trajectory"]``, a `Trajectory`. With
+                it, ``info["segments"]`` is a list of those segments, cut at peaks of reward, that were finished during
+                the call of ``step``; several may be while one option runs.
+        """
+        if record and (self._recorder is None or peaks != self._recorded_at):
+            self._recorder = EpisodeRecorder() if peaks is None else SegmentRecorder(peaks)
             if self._observation is not None:
                 self._recorder.begin(self._observation)
         elif not record:
             self._recorder = None
+        self._recorded_at = peaks
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # A copied or unpickled bank has no feature map (see `OptionBank.__getstate__`); this wrapper does.

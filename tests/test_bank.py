@@ -15,9 +15,10 @@ from safetensors import safe_open
 from safetensors.numpy import load as from_safetensors
 from safetensors.numpy import save as to_safetensors
 
-from sb3_options.bank import FILE_FORMAT, OptionBank, _digest
+from sb3_options.bank import OptionBank
 from sb3_options.observations import FloatArray, Observations, flatten
 from sb3_options.option import HalfSpace, Region, SubgoalOption
+from sb3_options.option_file import FILE_FORMAT, digest
 from sb3_options.option_policy import NetworkPolicy, TabularPolicy
 from tests.helpers import steady_option
 
@@ -447,7 +448,7 @@ def resealed(content: bytes, change: Any) -> bytes:
     tensors = from_safetensors(content)
     change(about, tensors)
     text = json.dumps(about)
-    return to_safetensors(tensors, {"format": FILE_FORMAT, "bank": text, "digest": _digest(text, tensors)})
+    return to_safetensors(tensors, {"format": FILE_FORMAT, "bank": text, "digest": digest(text, tensors)})
 
 
 def put(**entries: Any) -> Any:
@@ -517,5 +518,5 @@ def test_resealing_itself_does_no_harm(content: bytes, folder: Path) -> None:
 def test_metadata_that_is_no_json(folder: Path) -> None:
     for text in ("{", "[" * 100_000, "5"):
         path = folder / "nested"
-        path.write_bytes(to_safetensors({}, {"format": FILE_FORMAT, "bank": text, "digest": _digest(text, {})}))
+        path.write_bytes(to_safetensors({}, {"format": FILE_FORMAT, "bank": text, "digest": digest(text, {})}))
         refused(path, "nested is damaged: ")

@@ -1,4 +1,5 @@
 import csv
+import dataclasses
 import json
 import os
 import re
@@ -6,18 +7,20 @@ import subprocess
 import sys
 import zipfile
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import gymnasium as gym
 import imageio.v3 as iio
 import numpy as np
 import pytest
 import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator  # type: ignore[import-untyped]  # no stubs
 
 from sb3_options import OptionBank, cli, runs
 from sb3_options import config as configs
+from sb3_options.algorithms import AlgorithmName
 from sb3_options.config import TrainConfig
-from tests.sb3_helpers import SMALL_ROOMS, TAXI, read_video
+from tests.sb3_helpers import DOORWAY, SMALL_ROOMS, TAXI, read_video
 
 ROOT = Path(__file__).parents[1]
 CONFIG = """
@@ -126,14 +129,33 @@ class TestTrain:
         names = [runs.new_run_folder(config).relative_to(tmp_path).as_posix() for _ in range(3)]
         assert names == ["dqn/a-B-v0_1", "dqn/a-B-v0_2", "dqn/a-B-v0_3"]
 
-    @pytest.mark.parametrize("algo", ["qrdqn", "optiondqn"])
+    @pytest.mark.parametrize("algo", [name for name in get_args(AlgorithmName) if name != "dqn"])
+    @pytest.mark.filterwarnings("ignore:You have specified a mini-batch size")  # 2 environments, not 8
     def test_other_algorithms_and_several_environments(self, algo: str, tmp_path: Path) -> None:
         args = ["--algo", algo, "--n-envs", "2", "--n-timesteps", "400", "--tensorboard-log", str(tmp_path)]
-        cli.main([*args, "--no-progress", "--no-discover", "--learning-starts", "300", "--num-threads", "1"])
+        args += ["--no-progress", "--no-discover", "--eval-freq", "200", "--eval-episodes", "1", "--num-threads", "1"]
+        args += ["--learning-starts", "300"] if "dqn" in algo else ["--n-steps", "64"]
+        args += ["--n-epochs", "1"] if "ppo" in algo else []
+        cli.main([*args, "--env-kwargs", "max_steps:30"])
         folder = tmp_path / algo / "sb3_options-TwoRooms-v0_1"
         assert (folder / "model.zip").is_file()
         assert len(list((folder / "monitor").iterdir())) == 2
+        assert len(np.load(folder / "evaluations.npz")["timesteps"]) >= 1
         cli.main(["evaluate", str(folder), "--episodes", "1"])
+
+    @pytest.mark.parametrize("algo", ["ppo", "maskableppo"])
+    def test_on_policy_discovery(self, algo: str, tmp_path: Path) -> None:
+        text = CONFIG.replace("learning_starts: 200\n", "n_envs: 4\nn_steps: 64\n").replace("4000", "7000")
+        (tmp_path / "config.yml").write_text(text)
+        args = ["--config", str(tmp_path / "config.yml"), "--algo", algo, "--tensorboard-log", str(tmp_path)]
+        folder = cli.train(configs.parse([*args, "--discovery.min-positive", "5", "--discovery.decay", "0.5"]))
+        bank = OptionBank(4, 4)
+        bank.load(folder / "options.safetensors")
+        assert bank.filled == (0,)
+        subgoal = bank[0].subgoal.points[0]  # type: ignore[union-attr]  # discovered
+        assert np.abs(subgoal - DOORWAY).sum() <= 1
+        result = cli.evaluate(cli.EvaluateConfig(folder, episodes=2))
+        assert result.episodes == 2
 
     def test_an_interrupt_keeps_what_was_learned(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -148,6 +170,63 @@ class TestTrain:
         assert "Interrupted after 50" in capsys.readouterr().out
         folder = tmp_path / "dqn" / "sb3_options-TwoRooms-v0_1"
         assert all((folder / name).is_file() for name in ("model.zip", "options.safetensors", "config.yml"))
+
+
+class TestOptions:
+    """A run that starts with the options of another."""
+
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def second(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Run:
+        """A new process, and the goal moved to the upper corner."""
+        folder = tmp_path_factory.mktemp("transfer")
+        (folder / "config.yml").write_text(CONFIG.replace("  max_steps: 150", "  max_steps: 150\n  goal: [8, 0]"))
+        args = ["--options", str(run.folder), "--max-new-options", "0", "--n-timesteps", "1500", "--eval-freq", "1000"]
+        done = shell("--config", "config.yml", *args, "--eval-episodes", "1", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        return Run(folder / "runs" / "dqn" / "sb3_options-TwoRooms-v0_1", done.stdout)
+
+    def test_uses_them(self, second: Run) -> None:
+        (events,) = (second.folder / "tensorboard_1").glob("events*")
+        scalars = EventAccumulator(str(events))
+        scalars.Reload()
+        assert scalars.Scalars("options/slot_0/uses")[-1].value > 10
+        assert scalars.Scalars("options/slot_0/mean_duration")[-1].value > 1
+        assert scalars.Scalars("options/count")[0].value == 1
+
+    def test_keeps_them(self, run: Run, second: Run) -> None:
+        first, again = OptionBank(4, 4), OptionBank(4, 4)
+        first.load(run.folder / "options.safetensors")
+        again.load(second.folder / "options.safetensors")
+        assert again.filled == (0,)
+        assert again[0].subgoal.points.tolist() == first[0].subgoal.points.tolist()  # type: ignore[union-attr]  # discovered
+
+    def test_says_so(self, run: Run, second: Run) -> None:
+        assert re.search(
+            rf"Finished after .+\nStarted with the options of {run.folder}: 0 \(reach \d, \d\)\.\n", second.printed
+        )
+
+    def test_evaluates_without_the_first_run(
+        self, second: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        for name in ("config.yml", "model.zip", "options.safetensors"):
+            (tmp_path / name).write_bytes((second.folder / name).read_bytes())
+        config = configs.load(tmp_path / "config.yml")
+        configs.save(dataclasses.replace(config, options=tmp_path / "gone"), tmp_path / "config.yml")
+        cli.main(["evaluate", str(tmp_path), "--episodes", "2"])
+        assert "2 episodes" in capsys.readouterr().out
+
+    def test_discovery_goes_on_elsewhere(self, run: Run, tmp_path: Path) -> None:
+        (tmp_path / "config.yml").write_text(CONFIG)
+        args = ["--config", str(tmp_path / "config.yml"), "--options", str(run.folder / "options.safetensors")]
+        folder = cli.train(
+            configs.parse([*args, "--tensorboard-log", str(tmp_path), "--discovery.min-density", "0", "--seed", "1"])
+        )
+        bank = OptionBank(4, 4)
+        bank.load(folder / "options.safetensors")
+        assert bank.filled == (0, 1)
+        old, new = (bank[slot].subgoal.points[0] for slot in (0, 1))  # type: ignore[union-attr]  # discovered
+        assert np.linalg.norm(old - new) > configs.load(folder / "config.yml").discovery.spacing
 
 
 class TestEvaluate:
@@ -227,6 +306,26 @@ class TestErrors:
         self, args: list[str], expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
         assert expected in self.stopped(capsys, *args, "--tensorboard-log", str(tmp_path / "runs"))
+        assert not (tmp_path / "runs").exists()
+
+    def test_options_that_do_not_fit_leave_no_folder(
+        self, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        def text(options: Path, *args: str) -> str:
+            logs = ["--tensorboard-log", str(tmp_path / "runs")]
+            return self.stopped(capsys, "--options", str(options), *args, *logs)
+
+        file = run.folder / "options.safetensors"
+        assert f"--options: there is no options file at {tmp_path / 'no'}." in text(tmp_path / "no")
+        assert f"there is no options file at {tmp_path / 'options.safetensors'}." in text(tmp_path)
+        assert "model.zip is no options file" in text(run.folder / "model.zip")
+        assert (
+            f"--options: {file} has an option in slot 0, --max-options 0 is too few for it: pass --max-options 1 or "
+            "more."
+        ) in text(run.folder, "--max-options", "0")
+        assert f"{file} does not fit: its options were made for observations Box(0.0, 1.0, (45,), float32)" in text(
+            run.folder
+        )
         assert not (tmp_path / "runs").exists()
 
     def test_gymnasiums_own_errors(

@@ -1,12 +1,13 @@
 import dataclasses
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import gymnasium as gym
 import pytest
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import config as configs
+from sb3_options.algorithms import AlgorithmName
 from sb3_options.config import TrainConfig
 from sb3_options.discovery import DiscoverySettings
 from sb3_options.option_learning import OptionLearningSettings
@@ -14,10 +15,12 @@ from sb3_options.option_learning import OptionLearningSettings
 EVERY_FIELD_CHANGED = TrainConfig(
     algo="optiondqn", env="Taxi-v3", env_kwargs=("is_rainy:true", 'map:"S#\\nSG"', "max_steps:7"), n_timesteps=123,
     seed=9, tensorboard_log=Path("else/where"), n_envs=3, eval_freq=50, eval_episodes=4, progress=False, device="cpu",
-    num_threads=2, max_options=2, max_new_options=None, discover=False, gamma=0.5, learning_rate=3e-05,
+    num_threads=2, options=Path("a/run"),
+    max_options=2, max_new_options=None, discover=False, gamma=0.5, learning_rate=3e-05,
     buffer_size=77, learning_starts=11, batch_size=5, train_freq=6, target_update_interval=8,
     exploration_fraction=0.25, exploration_final_eps=0.125, net_arch=(3,),
     discovery=DiscoverySettings(
+        segmentation="peaks", peak_reward=0.75, max_segment=70,
         capacity=7, min_positive=2, negative_bags=False, negative_strength=0.5, search="incremental", scale=2.5,
         start_radius=1.0, goal_radius=0.0, decay=0.75, threshold=0.25, peak_radius=2.0, peak_tolerance=0.01,
         subgoal_radius=1.25, spacing=1.5, max_places=6, max_extent=2.5,
@@ -30,6 +33,9 @@ EVERY_FIELD_CHANGED = TrainConfig(
         keep_learning=True, step_size=0.5,
     ),
 )  # fmt: skip
+
+ON_POLICY = {"n_steps": 12, "gae_lambda": 0.5, "ent_coef": 0.125, "n_epochs": 3, "clip_range": 0.25}
+EVERY_ON_POLICY_FIELD_CHANGED = TrainConfig(algo="recurrentppo", batch_size=5, **ON_POLICY)  # type: ignore[arg-type]  # of several types
 
 
 def leaves(settings: Any, prefix: str = "") -> dict[str, Any]:
@@ -45,8 +51,9 @@ def leaves(settings: Any, prefix: str = "") -> dict[str, Any]:
 
 def test_every_field_survives_saving_and_loading(tmp_path: Path) -> None:
     default, changed = leaves(TrainConfig()), leaves(EVERY_FIELD_CHANGED)
-    assert [name for name in default if changed[name] == default[name]] == []
-    for config in (TrainConfig(), EVERY_FIELD_CHANGED, dataclasses.replace(TrainConfig(), net_arch=(), env_kwargs=())):
+    assert [name for name in default if changed[name] == default[name]] == list(ON_POLICY)
+    others = (EVERY_FIELD_CHANGED, EVERY_ON_POLICY_FIELD_CHANGED, TrainConfig(algo="a2c"))
+    for config in (TrainConfig(), *others, dataclasses.replace(TrainConfig(), net_arch=(), env_kwargs=())):
         configs.save(config, tmp_path / "config.yml")
         assert configs.load(tmp_path / "config.yml") == config
         assert configs.parse(["--config", str(tmp_path / "config.yml")]) == config
@@ -159,6 +166,16 @@ class TestRefuses:
             (["--learning-rate", "0"], "--learning-rate must be positive, got 0.0"),
             (["--exploration-fraction", "0"], "--exploration-fraction must be in (0, 1], got 0.0"),
             (["--exploration-final-eps", "2"], "--exploration-final-eps must be in [0, 1], got 2.0"),
+            (["--gae-lambda", "1.5", "--algo", "ppo"], "--gae-lambda must be in [0, 1], got 1.5"),
+            (["--clip-range", "0", "--algo", "ppo"], "--clip-range must be positive, got 0.0"),
+            (["--ent-coef", "-1", "--algo", "a2c"], "--ent-coef must be at least 0, got -1.0"),
+            (["--n-steps", "0", "--algo", "trpo"], "--n-steps must be at least 1, got 0"),
+            (
+                ["--algo", "maskableppo", "--n-steps", "1", "--n-envs", "1"],
+                "maskableppo normalises advantages, which takes two: --n-steps times --n-envs and --batch-size must be "
+                "at least 2, got 1 times 1 and 256.",
+            ),
+            (["--algo", "ppo", "--batch-size", "1"], "at least 2, got 128 times 8 and 1."),
             (["--env-kwargs", "map"], "--env-kwargs takes pairs name:value, got map"),
             (["--discovery.min-positive", "0"], "min_positive must be a whole number of at least 1, got 0"),
             (["--option.max-duration", "0"], "max_duration must be a whole number"),
@@ -188,3 +205,53 @@ def test_every_shipped_default_is_of_an_environment_there_is() -> None:
     for env_id in configs.TUNED:
         assert env_id in gym.registry
         assert configs.tuned(env_id) != TrainConfig()
+
+
+class TestSettingsOfTheAlgorithm:
+    @pytest.mark.parametrize(
+        ("args", "expected"),
+        [
+            (
+                ["--algo", "ppo", "--learning-starts", "9"],
+                "--learning-starts has no effect on ppo: it is a setting of dqn, qrdqn, optiondqn. Leave it out.",
+            ),
+            (
+                ["--n-epochs", "3"],
+                "--n-epochs has no effect on dqn: it is a setting of ppo, maskableppo, recurrentppo. Leave it out.",
+            ),
+            (["--algo", "a2c", "--batch-size", "32"], "--batch-size has no effect on a2c"),
+            (["--algo=trpo", "--ent-coef", "0.5"], "--ent-coef has no effect on trpo"),
+        ],
+    )
+    def test_one_that_has_no_effect_is_refused(
+        self, args: list[str], expected: str, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert expected in refusal(capsys, args)
+
+    def test_in_a_file_too(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        (tmp_path / "config.yml").write_text("algo: qrdqn\ngae_lambda: 0.5\n")
+        text = refusal(capsys, ["--config", str(tmp_path / "config.yml")])
+        assert "--gae-lambda has no effect on qrdqn" in text
+
+    def test_an_algorithm_brings_its_own_defaults(self, tmp_path: Path) -> None:
+        ppo = configs.parse(["--algo", "ppo"])
+        assert (ppo.algo, ppo.n_envs, ppo.batch_size, ppo.learning_rate) == ("ppo", 8, 256, 1e-3)
+        assert configs.parse(["--algo", "ppo", "--n-envs", "2"]) == dataclasses.replace(ppo, n_envs=2)
+        (tmp_path / "config.yml").write_text("algo: ppo\nn_steps: 64\n")
+        from_file = configs.parse(["--config", str(tmp_path / "config.yml"), "--gamma", "0.9"])
+        assert from_file == dataclasses.replace(ppo, n_steps=64, gamma=0.9)
+        assert configs.parse(["--config", str(tmp_path / "config.yml"), "--algo", "a2c"]).batch_size == 64
+
+    @pytest.mark.parametrize("algo", get_args(AlgorithmName))
+    def test_every_algorithm_has_valid_defaults_for_every_environment(self, algo: AlgorithmName) -> None:
+        for env_id in (*configs.TUNED, TrainConfig.env):
+            config = configs.parse(["--algo", algo, "--env", env_id])
+            assert (config.algo, config.env) == (algo, env_id)
+            assert config.discovery == configs.tuned(env_id).discovery
+
+    def test_what_was_tuned_for_another_algorithm_is_not_taken_over(self) -> None:
+        pioneer = "sb3_options/Pioneer-v0"
+        ppo, dqn = configs.tuned(pioneer, "ppo"), configs.tuned(pioneer)
+        assert (dqn.train_freq, dqn.exploration_fraction) == (1, 0.3)
+        assert (ppo.train_freq, ppo.exploration_fraction) == (TrainConfig.train_freq, TrainConfig.exploration_fraction)
+        assert ppo.gamma == dqn.gamma == 0.95

@@ -10,8 +10,8 @@ import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options.bags import success_by_steps
 from sb3_options.discovery import CATEGORICAL_SCALE, DiscoverySettings, SubgoalDiscovery, default_scale
 from sb3_options.observations import FloatArray
-from sb3_options.trajectories import Trajectory, TrajectoryRecorder
-from tests.helpers import trajectory_of
+from sb3_options.trajectories import EpisodeRecorder, Trajectory
+from tests.helpers import ball, trajectory_of
 
 DOORWAY = (10.0, 5.0)
 N_WALKS = 40
@@ -52,7 +52,7 @@ def walks() -> list[list[tuple[Trajectory, FloatArray]]]:
         env = gym.make("sb3_options/TwoRooms-v0")
         rng = np.random.default_rng(seed)
         features = env.get_wrapper_attr("concept_features")
-        recorder, kept = TrajectoryRecorder(), list[tuple[Trajectory, FloatArray]]()
+        recorder, kept = EpisodeRecorder(), list[tuple[Trajectory, FloatArray]]()
         observation, _ = env.reset(seed=seed)
         recorder.begin(observation)
         while len(kept) < N_WALKS:
@@ -60,7 +60,8 @@ def walks() -> list[list[tuple[Trajectory, FloatArray]]]:
             observation, reward, terminated, truncated, info = env.step(np.int64(action))
             recorder.record(action, float(reward), observation)
             if terminated or truncated:
-                trajectory = recorder.end(terminated=terminated, truncated=truncated, is_success=info["is_success"])
+                recorder.end(terminated=terminated, truncated=truncated, is_success=info["is_success"])
+                trajectory = recorder.finished[-1]
                 if trajectory.is_success:
                     kept.append((trajectory, features(trajectory.states)))
                 observation, _ = env.reset()
@@ -157,6 +158,13 @@ class TestSearch:
             centres += subgoal or []
         # In the end nothing is left to search, which is no error.
         assert discovery.bags() is None
+
+    @pytest.mark.parametrize("search", ["exhaustive", "incremental"])
+    def test_so_are_those_that_had_an_option_before(self, search: Literal["exhaustive", "incremental"]) -> None:
+        discovery = SubgoalDiscovery(settings_of(search=search, spacing=3.0), taken=[ball(5.0)])
+        discovery.add(*on_a_line(0, 2, 5, 9, 12, 20))
+        discovery.add(*on_a_line(1, 3.5, 5, 7, 12, 21))
+        assert found(discovery) == [12.0]
 
     @pytest.mark.parametrize("search", ["exhaustive", "incremental"])
     def test_negative_bags_speak_against(self, search: str) -> None:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sb3_options import OptionsWrapper, runs
+from sb3_options import OptionsWrapper, cli, evaluation, runs
+from sb3_options.config import TrainConfig
 from sb3_options.evaluation import Film, Interval, Video, evaluate_run, mean_interval, share_interval
 from tests.helpers import CountingEnv, steady_option
 from tests.sb3_helpers import read_video
@@ -102,3 +103,17 @@ def test_a_configuration_that_would_import_a_module_is_refused(tmp_path: Path) -
     (tmp_path / runs.CONFIG).write_text("env: evil_module:Foo-v0\n")
     with pytest.raises(ValueError, match=r"names the environment 'evil_module:Foo-v0', which would import a module"):
         evaluate_run(tmp_path)
+
+
+def test_an_episode_that_never_ends_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = TrainConfig(
+        env_kwargs=("continuing:true", "max_steps:null"), n_timesteps=50, discover=False, progress=False,
+        tensorboard_log=tmp_path, device="cpu",
+    )  # fmt: skip
+    run = cli.train(config)
+    monkeypatch.setattr(evaluation, "LONGEST_EPISODE", 300)
+    with pytest.raises(
+        ValueError,
+        match=r"^An episode has not ended after 300 primitive steps: only episodes .+ limit in .+config\.yml",
+    ):
+        evaluate_run(run, episodes=1)

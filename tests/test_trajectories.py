@@ -1,3 +1,5 @@
+import logging
+import re
 from typing import Any
 
 import gymnasium as gym
@@ -5,13 +7,19 @@ import numpy as np
 import pytest
 
 import sb3_options.envs  # noqa: F401  # registers them
-from sb3_options import OptionsWrapper
-from sb3_options.trajectories import TrajectoryDatabase, TrajectoryRecorder
+from sb3_options import OptionsWrapper, trajectories
+from sb3_options.trajectories import EpisodeRecorder, Trajectory, TrajectoryDatabase, TrajectoryRecorder
 from tests.helpers import CountingEnv, DictEnv, line, place_of, steady_option
 
 
-def record(observations: list[Any], actions: list[int]) -> TrajectoryRecorder:
-    recorder = TrajectoryRecorder()
+def ended(recorder: TrajectoryRecorder, **kwargs: Any) -> Trajectory:
+    """What the recorder makes of the end of an episode."""
+    recorder.end(**{"terminated": True, "truncated": False, "is_success": None, **kwargs})
+    return recorder.finished[-1]
+
+
+def record(observations: list[Any], actions: list[int]) -> EpisodeRecorder:
+    recorder = EpisodeRecorder()
     recorder.begin(observations[0])
     for action, observation in zip(actions, observations[1:], strict=True):
         recorder.record(action, 10.0 * action, observation)
@@ -19,7 +27,7 @@ def record(observations: list[Any], actions: list[int]) -> TrajectoryRecorder:
 
 
 def test_each_distinct_observation_is_stored_once_in_order_of_first_visit() -> None:
-    trajectory = record([7, 3, 7, 5, 3], [1, 0, 2, 1]).end(terminated=True, truncated=False, is_success=True)
+    trajectory = ended(record([7, 3, 7, 5, 3], [1, 0, 2, 1]), is_success=True)
     assert np.asarray(trajectory.states).tolist() == [7, 3, 5]
     assert trajectory.visits.tolist() == [0, 1, 0, 2, 1]
     assert trajectory.actions.tolist() == [1, 0, 2, 1]
@@ -31,7 +39,7 @@ def test_each_distinct_observation_is_stored_once_in_order_of_first_visit() -> N
 def test_begin_forgets_the_episode_before() -> None:
     recorder = record([1, 2, 3], [0, 0])
     recorder.begin(9)
-    trajectory = recorder.end(terminated=False, truncated=True, is_success=None)
+    trajectory = ended(recorder, terminated=False, truncated=True)
     assert np.asarray(trajectory.states).tolist() == [9]
     assert (len(trajectory), trajectory.visits.tolist(), trajectory.is_success) == (0, [0], None)
     assert trajectory.actions.dtype == trajectory.visits.dtype == np.int64
@@ -39,24 +47,24 @@ def test_begin_forgets_the_episode_before() -> None:
 
 def test_observations_written_in_place_are_copied() -> None:
     array = np.zeros(2)
-    recorder = TrajectoryRecorder()
+    recorder = EpisodeRecorder()
     recorder.begin(array)
     for i in range(1, 4):
         array[:] = i
         recorder.record(0, 0.0, array)
-    states = recorder.end(terminated=True, truncated=False, is_success=None).states
+    states = ended(recorder).states
     np.testing.assert_array_equal(states, [[0, 0], [1, 1], [2, 2], [3, 3]])
 
 
 def test_dictionaries_written_in_place_are_copied() -> None:
     observation = {"a": np.zeros(2), "b": np.zeros(1, dtype=np.int64)}
-    recorder = TrajectoryRecorder()
+    recorder = EpisodeRecorder()
     recorder.begin(observation)
     for value in (1, 2, 1):
         observation["a"][:] = value
         observation["b"][:] = -value
         recorder.record(0, 0.0, observation)
-    trajectory = recorder.end(terminated=True, truncated=False, is_success=None)
+    trajectory = ended(recorder)
     assert not isinstance(trajectory.states, np.ndarray)
     np.testing.assert_array_equal(trajectory.states["a"], [[0, 0], [1, 1], [2, 2]])
     np.testing.assert_array_equal(trajectory.states["b"], [[0], [-1], [-2]])
@@ -68,10 +76,10 @@ def test_dict_observations_by_way_of_the_wrapper() -> None:
     env.record_trajectories(True)
     env.reset(seed=0)
     first = int(env.unwrapped.place)  # type: ignore[attr-defined]  # of DictEnv
-    ended, n_steps, info = False, 0, dict[str, Any]()
-    while not ended:
+    over, n_steps, info = False, 0, dict[str, Any]()
+    while not over:
         assert "trajectory" not in info
-        _, _, ended, _, info = env.step(1)
+        _, _, over, _, info = env.step(1)
         n_steps += 1
     trajectory = info["trajectory"]
     assert place_of(trajectory.states).ravel().tolist() == list(range(first, 10))
@@ -128,6 +136,24 @@ def test_an_info_dictionary_used_again_does_not_bring_the_trajectory_back() -> N
     env.reset()
     assert "trajectory" not in env.step(0)[4]
     assert shared == {}
+
+
+def test_what_never_ends_is_forgotten(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trajectories, "LONGEST_EPISODE", 50)
+    env = OptionsWrapper(CountingEnv(truncate_at=120))
+    env.record_trajectories(True)
+    env.reset(seed=0)
+    recorder = env._recorder
+    assert recorder is not None
+    with caplog.at_level(logging.WARNING, "sb3_options"):
+        infos = [env.step(0)[4] for _ in range(120)]
+    assert not any("trajectory" in info for info in infos)
+    assert (len(recorder), len(recorder.finished)) == (0, 0)
+    (warning,) = caplog.messages
+    assert re.search(r"has not ended after 50 primitive steps .+DiscoverySettings\(segmentation='peaks'\)", warning)
+    env.reset()
+    assert [env.step(0)[0].item() for _ in range(20)][-1] == 20
+    assert len(recorder) == 20
 
 
 class TestDatabase:

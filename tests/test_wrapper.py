@@ -2,6 +2,7 @@ import copy
 import itertools
 import pickle
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -525,6 +526,40 @@ class TestProtocol:
         with pytest.raises(ValueError, match=rf"^action must be between 0 and 3, got {action}\.$"):
             env.step(action)
         assert env.unwrapped.time == 0  # type: ignore[attr-defined]  # of CountingEnv
+
+
+class TestOptionsFile:
+    @pytest.fixture
+    def path(self, tmp_path: Path) -> Path:
+        env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0"))
+        cells = Region(np.array([[x, 5.0] for x in range(10)]), np.ones(2), 0.0)
+        env.bank.add(SubgoalOption(ball(10.0, 5.0), cells, TabularPolicy(np.zeros((1, 210)), np.eye(4)[3:])), 1)
+        env.bank.save(tmp_path / "options.safetensors")
+        return tmp_path / "options.safetensors"
+
+    def test_its_options_are_there_from_the_start(self, path: Path) -> None:
+        env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0", success_probability=1.0), options_file=str(path))
+        assert env.bank.filled == (1,)
+        observation, _ = env.reset(options={"start": (2, 5)})
+        assert env.action_masks().tolist() == [True] * 4 + [False, True, False, False]
+        observation, _, _, _, info = env.step(5)
+        assert (info["option"]["duration"], info["option"]["termination"]) == (8, "subgoal")
+        assert env.concept_features(observation[None]).tolist() == [[10.0, 5.0]]
+
+    def test_the_spec_makes_them_again(self, path: Path) -> None:
+        env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0"), options_file=path)
+        assert env.spec is not None
+        again = gym.make(env.spec)
+        assert isinstance(again, OptionsWrapper)
+        assert again.bank.filled == (1,)
+
+    def test_a_missing_file_is_an_error(self, tmp_path: Path) -> None:
+        with pytest.raises(FileNotFoundError, match=r"^There is no options file at .+nowhere\.$"):
+            OptionsWrapper(CountingEnv(), options_file=tmp_path / "nowhere")
+
+    def test_a_file_that_does_not_fit_is_an_error(self, path: Path) -> None:
+        with pytest.raises(ValueError, match=r"its options choose among 4 primitive actions, this task has 2\.$"):
+            OptionsWrapper(CountingEnv(), options_file=path)
 
 
 class TestArguments:

@@ -189,6 +189,17 @@ class TestDynamics:
         env.reset()
         assert env.step(Direction.RIGHT)[2:] == (True, False, {"is_success": True})
 
+    def test_a_continuing_task_goes_on_from_a_start(self) -> None:
+        env = GridWorld("S.G", success_probability=1, continuing=True, step_reward=-0.5, max_steps=6, observation="xy")
+        for _ in range(2):
+            env.reset()
+            steps = [env.step(Direction.RIGHT) for _ in range(6)]
+            assert [int(observation[0]) for observation, *_ in steps] == [1, 2, 0, 1, 2, 0]
+            assert [reward for _, reward, *_ in steps] == [-0.5, 1.0, -0.5, -0.5, 1.0, -0.5]
+            assert not any(terminated for _, _, terminated, *_ in steps)
+            assert [truncated for *_, truncated, _ in steps] == [False] * 5 + [True]
+            assert [info["is_success"] for *_, info in steps] == [False] + [True] * 5
+
     def test_never_truncates_without_limit(self) -> None:
         env = GridWorld("S.G", success_probability=1, max_steps=None)
         env.reset()
@@ -380,6 +391,7 @@ class TestErrors:
             ({"goal_reward": float("inf")}, ValueError, r"goal_reward must be finite, got inf"),
             ({"step_reward": None}, TypeError, r"step_reward must be a number, got None"),
             ({"max_steps": 0}, ValueError, r"max_steps must be at least 1, or None for no limit, got 0"),
+            ({"continuing": "yes"}, TypeError, r"continuing must be True or False, got 'yes'"),
             ({"max_steps": 1e3}, TypeError, r"max_steps must be an integer or None, got 1000\.0"),
             (
                 {"observation": "rgb"},
