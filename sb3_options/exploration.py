@@ -16,7 +16,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from sb3_options.observations import BoolArray
 
 
-class CappedActions(spaces.Discrete):  # type: ignore[type-arg]  # generic in later versions of Gymnasium only
+class CappedActions(spaces.Discrete):
     """Augmented actions that `sample` draws from with at most a given share of options; equal to a ``Discrete``.
 
     As long as uniform choices keep to the share they are made as ever, draw by draw. An empty slot counts as a
