@@ -23,6 +23,7 @@ from sb3_options.discovery import DiscoverySettings, SubgoalDiscovery
 from sb3_options.exploration import checked_share
 from sb3_options.observations import FloatArray
 from sb3_options.option import Region, SubgoalOption
+from sb3_options.option_growth import OptionGrowth
 from sb3_options.option_learning import OptionLearningSettings, learn_further, learn_option
 from sb3_options.plots import discovery_figures
 from sb3_options.rollout_buffer import SMDPAdvantages, passage_of
@@ -123,6 +124,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
         self.discovery: SubgoalDiscovery | None = None
         self._generator = torch.Generator().manual_seed(seed)
         self._statistics = OptionStatistics()
+        self._growth = OptionGrowth()
         self._server: OptionServer | None = None
         self._rollout_buffer: SMDPAdvantages | None = None
 
@@ -190,10 +192,10 @@ class SubgoalDiscoveryCallback(BaseCallback):
     def _learn_from(self, trajectory: Trajectory) -> None:
         assert self.discovery is not None  # made when training started
         discovers = self._may_discover()
-        if not (discovers or (self.option_settings.keep_learning and len(self.bank))):
+        if not (discovers or (self.option_settings.goes_on and len(self.bank))):
             return
         labelled = self.discovery.add(trajectory, self._serving.features_of(trajectory.states))
-        if self.option_settings.keep_learning:
+        if self.option_settings.goes_on:
             self._learn_further(labelled)
         if discovers and (labelled.success or self.settings.negative_bags):
             subgoal = self.discovery.search()
@@ -204,9 +206,25 @@ class SubgoalDiscoveryCallback(BaseCallback):
         for slot in self.bank.filled:
             option = self.bank[slot]
             if isinstance(option, SubgoalOption):
-                further = learn_further(option, labelled, self.option_settings)
+                further = self._further(slot, option, labelled)
                 if further is not option:
                     self._serving.replace(slot, further)
+
+    def _further(self, slot: int, option: SubgoalOption, labelled: LabelledTrajectory) -> SubgoalOption:
+        if self.option_settings.grow and self._growth.is_due(slot, option.subgoal, labelled):
+            return self._learn(option.subgoal, option.name) or option
+        return learn_further(option, labelled, self.option_settings) if self.option_settings.keep_learning else option
+
+    def _learn(self, subgoal: Region, name: str) -> SubgoalOption | None:
+        assert self.discovery is not None  # made when training started
+        return learn_option(
+            subgoal,
+            self.discovery.database,
+            self._serving.n_primitive,
+            self.option_settings,
+            self._generator,
+            name=name,
+        )
 
     def _may_discover(self) -> bool:
         if self.max_new_options is not None and len(self.discoveries) >= self.max_new_options:
@@ -217,19 +235,13 @@ class SubgoalDiscoveryCallback(BaseCallback):
         assert self.discovery is not None  # made when training started
         centre = subgoal.points[0]
         name = "reach " + ", ".join(f"{x:g}" for x in centre[:4]) + (", …" if len(centre) > 4 else "")
-        option = learn_option(
-            subgoal,
-            self.discovery.database,
-            self._serving.n_primitive,
-            self.option_settings,
-            self._generator,
-            name=name,
-        )
+        option = self._learn(subgoal, name)
         if option is None:
             logger.warning("No option for the subgoal at %s: no saved trajectory leads to it.", centre)
             return
         slot = self.bank.slots.index(None)
         self._serving.put(slot, option)
+        self._growth.made(slot, subgoal, self.discovery.database)
         self.discoveries.append(
             DiscoveredOption(
                 slot,

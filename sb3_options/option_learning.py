@@ -42,6 +42,8 @@ class OptionLearningSettings:
         network_updates: Gradient steps for a network.
         keep_learning: Whether an option with a table goes on learning from every later trajectory.
         step_size: α of that learning, in (0, 1].
+        grow: Whether an option is learned anew, initiation set and policy, from all saved trajectories each time
+            twice as many of them have reached its subgoal.
     """
 
     policy_input: PolicyInput = "observation"
@@ -58,6 +60,12 @@ class OptionLearningSettings:
     network_updates: int = 2000
     keep_learning: bool = False
     step_size: float = 0.1
+    grow: bool = False
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether options change after they were made."""
+        return self.keep_learning or self.grow
 
     def __post_init__(self) -> None:
         """Refuse values out of range, by name."""

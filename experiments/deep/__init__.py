@@ -1,0 +1,1 @@
+"""Deep RL with and without discovered options: ``python -m experiments.deep``."""

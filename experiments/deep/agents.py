@@ -1,0 +1,168 @@
+"""One run: a model with or without options, evaluated while it learns."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import gymnasium as gym
+import numpy as np
+from sb3_contrib import QRDQN, TRPO, MaskablePPO
+from stable_baselines3 import A2C, DQN, PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList, EvalCallback
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+
+from experiments.deep.repeats import RandomRepeat
+from experiments.deep.settings import GAMMA, DeepSettings
+from experiments.deep.tasks import SLACK, Task, optimal_steps, world_of
+from experiments.seeds import Result
+from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper
+from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
+
+Arm: TypeAlias = Literal["stock", "options", "repeats"]
+
+EVAL_SEED, REPEAT_SEED = 500_000, 700_000
+
+
+def make_env(task: Task, arm: Arm, settings: DeepSettings, seed: int, n_envs: int, **kwargs: Any) -> VecEnv:
+    """The target's environments, with option slots unless it is the stock arm."""
+
+    def make(i: int) -> gym.Env[Any, Any]:
+        env: gym.Env[Any, Any] = Monitor(gym.make(task.env, **{**task.target, **kwargs}))
+        if arm == "stock":
+            return env
+        optioned = OptionsWrapper(env, settings.max_options, gamma=GAMMA)
+        if arm == "repeats":
+            rng = np.random.default_rng([seed + i, REPEAT_SEED])
+            for action in range(optioned.n_primitive):
+                optioned.bank.add(RandomRepeat(action, rng))
+        return optioned
+
+    venv = DummyVecEnv([lambda i=i: make(i) for i in range(n_envs)])  # type: ignore[misc]  # bound early
+    venv.seed(seed)
+    return venv
+
+
+def make_model(algo: str, venv: VecEnv, arm: Arm, settings: DeepSettings, seed: int) -> BaseAlgorithm:
+    """The untrained model; hyper-parameters are the same in every arm."""
+    common: dict[str, Any] = {"gamma": GAMMA, "seed": seed, "device": "cpu"}
+    if algo in ("dqn", "optiondqn", "qrdqn"):
+        classes: dict[str, Any] = {"dqn": DQN, "qrdqn": QRDQN, "optiondqn": DQN if arm == "stock" else OptionDQN}
+        buffer = {} if arm == "stock" else {"replay_buffer_class": OptionReplayBuffer}
+        made: BaseAlgorithm = classes[algo]("MlpPolicy", venv, **common, **settings.dqn, **buffer)
+        return made
+    classes = {"ppo": PPO, "a2c": A2C, "trpo": TRPO, "maskableppo": PPO if arm == "stock" else MaskablePPO}
+    return classes[algo]("MlpPolicy", venv, **common, **settings.ppo)  # type: ignore[no-any-return]
+
+
+class Evaluations(BaseCallback):
+    """Acts greedily in environments of its own, every so many primitive steps.
+
+    Args:
+        venv: One environment per episode, cut off where an episode counts as failed.
+        every: Primitive steps.
+        seed: Every evaluation sees the same episodes.
+    """
+
+    def __init__(self, venv: VecEnv, every: int, seed: int) -> None:
+        super().__init__()
+        self.venv, self.every, self.seed = venv, every, seed
+        self.points: list[tuple[int, float, float]] = []
+        self._next = 0
+
+    def _on_step(self) -> bool:
+        if self.num_timesteps >= self._next:
+            self._next = (self.num_timesteps // self.every + 1) * self.every
+            self.points.append((self.num_timesteps, *greedy(self.model, self.venv, self.seed)))
+        return True
+
+
+def greedy(model: BaseAlgorithm, venv: VecEnv, seed: int) -> tuple[float, float]:
+    """Success rate and mean primitive steps of one greedy episode in every environment."""
+    venv.seed(seed)
+    observations = venv.reset()
+    masks = isinstance(model, OptionDQN | MaskablePPO)
+    lengths = np.zeros(venv.num_envs)
+    success = np.zeros(venv.num_envs, dtype=bool)
+    over = np.zeros(venv.num_envs, dtype=bool)
+    while not over.all():
+        kwargs = {"action_masks": np.stack(venv.env_method("action_masks"))} if masks else {}
+        actions, _ = model.predict(observations, deterministic=True, **kwargs)  # type: ignore[arg-type]  # arrays
+        observations, _, dones, infos = venv.step(actions)
+        for i in np.flatnonzero(dones & ~over):
+            over[i], success[i], lengths[i] = True, infos[i]["is_success"], infos[i]["episode"]["l"]
+    return float(success.mean()), float(lengths.mean())
+
+
+class Served(EvalCallback):
+    """Lets the discovery callback see an evaluation environment, and evaluates nothing itself."""
+
+    def _on_step(self) -> bool:
+        return True
+
+
+def train(
+    task: Task,
+    algo: str,
+    arm: Arm,
+    settings: DeepSettings,
+    seed: int,
+    *,
+    options: Path | None = None,
+    n_timesteps: int | None = None,
+) -> tuple[Result, SubgoalDiscoveryCallback | None]:
+    """Train once in the target.
+
+    Args:
+        task: Which.
+        algo: Of stable-baselines3 or sb3-contrib, in lower case.
+        arm: Stock, discovered options, or random repeats in their place.
+        settings: Of everything.
+        seed: Of everything random.
+        options: A file of options to begin with, in which case none are discovered.
+        n_timesteps: In place of the task's.
+
+    Returns:
+        ``steps``, ``success`` and ``length`` of each evaluation, ``final_success`` and ``final_length``, and what was
+        discovered; the callback that discovered it.
+    """
+    limit = round(SLACK * optimal_steps(world_of(task.env, **task.target)))
+    venv = make_env(task, arm, settings, seed, settings.n_envs)
+    eval_env = make_env(task, arm, settings, EVAL_SEED + seed, settings.evaluation_episodes, max_steps=limit)
+    final_env = make_env(task, arm, settings, EVAL_SEED + seed, settings.final_episodes, max_steps=limit)
+    if options is not None:
+        for each in (venv, eval_env, final_env):
+            for wrapper in each.envs:  # type: ignore[attr-defined]  # a DummyVecEnv
+                wrapper.bank.load(options)
+    model = make_model(algo, venv, arm, settings, seed)
+    evaluations = Evaluations(eval_env, settings.evaluate_every, EVAL_SEED + seed)
+    discovery = None
+    callbacks: list[BaseCallback] = [evaluations]
+    if arm == "options":
+        discovery = SubgoalDiscoveryCallback(
+            settings.discovery,
+            settings.option,
+            max_new_options=settings.max_new_options if options is None else 0,
+            seed=seed,
+        )
+        callbacks = [discovery, *callbacks, Served(eval_env), Served(final_env)]
+    elif arm == "repeats":
+        callbacks = [PrimitiveStepsCallback(), *callbacks]
+    model.learn(n_timesteps or task.n_timesteps, callback=CallbackList(callbacks))
+    steps, success, lengths = zip(*evaluations.points, strict=True)
+    final = greedy(model, final_env, EVAL_SEED + seed)
+    result: Result = {
+        "seed": seed,
+        "steps": list(steps),
+        "success": list(success),
+        "length": list(lengths),
+        "final_success": final[0],
+        "final_length": final[1],
+        "options": [
+            {"episode": d.episode, "timestep": d.timestep, "subgoal": [float(x) for x in d.subgoal]}
+            for d in (discovery.discoveries if discovery else [])
+        ],
+    }
+    return result, discovery
