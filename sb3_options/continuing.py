@@ -26,14 +26,15 @@ class RewardPeaks:
     Attributes:
         peak_reward: The least reward of a peak; None takes any that is positive.
         max_segment: A segment that has come to this many primitive steps without a peak is cut there, and failed. No
-            more than this is ever held in memory.
+            more than this is ever held in memory. The next segment starts in mid-way, so that this should be more
+            than an agent that explores at random takes from peak to peak.
 
     Raises:
         ValueError: A field is out of its range.
     """
 
     peak_reward: float | None = None
-    max_segment: int = 1000
+    max_segment: int = 10_000
 
     def __post_init__(self) -> None:
         """Refuse values out of range, by name."""

@@ -30,7 +30,8 @@ class DiscoverySettings:
         segmentation: What a trajectory is: one of the ``episodes``, or, for continuing tasks, a segment between two
             ``peaks`` of reward (`continuing.RewardPeaks`).
         peak_reward: The least reward of a peak; None takes any that is positive.
-        max_segment: Primitive steps without a peak that make an unsuccessful segment.
+        max_segment: Primitive steps without a peak that make an unsuccessful segment; more than random exploration
+            takes from peak to peak.
         capacity: How many trajectories are kept: the last n.
         min_positive: Positive bags needed before the first search: over a few bags, accidents tie with bottlenecks.
         negative_bags: Whether unsuccessful trajectories become negative bags.
@@ -58,7 +59,7 @@ class DiscoverySettings:
 
     segmentation: Literal["episodes", "peaks"] = "episodes"
     peak_reward: float | None = None
-    max_segment: int = 1000
+    max_segment: int = 10_000
     capacity: int = 100
     min_positive: int = 8
     negative_bags: bool = True
