@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, get_args
 
 import gymnasium as gym
 import numpy as np
@@ -22,8 +23,15 @@ from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 
 Arm: TypeAlias = Literal["stock", "options", "repeats"]
+ARMS: tuple[Arm, ...] = get_args(Arm)
+OFF_POLICY = ("dqn", "optiondqn", "qrdqn")
+ALGORITHMS = (*OFF_POLICY, "ppo", "a2c", "trpo", "maskableppo")
 
-EVAL_SEED, REPEAT_SEED = 500_000, 700_000
+SOURCE_SEED, EVAL_SEED, REPEAT_SEED, FINAL_SEED = 300_000, 500_000, 700_000, 10_000_000
+
+
+REACHED = 0.9
+"""The success rate that a run has to reach."""
 
 
 def make_env(task: Task, arm: Arm, settings: DeepSettings, seed: int, n_envs: int, **kwargs: Any) -> VecEnv:
@@ -48,7 +56,7 @@ def make_env(task: Task, arm: Arm, settings: DeepSettings, seed: int, n_envs: in
 def make_model(algo: str, venv: VecEnv, arm: Arm, settings: DeepSettings, seed: int) -> BaseAlgorithm:
     """The untrained model; hyper-parameters are the same in every arm."""
     common: dict[str, Any] = {"gamma": GAMMA, "seed": seed, "device": "cpu"}
-    if algo in ("dqn", "optiondqn", "qrdqn"):
+    if algo in OFF_POLICY:
         classes: dict[str, Any] = {"dqn": DQN, "qrdqn": QRDQN, "optiondqn": DQN if arm == "stock" else OptionDQN}
         buffer = {} if arm == "stock" else {"replay_buffer_class": OptionReplayBuffer}
         made: BaseAlgorithm = classes[algo]("MlpPolicy", venv, **common, **settings.dqn, **buffer)
@@ -63,12 +71,13 @@ class Evaluations(BaseCallback):
     Args:
         venv: One environment per episode, cut off where an episode counts as failed.
         every: Primitive steps.
+        steps_after: Training ends this many primitive steps after the success rate first was `REACHED`.
         seed: Every evaluation sees the same episodes.
     """
 
-    def __init__(self, venv: VecEnv, every: int, seed: int) -> None:
+    def __init__(self, venv: VecEnv, every: int, steps_after: int, seed: int) -> None:
         super().__init__()
-        self.venv, self.every, self.seed = venv, every, seed
+        self.venv, self.every, self.steps_after, self.seed = venv, every, steps_after, seed
         self.points: list[tuple[int, float, float]] = []
         self._next = 0
 
@@ -76,7 +85,8 @@ class Evaluations(BaseCallback):
         if self.num_timesteps >= self._next:
             self._next = (self.num_timesteps // self.every + 1) * self.every
             self.points.append((self.num_timesteps, *greedy(self.model, self.venv, self.seed)))
-        return True
+        reached = next((at for at, success, _ in self.points if success >= REACHED), math.inf)
+        return self.num_timesteps < reached + self.steps_after
 
 
 def greedy(model: BaseAlgorithm, venv: VecEnv, seed: int) -> tuple[float, float]:
@@ -131,13 +141,12 @@ def train(
     limit = round(SLACK * optimal_steps(world_of(task.env, **task.target)))
     venv = make_env(task, arm, settings, seed, settings.n_envs)
     eval_env = make_env(task, arm, settings, EVAL_SEED + seed, settings.evaluation_episodes, max_steps=limit)
-    final_env = make_env(task, arm, settings, EVAL_SEED + seed, settings.final_episodes, max_steps=limit)
     if options is not None:
-        for each in (venv, eval_env, final_env):
+        for each in (venv, eval_env):
             for wrapper in each.envs:  # type: ignore[attr-defined]  # a DummyVecEnv
                 wrapper.bank.load(options)
     model = make_model(algo, venv, arm, settings, seed)
-    evaluations = Evaluations(eval_env, settings.evaluate_every, EVAL_SEED + seed)
+    evaluations = Evaluations(eval_env, settings.evaluate_every, settings.steps_after, EVAL_SEED + seed)
     discovery = None
     callbacks: list[BaseCallback] = [evaluations]
     if arm == "options":
@@ -147,22 +156,51 @@ def train(
             max_new_options=settings.max_new_options if options is None else 0,
             seed=seed,
         )
-        callbacks = [discovery, *callbacks, Served(eval_env), Served(final_env)]
+        callbacks = [discovery, *callbacks, Served(eval_env)]
     elif arm == "repeats":
         callbacks = [PrimitiveStepsCallback(), *callbacks]
     model.learn(n_timesteps or task.n_timesteps, callback=CallbackList(callbacks))
     steps, success, lengths = zip(*evaluations.points, strict=True)
-    final = greedy(model, final_env, EVAL_SEED + seed)
+    last = [
+        greedy(model, eval_env, FINAL_SEED + seed * settings.final_evaluations + i)
+        for i in range(settings.final_evaluations)
+    ]
     result: Result = {
         "seed": seed,
         "steps": list(steps),
         "success": list(success),
         "length": list(lengths),
-        "final_success": final[0],
-        "final_length": final[1],
+        "final_success": float(np.mean([success for success, _ in last])),
+        "final_length": float(np.mean([length for _, length in last])),
         "options": [
             {"episode": d.episode, "timestep": d.timestep, "subgoal": [float(x) for x in d.subgoal]}
             for d in (discovery.discoveries if discovery else [])
         ],
     }
     return result, discovery
+
+
+def run(task: Task, algo: str, arm: Arm, settings: DeepSettings, folder: Path, seed: int) -> Result:
+    """One run of one arm.
+
+    Args:
+        task: Which; with a source, options are discovered there by the same algorithm and brought along.
+        algo: As for `train`.
+        arm: As for `train`.
+        settings: Of everything.
+        folder: For the options of the source.
+        seed: Of everything random; the source has one of its own.
+
+    Returns:
+        As of `train`; with ``brought``, the subgoals of the options brought along.
+    """
+    if task.source is None or arm != "options":
+        return train(task, algo, arm, settings, seed)[0]
+    source = Task(task.env, task.source, n_timesteps=task.source_timesteps)
+    discovery = train(source, algo, arm, settings, SOURCE_SEED + seed)[1]
+    assert discovery is not None  # of this arm
+    options = folder / "options" / f"{seed}.safetensors"
+    options.parent.mkdir(parents=True, exist_ok=True)
+    discovery.bank.save(options)
+    subgoals = [[float(x) for x in d.subgoal] for d in discovery.discoveries]
+    return {**train(task, algo, arm, settings, seed, options=options)[0], "brought": subgoals}

@@ -20,7 +20,13 @@ def test_ratios_are_taken_within_turns() -> None:
 def test_benchmark_writes_results_and_picture(tmp_path: Path) -> None:
     overhead.main(overhead.Benchmark(out=tmp_path, rounds=2, chunk=700))
     content = json.loads((tmp_path / "results.json").read_text())
-    assert set(content["primitive_steps_per_second"]) == {"stock", "wrapped", "discovering"}
-    # Far below what is measured undisturbed, so that it fails for a fault and not for a busy machine.
-    assert content["wrapped_of_stock"]["mean"] > 0.5
+    for scenario, kinds in overhead.KINDS.items():
+        assert set(content[scenario]["primitive_steps_per_second"]) == set(kinds)
+        # Far below what is measured undisturbed, so that it fails for a fault and not for a busy machine.
+        assert content[scenario]["wrapped_of_stock"]["mean"] > 0.5
     assert (tmp_path / "overhead.png").stat().st_size > 5_000
+
+
+def test_an_unknown_scenario_is_named(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match="there is no 'ddpg', choose from dqn, ppo, ppo_subprocesses"):
+        overhead.main(overhead.Benchmark(out=tmp_path, scenarios="dqn,ddpg"))

@@ -1,0 +1,60 @@
+"""Pictures of the study."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.deep.summary import GRID, curve, iqm, iqm_interval, steps_to_success
+from experiments.seeds import Result
+from sb3_options.observations import FloatArray
+
+COLOURS = {"stock": "0.45", "options": "#d62728", "repeats": "#1f77b4"}
+LABELS = {"stock": "stock", "options": "discovered options", "repeats": "random repeats"}
+N_BANDS = 500
+
+
+def draw(task: str, runs: dict[tuple[str, str], dict[str, Sequence[Result]]], lengths: dict[str, int]) -> Figure:
+    """Success rate over primitive steps, one panel for each environment and algorithm.
+
+    Args:
+        task: For the title.
+        runs: Environment and algorithm → arm → results.
+        lengths: Longest training by environment.
+    """
+    environments = list(dict.fromkeys(env for env, _ in runs))
+    algorithms = list(dict.fromkeys(algo for _, algo in runs))
+    size = (4.6 * len(environments), 3.1 * len(algorithms))
+    figure = Figure(figsize=size, layout="constrained")
+    panels = figure.subplots(len(algorithms), len(environments), squeeze=False, sharey=True)
+    for row, algo in zip(panels, algorithms, strict=True):
+        for axes, env in zip(row, environments, strict=True):
+            for arm, results in runs.get((env, algo), {}).items():
+                if not results:
+                    continue
+                at = np.arange(0, lengths[env] + 1, GRID)
+                middle, low, high = band(np.array([curve(r, lengths[env]) for r in results]))
+                axes.plot(at, middle, color=COLOURS[arm], label=f"{LABELS[arm]} ({len(results)} runs)")
+                axes.fill_between(at, low, high, color=COLOURS[arm], alpha=0.18, linewidth=0)
+                reached = iqm_interval(np.array([steps_to_success(r, lengths[env]) for r in results]))
+                axes.plot(reached.mean, 0.9, "o", color=COLOURS[arm], markersize=5)
+                axes.hlines(0.9, reached.low, reached.high, color=COLOURS[arm], linewidth=2)
+            axes.set_title(f"{algo.upper()}, {env}, {task}")
+            axes.set_ylim(-0.03, 1.05)
+            axes.grid(alpha=0.25)
+    for axes in panels[-1]:
+        axes.set_xlabel("primitive steps")
+    for axes in panels[:, 0]:
+        axes.set_ylabel("success rate")
+    panels[0, 0].legend(loc="lower right", fontsize=8)
+    return figure
+
+
+def band(curves: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Interquartile mean of (runs, points) at each point, and its 95 % percentile bootstrap interval."""
+    rng = np.random.default_rng(0)
+    drawn = curves[rng.integers(len(curves), size=(N_BANDS, len(curves)))]
+    low, high = np.quantile(iqm(drawn, axis=1), [0.025, 0.975], axis=0)
+    return iqm(curves, axis=0), low, high
