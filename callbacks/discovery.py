@@ -289,4 +289,5 @@ class SubgoalDiscoveryCallback(BaseCallback):
     def _on_training_end(self) -> None:
         self._serving.rollout_starts()  # no option is left waiting
         self._draw()
-        self.logger.dump(self.num_timesteps)
+        if self.logger.name_to_value:  # rl-zoo3 ends training twice, and an empty dump warns
+            self.logger.dump(self.num_timesteps)
