@@ -40,7 +40,7 @@ class _WatchedPipe:
     def __init__(self, remote: Connection, venv: SubprocVecEnv, index: int) -> None:
         self._remote, self._venv, self._index = remote, venv, index
         process = venv.processes[index]
-        # A forked worker inherits the pipes of those before it, so that losing one of these closes nothing.
+        # A forked worker inherits the pipes of those that are forked after it, so that the loss of one closes nothing.
         self._sentinel: int | None = process.sentinel if type(process).__name__ == "ForkProcess" else None
 
     def send(self, message: Any) -> None:

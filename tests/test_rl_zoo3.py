@@ -21,6 +21,8 @@ ENV = "sb3_options/TwoRooms-v0"
 RUN = "sb3_options-TwoRooms-v0_1"
 # So that the option is chosen now and then in play, whatever these few steps have taught.
 EXPLORING = {"dqn": ["exploration_final_eps:0.5"], "qrdqn": ["exploration_final_eps:0.5"]}
+# Eight environments at once end fewer episodes each, and options move in between rollouts.
+N_TIMESTEPS = {"dqn": 2500, "qrdqn": 2500, "ppo": 8000}
 FILES = sorted(EXAMPLES.glob("*.yml"))
 
 needs_zoo = pytest.mark.skipif(
@@ -75,7 +77,7 @@ def test_files_name_classes_that_are_there_and_one_gamma(path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("algo", [path.stem for path in FILES])
 def test_train_enjoy_and_record(tmp_path: Path, algo: str) -> None:
-    train(tmp_path, algo, 2500)
+    train(tmp_path, algo, N_TIMESTEPS[algo])
     run = tmp_path / "logs" / algo / RUN
     assert (run / f"{ENV.replace('/', '-')}.zip").is_file()
     assert filled_slots(run / OPTIONS) == (0,)
