@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NoReturn
 
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.vec_env import VecEnv, VecTransposeImage, is_vecenv_wrapped
+from stable_baselines3.common.vec_env import (
+    VecEnv,
+    VecEnvWrapper,
+    VecFrameStack,
+    VecNormalize,
+    VecTransposeImage,
+    is_vecenv_wrapped,
+)
 
 from sb3_options import heads
 from sb3_options.macro_q import MacroQ
@@ -33,7 +40,7 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
         )
     check_wrapped(venv, "The model's environment")
     if not isinstance(model, MacroQ):
-        _check_deep(model)
+        _check_deep(model, venv)
     gammas: list[float] = venv.get_attr("gamma")
     model_gamma: float = model.gamma  # type: ignore[attr-defined]  # every algorithm that passed until here has it
     different = [gamma for gamma in gammas if abs(gamma - model_gamma) > 1e-12]
@@ -42,7 +49,7 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
             f"OptionsWrapper discounts with gamma={different[0]}, {type(model).__name__} with gamma={model_gamma}: "
             "give both the same."
         )
-    _check_nothing_above_changes_observations(model, venv)
+    _check_nothing_above_changes_observations(venv)
     if venv.env_method("feature_kind", indices=[0])[0] is None:
         raise ValueError(
             f"There is no default feature map for {venv.observation_space}: pass OptionsWrapper(env, "
@@ -50,28 +57,56 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
         )
 
 
-def _check_nothing_above_changes_observations(model: BaseAlgorithm, venv: VecEnv) -> None:
+def _check_nothing_above_changes_observations(venv: VecEnv) -> None:
     """Refuse wrappers above `OptionsWrapper` that change observations: options act on what the wrapper sees."""
     seen: spaces.Space[Any] = venv.env_method("seen_observation_space", indices=[0])[0]
-    if model.get_vec_normalize_env() is not None or is_vecenv_wrapped(venv, VecTransposeImage):
-        return  # both are undone where it matters
+    while isinstance(venv, VecEnvWrapper):
+        # These three are undone where it matters.
+        undone = isinstance(venv, (VecNormalize, VecTransposeImage, VecFrameStack))
+        if not undone and venv.observation_space != venv.venv.observation_space:
+            _refuse_change(venv.venv.observation_space, venv.observation_space)
+        venv = venv.venv
     if seen != venv.observation_space:
-        raise ValueError(
-            f"Between OptionsWrapper and the algorithm observations change from {seen} to {venv.observation_space}: "
-            "put what changes them (VecFrameStack, an observation wrapper) beneath OptionsWrapper, for instance "
-            "OptionsWrapper(FrameStackObservation(env, 4))."
-        )
+        _refuse_change(seen, venv.observation_space)
 
 
-def _check_deep(model: BaseAlgorithm) -> None:
+def _refuse_change(seen: spaces.Space[Any], given: spaces.Space[Any]) -> NoReturn:
+    raise ValueError(
+        f"Between OptionsWrapper and the algorithm observations change from {seen} to {given}: put what changes them "
+        "beneath OptionsWrapper, for instance OptionsWrapper(TransformObservation(env, ...))."
+    )
+
+
+def _check_deep(model: BaseAlgorithm, venv: VecEnv) -> None:
     """Refuse an off-policy algorithm without `OptionReplayBuffer`, and any without heads that could be opened."""
     buffer = getattr(model, "replay_buffer", None)
-    if buffer is not None and not isinstance(buffer, OptionReplayBuffer):
-        raise ValueError(
-            f"{type(model).__name__} was built with {type(buffer).__name__}, which discounts an option of k steps "
-            f"with γ instead of γᵏ: pass {type(model).__name__}(..., replay_buffer_class=OptionReplayBuffer)."
-        )
+    if buffer is not None:
+        if not isinstance(buffer, OptionReplayBuffer):
+            raise ValueError(
+                f"{type(model).__name__} was built with {type(buffer).__name__}, which discounts an option of k steps "
+                f"with γ instead of γᵏ: pass {type(model).__name__}(..., replay_buffer_class=OptionReplayBuffer)."
+            )
+        _check_stacked_frames(model, buffer, venv)
     heads.option_outputs(model.policy)
+
+
+def _check_stacked_frames(model: BaseAlgorithm, buffer: OptionReplayBuffer, venv: VecEnv) -> None:
+    """Refuse stacked frames that the replay buffer could not store."""
+    if not is_vecenv_wrapped(venv, VecFrameStack):
+        return
+    name = type(model).__name__
+    normalize = model.get_vec_normalize_env()
+    if normalize is not None and not is_vecenv_wrapped(normalize, VecFrameStack):
+        raise ValueError(
+            f"VecFrameStack stands above VecNormalize, and {name} stores what VecNormalize was given, which is not "
+            "stacked: use VecNormalize(VecFrameStack(venv, n))."
+        )
+    if buffer.macro_q:
+        raise ValueError(
+            "The steps inside options are never stacked by VecFrameStack, so that Macro-Q cannot learn from them: pass "
+            f"{name}(..., replay_buffer_kwargs={{'macro_q': False}}), or stack beneath the options: "
+            "OptionsWrapper(FrameStackObservation(env, n))."
+        )
 
 
 def check_wrapped(venv: VecEnv, whose: str) -> None:

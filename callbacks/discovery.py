@@ -28,6 +28,7 @@ from sb3_options.option_learning import OptionLearningSettings, learn_further, l
 from sb3_options.plots import discovery_figures
 from sb3_options.rollout_buffer import SMDPAdvantages, passage_of
 from sb3_options.trajectories import LabelledTrajectory, Trajectory
+from sb3_options.workers import watch_workers
 
 logger = logging.getLogger("sb3_options")
 
@@ -135,6 +136,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
 
     def _on_training_start(self) -> None:
         venv = self.training_env
+        watch_workers(venv)
         check_model(self.model, venv)
         self._rollout_buffer = option_rollout_buffer(self.model)
         monitor_primitive_steps(venv)
@@ -289,4 +291,5 @@ class SubgoalDiscoveryCallback(BaseCallback):
     def _on_training_end(self) -> None:
         self._serving.rollout_starts()  # no option is left waiting
         self._draw()
-        self.logger.dump(self.num_timesteps)
+        if self.logger.name_to_value:  # rl-zoo3 ends training twice, and an empty dump warns
+            self.logger.dump(self.num_timesteps)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,14 +14,17 @@ from stable_baselines3.common.callbacks import (
     ProgressBarCallback,
 )
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, is_vecenv_wrapped
 
 from sb3_options import heads
 from sb3_options.bank import OptionBank
 from sb3_options.callbacks.checks import check_wrapped
 from sb3_options.callbacks.on_policy import option_rollout_buffer
 from sb3_options.rollout_buffer import passage_of
+from sb3_options.workers import watch_workers
 from sb3_options.wrapper import OptionsWrapper
+
+logger = logging.getLogger("sb3_options")
 
 
 class PrimitiveStepsCallback(BaseCallback):
@@ -38,6 +42,7 @@ class PrimitiveStepsCallback(BaseCallback):
 
     def _on_training_start(self) -> None:
         self._rollout_buffer = option_rollout_buffer(self.model)
+        watch_workers(self.training_env)
         if not any(self.training_env.env_is_wrapped(OptionsWrapper)):
             return  # its own environment's actions take times of their own; the first step shows it
         check_wrapped(self.training_env, "The model's environment")
@@ -88,8 +93,15 @@ def monitor_primitive_steps(venv: VecEnv) -> None:
     """Move a ``Monitor`` that stands above the `OptionsWrapper` beneath it.
 
     SB3 puts a ``Monitor`` around an environment that has none. There it would count decisions and sum discounted
-    rewards; beneath the options it counts primitive steps and undiscounted rewards.
+    rewards; beneath the options it counts primitive steps and undiscounted rewards. A ``VecMonitor`` cannot be moved:
+    there is a warning.
     """
+    if is_vecenv_wrapped(venv, VecMonitor):
+        # It writes an episode down before any callback could set the last step right.
+        logger.warning(
+            "VecMonitor above OptionsWrapper counts decisions and sums discounted rewards: leave it out and put a "
+            "Monitor beneath, as make_vec_env(..., wrapper_class=OptionsWrapper) does."
+        )
     inner = venv.unwrapped
     if not isinstance(inner, DummyVecEnv):
         return  # worker processes make their own environments, and SB3 puts no Monitor around those

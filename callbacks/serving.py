@@ -20,6 +20,7 @@ from sb3_options.observations import BoolArray, FloatArray, Observations, take
 from sb3_options.option import Option, SubgoalOption
 from sb3_options.replay_buffer import OptionReplayBuffer
 from sb3_options.vec_env import as_wrapper_sees
+from sb3_options.workers import watch_workers
 
 AVAILABILITY_CHUNK = 4096
 """Stored observations are sent to the environment in batches of this many when an option moves in."""
@@ -52,6 +53,7 @@ class OptionServer:
         self.model, self.venv = model, venv
         self.eval_envs = [c.eval_env for c in all_callbacks(callbacks) if isinstance(c, EvalCallback)]
         for eval_env in self.eval_envs:
+            watch_workers(eval_env)
             check_same_slots(venv, eval_env)
             monitor_primitive_steps(eval_env)
         self.has_heads = not isinstance(model, MacroQ)

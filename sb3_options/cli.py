@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback, EveryNTimesteps
+from stable_baselines3.common.vec_env import VecEnv
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import config as configs
@@ -27,6 +28,7 @@ from sb3_options.bank import OptionBank
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.config import TrainConfig
 from sb3_options.plots import subgoals_figure
+from sb3_options.workers import WorkerLostError, end_workers
 
 console = Console(highlight=False, soft_wrap=True)
 errors = Console(highlight=False, soft_wrap=True, stderr=True)
@@ -66,7 +68,7 @@ def main(args: Sequence[str] | None = None) -> None:
             evaluate(tyro.cli(EvaluateConfig, prog="train.py evaluate", args=args[1:]))
         else:
             train(configs.parse(args))
-    except (ValueError, TypeError, OSError, ModuleNotFoundError, gym.error.Error) as error:
+    except (ValueError, TypeError, OSError, ModuleNotFoundError, WorkerLostError, gym.error.Error) as error:
         errors.print(f"[bold red]Error:[/] {escape(str(error))}")
         sys.exit(1)
 
@@ -85,6 +87,7 @@ def train(config: TrainConfig) -> Path:
     Raises:
         ValueError: Something in the configuration does not fit.
         OSError: The run folder cannot be written.
+        WorkerLostError: A worker process of ``--vec-env subproc`` has ended.
     """
     torch.set_num_threads(config.num_threads)
     runs.check_env_id(config.env)
@@ -93,7 +96,9 @@ def train(config: TrainConfig) -> Path:
     started_with = [(slot, option.name) for slot, option in enumerate(bank.slots) if option is not None]
     first.close()
     folder = runs.new_run_folder(config)
-    env = runs.make_env(config, config.n_envs, config.seed, monitor_dir=folder / runs.MONITOR)
+    subproc = config.vec_env == "subproc"
+    env = runs.make_env(config, config.n_envs, config.seed, monitor_dir=folder / runs.MONITOR, subproc=subproc)
+    envs = [env]
     configs.save(config, folder / runs.CONFIG)
     model = runs.make_model(config, env)
     model.tensorboard_log = str(folder)
@@ -107,8 +112,9 @@ def train(config: TrainConfig) -> Path:
     )
     callbacks: list[BaseCallback] = [discovery]
     if config.eval_freq > 0:
+        envs.append(runs.make_env(config, 1, EVAL_SEED + config.seed, subproc=subproc))
         evaluation_callback = _eval_callback_class(config.algo)(
-            runs.make_env(config, 1, EVAL_SEED + config.seed),
+            envs[-1],
             n_eval_episodes=config.eval_episodes,
             eval_freq=1,
             log_path=str(folder),
@@ -122,15 +128,21 @@ def train(config: TrainConfig) -> Path:
         model.learn(config.n_timesteps, callback=callbacks, progress_bar=config.progress, tb_log_name="tensorboard")
     except KeyboardInterrupt:
         finished = False
+    except WorkerLostError as error:
+        _close(envs, finished=False)
+        raise WorkerLostError(f"{error} What was learned until then is kept in {folder}.") from error
     finally:
         # Whatever ended it, what was learned until then is kept.
         with whole_file(folder / runs.MODEL) as temporary:
             model.save(temporary)
         discovery.bank.save(folder / runs.OPTIONS)
+    _close(envs, finished=finished)
     if discovery.discovery is not None:
+        if subproc:  # φ was in a process that has ended
+            env = runs.make_env(config, 1, config.seed)
+            discovery.bank.bind(lambda observations: env.env_method("concept_features", observations)[0])
         with whole_file(folder / runs.SUBGOALS) as temporary:
             subgoals_figure(discovery.discovery, discovery.bank).savefig(temporary, dpi=FIGURE_DPI)
-    env.close()
     unit = "episode" if config.discovery.segmentation == "episodes" else "segment"
     took = f"{discovery.num_timesteps:,} primitive steps, {discovery.episodes:,} {unit}s"
     console.print(f"\n[bold]{'Finished' if finished else 'Interrupted'}[/] after {took}.")
@@ -139,6 +151,14 @@ def train(config: TrainConfig) -> Path:
         console.print(f"Started with the options of {escape(str(config.options))}: {escape(what)}.")
     _report(discovery, folder, unit)
     return folder
+
+
+def _close(envs: Sequence[VecEnv], *, finished: bool) -> None:
+    for env in envs:
+        if finished:
+            env.close()
+        else:
+            end_workers(env)  # which may be in the middle of a step
 
 
 def _eval_callback_class(algo: str) -> type[EvalCallback]:

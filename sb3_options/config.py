@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import tyro
 import yaml
@@ -54,6 +54,7 @@ class TrainConfig:
         seed: Of everything random.
         tensorboard_log: Folder in which the run folder is made.
         n_envs: Number of parallel environments.
+        vec_env: Where they live: "dummy" in this process, "subproc" in one process each.
         eval_freq: Evaluate every so many primitive steps; 0 never does.
         eval_episodes: Episodes of each evaluation.
         progress: Show a progress bar.
@@ -89,6 +90,7 @@ class TrainConfig:
     seed: int = 0
     tensorboard_log: Path = Path("runs")
     n_envs: int = 1
+    vec_env: Literal["dummy", "subproc"] = "dummy"
     eval_freq: int = 0
     eval_episodes: int = 10
     progress: bool = True

@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium as gym
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from sb3_options import algorithms, option_file
 from sb3_options.config import TrainConfig
@@ -22,6 +22,9 @@ MODEL = "model.zip"
 OPTIONS = "options.safetensors"
 MONITOR = "monitor"
 SUBGOALS = "subgoals.png"
+
+OWN_NAMESPACE = "sb3_options/"
+"""Of the environments that come with the library."""
 
 
 def new_run_folder(config: TrainConfig) -> Path:
@@ -86,6 +89,7 @@ def make_env(
     monitor_dir: Path | None = None,
     beneath: Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]] | None = None,
     render_mode: str | None = None,
+    subproc: bool = False,
 ) -> VecEnv:
     """Environments with option slots, and a ``Monitor`` beneath these, so that it counts primitive steps.
 
@@ -98,9 +102,10 @@ def make_env(
         monitor_dir: Where each writes its episodes; None writes nothing.
         beneath: A wrapper to put beneath the options as well.
         render_mode: For the environment.
+        subproc: Whether each lives in a process of its own.
 
     Returns:
-        A ``DummyVecEnv``.
+        A ``DummyVecEnv``, or a ``SubprocVecEnv``.
 
     Raises:
         FileNotFoundError: ``--options`` names no file.
@@ -116,13 +121,18 @@ def make_env(
             env = beneath(env)
         return OptionsWrapper(env, config.max_options, gamma=config.gamma, options_file=options)
 
+    env_id = config.env
+    if subproc and env_id.startswith(OWN_NAMESPACE):
+        env_id = f"sb3_options.envs:{env_id}"  # nobody has registered it there
+
     return make_vec_env(
-        config.env,
+        env_id,
         n_envs=n_envs,
         seed=seed,
         env_kwargs=keywords,
         wrapper_class=with_options,
         monitor_dir=None if monitor_dir is None else str(monitor_dir),
+        vec_env_cls=SubprocVecEnv if subproc else DummyVecEnv,
     )
 
 

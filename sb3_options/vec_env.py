@@ -5,11 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from stable_baselines3.common.vec_env import VecEnv, VecTransposeImage, is_vecenv_wrapped
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack, VecTransposeImage
+from stable_baselines3.common.vec_env.stacked_observations import StackedObservations
 
 
 def as_wrapper_sees(venv: VecEnv, observations: Any) -> Any:
-    """Undo what SB3 does to images: it moves their channels to the front.
+    """Undo what SB3's wrappers do to observations, from the outermost inwards.
+
+    ``VecTransposeImage`` moves the channels of images to the front. ``VecFrameStack`` joins the last frames, of which
+    the newest is what the wrapper sees. Others pass observations on, or normalise them, which is undone elsewhere.
 
     Args:
         venv: The algorithm's environment.
@@ -18,8 +22,26 @@ def as_wrapper_sees(venv: VecEnv, observations: Any) -> Any:
     Returns:
         The batch as the environments beneath gave it.
     """
-    if not is_vecenv_wrapped(venv, VecTransposeImage):
+    while isinstance(venv, VecEnvWrapper):
+        if isinstance(venv, VecTransposeImage):
+            observations = _channels_last(venv, observations)
+        elif isinstance(venv, VecFrameStack):
+            observations = _newest_frame(venv.stacked_obs, observations)
+        venv = venv.venv
+    return observations
+
+
+def _channels_last(venv: VecTransposeImage, observations: Any) -> Any:
+    if venv.skip:
         return observations
     if isinstance(observations, dict):
-        return {key: np.moveaxis(v, 1, -1) if v.ndim == 4 else v for key, v in observations.items()}
+        images = venv.image_space_keys
+        return {key: np.moveaxis(v, 1, -1) if key in images else v for key, v in observations.items()}
     return np.moveaxis(observations, 1, -1)
+
+
+def _newest_frame(stack: StackedObservations[Any], observations: Any) -> Any:
+    if isinstance(observations, dict):
+        return {key: _newest_frame(stack.sub_stacked_observations[key], v) for key, v in observations.items()}
+    size = observations.shape[stack.stack_dimension] // stack.n_stack
+    return observations[:, -size:] if stack.channels_first else observations[..., -size:]

@@ -15,7 +15,7 @@ from sb3_options.option_learning import OptionLearningSettings
 EVERY_FIELD_CHANGED = TrainConfig(
     algo="optiondqn", env="Taxi-v3", env_kwargs=("is_rainy:true", 'map:"S#\\nSG"', "max_steps:7"), n_timesteps=123,
     seed=9, tensorboard_log=Path("else/where"), n_envs=3, eval_freq=50, eval_episodes=4, progress=False, device="cpu",
-    num_threads=2, options=Path("a/run"),
+    num_threads=2, vec_env="subproc", options=Path("a/run"),
     max_options=2, max_new_options=None, discover=False, gamma=0.5, learning_rate=3e-05,
     buffer_size=77, learning_starts=11, batch_size=5, train_freq=6, target_update_interval=8,
     exploration_fraction=0.25, exploration_final_eps=0.125, net_arch=(3,),

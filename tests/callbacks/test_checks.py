@@ -9,7 +9,7 @@ from stable_baselines3 import DQN, PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
-from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack
+from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper, heads
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
@@ -142,12 +142,9 @@ class TestArguments:
 
 
 def test_what_changes_observations_above_the_options_is_refused() -> None:
-    stacked = VecFrameStack(DummyVecEnv([optioned_rooms]), 2)
-    with pytest.raises(ValueError, match=r"observations change from Box.* to Box.*: put what changes them .* beneath"):
-        dqn(stacked).learn(10, callback=SubgoalDiscoveryCallback())
     scaled = gym.wrappers.TransformObservation(optioned_rooms(), lambda o: o / 2, spaces.Box(0.0, 0.5, (45,)))
     assert scaled.env.observation_space.shape == (45,)
-    with pytest.raises(ValueError, match=r"observations change from"):
+    with pytest.raises(ValueError, match=r"observations change from Box.* to Box.*: put what changes them beneath"):
         dqn(scaled).learn(10, callback=SubgoalDiscoveryCallback())
 
 

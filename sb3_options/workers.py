@@ -1,0 +1,106 @@
+"""Worker processes of ``SubprocVecEnv`` that end before their time."""
+
+from __future__ import annotations
+
+import signal
+from multiprocessing.connection import Connection, wait
+from typing import Any, NoReturn
+
+from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv
+
+PATIENCE = 1.0
+"""Seconds that processes get to end by themselves before they are made to."""
+
+
+class WorkerLostError(RuntimeError):
+    """A worker process has ended while it was needed; the others have been ended as well."""
+
+
+def watch_workers(venv: VecEnv) -> None:
+    """Let the loss of a worker process end in a `WorkerLostError` that says which, why and what to do.
+
+    Without it the loss shows as a bare ``EOFError`` or ``BrokenPipeError``, or, where workers were forked and hold
+    one another's pipes open, not at all. Nothing happens to an environment without worker processes, or to one that
+    is watched already.
+
+    Args:
+        venv: Any, also within wrappers.
+    """
+    inner = venv.unwrapped
+    if isinstance(inner, SubprocVecEnv):
+        inner.remotes = tuple(
+            remote if isinstance(remote, _WatchedPipe) else _WatchedPipe(remote, inner, index)
+            for index, remote in enumerate(inner.remotes)
+        )
+
+
+class _WatchedPipe:
+    """The parent's end of the pipe to a worker, as far as ``SubprocVecEnv`` uses it."""
+
+    def __init__(self, remote: Connection, venv: SubprocVecEnv, index: int) -> None:
+        self._remote, self._venv, self._index = remote, venv, index
+        process = venv.processes[index]
+        # A forked worker inherits the pipes of those that are forked after it, so that the loss of one closes nothing.
+        self._sentinel: int | None = process.sentinel if type(process).__name__ == "ForkProcess" else None
+
+    def send(self, message: Any) -> None:
+        try:
+            self._remote.send(message)
+        except ConnectionError as error:
+            self._lost(error)
+
+    def recv(self) -> Any:
+        # What it sent before it ended is still to be read.
+        if self._sentinel is not None and not (
+            self._remote in wait([self._remote, self._sentinel]) or self._remote.poll()
+        ):
+            self._lost(None)
+        try:
+            return self._remote.recv()
+        except (EOFError, ConnectionError) as error:
+            self._lost(error)
+
+    def close(self) -> None:
+        self._remote.close()
+
+    def _lost(self, error: Exception | None) -> NoReturn:
+        process = self._venv.processes[self._index]
+        process.join(PATIENCE)
+        text = (
+            f"Environment {self._index} of {self._venv.num_envs} is gone: its worker process (pid {process.pid}) "
+            f"{_how_it_ended(process.exitcode)}. The other workers have been ended too. Make new environments and "
+            "train on, with fewer of them or a DummyVecEnv if memory was short."
+        )
+        end_workers(self._venv)
+        raise WorkerLostError(text) from error
+
+
+def _how_it_ended(exitcode: int | None) -> str:
+    if exitcode is None:
+        return "closed its pipe"
+    if exitcode < 0:
+        name = signal.Signals(-exitcode).name
+        return f"was killed by {name}" + (", as happens where memory runs out" if name == "SIGKILL" else "")
+    return f"ended with exit code {exitcode}; if an error in the environment ended it, that stands above"
+
+
+def end_workers(venv: VecEnv) -> None:
+    """Close an environment that may be in the middle of a step, where its own ``close`` would wait for ever.
+
+    Args:
+        venv: Any; one without worker processes is closed as usual.
+    """
+    inner = venv.unwrapped
+    if not isinstance(inner, SubprocVecEnv):
+        venv.close()
+        return
+    for process in inner.processes:
+        process.terminate()
+    for process in inner.processes:
+        process.join(PATIENCE)
+        if process.is_alive():
+            process.kill()
+            process.join(PATIENCE)
+    for remote in inner.remotes:
+        remote.close()
+    inner.waiting, inner.closed = False, True

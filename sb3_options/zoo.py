@@ -1,0 +1,128 @@
+"""What rl-zoo3 needs to name in a YAML file: a wrapper that finds the options of the run that is played.
+
+rl-zoo3 trains, plays (``rl_zoo3.enjoy``) and records (``rl_zoo3.record_video``) in separate processes, and hands its
+wrappers nothing but what the YAML file says. A model that has learned to choose options needs them in the environment
+it is played in, so `ZooOptionsWrapper` reads from the command line which run that is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+from stable_baselines3.common.monitor import Monitor
+
+from sb3_options.observations import FeatureMap
+from sb3_options.wrapper import OptionsWrapper
+
+OPTIONS = "options.safetensors"
+"""Name of the options file in the folder of a run, beside the model."""
+
+PLAYERS = ("enjoy", "record_video")
+"""The programs of rl-zoo3 that load a run."""
+
+
+class ZooOptionsWrapper(OptionsWrapper):
+    """`OptionsWrapper` that starts with the options of the run that rl-zoo3 loads.
+
+    In ``rl_zoo3.enjoy`` and ``rl_zoo3.record_video`` these are the options in the folder of the run that is played;
+    in ``rl_zoo3.train --trained-agent FILE`` those beside that file; else there are none to start with. The file is
+    what `ZooDiscoveryCallback` wrote.
+
+    Args:
+        env: Its action space must be ``Discrete`` and start at 0.
+        max_options: Number of slots.
+        gamma: Discount γ per primitive step; must equal the algorithm's.
+        feature_map: As for `OptionsWrapper`.
+        options_file: Another file to start with.
+
+    Raises:
+        FileNotFoundError: The run has no options file: it was trained without `ZooDiscoveryCallback`.
+        ValueError: Its options do not fit, or which program runs cannot be told.
+    """
+
+    def __init__(
+        self,
+        env: gym.Env[Any, Any],
+        max_options: int = 4,
+        *,
+        gamma: float = 0.99,
+        feature_map: FeatureMap | None = None,
+        options_file: str | os.PathLike[str] | None = None,
+    ) -> None:
+        if options_file is None:
+            folder = loaded_run(_program(), sys.argv[1:])
+            if folder is not None:
+                options_file = folder / OPTIONS
+                if not options_file.is_file():
+                    raise FileNotFoundError(
+                        f"There is no {OPTIONS} in {folder}: the run was trained without ZooDiscoveryCallback. Name it "
+                        "under `callback`, or name an options_file for ZooOptionsWrapper."
+                    )
+        super().__init__(env, max_options, gamma=gamma, feature_map=feature_map, options_file=options_file)
+
+    def run_folder(self) -> str | None:
+        """The folder of the run that is being trained: where ``Monitor`` writes; None where it writes nothing."""
+        env: Any = self
+        while isinstance(env, gym.Wrapper):
+            if isinstance(env, Monitor) and env.results_writer is not None:
+                return str(Path(env.results_writer.file_handler.name).parent)
+            env = env.env
+        return None
+
+
+def loaded_run(program: str, arguments: Sequence[str]) -> Path | None:
+    """The folder of the run that a program of rl-zoo3 loads.
+
+    Args:
+        program: ``train``, ``enjoy``, ``record_video`` …
+        arguments: Of its command line.
+
+    Returns:
+        The folder; None where it loads none.
+    """
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    if program == "train":
+        parser.add_argument("-i", "--trained-agent", default="")
+        agent = parser.parse_known_args(arguments)[0].trained_agent
+        return Path(agent).parent if agent else None
+    if program not in PLAYERS:
+        return None
+    # Imported here: the wrapper is of use without rl-zoo3 as well.
+    from huggingface_sb3 import EnvironmentName
+    from rl_zoo3.utils import get_latest_run_id
+
+    # The names and defaults are rl-zoo3's own.
+    parser.add_argument("--env", default="CartPole-v1")
+    parser.add_argument("-f", "--folder", default="rl-trained-agents")
+    parser.add_argument("--algo", default="ppo")
+    parser.add_argument("--exp-id", default=0, type=int)
+    known = parser.parse_known_args(arguments)[0]
+    name = EnvironmentName(known.env)
+    runs: Path = Path(known.folder) / known.algo
+    run = known.exp_id or get_latest_run_id(str(runs), name)
+    return runs / f"{name}_{run}" if run > 0 else runs
+
+
+def _program() -> str:
+    """The name of the program that runs.
+
+    Raises:
+        ValueError: In a worker process of the ``rl_zoo3`` command, which has no way to tell.
+    """
+    name = Path(sys.argv[0]).stem
+    if name != "rl_zoo3":
+        return name
+    # The command drops its subcommand from sys.argv, and a worker process gets nothing but that.
+    if multiprocessing.parent_process() is not None:
+        raise ValueError(
+            "In a worker process ZooOptionsWrapper cannot tell which program runs: start `python -m rl_zoo3.train` or "
+            "`python -m rl_zoo3.enjoy` instead of `rl_zoo3 train` or `rl_zoo3 enjoy`."
+        )
+    return sys.orig_argv[sys.orig_argv.index(sys.argv[0]) + 1]

@@ -1,0 +1,119 @@
+"""`ZooOptionsWrapper` and `ZooDiscoveryCallback`, without rl-zoo3 itself."""
+
+import logging
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from stable_baselines3 import DQN
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv
+
+from sb3_options import OptionBank, OptionReplayBuffer
+from sb3_options.callbacks import ZooDiscoveryCallback
+from sb3_options.zoo import OPTIONS, ZooOptionsWrapper, loaded_run
+from tests.sb3_helpers import FAST_DISCOVERY, RANDOM, TINY, optioned_rooms, small_rooms
+
+
+def zoo_rooms(monitor_dir: Path | None, n_envs: int = 1, vec_env_cls: type[VecEnv] | None = None) -> VecEnv:
+    """As rl-zoo3 makes them: the wrapper above a ``Monitor`` that writes into the folder of the run."""
+    return make_vec_env(
+        small_rooms,
+        n_envs,
+        seed=0,
+        wrapper_class=lambda env: ZooOptionsWrapper(env, gamma=0.9),
+        monitor_dir=None if monitor_dir is None else str(monitor_dir),
+        vec_env_cls=vec_env_cls,  # type: ignore[arg-type]  # SB3 asks for one of two classes
+    )
+
+
+def train(venv: VecEnv, n_timesteps: int = 2500, **kwargs: Any) -> ZooDiscoveryCallback:
+    callback = ZooDiscoveryCallback(FAST_DISCOVERY, max_new_options=1, **kwargs)
+    model = DQN("MlpPolicy", venv, gamma=0.9, replay_buffer_class=OptionReplayBuffer, **TINY | RANDOM)
+    model.learn(n_timesteps, callback=callback)
+    venv.close()
+    return callback
+
+
+@pytest.mark.parametrize("vec_env_cls", [None, SubprocVecEnv])
+def test_options_are_kept_beside_what_monitor_writes(tmp_path: Path, vec_env_cls: type[VecEnv] | None) -> None:
+    callback = train(zoo_rooms(tmp_path, vec_env_cls=vec_env_cls))
+    assert len(callback.discoveries) == 1
+    assert ZooOptionsWrapper(small_rooms(), options_file=tmp_path / OPTIONS).bank.filled == (0,)
+
+
+def test_a_run_without_discoveries_leaves_an_empty_file(tmp_path: Path) -> None:
+    assert not train(zoo_rooms(tmp_path), 50).discoveries
+    bank = OptionBank(4, 4)
+    bank.load(tmp_path / OPTIONS)
+    assert bank.filled == ()
+
+
+def test_what_options_learn_after_they_were_made_is_kept(tmp_path: Path) -> None:
+    train(zoo_rooms(tmp_path), option_settings={"keep_learning": True})
+    kept = ZooOptionsWrapper(small_rooms(), options_file=tmp_path / OPTIONS).bank[0]
+    made = tmp_path / "made"
+    made.mkdir()
+    train(zoo_rooms(made))
+    early = ZooOptionsWrapper(small_rooms(), options_file=made / OPTIONS).bank[0]
+    assert kept is not None
+    assert early is not None
+    assert len(kept.initiation_set.points) >= len(early.initiation_set.points)  # type: ignore[attr-defined]
+    assert (made / OPTIONS).read_bytes() != (tmp_path / OPTIONS).read_bytes()
+
+
+def test_without_a_folder_nothing_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert train(zoo_rooms(None), 50).save_path is None
+    assert not list(tmp_path.iterdir())
+
+
+def test_another_place_for_the_file(tmp_path: Path) -> None:
+    train(zoo_rooms(tmp_path), 50, save_path=tmp_path / "mine")
+    assert (tmp_path / "mine").exists()
+    assert not (tmp_path / OPTIONS).exists()
+
+
+def test_training_goes_on_where_nothing_can_be_written(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "file").touch()
+    with caplog.at_level(logging.WARNING, "sb3_options"):
+        train(zoo_rooms(tmp_path), 50, save_path=tmp_path / "file" / OPTIONS)
+    assert "could not be saved" in caplog.text
+
+
+def test_callback_needs_its_wrapper() -> None:
+    model = DQN("MlpPolicy", optioned_rooms(), gamma=0.9, replay_buffer_class=OptionReplayBuffer, **TINY)
+    with pytest.raises(ValueError, match=r"needs ZooOptionsWrapper, .* write `env_wrapper: sb3_options\.zoo\.Zoo"):
+        model.learn(50, callback=ZooDiscoveryCallback())
+
+
+class TestLoadedRun:
+    def test_training_loads_none(self) -> None:
+        assert loaded_run("train", ["--algo", "dqn", "-f", "logs", "--uuid"]) is None
+        assert loaded_run("pytest", ["--folder", "logs"]) is None
+
+    @pytest.mark.parametrize("flag", ["-i", "--trained-agent"])
+    def test_training_goes_on_from_an_agent(self, flag: str) -> None:
+        assert loaded_run("train", ["--algo", "dqn", flag, "logs/dqn/Rooms_1/Rooms.zip"]) == Path("logs/dqn/Rooms_1")
+
+
+def test_a_run_without_options_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["rl_zoo3/train.py", "--trained-agent", f"{tmp_path}/Rooms.zip"])
+    with pytest.raises(FileNotFoundError, match=r"no options\.safetensors in .* trained without ZooDiscoveryCallback"):
+        ZooOptionsWrapper(small_rooms())
+
+
+def test_options_beside_a_trained_agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    train(zoo_rooms(tmp_path))
+    for argv in (["rl_zoo3/train.py", "-i", f"{tmp_path}/A.zip"], ["bin/rl_zoo3", "-i", f"{tmp_path}/A.zip"]):
+        monkeypatch.setattr(sys, "argv", argv)
+        monkeypatch.setattr(sys, "orig_argv", ["python", "bin/rl_zoo3", "train", *argv[1:]])
+        assert ZooOptionsWrapper(small_rooms()).bank.filled == (0,)
+
+
+def test_a_worker_of_the_short_command_cannot_tell(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["bin/rl_zoo3", "--algo", "dqn"])
+    monkeypatch.setattr("multiprocessing.parent_process", lambda: object())
+    with pytest.raises(ValueError, match=r"cannot tell which program runs: start `python -m rl_zoo3\.train`"):
+        ZooOptionsWrapper(small_rooms())
