@@ -1,4 +1,4 @@
-"""Train, play and record with rl-zoo3 itself, by the YAML files in examples/rl_zoo3; `make test-zoo` runs it."""
+"""Train, play and record with rl-zoo3 itself, by the YAML files in examples/rl_zoo3."""
 
 import csv
 import os
@@ -27,7 +27,7 @@ FILES = sorted(EXAMPLES.glob("*.yml"))
 
 needs_zoo = pytest.mark.skipif(
     subprocess.run([sys.executable, "-c", "import rl_zoo3"], capture_output=True, check=False).returncode != 0,
-    reason="rl-zoo3 is not installed here: `make test-zoo` makes an environment that has it",
+    reason="rl-zoo3 is not installed: pip install '.[zoo]'",
 )
 
 
