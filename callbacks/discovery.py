@@ -21,6 +21,7 @@ from sb3_options.callbacks.serving import OptionServer
 from sb3_options.callbacks.statistics import OptionStatistics
 from sb3_options.discovery import DiscoverySettings, SubgoalDiscovery
 from sb3_options.exploration import checked_share
+from sb3_options.interruption import checked_margin
 from sb3_options.observations import FloatArray
 from sb3_options.option import Region, SubgoalOption
 from sb3_options.option_growth import OptionGrowth
@@ -79,6 +80,9 @@ class SubgoalDiscoveryCallback(BaseCallback):
         teach_head: Whether what the replay buffer holds teaches the head of a new option at once (`head_teaching`).
             Algorithms without a replay buffer have no values of options, and nothing to teach.
         max_option_exploration: Largest share of options among the exploratory choices of DQN, QRDQN and OptionDQN.
+        interruption: Whether options end where going on is worth less than the best alternative (`interruption`), for
+            algorithms that know the values of options: DQN, QRDQN and OptionDQN.
+        interruption_margin: By how much less, in units of return.
         save_path: Where to write the options each time one is made; None writes nothing.
         seed: For option policies that are networks.
         verbose: 1 prints each new option.
@@ -98,6 +102,8 @@ class SubgoalDiscoveryCallback(BaseCallback):
         max_new_options: int | None = None,
         teach_head: bool = True,
         max_option_exploration: float = 0.5,
+        interruption: bool = True,
+        interruption_margin: float = 0.0,
         save_path: str | os.PathLike[str] | None = None,
         seed: int = 0,
         verbose: int = 0,
@@ -117,6 +123,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
         self.static_filter = static_filter
         self.max_new_options = max_new_options
         self.teach_head = teach_head
+        self.interruption_margin = checked_margin(interruption_margin) if interruption else None
         self.max_option_exploration = checked_share(max_option_exploration)
         self.save_path = save_path
         self.episodes = 0
@@ -144,6 +151,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
             self.locals.get("callback"),
             teach_head=self.teach_head,
             max_option_exploration=self.max_option_exploration,
+            interruption_margin=self.interruption_margin,
         )
         if self.discovery is None:
             self.discovery = SubgoalDiscovery(
@@ -287,6 +295,6 @@ class SubgoalDiscoveryCallback(BaseCallback):
             )
 
     def _on_training_end(self) -> None:
-        self._serving.rollout_starts()  # no option is left waiting
+        self._serving.training_ends()
         self._draw()
         self.logger.dump(self.num_timesteps)

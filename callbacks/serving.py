@@ -12,6 +12,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from sb3_options import heads
 from sb3_options.bank import OptionBank
 from sb3_options.callbacks.checks import check_same_slots
+from sb3_options.callbacks.interrupting import Interrupter
 from sb3_options.callbacks.primitive_steps import all_callbacks, monitor_primitive_steps
 from sb3_options.callbacks.teaching import IntraOptionTeacher
 from sb3_options.exploration import cap_option_exploration
@@ -38,6 +39,7 @@ class OptionServer:
         callbacks: The tree that ``learn`` was given: the environment of an ``EvalCallback`` in it is served as well.
         teach_head: Whether stored transitions teach the head of an option as it moves in.
         max_option_exploration: Largest share of options among exploratory choices.
+        interruption_margin: As for `Interruption`; None lets every option run to its end.
     """
 
     def __init__(
@@ -48,6 +50,7 @@ class OptionServer:
         *,
         teach_head: bool = True,
         max_option_exploration: float = 1.0,
+        interruption_margin: float | None = None,
     ) -> None:
         self.model, self.venv = model, venv
         self.eval_envs = [c.eval_env for c in all_callbacks(callbacks) if isinstance(c, EvalCallback)]
@@ -70,6 +73,9 @@ class OptionServer:
         self.teacher: IntraOptionTeacher | None = None
         if IntraOptionTeacher.teaches(model) and (teach_head or model.replay_buffer.intra_option):  # type: ignore[attr-defined]  # teaches() has looked
             self.teacher = IntraOptionTeacher(model, venv, self.bank)
+        self.interrupter: Interrupter | None = None
+        if interruption_margin is not None and heads.has_networks(model.policy):
+            self.interrupter = Interrupter(model, venv, self.eval_envs, interruption_margin)
         for slot, option in enumerate(present.slots):
             if option is not None:
                 self._move_in(slot, option)
@@ -118,8 +124,16 @@ class OptionServer:
                 if slot in self._untaught:
                     self.teacher.teach_new_head(slot)
             self.teacher.judge_new()
+        if self.interrupter is not None and len(self.bank):
+            self.interrupter.refresh(at_once=bool(self._moved_in))
         self._moved_in.clear()
         self._untaught.clear()
+
+    def training_ends(self) -> None:
+        """Leave no option waiting, and the environments with the values that were learned."""
+        self.rollout_starts()
+        if self.interrupter is not None and len(self.bank):
+            self.interrupter.refresh(at_once=True)
 
     def _move_in(self, slot: int, option: Option) -> None:
         self._send(slot, option)

@@ -74,6 +74,11 @@ def body_of(network: Any) -> torch.nn.Sequential:
     return torch.nn.Sequential(*list(layers)[:-1])
 
 
+def last_layer_of(network: Any) -> torch.nn.Linear:
+    """The last layer of a network of `networks`."""
+    return _last_linear(network.q_net if hasattr(network, "q_net") else network.quantile_net)
+
+
 def _last_linear(network: Any) -> torch.nn.Linear:
     layer = list(network)[-1]
     if not isinstance(layer, torch.nn.Linear):

@@ -13,6 +13,7 @@ from gymnasium.utils import RecordConstructorArgs
 from sb3_options import features as feature_maps
 from sb3_options.bank import OptionBank
 from sb3_options.continuing import RewardPeaks, SegmentRecorder
+from sb3_options.interruption import Interruption
 from sb3_options.observations import (
     BoolArray,
     FeatureMap,
@@ -43,11 +44,11 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
 
         info["option"] = {"index": slot or -1, "duration": k, "discount": γᵏ, "termination": why it ended}
 
-    where why is one of ``primitive``, ``subgoal``, ``left_initiation``, ``max_duration``, ``interrupted``,
-    ``terminated`` and ``truncated``. An option also leaves there what Macro-Q learning needs: its primitive steps as
-    stacked arrays ``observations`` (the k observations acted in), ``actions`` and ``rewards``. For algorithms that
-    mask, `report_availability` adds ``available`` once the bank has options: for each of the k observations arrived
-    in, which slots may start there, shape (k, max_options).
+    where why is one of ``primitive``, ``subgoal``, ``left_initiation``, ``max_duration``, ``interrupted`` (by what
+    `set_interruption` said), ``terminated`` and ``truncated``. An option also leaves there what Macro-Q learning needs:
+    its primitive steps as stacked arrays ``observations`` (the k observations acted in), ``actions`` and ``rewards``.
+    For algorithms that mask, `report_availability` adds ``available`` once the bank has options: for each of the k
+    observations arrived in, which slots may start there, shape (k, max_options).
 
     An empty slot runs one uniformly random primitive, and names it as ``actions``. A filled option chosen outside its
     initiation set runs one step of its own policy. So an algorithm that cannot mask still sees a lawful semi-Markov
@@ -117,6 +118,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         self._recorder: TrajectoryRecorder | None = None
         self._recorded_at: RewardPeaks | None = None
         self._reports_availability = False
+        self._interruption: Interruption | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment; ``seed`` also seeds what empty slots draw."""
@@ -180,6 +182,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         rewards: list[float] = []
         termination: Termination | None = None
         began_inside = bool(option.initiation(batch_of_one(observations[0]))[0])
+        interruptible = began_inside and self._is_interruptible(slot)
         while termination is None:
             action = self._action_of(option, observations[-1])
             observation, reward, terminated, truncated, info = self._primitive_step(action)
@@ -194,6 +197,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
                 termination = "truncated"
             else:
                 termination = self._why_ended(option, observation, len(actions), may_go_on=began_inside)
+                if termination is None and interruptible and self._falls_behind(slot):
+                    termination = "interrupted"
         info["option"] = {
             "index": slot,
             "duration": len(actions),
@@ -206,6 +211,16 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         if self._reports_availability:
             info["option"]["available"] = self.bank.available_slots(stack(observations[1:]))
         return observation, total, terminated, truncated, info
+
+    def _is_interruptible(self, slot: int) -> bool:
+        """Whether the option about to begin ends where something else becomes the better choice."""
+        rule = self._interruption
+        return rule is not None and (rule.every_choice or not self._falls_behind(slot))
+
+    def _falls_behind(self, slot: int) -> bool:
+        """Whether the option is not the best choice in the current state."""
+        assert self._interruption is not None  # only asked of an option that may be interrupted
+        return self._interruption.falls_behind(self.n_primitive + slot, self._observation, self.action_masks)
 
     def _action_of(self, option: Option, observation: Any) -> int:
         action = int(option.policy(batch_of_one(observation))[0])
@@ -292,6 +307,10 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self.bank.add(option, slot)
         elif slot in self.bank.filled:
             self.bank.remove(slot)
+
+    def set_interruption(self, interruption: Interruption | None) -> None:
+        """Interrupt options by these values from now on; None lets every option run to its end."""
+        self._interruption = interruption
 
     def report_availability(self, report: bool) -> None:
         """Whether ``info["option"]["available"]`` says which slots may start in each observation arrived in."""
