@@ -63,6 +63,7 @@ class OptionServer:
         self._waiting: dict[int, Option] = {}
         self._moved_in: list[int] = []
         self._untaught: set[int] = set()
+        self._leaving: set[int] = set()
         present: OptionBank = venv.get_attr("bank", [0])[0]
         self.n_primitive = present.n_primitive
         self.bank = OptionBank(
@@ -105,14 +106,27 @@ class OptionServer:
             if self.teacher is not None:
                 self.teacher.changed(slot)
 
+    def remove(self, slot: int) -> None:
+        """Let the option in a slot move out, when nothing can name it any more that is learned from.
+
+        A replay buffer must have stored the step that is under way, a rollout buffer must have been emptied.
+        """
+        if self._waiting.pop(slot, None) is not None:
+            self.bank.remove(slot)  # it never moved in
+        else:
+            self._leaving.add(slot)
+
     def rollout_starts(self) -> None:
-        """Let the options in that waited."""
+        """Let the options in that waited, and those out that are to leave."""
+        self._move_out()
         for slot, option in self._waiting.items():
             self._move_in(slot, option)
         self._waiting.clear()
 
     def rollout_ends(self) -> None:
         """Let the replay buffer know of the options that just moved in, and of what was stored since."""
+        if not hasattr(self.model, "rollout_buffer"):
+            self._move_out()
         # Only now is the step stored at whose end an option was made, and no gradient step was taken in between.
         buffer = getattr(self.model, "replay_buffer", None)
         if isinstance(buffer, OptionReplayBuffer) and buffer.next_available.shape[1]:
@@ -145,6 +159,27 @@ class OptionServer:
             if self.teach_head:
                 self._untaught.add(slot)
         self._moved_in.append(slot)
+
+    def _move_out(self) -> None:
+        for slot in self._leaving:
+            self.bank.remove(slot)
+            for venv in [self.venv, *self.eval_envs]:
+                venv.env_method("set_option", slot, None)
+            if self.explored is not None:
+                self.explored.filled = self.bank.filled
+            if self.has_heads:
+                heads.close_head(self.model.policy, self.n_primitive + slot)
+                heads.forget_moments(self.model.policy, self.n_primitive + slot)
+            buffer = getattr(self.model, "replay_buffer", None)
+            if isinstance(buffer, OptionReplayBuffer):
+                buffer.forget_action(self.n_primitive + slot)
+                if buffer.next_available.shape[1]:
+                    buffer.next_available[:, slot] = False
+            if self.teacher is not None:
+                self.teacher.forget(slot)
+            if slot in self._moved_in:
+                self._moved_in.remove(slot)
+        self._leaving.clear()
 
     def _send(self, slot: int, option: Option) -> None:
         self.bank.add(option, slot)

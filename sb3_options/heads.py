@@ -102,6 +102,17 @@ def close_head(policy: Any, action: int) -> None:
 
 
 @torch.no_grad()
+def forget_moments(policy: Any, action: int) -> None:
+    """Zero what the optimizer remembers of an action's head: momentum would move it after it was closed."""
+    for layer, outputs in option_outputs(policy):
+        rows = rows_of(layer, outputs, action)
+        for parameter in (layer.weight, layer.bias):
+            for moment in policy.optimizer.state.get(parameter, {}).values():
+                if isinstance(moment, torch.Tensor) and moment.shape == parameter.shape:
+                    moment[rows] = 0.0
+
+
+@torch.no_grad()
 def mean_of_heads(policy: Any, n_primitive: int) -> list[torch.Tensor]:
     """The mean of the primitive actions' heads of each layer, float64, (inputs + 1, outputs per action), bias last."""
     means = []
