@@ -1,6 +1,8 @@
 """Stable-Baselines3 callbacks of sb3-options."""
 
-from sb3_options.callbacks.discovery import DiscoveredOption, SubgoalDiscoveryCallback
+from sb3_options.callbacks.discovery import SubgoalDiscoveryCallback
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
+from sb3_options.callbacks.records import ClosedOption, DiscoveredOption
+from sb3_options.option_trial import TrialSettings
 
-__all__ = ["DiscoveredOption", "PrimitiveStepsCallback", "SubgoalDiscoveryCallback"]
+__all__ = ["ClosedOption", "DiscoveredOption", "PrimitiveStepsCallback", "SubgoalDiscoveryCallback", "TrialSettings"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -17,13 +16,13 @@ from sb3_options.bank import OptionBank
 from sb3_options.callbacks.checks import check_model
 from sb3_options.callbacks.on_policy import option_rollout_buffer
 from sb3_options.callbacks.primitive_steps import count_inner_steps, monitor_primitive_steps
+from sb3_options.callbacks.records import ClosedOption, DiscoveredOption
 from sb3_options.callbacks.serving import OptionServer
 from sb3_options.callbacks.statistics import OptionStatistics
-from sb3_options.callbacks.trials import ClosedOption, OptionTrials
+from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.discovery import DiscoverySettings, SubgoalDiscovery
 from sb3_options.exploration import checked_share
 from sb3_options.interruption import checked_margin
-from sb3_options.observations import FloatArray
 from sb3_options.option import Region, SubgoalOption
 from sb3_options.option_growth import OptionGrowth
 from sb3_options.option_learning import OptionLearningSettings, learn_further, learn_option
@@ -37,27 +36,6 @@ logger = logging.getLogger("sb3_options")
 
 SEGMENTS_PER_LOG = 4
 """As many episodes are between two entries of SB3's log by default."""
-
-
-@dataclass(frozen=True)
-class DiscoveredOption:
-    """When and where an option was made.
-
-    Attributes:
-        slot: Its slot.
-        episode: Number of episodes, or of segments between peaks of reward, that had ended.
-        timestep: Primitive steps taken.
-        subgoal: The subgoal's centre in concept space, shape (d,).
-        log_density: Best log diverse density of the search that completed it.
-        initiation_states: Size of its initiation set.
-    """
-
-    slot: int
-    episode: int
-    timestep: int
-    subgoal: FloatArray
-    log_density: float
-    initiation_states: int
 
 
 class SubgoalDiscoveryCallback(BaseCallback):
@@ -173,7 +151,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
             )
         venv.env_method("record_trajectories", True, self.settings.reward_peaks())
 
-        self._trials = self.trial and OptionTrials(venv, self.trial, self.seed)
+        self._trials = None if self.trial is None else OptionTrials(venv, self.trial, self.seed)
 
     def _on_rollout_start(self) -> None:
         self._serving.rollout_starts()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -13,23 +12,6 @@ from sb3_options.withholding import TrialReport
 
 TRIAL_SEED = 0x7121A1
 """Mixed into the seed, so that trials draw from streams of their own."""
-
-
-@dataclass(frozen=True)
-class ClosedOption:
-    """When and why an option was closed.
-
-    Attributes:
-        slot: Its slot, which another may fill.
-        episode: Number of episodes that had ended.
-        timestep: Primitive steps taken.
-        why: It proved harmful, or useless.
-    """
-
-    slot: int
-    episode: int
-    timestep: int
-    why: Verdict
 
 
 class OptionTrials:

@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv,
 from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper, heads
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.interruption import Interruption
-from sb3_options.observations import FloatArray
+from sb3_options.observations import FloatArray, batch_of_one
 from sb3_options.value_snapshot import ValueSnapshot, interrupt_options
 from tests.helpers import TableEnv, steady_option, table_option
 from tests.sb3_helpers import (
@@ -109,7 +109,7 @@ def test_with_interruption_a_policy_is_as_good_everywhere_and_better_somewhere(s
     mdp = KnownMDP(seed)
     rule = Interruption(lambda s: mdp.q[int(s)], masks=True, every_choice=True)
     gains, endings = [], set()
-    for start in np.flatnonzero(mdp.option.initiation[1:]) + 1:
+    for start in (np.flatnonzero(mdp.option.initiation[1:]) + 1).tolist():
         value = mdp.q[start, N_PRIMITIVE]
         plain, error, ends = mdp.mean_return(start, 60, greedy=False)
         assert abs(plain - value) < 4.5 * error + 0.02  # the values are those of μ
@@ -142,7 +142,7 @@ class TestRule:
         assert self.falls_behind(0, 2, margin=0.9)
 
 
-def line_of(n: int, option_values: list[float], rule: dict[str, Any]) -> list[tuple[int, str]]:
+def line_of(n: int, option_values: list[float], rule: dict[str, Any]) -> tuple[int, str]:
     """Runs of the option "right" from place 0 on, on a line, by the given values; primitives are worth 1."""
     wrapped = OptionsWrapper(Corridor("discrete"), 1, gamma=GAMMA)
     wrapped.bank.add(table_option([True] * 12, [1] * 12, [False] * 12, max_duration=n))
@@ -199,7 +199,7 @@ class TestSnapshot:
         bare = Corridor(kind)
         for place in (0, 3, 9):
             seen = bare.see(place)
-            as_batch = {k: np.asarray(v)[None] for k, v in seen.items()} if isinstance(seen, dict) else np.array([seen])
+            as_batch: Any = batch_of_one(seen)
             if kind == "image":
                 as_batch = np.moveaxis(as_batch, -1, 1)
             if kind == "dict":
@@ -223,7 +223,7 @@ class TestSnapshot:
 
     @pytest.mark.parametrize("net_arch", [[], [8], [8, 8]])
     def test_tanh_networks_too(self, net_arch: list[int]) -> None:
-        kwargs = {"policy_kwargs": {"net_arch": net_arch, "activation_fn": torch.nn.Tanh}}
+        kwargs: dict[str, Any] = {"policy_kwargs": {"net_arch": net_arch, "activation_fn": torch.nn.Tanh}}
         model = self.model(DQN, self.corridor("box"), **kwargs)
         with torch.no_grad():
             expected = model.q_net(torch.as_tensor(Corridor().see(5))[None])[0].numpy()
