@@ -102,9 +102,13 @@ class OptionServer:
             self.bank.add(option, slot)
             self._waiting[slot] = option
         else:
+            before = self.bank[slot]
             self._send(slot, option)
-            if self.teacher is not None:
-                self.teacher.changed(slot)
+            if _same_initiation(before, option):
+                if self.teacher is not None:
+                    self.teacher.changed(slot)
+            elif slot not in self._moved_in:
+                self._moved_in.append(slot)  # where it may start has to be worked out again
 
     def remove(self, slot: int) -> None:
         """Let the option in a slot move out, when nothing can name it any more that is learned from.
@@ -196,3 +200,10 @@ class OptionServer:
             chunk = as_wrapper_sees(self.venv, take(stored, slice(start, start + AVAILABILITY_CHUNK)))
             available.append(self.venv.env_method("available", chunk, indices=[0])[0][:, action])
         return np.concatenate(available)
+
+
+def _same_initiation(one: Option | None, other: Option) -> bool:
+    """Whether two options are known to start in the same states."""
+    if not (isinstance(one, SubgoalOption) and isinstance(other, SubgoalOption)):
+        return False
+    return one.initiation_set is other.initiation_set
