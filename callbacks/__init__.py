@@ -1,7 +1,16 @@
 """Stable-Baselines3 callbacks of sb3-options."""
 
-from sb3_options.callbacks.discovery import DiscoveredOption, SubgoalDiscoveryCallback
+from sb3_options.callbacks.discovery import SubgoalDiscoveryCallback
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
+from sb3_options.callbacks.records import ClosedOption, DiscoveredOption
 from sb3_options.callbacks.zoo import ZooDiscoveryCallback
+from sb3_options.option_trial import TrialSettings
 
-__all__ = ["DiscoveredOption", "PrimitiveStepsCallback", "SubgoalDiscoveryCallback", "ZooDiscoveryCallback"]
+__all__ = [
+    "ClosedOption",
+    "DiscoveredOption",
+    "PrimitiveStepsCallback",
+    "SubgoalDiscoveryCallback",
+    "TrialSettings",
+    "ZooDiscoveryCallback",
+]

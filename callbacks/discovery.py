@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -17,44 +16,27 @@ from sb3_options.bank import OptionBank
 from sb3_options.callbacks.checks import check_model
 from sb3_options.callbacks.on_policy import option_rollout_buffer
 from sb3_options.callbacks.primitive_steps import count_inner_steps, monitor_primitive_steps
+from sb3_options.callbacks.records import ClosedOption, DiscoveredOption
 from sb3_options.callbacks.serving import OptionServer
 from sb3_options.callbacks.statistics import OptionStatistics
+from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.discovery import DiscoverySettings, SubgoalDiscovery
 from sb3_options.exploration import checked_share
-from sb3_options.observations import FloatArray
+from sb3_options.interruption import checked_margin
 from sb3_options.option import Region, SubgoalOption
 from sb3_options.option_growth import OptionGrowth
 from sb3_options.option_learning import OptionLearningSettings, learn_further, learn_option
+from sb3_options.option_trial import TrialSettings, Verdict
 from sb3_options.plots import discovery_figures
 from sb3_options.rollout_buffer import SMDPAdvantages, passage_of
 from sb3_options.trajectories import LabelledTrajectory, Trajectory
+from sb3_options.withholding import TrialReport
 from sb3_options.workers import watch_workers
 
 logger = logging.getLogger("sb3_options")
 
 SEGMENTS_PER_LOG = 4
 """As many episodes are between two entries of SB3's log by default."""
-
-
-@dataclass(frozen=True)
-class DiscoveredOption:
-    """When and where an option was made.
-
-    Attributes:
-        slot: Its slot.
-        episode: Number of episodes, or of segments between peaks of reward, that had ended.
-        timestep: Primitive steps taken.
-        subgoal: The subgoal's centre in concept space, shape (d,).
-        log_density: Best log diverse density of the search that completed it.
-        initiation_states: Size of its initiation set.
-    """
-
-    slot: int
-    episode: int
-    timestep: int
-    subgoal: FloatArray
-    log_density: float
-    initiation_states: int
 
 
 class SubgoalDiscoveryCallback(BaseCallback):
@@ -67,8 +49,8 @@ class SubgoalDiscoveryCallback(BaseCallback):
     ``DiscoverySettings(segmentation="peaks")``.
 
     Also makes ``num_timesteps`` count primitive steps, serves the environment of an ``EvalCallback`` beside it, and
-    logs to TensorBoard. `bank` holds the options, `discoveries` says when and where each was found, and `episodes` is
-    the number of episodes (or segments) that discovery has seen.
+    logs to TensorBoard. `bank` holds the options, `discoveries` says when and where each was found, `closed` which of
+    them were closed again, and `episodes` is the number of episodes (or segments) that discovery has seen.
 
     Args:
         settings: How subgoals are found; a mapping of fields is as good as a `DiscoverySettings`.
@@ -80,6 +62,11 @@ class SubgoalDiscoveryCallback(BaseCallback):
         teach_head: Whether what the replay buffer holds teaches the head of a new option at once (`head_teaching`).
             Algorithms without a replay buffer have no values of options, and nothing to teach.
         max_option_exploration: Largest share of options among the exploratory choices of DQN, QRDQN and OptionDQN.
+        interruption: Whether options end where going on is worth less than the best alternative (`interruption`), for
+            algorithms that know the values of options: DQN, QRDQN and OptionDQN.
+        interruption_margin: By how much less, in units of return.
+        trial: Whether and how options are tried, and closed where they prove harmful or useless (`option_trial`); by
+            default they are not.
         save_path: Where to write the options each time one is made; None writes nothing.
         seed: For option policies that are networks.
         verbose: 1 prints each new option.
@@ -99,6 +86,9 @@ class SubgoalDiscoveryCallback(BaseCallback):
         max_new_options: int | None = None,
         teach_head: bool = True,
         max_option_exploration: float = 0.5,
+        interruption: bool = True,
+        interruption_margin: float = 0.0,
+        trial: TrialSettings | Mapping[str, Any] | None = None,
         save_path: str | os.PathLike[str] | None = None,
         seed: int = 0,
         verbose: int = 0,
@@ -118,11 +108,16 @@ class SubgoalDiscoveryCallback(BaseCallback):
         self.static_filter = static_filter
         self.max_new_options = max_new_options
         self.teach_head = teach_head
+        self.interruption_margin = checked_margin(interruption_margin) if interruption else None
+        self.trial = TrialSettings(**trial) if isinstance(trial, Mapping) else trial
         self.max_option_exploration = checked_share(max_option_exploration)
         self.save_path = save_path
         self.episodes = 0
         self.discoveries: list[DiscoveredOption] = []
         self.discovery: SubgoalDiscovery | None = None
+        self.closed: list[ClosedOption] = []
+        self.seed = seed
+        self._trials: OptionTrials | None = None
         self._generator = torch.Generator().manual_seed(seed)
         self._statistics = OptionStatistics()
         self._growth = OptionGrowth()
@@ -146,6 +141,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
             self.locals.get("callback"),
             teach_head=self.teach_head,
             max_option_exploration=self.max_option_exploration,
+            interruption_margin=self.interruption_margin,
         )
         if self.discovery is None:
             self.discovery = SubgoalDiscovery(
@@ -156,6 +152,8 @@ class SubgoalDiscoveryCallback(BaseCallback):
                 taken=[option.subgoal for option in self.bank.slots if isinstance(option, SubgoalOption)],
             )
         venv.env_method("record_trajectories", True, self.settings.reward_peaks())
+
+        self._trials = None if self.trial is None else OptionTrials(venv, self.trial, self.seed)
 
     def _on_rollout_start(self) -> None:
         self._serving.rollout_starts()
@@ -174,17 +172,21 @@ class SubgoalDiscoveryCallback(BaseCallback):
             if info["option"]["index"] >= 0:
                 self._statistics.add(info["option"])
             if "trajectory" in info:
-                self._episode_ended(info.pop("trajectory"))
+                self._episode_ended(info.pop("trajectory"), info.pop("option_trial", None))
             for segment in info.pop("segments", ()):
-                self._episode_ended(segment)
+                self._episode_ended(segment, None)
                 # An algorithm without rollouts writes its log when episodes end, which may never be.
                 if self.episodes % SEGMENTS_PER_LOG == 0 and self._rollout_buffer is None:
                     self.logger.dump(self.num_timesteps)
         return True
 
-    def _episode_ended(self, trajectory: Trajectory) -> None:
+    def _episode_ended(self, trajectory: Trajectory, report: TrialReport | None) -> None:
         self.episodes += 1
         try:
+            if self._trials is not None:
+                success = bool(self.success(trajectory))
+                for slot, why in self._trials.episode_ended(report, success=success, filled=self.bank.filled):
+                    self._close_option(slot, why)
             self._learn_from(trajectory)
         except ValueError as error:
             # Training goes on without this episode rather than ending because of it.
@@ -256,12 +258,22 @@ class SubgoalDiscoveryCallback(BaseCallback):
         )
         if self.verbose:
             print(f"Option {slot}: {option.name}, after {self.episodes} episodes and {self.num_timesteps:,} steps")
+        self._save()
+        self._draw()
+
+    def _save(self) -> None:
         if self.save_path is not None:
             try:
                 self.bank.save(self.save_path)
             except OSError as error:
                 logger.warning("The options could not be saved to %s, training goes on: %s", self.save_path, error)
-        self._draw()
+
+    def _close_option(self, slot: int, why: Verdict) -> None:
+        self._serving.remove(slot)
+        self.closed.append(ClosedOption(slot, self.episodes, self.num_timesteps, why))
+        logger.info("The option in slot %d proved %s and is closed, after %d episodes.", slot, why, self.episodes)
+        if self.verbose:
+            print(f"Option {slot} proved {why} and is closed, after {self.episodes} episodes")
 
     def _on_rollout_end(self) -> None:
         self._serving.rollout_ends()
@@ -271,6 +283,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
         record = self.logger.record
         record("time/primitive_steps", self.num_timesteps)
         record("options/count", len(self.bank))
+        record("options/closed", len(self.closed))
         record("discovery/seconds", self.discovery.seconds)
         leading = self.discovery.tracker.leading()
         record("discovery/leading_average", 0.0 if leading is None else leading.average)
@@ -289,7 +302,9 @@ class SubgoalDiscoveryCallback(BaseCallback):
             )
 
     def _on_training_end(self) -> None:
-        self._serving.rollout_starts()  # no option is left waiting
+        self._serving.training_ends()
+        if self.closed:
+            self._save()  # without them
         self._draw()
         if self.logger.name_to_value:  # rl-zoo3 ends training twice, and an empty dump warns
             self.logger.dump(self.num_timesteps)

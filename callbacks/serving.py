@@ -12,6 +12,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from sb3_options import heads
 from sb3_options.bank import OptionBank
 from sb3_options.callbacks.checks import check_same_slots
+from sb3_options.callbacks.interrupting import Interrupter
 from sb3_options.callbacks.primitive_steps import all_callbacks, monitor_primitive_steps
 from sb3_options.callbacks.teaching import IntraOptionTeacher
 from sb3_options.exploration import cap_option_exploration
@@ -39,6 +40,7 @@ class OptionServer:
         callbacks: The tree that ``learn`` was given: the environment of an ``EvalCallback`` in it is served as well.
         teach_head: Whether stored transitions teach the head of an option as it moves in.
         max_option_exploration: Largest share of options among exploratory choices.
+        interruption_margin: As for `Interruption`; None lets every option run to its end.
     """
 
     def __init__(
@@ -49,6 +51,7 @@ class OptionServer:
         *,
         teach_head: bool = True,
         max_option_exploration: float = 1.0,
+        interruption_margin: float | None = None,
     ) -> None:
         self.model, self.venv = model, venv
         self.eval_envs = [c.eval_env for c in all_callbacks(callbacks) if isinstance(c, EvalCallback)]
@@ -62,6 +65,7 @@ class OptionServer:
         self._waiting: dict[int, Option] = {}
         self._moved_in: list[int] = []
         self._untaught: set[int] = set()
+        self._leaving: set[int] = set()
         present: OptionBank = venv.get_attr("bank", [0])[0]
         self.n_primitive = present.n_primitive
         self.bank = OptionBank(
@@ -72,6 +76,9 @@ class OptionServer:
         self.teacher: IntraOptionTeacher | None = None
         if IntraOptionTeacher.teaches(model) and (teach_head or model.replay_buffer.intra_option):  # type: ignore[attr-defined]  # teaches() has looked
             self.teacher = IntraOptionTeacher(model, venv, self.bank)
+        self.interrupter: Interrupter | None = None
+        if interruption_margin is not None and heads.has_networks(model.policy):
+            self.interrupter = Interrupter(model, venv, self.eval_envs, interruption_margin)
         for slot, option in enumerate(present.slots):
             if option is not None:
                 self._move_in(slot, option)
@@ -97,18 +104,35 @@ class OptionServer:
             self.bank.add(option, slot)
             self._waiting[slot] = option
         else:
+            before = self.bank[slot]
             self._send(slot, option)
-            if self.teacher is not None:
-                self.teacher.changed(slot)
+            if _same_initiation(before, option):
+                if self.teacher is not None:
+                    self.teacher.changed(slot)
+            elif slot not in self._moved_in:
+                self._moved_in.append(slot)  # where it may start has to be worked out again
+
+    def remove(self, slot: int) -> None:
+        """Let the option in a slot move out, when nothing can name it any more that is learned from.
+
+        A replay buffer must have stored the step that is under way, a rollout buffer must have been emptied.
+        """
+        if self._waiting.pop(slot, None) is not None:
+            self.bank.remove(slot)  # it never moved in
+        else:
+            self._leaving.add(slot)
 
     def rollout_starts(self) -> None:
-        """Let the options in that waited."""
+        """Let the options in that waited, and those out that are to leave."""
+        self._move_out()
         for slot, option in self._waiting.items():
             self._move_in(slot, option)
         self._waiting.clear()
 
     def rollout_ends(self) -> None:
         """Let the replay buffer know of the options that just moved in, and of what was stored since."""
+        if not hasattr(self.model, "rollout_buffer"):
+            self._move_out()
         # Only now is the step stored at whose end an option was made, and no gradient step was taken in between.
         buffer = getattr(self.model, "replay_buffer", None)
         if isinstance(buffer, OptionReplayBuffer) and buffer.next_available.shape[1]:
@@ -120,8 +144,16 @@ class OptionServer:
                 if slot in self._untaught:
                     self.teacher.teach_new_head(slot)
             self.teacher.judge_new()
+        if self.interrupter is not None and len(self.bank):
+            self.interrupter.refresh(at_once=bool(self._moved_in))
         self._moved_in.clear()
         self._untaught.clear()
+
+    def training_ends(self) -> None:
+        """Leave no option waiting, and the environments with the values that were learned."""
+        self.rollout_starts()
+        if self.interrupter is not None and len(self.bank):
+            self.interrupter.refresh(at_once=True)
 
     def _move_in(self, slot: int, option: Option) -> None:
         self._send(slot, option)
@@ -133,6 +165,27 @@ class OptionServer:
             if self.teach_head:
                 self._untaught.add(slot)
         self._moved_in.append(slot)
+
+    def _move_out(self) -> None:
+        for slot in self._leaving:
+            self.bank.remove(slot)
+            for venv in [self.venv, *self.eval_envs]:
+                venv.env_method("set_option", slot, None)
+            if self.explored is not None:
+                self.explored.filled = self.bank.filled
+            if self.has_heads:
+                heads.close_head(self.model.policy, self.n_primitive + slot)
+                heads.forget_moments(self.model.policy, self.n_primitive + slot)
+            buffer = getattr(self.model, "replay_buffer", None)
+            if isinstance(buffer, OptionReplayBuffer):
+                buffer.forget_action(self.n_primitive + slot)
+                if buffer.next_available.shape[1]:
+                    buffer.next_available[:, slot] = False
+            if self.teacher is not None:
+                self.teacher.forget(slot)
+            if slot in self._moved_in:
+                self._moved_in.remove(slot)
+        self._leaving.clear()
 
     def _send(self, slot: int, option: Option) -> None:
         self.bank.add(option, slot)
@@ -149,3 +202,10 @@ class OptionServer:
             chunk = as_wrapper_sees(self.venv, take(stored, slice(start, start + AVAILABILITY_CHUNK)))
             available.append(self.venv.env_method("available", chunk, indices=[0])[0][:, action])
         return np.concatenate(available)
+
+
+def _same_initiation(one: Option | None, other: Option) -> bool:
+    """Whether two options are known to start in the same states."""
+    if not (isinstance(one, SubgoalOption) and isinstance(other, SubgoalOption)):
+        return False
+    return one.initiation_set is other.initiation_set

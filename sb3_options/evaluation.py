@@ -22,6 +22,7 @@ from sb3_options.atomic import whole_file
 from sb3_options.bags import reported_success
 from sb3_options.observations import FloatArray
 from sb3_options.trajectories import LONGEST_EPISODE
+from sb3_options.value_snapshot import interrupt_options
 
 CONFIDENCE = 0.95
 N_RESAMPLES = 9999
@@ -158,7 +159,7 @@ def share_interval(successes: int, n: int) -> Interval:
 
 
 def evaluate_run(run: Path, *, episodes: int = 100, seed: int = 10_000, video: Path | None = None) -> Evaluation:
-    """Load a run folder and act greedily in its environment.
+    """Load a run folder and act greedily in its environment, with options interrupted as in training.
 
     Weights and options are read as arrays only; nothing in the folder can run code.
 
@@ -225,6 +226,7 @@ def _play(run: Path, episodes: int, seed: int, film: Video | None = None, mode: 
     except (RuntimeError, ValueError, UnpicklingError) as error:
         raise ValueError(f"{run / runs.MODEL} is damaged, or does not fit {run / runs.CONFIG}: {error}") from error
     venv.get_attr("bank")[0].load(run / runs.OPTIONS)
+    interrupt_options(model, venv)
     venv.env_method("record_trajectories", True)
 
     returns, steps, successes = [], [], 0

@@ -74,6 +74,11 @@ def body_of(network: Any) -> torch.nn.Sequential:
     return torch.nn.Sequential(*list(layers)[:-1])
 
 
+def last_layer_of(network: Any) -> torch.nn.Linear:
+    """The last layer of a network of `networks`."""
+    return _last_linear(network.q_net if hasattr(network, "q_net") else network.quantile_net)
+
+
 def _last_linear(network: Any) -> torch.nn.Linear:
     layer = list(network)[-1]
     if not isinstance(layer, torch.nn.Linear):
@@ -94,6 +99,17 @@ def close_head(policy: Any, action: int) -> None:
         rows = rows_of(layer, outputs, action)
         layer.weight[rows] = 0.0
         layer.bias[rows] = CLOSED_VALUE
+
+
+@torch.no_grad()
+def forget_moments(policy: Any, action: int) -> None:
+    """Zero what the optimizer remembers of an action's head: momentum would move it after it was closed."""
+    for layer, outputs in option_outputs(policy):
+        rows = rows_of(layer, outputs, action)
+        for parameter in (layer.weight, layer.bias):
+            for moment in policy.optimizer.state.get(parameter, {}).values():
+                if isinstance(moment, torch.Tensor) and moment.shape == parameter.shape:
+                    moment[rows] = 0.0
 
 
 @torch.no_grad()

@@ -110,6 +110,11 @@ class IntraOptionMemory:
         """Nothing is taught to ``slot`` any more."""
         self.takes[:, slot] = False
 
+    def copy(self, source: npt.NDArray[Any], rows: npt.NDArray[Any]) -> None:
+        """``rows`` hold what ``source`` holds."""
+        for column in (self.takes, self.inside, self.goes_on):
+            column[rows] = column[source]
+
     def note(self, rows: npt.NDArray[Any], slot: int, judgement: Judgement) -> None:
         """Keep what the option in ``slot`` says of these rows."""
         certain = np.isin(judgement.goes_on, (0.0, 1.0)) if self.quantiles else True

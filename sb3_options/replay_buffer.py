@@ -141,6 +141,25 @@ class OptionReplayBuffer(ReplayBuffer):
         """Say of all stored transitions whether ``slot`` may start in their next observations, shape (size,)."""
         self.next_available[: len(available), slot] = available
 
+    def forget_action(self, action: int) -> None:
+        """Put other transitions in the place of those that name ``action``, whose slot is being emptied.
+
+        The next stored transition takes the place of each: with Macro-Q that is the first primitive step of the run.
+        """
+        size = self.size()
+        named = self.actions[:size, 0] == action
+        others = np.flatnonzero(~named)
+        if len(others) == 0:
+            self.pos, self.full = 0, False
+            return
+        rows = np.flatnonzero(named)
+        source = others[np.searchsorted(others, rows) % len(others)]
+        columns = [self.actions, self.rewards, self.dones, self.timeouts, self.discounts, self.next_available]
+        for column in [*columns, *self._observations.values(), *self._next_observations.values()]:
+            column[rows] = column[source]
+        if self.memory is not None:
+            self.memory.copy(source, rows)
+
     def add(
         self,
         obs: Any,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from typing import Any, Literal, SupportsFloat, TypeAlias
 
 import gymnasium as gym
@@ -13,6 +14,7 @@ from gymnasium.utils import RecordConstructorArgs
 from sb3_options import features as feature_maps
 from sb3_options.bank import OptionBank
 from sb3_options.continuing import RewardPeaks, SegmentRecorder
+from sb3_options.interruption import Interruption
 from sb3_options.observations import (
     BoolArray,
     FeatureMap,
@@ -24,6 +26,7 @@ from sb3_options.observations import (
 )
 from sb3_options.option import Option
 from sb3_options.trajectories import EpisodeRecorder, TrajectoryRecorder
+from sb3_options.withholding import Withholding
 
 Termination: TypeAlias = Literal[
     "primitive", "subgoal", "left_initiation", "max_duration", "interrupted", "terminated", "truncated"
@@ -43,11 +46,11 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
 
         info["option"] = {"index": slot or -1, "duration": k, "discount": γᵏ, "termination": why it ended}
 
-    where why is one of ``primitive``, ``subgoal``, ``left_initiation``, ``max_duration``, ``interrupted``,
-    ``terminated`` and ``truncated``. An option also leaves there what Macro-Q learning needs: its primitive steps as
-    stacked arrays ``observations`` (the k observations acted in), ``actions`` and ``rewards``. For algorithms that
-    mask, `report_availability` adds ``available`` once the bank has options: for each of the k observations arrived
-    in, which slots may start there, shape (k, max_options).
+    where why is one of ``primitive``, ``subgoal``, ``left_initiation``, ``max_duration``, ``interrupted`` (by what
+    `set_interruption` said), ``terminated`` and ``truncated``. An option also leaves there what Macro-Q learning needs:
+    its primitive steps as stacked arrays ``observations`` (the k observations acted in), ``actions`` and ``rewards``.
+    For algorithms that mask, `report_availability` adds ``available`` once the bank has options: for each of the k
+    observations arrived in, which slots may start there, shape (k, max_options).
 
     An empty slot runs one uniformly random primitive, and names it as ``actions``. A filled option chosen outside its
     initiation set runs one step of its own policy. So an algorithm that cannot mask still sees a lawful semi-Markov
@@ -117,6 +120,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         self._recorder: TrajectoryRecorder | None = None
         self._recorded_at: RewardPeaks | None = None
         self._reports_availability = False
+        self._interruption: Interruption | None = None
+        self._withholding: Withholding | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment; ``seed`` also seeds what empty slots draw."""
@@ -128,6 +133,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self.bank.feature_size = feature_maps.checked_size(self.features.map(batch_of_one(observation)))
         if self._recorder is not None:
             self._recorder.begin(observation)
+        if self._withholding is not None:
+            self._withholding.begin(self.bank.filled)
         return observation, info
 
     def seed_empty_slots(self, seed: int) -> None:
@@ -158,12 +165,33 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             return self._run_primitive(action)
         slot = action - self.n_primitive
         option = self.bank[slot]
-        if option is not None:
-            return self._run_option(option, slot)
-        drawn = int(self._random.integers(self.n_primitive))
-        result = self._run_primitive(drawn)
-        result[4]["option"]["actions"] = np.array([drawn])
+        if option is None:
+            return self._run_instead(int(self._random.integers(self.n_primitive)))
+        if self._withholding is not None:
+            if self._withholding.holds(slot):
+                return self._run_instead(self._instead_of(option, slot))
+            self._withholding.note_use(slot)
+        return self._run_option(option, slot)
+
+    def _run_instead(self, primitive: int) -> StepReturn:
+        """Run a primitive in the place of a slot, and name it."""
+        result = self._run_primitive(primitive)
+        result[4]["option"]["actions"] = np.array([primitive])
         return result
+
+    def _instead_of(self, option: Option, slot: int) -> int:
+        """What the agent would do without an option that is withheld.
+
+        Where the agent's values are known (`set_interruption`), the best primitive in the place of a greedy choice
+        and a random one in the place of an exploratory choice; else one step of the option's own policy.
+        """
+        observation = self._current_observation("step()")
+        if self._interruption is None or self._withholding is None:
+            return self._action_of(option, observation)
+        if self._falls_behind(slot):
+            return int(self._withholding.random.choice(np.flatnonzero(self.action_masks()[: self.n_primitive])))
+        values = np.where(self.action_masks(), self._interruption.values(observation), -np.inf)
+        return int(values[: self.n_primitive].argmax())
 
     def _run_primitive(self, action: int) -> StepReturn:
         observation, reward, terminated, truncated, info = self._primitive_step(action)
@@ -180,6 +208,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         rewards: list[float] = []
         termination: Termination | None = None
         began_inside = bool(option.initiation(batch_of_one(observations[0]))[0])
+        interruptible = began_inside and self._is_interruptible(slot)
         while termination is None:
             action = self._action_of(option, observations[-1])
             observation, reward, terminated, truncated, info = self._primitive_step(action)
@@ -194,6 +223,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
                 termination = "truncated"
             else:
                 termination = self._why_ended(option, observation, len(actions), may_go_on=began_inside)
+                if termination is None and interruptible and self._falls_behind(slot):
+                    termination = "interrupted"
         info["option"] = {
             "index": slot,
             "duration": len(actions),
@@ -206,6 +237,16 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         if self._reports_availability:
             info["option"]["available"] = self.bank.available_slots(stack(observations[1:]))
         return observation, total, terminated, truncated, info
+
+    def _is_interruptible(self, slot: int) -> bool:
+        """Whether the option about to begin ends where something else becomes the better choice."""
+        rule = self._interruption
+        return rule is not None and (rule.every_choice or not self._falls_behind(slot))
+
+    def _falls_behind(self, slot: int) -> bool:
+        """Whether the option is not the best choice in the current state."""
+        assert self._interruption is not None  # only asked of an option that may be interrupted
+        return self._interruption.falls_behind(self.n_primitive + slot, self._observation, self.action_masks)
 
     def _action_of(self, option: Option, observation: Any) -> int:
         action = int(option.policy(batch_of_one(observation))[0])
@@ -241,12 +282,18 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             if self._recorder.finished:
                 # All that was finished since `step` was called: of an option's infos only the last goes out.
                 info |= self._recorder.report()
+        if self._withholding is not None:
+            self._withholding.note_reward(float(reward), self.gamma)
+            report = self._withholding.report() if terminated or truncated else None
+            if report is not None:
+                info["option_trial"] = report
         return observation, reward, terminated, truncated, info
 
     def action_masks(self) -> BoolArray:
         """Which augmented actions may start now, shape (n_primitive + max_options,).
 
-        An environment that masks its own actions goes on doing so; what an option does inside is not masked.
+        An environment that masks its own actions goes on doing so; what an option does inside is not masked. An option
+        that this episode does without may not start.
 
         Raises:
             gymnasium.error.ResetNeeded: Before the first ``reset``.
@@ -254,6 +301,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         mask: BoolArray = self.bank.available(batch_of_one(self._current_observation("action_masks()")))[0]
         if self.env.has_wrapper_attr("action_masks"):
             mask[: self.n_primitive] &= np.asarray(self.env.get_wrapper_attr("action_masks")(), dtype=bool)
+        if self._withholding is not None:
+            mask[[self.n_primitive + slot for slot in self._withholding.withheld()]] = False
         return mask
 
     def _current_observation(self, needed_by: str) -> Any:
@@ -292,6 +341,24 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self.bank.add(option, slot)
         elif slot in self.bank.filled:
             self.bank.remove(slot)
+
+    def set_interruption(self, interruption: Interruption | None) -> None:
+        """Interrupt options by these values from now on; None lets every option run to its end."""
+        self._interruption = interruption
+
+    def withhold_options(self, shares: dict[int, float], seed: Sequence[int]) -> None:
+        """Try options: let each episode from the next one on do without a slot with a probability of ``shares[slot]``.
+
+        The info that ends an episode then holds a `TrialReport` as ``info["option_trial"]``. A slot that is withheld
+        is masked; chosen all the same, it runs what the agent would do without it, and names that as ``actions``.
+
+        Args:
+            shares: By slot; those that are not named are not tried.
+            seed: Of the generator that draws; used the first time.
+        """
+        if self._withholding is None:
+            self._withholding = Withholding(seed)
+        self._withholding.shares = dict(shares)
 
     def report_availability(self, report: bool) -> None:
         """Whether ``info["option"]["available"]`` says which slots may start in each observation arrived in."""

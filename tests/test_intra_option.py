@@ -11,12 +11,13 @@ from sb3_contrib.qrdqn import qrdqn as qrdqn_module
 from stable_baselines3 import DQN
 from torch.nn import functional
 
-from sb3_options import OptionDQN
+from sb3_options import OptionDQN, OptionReplayBuffer
 from sb3_options.callbacks.serving import OptionServer
+from sb3_options.callbacks.teaching import IntraOptionTeacher
 from sb3_options.intra_option import IntraOptionMemory, Judgement, intra_option_target, judge
 from sb3_options.replay_buffer import QUANTILE_LESSONS
 from tests.helpers import table_option
-from tests.sb3_helpers import Row, env_of
+from tests.sb3_helpers import RANDOM, TINY, Row, env_of, fast_callback, optioned_rooms
 from tests.test_dqn import (
     GAMMA,
     N_ACTIONS,
@@ -200,3 +201,29 @@ def test_new_steps_are_judged_as_the_old_ones_were(monkeypatch: pytest.MonkeyPat
     assert memory.takes[: buffer.size()].sum() > 100
     for before, after in zip(in_portions, (memory.takes, memory.inside, memory.goes_on), strict=True):
         assert np.array_equal(before[: buffer.size()], after[: buffer.size()])
+
+
+def test_an_option_that_keeps_learning_is_judged_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the buffer holds of it then follows from its latest policy."""
+    monkeypatch.setattr("sb3_options.callbacks.teaching.REJUDGE_SHARE", 10**9)  # at once, and not before long
+    monkeypatch.setattr("sb3_options.callbacks.teaching.JUDGED_AT_ONCE", 1)
+    rejudged: list[int] = []
+    stock = IntraOptionTeacher.judge_all
+
+    def judge_all(teacher: IntraOptionTeacher, slot: int) -> None:
+        rejudged.append(slot)
+        stock(teacher, slot)
+
+    monkeypatch.setattr(IntraOptionTeacher, "judge_all", judge_all)
+    model = DQN("MlpPolicy", optioned_rooms(2), gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, **TINY | RANDOM)
+    callback = fast_callback(option_settings={"keep_learning": True})
+    model.learn(3000, callback=callback)
+    assert len(rejudged) > 3
+    assert callback._server is not None
+    teacher = callback._server.teacher
+    assert teacher is not None
+    before = teacher.memory.takes.copy(), teacher.memory.goes_on.copy()
+    stock(teacher, 0)
+    assert teacher.memory.takes[:, 0].sum() > 100
+    for old, new in zip(before, (teacher.memory.takes, teacher.memory.goes_on), strict=True):
+        assert np.array_equal(old, new)

@@ -308,3 +308,24 @@ class TestErrors:
             "CnnPolicy", venv, gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, buffer_size=100, seed=0,
             replay_buffer_kwargs={"macro_q": False}, learning_starts=1000,
         ).learn(100)  # fmt: skip
+
+
+@pytest.mark.parametrize("macro_q", [True, False])
+def test_a_removed_option_is_named_no_more(macro_q: bool, rng: np.random.Generator) -> None:
+    """Each of its runs becomes the transition that was stored after it; all others stay."""
+    venv = corridors("box")
+    buffer = OptionReplayBuffer(500, venv.observation_space, venv.action_space, macro_q=macro_q)
+    rows = [row for step in fill(venv, buffer, 80, rng) for row in step]
+    assert sum(row.action == 2 for row in rows) > 5
+    buffer.forget_action(2)
+    following = rows + rows  # after the last comes the first
+    expected = [next(r for r in following[i:] if r.action != 2) for i in range(len(rows))]
+    assert_holds(all_samples(buffer), expected)
+
+
+def test_a_buffer_that_named_nothing_else_is_empty() -> None:
+    buffer = OptionReplayBuffer(10, spaces.Box(0.0, 1.0, (1,)), spaces.Discrete(3), macro_q=False)
+    info = {"option": {"index": 0, "duration": 2, "discount": 0.81, "termination": "subgoal"}}
+    buffer.add(np.zeros((1, 1)), np.ones((1, 1)), np.array([2]), np.zeros(1), np.zeros(1), [info])
+    buffer.forget_action(2)
+    assert buffer.size() == 0
