@@ -73,6 +73,7 @@ class OptionServer:
         )
         self.explored = cap_option_exploration(model, self.n_primitive, max_option_exploration)
         self.teach_head = teach_head
+        self.max_option_exploration = max_option_exploration
         self.teacher: IntraOptionTeacher | None = None
         if IntraOptionTeacher.teaches(model) and (teach_head or model.replay_buffer.intra_option):  # type: ignore[attr-defined]  # teaches() has looked
             self.teacher = IntraOptionTeacher(model, venv, self.bank)
@@ -161,10 +162,17 @@ class OptionServer:
             return  # MacroQ asks for what is available in every step
         action = self.n_primitive + slot
         if heads.is_closed(self.model.policy, action):
-            heads.open_head(self.model.policy, action, self.n_primitive)
+            heads.open_head(self.model.policy, action, self.n_primitive, odds=self._odds())
             if self.teach_head:
                 self._untaught.add(slot)
         self._moved_in.append(slot)
+
+    def _odds(self) -> float | None:
+        """Of a new option against all primitives, for policies that sample and mask; of the options' joint share."""
+        if not hasattr(self.model, "rollout_buffer") or self.waits_for_rollout or self.max_option_exploration == 1.0:
+            return None
+        share = self.max_option_exploration
+        return max(share / (1.0 - share) / len(self.bank), 1e-3)
 
     def _move_out(self) -> None:
         for slot in self._leaving:

@@ -7,6 +7,7 @@ an option moves in, the outputs are opened.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import torch
@@ -124,17 +125,26 @@ def mean_of_heads(policy: Any, n_primitive: int) -> list[torch.Tensor]:
 
 
 @torch.no_grad()
-def open_head(policy: Any, action: int, n_primitive: int) -> None:
+def open_head(policy: Any, action: int, n_primitive: int, *, odds: float | None = None) -> None:
     """Start ``action`` at the mean of the primitive actions' values, or of their logits.
 
     The mean never exceeds the best primitive's, so that a new option is tried because it is explored and not
     because of a lucky initialisation. The outputs of all other actions stay what they were, bit for bit.
+
+    Args:
+        policy: Of an SB3 model.
+        action: Whose head is closed.
+        n_primitive: Number of primitive actions.
+        odds: For logits: how likely the action becomes as against all primitives together, where these are equally
+            likely; None makes it as likely as one of them. The surer the policy is of a primitive, the less likely.
     """
     for layer, outputs in option_outputs(policy):
         primitive = torch.stack([rows_of(layer, outputs, a) for a in range(n_primitive)])
         rows = rows_of(layer, outputs, action)
         layer.weight[rows] = layer.weight[primitive].mean(dim=0)
         layer.bias[rows] = layer.bias[primitive].mean(dim=0)
+        if odds is not None:
+            layer.bias[rows] += math.log(odds * n_primitive)
 
 
 def is_closed(policy: Any, action: int) -> bool:

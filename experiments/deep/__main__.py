@@ -67,7 +67,7 @@ class Study:
             for value in self.chosen(name):
                 if value not in possible:
                     raise SystemExit(
-                        f"--{name}: there is no {value!r} for {self.task}; choose from {', '.join(possible)}."
+                        f"--{name}: there is no {value!r} for --task {self.task}, choose from {', '.join(possible)}."
                     )
 
     def chosen(self, name: str) -> list[str]:
