@@ -11,7 +11,13 @@ from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.preprocessing import is_image_space
 from stable_baselines3.common.torch_layers import FlattenExtractor
-from stable_baselines3.common.vec_env import VecEnv, VecNormalize, VecTransposeImage
+from stable_baselines3.common.vec_env import (
+    VecEnv,
+    VecFrameStack,
+    VecNormalize,
+    VecTransposeImage,
+    is_vecenv_wrapped,
+)
 
 from sb3_options import heads
 from sb3_options.dqn import OptionDQN
@@ -101,9 +107,10 @@ def interrupt_options(model: BaseAlgorithm, venv: VecEnv, *, margin: float = 0.0
         every_choice: Likewise; True where the model acts greedily.
 
     Returns:
-        Whether the model has the values of options that this takes: DQN, QRDQN and OptionDQN do.
+        Whether it can be done: DQN, QRDQN and OptionDQN have values of options. Beneath a ``VecFrameStack`` nobody sees
+        the frames that the values are of, and options run to their ends.
     """
-    if not heads.has_networks(model.policy):
+    if not heads.has_networks(model.policy) or is_vecenv_wrapped(venv, VecFrameStack):
         return False
     rule = Interruption(ValueSnapshot(model), isinstance(model, OptionDQN), margin, every_choice)
     venv.env_method("set_interruption", rule)

@@ -8,7 +8,7 @@ import torch
 from sb3_contrib import QRDQN
 from stable_baselines3 import DQN
 
-from sb3_options import OptionDQN, heads
+from sb3_options import OptionDQN, head_teaching, heads
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.callbacks.serving import OptionServer
 from tests.helpers import table_option
@@ -35,6 +35,7 @@ def with_option_moving_in(algorithm: Any, monkeypatch: pytest.MonkeyPatch) -> tu
 def test_opens_at_its_own_value(algorithm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a table fitted exactly: the fixed point of r + γ U over the stored steps, solved as a linear system."""
     model, task, server = with_option_moving_in(algorithm, monkeypatch)
+    monkeypatch.setattr(head_teaching, "RIDGE", 1e-4)  # with next to no prior
     option = task.options[0]
     before = tables(model)[1].reshape(N_STATES, -1, N_ACTIONS)
     closed = server.n_primitive  # slot 0

@@ -9,7 +9,14 @@ import torch
 from sb3_contrib import QRDQN
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.callbacks import EvalCallback
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecNormalize, VecTransposeImage
+from stable_baselines3.common.vec_env import (
+    DummyVecEnv,
+    SubprocVecEnv,
+    VecEnv,
+    VecFrameStack,
+    VecNormalize,
+    VecTransposeImage,
+)
 
 from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper, heads
 from sb3_options.callbacks import SubgoalDiscoveryCallback
@@ -296,3 +303,18 @@ def test_a_detour_does_not_stay_on_the_final_path() -> None:
 
     assert ran(interrupts=True) == (1, "interrupted")
     assert ran(interrupts=False) == (25, "truncated")
+
+
+def test_beneath_stacked_frames_options_run_to_their_ends() -> None:
+    venv = VecFrameStack(DummyVecEnv([optioned_rooms]), 2)
+    model = DQN(
+        "MlpPolicy",
+        venv,
+        gamma=GAMMA,
+        replay_buffer_class=OptionReplayBuffer,
+        replay_buffer_kwargs={"macro_q": False},
+        **TINY | RANDOM,
+    )
+    model.learn(3000, callback=fast_callback())
+    assert len(venv.get_attr("bank")[0]) == 1
+    assert venv.get_attr("_interruption") == [None]
