@@ -82,6 +82,8 @@ class OptionServer:
             self.interrupter = Interrupter(model, venv, self.eval_envs, interruption_margin)
         for slot, option in enumerate(present.slots):
             if option is not None:
+                if self.has_heads and getattr(model, "_n_updates", 1) == 0:
+                    heads.close_head(model.policy, self.n_primitive + slot)  # as drawn at random; it opens below
                 self._move_in(slot, option)
             elif self.has_heads:
                 heads.close_head(model.policy, self.n_primitive + slot)

@@ -36,7 +36,8 @@ class Study:
         out: Folder for results.json, curves.png and one file per finished run.
         task: Learn one task from nothing, or one whose goal has moved, with the options of the old one.
         env: Which gridworlds, with commas between; by default all that have the task.
-        algo: Which algorithms, with commas between: dqn, optiondqn, qrdqn, ppo, a2c, trpo, maskableppo.
+        algo: Which algorithms, with commas between: dqn and ppo, which with options keep to their initiation sets
+            (OptionDQN, MaskablePPO); dqn-unmasked, ppo-unmasked and qrdqn, which do not.
         arms: What is compared, with commas between: stock, options, repeats.
         runs: Number of seeds.
         control_runs: Seeds of the random repeats; by default as many.

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
 import gymnasium as gym
 import numpy as np
-from sb3_contrib import QRDQN, TRPO, MaskablePPO
-from stable_baselines3 import A2C, DQN, PPO
+from sb3_contrib import QRDQN, MaskablePPO
+from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList, EvalCallback
 from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from experiments.deep.repeats import RandomRepeat
@@ -24,14 +25,20 @@ from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallba
 
 Arm: TypeAlias = Literal["stock", "options", "repeats"]
 ARMS: tuple[Arm, ...] = get_args(Arm)
-OFF_POLICY = ("dqn", "optiondqn", "qrdqn")
-ALGORITHMS = (*OFF_POLICY, "ppo", "a2c", "trpo", "maskableppo")
+ALGORITHMS: dict[str, tuple[Any, Any]] = {
+    "dqn": (DQN, OptionDQN),
+    "ppo": (PPO, MaskablePPO),
+    "dqn-unmasked": (DQN, DQN),
+    "ppo-unmasked": (PPO, PPO),
+    "qrdqn": (QRDQN, QRDQN),
+}
+"""Stock, and with options: where there is one, the variant that keeps to the options' initiation sets."""
 
 SOURCE_SEED, EVAL_SEED, REPEAT_SEED, FINAL_SEED = 300_000, 500_000, 700_000, 10_000_000
 
 
 REACHED = 0.9
-"""The success rate that a run has to reach."""
+"""The success rate that a run has to reach, in two evaluations in a row: one alone may be luck."""
 
 
 def make_env(task: Task, arm: Arm, settings: DeepSettings, seed: int, n_envs: int, **kwargs: Any) -> VecEnv:
@@ -54,15 +61,18 @@ def make_env(task: Task, arm: Arm, settings: DeepSettings, seed: int, n_envs: in
 
 
 def make_model(algo: str, venv: VecEnv, arm: Arm, settings: DeepSettings, seed: int) -> BaseAlgorithm:
-    """The untrained model; hyper-parameters are the same in every arm."""
+    """The untrained model."""
+    stock, with_options = ALGORITHMS[algo]
     common: dict[str, Any] = {"gamma": GAMMA, "seed": seed, "device": "cpu"}
-    if algo in OFF_POLICY:
-        classes: dict[str, Any] = {"dqn": DQN, "qrdqn": QRDQN, "optiondqn": DQN if arm == "stock" else OptionDQN}
-        buffer = {} if arm == "stock" else {"replay_buffer_class": OptionReplayBuffer}
-        made: BaseAlgorithm = classes[algo]("MlpPolicy", venv, **common, **settings.dqn, **buffer)
-        return made
-    classes = {"ppo": PPO, "a2c": A2C, "trpo": TRPO, "maskableppo": PPO if arm == "stock" else MaskablePPO}
-    return classes[algo]("MlpPolicy", venv, **common, **settings.ppo)  # type: ignore[no-any-return]
+    if issubclass(stock, OffPolicyAlgorithm):
+        buffer: dict[str, Any] = {}
+        if arm != "stock":
+            buffer = {"replay_buffer_class": OptionReplayBuffer, "replay_buffer_kwargs": settings.buffer}
+        own = {**settings.dqn, **buffer}
+    else:
+        own = settings.ppo if arm == "stock" else settings.ppo_with_options
+    made: BaseAlgorithm = (stock if arm == "stock" else with_options)("MlpPolicy", venv, **common, **own)
+    return made
 
 
 class Evaluations(BaseCallback):
@@ -71,7 +81,7 @@ class Evaluations(BaseCallback):
     Args:
         venv: One environment per episode, cut off where an episode counts as failed.
         every: Primitive steps.
-        steps_after: Training ends this many primitive steps after the success rate first was `REACHED`.
+        steps_after: Training ends this many primitive steps after `reached_at`.
         seed: Every evaluation sees the same episodes.
     """
 
@@ -85,8 +95,17 @@ class Evaluations(BaseCallback):
         if self.num_timesteps >= self._next:
             self._next = (self.num_timesteps // self.every + 1) * self.every
             self.points.append((self.num_timesteps, *greedy(self.model, self.venv, self.seed)))
-        reached = next((at for at, success, _ in self.points if success >= REACHED), math.inf)
-        return self.num_timesteps < reached + self.steps_after
+            reached = reached_at([at for at, _, _ in self.points], [success for _, success, _ in self.points])
+            return reached is None or self.num_timesteps < reached + self.steps_after
+        return True
+
+
+def reached_at(steps: Sequence[int], success: Sequence[float]) -> int | None:
+    """Primitive steps at the first of two evaluations in a row with a success rate of `REACHED`; None if never."""
+    for at, first, second in zip(steps, success, success[1:], strict=False):
+        if min(first, second) >= REACHED:
+            return at
+    return None
 
 
 def greedy(model: BaseAlgorithm, venv: VecEnv, seed: int) -> tuple[float, float]:
@@ -121,17 +140,19 @@ def train(
     seed: int,
     *,
     options: Path | None = None,
+    steps_after: int | None = None,
     n_timesteps: int | None = None,
 ) -> tuple[Result, SubgoalDiscoveryCallback | None]:
     """Train once in the target.
 
     Args:
         task: Which.
-        algo: Of stable-baselines3 or sb3-contrib, in lower case.
+        algo: Of `ALGORITHMS`.
         arm: Stock, discovered options, or random repeats in their place.
         settings: Of everything.
         seed: Of everything random.
         options: A file of options to begin with, in which case none are discovered.
+        steps_after: In place of the settings'.
         n_timesteps: In place of the task's.
 
     Returns:
@@ -146,7 +167,9 @@ def train(
             for wrapper in each.envs:  # type: ignore[attr-defined]  # a DummyVecEnv
                 wrapper.bank.load(options)
     model = make_model(algo, venv, arm, settings, seed)
-    evaluations = Evaluations(eval_env, settings.evaluate_every, settings.steps_after, EVAL_SEED + seed)
+    if steps_after is None:
+        steps_after = settings.steps_after["ppo" if algo.startswith("ppo") else "dqn"]
+    evaluations = Evaluations(eval_env, settings.evaluate_every, steps_after, EVAL_SEED + seed)
     discovery = None
     callbacks: list[BaseCallback] = [evaluations]
     if arm == "options":
@@ -155,6 +178,7 @@ def train(
             settings.option,
             max_new_options=settings.max_new_options if options is None else 0,
             seed=seed,
+            **settings.callback,
         )
         callbacks = [discovery, *callbacks, Served(eval_env)]
     elif arm == "repeats":
@@ -197,7 +221,7 @@ def run(task: Task, algo: str, arm: Arm, settings: DeepSettings, folder: Path, s
     if task.source is None or arm != "options":
         return train(task, algo, arm, settings, seed)[0]
     source = Task(task.env, task.source, n_timesteps=task.source_timesteps)
-    discovery = train(source, algo, arm, settings, SOURCE_SEED + seed)[1]
+    discovery = train(source, algo, arm, settings, SOURCE_SEED + seed, steps_after=source.n_timesteps)[1]
     assert discovery is not None  # of this arm
     options = folder / "options" / f"{seed}.safetensors"
     options.parent.mkdir(parents=True, exist_ok=True)

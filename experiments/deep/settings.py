@@ -1,4 +1,4 @@
-"""What every run of the study is made with; each algorithm's own are the same with and without options."""
+"""What every run of the study is made with."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ GAMMA = 0.97
 
 def _dqn() -> dict[str, Any]:
     return {
-        "learning_rate": 1e-3,
+        "learning_rate": 5e-4,
         "buffer_size": 50_000,
         "learning_starts": 500,
         "batch_size": 64,
-        "train_freq": 4,
-        "gradient_steps": 1,
-        "target_update_interval": 500,
-        "exploration_fraction": 0.5,
+        "train_freq": 1,
+        "gradient_steps": 8,
+        "target_update_interval": 100,
+        "exploration_fraction": 0.2,
         "exploration_final_eps": 0.05,
         "policy_kwargs": {"net_arch": [64, 64]},
     }
 
 
-def _ppo() -> dict[str, Any]:
+def _ppo(n_steps: int, learning_rate: float) -> dict[str, Any]:
     return {
-        "learning_rate": 1e-3,
-        "n_steps": 256,
-        "batch_size": 64,
+        "learning_rate": learning_rate,
+        "n_steps": n_steps,
+        "batch_size": max(64, 4 * n_steps),
         "n_epochs": 8,
         "gae_lambda": 0.95,
-        "ent_coef": 0.01,
+        "ent_coef": 0.05,
         "policy_kwargs": {"net_arch": [64, 64]},
     }
 
@@ -40,27 +40,33 @@ class DeepSettings:
     """Settings of the study.
 
     Attributes:
-        dqn: Of ``DQN``.
-        ppo: Of ``PPO``.
+        dqn: Of ``DQN``, with and without options.
+        ppo: Of stock ``PPO``: of the configurations tried, the best without options.
+        ppo_with_options: Of ``PPO`` with options: of the same configurations, the best with them.
         n_envs: Parallel environments.
         max_options: Option slots.
         max_new_options: Most options to discover.
         discovery: Other than the defaults of `DiscoverySettings`.
         option: Other than the defaults of `OptionLearningSettings`.
+        callback: Other arguments of `SubgoalDiscoveryCallback` than its defaults.
+        buffer: Other arguments of `OptionReplayBuffer` than its defaults.
         evaluate_every: Primitive steps between evaluations.
         evaluation_episodes: Episodes of each.
-        steps_after: A run ends this many primitive steps after its success rate first was 90 %.
+        steps_after: A run ends this many primitive steps after it has reached 90 %, by the algorithm's family.
         final_evaluations: How many there are at the end.
     """
 
     dqn: dict[str, Any] = field(default_factory=_dqn)
-    ppo: dict[str, Any] = field(default_factory=_ppo)
-    n_envs: int = 1
+    ppo: dict[str, Any] = field(default_factory=lambda: _ppo(32, 2e-3))
+    ppo_with_options: dict[str, Any] = field(default_factory=lambda: _ppo(16, 1e-3))
+    n_envs: int = 8
     max_options: int = 4
-    max_new_options: int = 1
-    discovery: dict[str, Any] = field(default_factory=dict)
-    option: dict[str, Any] = field(default_factory=dict)
+    max_new_options: int = 2
+    discovery: dict[str, Any] = field(default_factory=lambda: {"decay": 0.75, "min_positive": 5})
+    option: dict[str, Any] = field(default_factory=lambda: {"grow": True})
+    callback: dict[str, Any] = field(default_factory=lambda: {"teach_head": False})
+    buffer: dict[str, Any] = field(default_factory=lambda: {"intra_option": False})
     evaluate_every: int = 1000
     evaluation_episodes: int = 20
-    steps_after: int = 10_000
+    steps_after: dict[str, int] = field(default_factory=lambda: {"dqn": 6_000, "ppo": 15_000})
     final_evaluations: int = 10

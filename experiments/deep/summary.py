@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import mannwhitneyu, trim_mean
 
 from experiments.curves import ratio_interval
-from experiments.deep.agents import REACHED
+from experiments.deep.agents import reached_at
 from experiments.seeds import Result
 from sb3_options.evaluation import CONFIDENCE, Interval, mean_interval
 from sb3_options.observations import FloatArray
@@ -57,11 +57,9 @@ def probability_of_improvement(ours: FloatArray, theirs: FloatArray) -> Interval
 
 
 def steps_to_success(result: Result, n_timesteps: int) -> float:
-    """Primitive steps until the success rate first was `REACHED`; the length of training where it never was."""
-    for steps, success in zip(result["steps"], result["success"], strict=True):
-        if success >= REACHED:
-            return float(steps)
-    return float(n_timesteps)
+    """Primitive steps until the success rate was `REACHED`; the length of training where it never was."""
+    reached = reached_at(result["steps"], result["success"])
+    return float(n_timesteps if reached is None else reached)
 
 
 def curve(result: Result, n_timesteps: int) -> FloatArray:

@@ -29,8 +29,8 @@ class Task:
     env: str
     target: dict[str, Any] = field(default_factory=dict)
     source: dict[str, Any] | None = None
-    n_timesteps: int = 40_000
-    source_timesteps: int = 30_000
+    n_timesteps: int = 30_000
+    source_timesteps: int = 20_000
 
 
 MOVED = {"success_probability": 0.8}
