@@ -8,8 +8,8 @@ After a step s, a, r, s' every option o with π_o(s) = a moves towards
 are functions of the observation, so that the step either is the one the option would have taken, and then its reward
 and successor are drawn as under the option, or it is not, and then nothing is learned from it. The algorithm calls for
 Markov options, so the longest duration, which is a property of the run and not of the state, does not enter. For the
-same reason a hand-made option whose policy draws at random or remembers must not be taught: pass
-``replay_buffer_kwargs={"intra_option": False}``.
+same reason a hand-made option whose policy draws at random or remembers must not be taught.
+``replay_buffer_kwargs={"intra_option": True}`` switches it on.
 """
 
 from __future__ import annotations

@@ -71,7 +71,8 @@ class OptionReplayBuffer(ReplayBuffer):
         optimize_memory_usage: Not supported.
         handle_timeout_termination: Bootstrap after a timeout instead of taking it for an end.
         macro_q: Whether the steps inside options are stored.
-        intra_option: Whether primitive steps teach the options that would have taken them.
+        intra_option: Whether primitive steps teach the options that would have taken them. Off by default: it took
+            longer to learn with it wherever that was measured (docs/deep.md).
 
     Raises:
         ValueError: ``optimize_memory_usage`` is set.
@@ -88,7 +89,7 @@ class OptionReplayBuffer(ReplayBuffer):
         handle_timeout_termination: bool = True,
         *,
         macro_q: bool = True,
-        intra_option: bool = True,
+        intra_option: bool = False,
     ) -> None:
         if optimize_memory_usage:
             raise ValueError(

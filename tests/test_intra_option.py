@@ -47,7 +47,8 @@ def lessons_of(rows: list[Row], task: Task, *, outside: bool) -> list[tuple[Row,
     return lessons
 
 
-def served(model: Any) -> OptionServer:
+def served(model: Any, *, intra_option: bool = True) -> OptionServer:
+    model.replay_buffer.intra_option = intra_option
     server = OptionServer(model, env_of(model), None)
     server.rollout_ends()
     return server
@@ -112,8 +113,7 @@ def test_quantile_targets_are_exact(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_switched_off_a_batch_is_what_was_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     task = random_task(0)
     model = filled(DQN, task, True, monkeypatch)
-    model.replay_buffer.intra_option = False
-    served(model)
+    served(model, intra_option=False)
     assert len(model.replay_buffer._get_samples(np.arange(50)).actions) == 50
 
 
@@ -215,7 +215,14 @@ def test_an_option_that_keeps_learning_is_judged_anew(monkeypatch: pytest.Monkey
         stock(teacher, slot)
 
     monkeypatch.setattr(IntraOptionTeacher, "judge_all", judge_all)
-    model = DQN("MlpPolicy", optioned_rooms(2), gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, **TINY | RANDOM)
+    model = DQN(
+        "MlpPolicy",
+        optioned_rooms(2),
+        gamma=GAMMA,
+        replay_buffer_class=OptionReplayBuffer,
+        replay_buffer_kwargs={"intra_option": True},
+        **TINY | RANDOM,
+    )
     callback = fast_callback(option_settings={"keep_learning": True})
     model.learn(3000, callback=callback)
     assert len(rejudged) > 3

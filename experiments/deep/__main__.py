@@ -109,23 +109,26 @@ def main(study: Study) -> None:
 
 
 def _run(study: Study, arm: Arm) -> dict[tuple[str, str], Any]:
-    parts, keys = [], {}
-    for env in study.chosen("env"):
-        for algo in study.chosen("algo"):
-            name = f"{env}-{algo}-{arm}"
-            keys[name] = env, algo
-            folder = study.out / "runs" / name
-            parts.append(Part(name, partial(run, TASKS[study.task, env], algo, arm, study.settings, folder), folder))
     n = study.runs if arm != "repeats" or study.control_runs is None else study.control_runs
-    worlds = {env: dataclasses.asdict(task) for (kind, env), task in TASKS.items() if kind == study.task}
-    results = run_parts(
-        parts,
-        range(study.first_seed, study.first_seed + n),
-        settings={**dataclasses.asdict(study.settings), "task": study.task, "worlds": worlds},
-        jobs=study.jobs,
-        description=f"{study.task}, {arm}",
-    )
-    return {keys[name]: found for name, found in results.items()}
+    found: dict[tuple[str, str], Any] = {}
+    for algo in study.chosen("algo"):
+        parts = []
+        for env in study.chosen("env"):
+            folder = study.out / "runs" / f"{env}-{algo}-{arm}"
+            parts.append(Part(env, partial(run, TASKS[study.task, env], algo, arm, study.settings, folder), folder))
+        results = run_parts(
+            parts,
+            range(study.first_seed, study.first_seed + n),
+            settings={**study.settings.of(algo), "task": study.task, "worlds": _worlds(study.task)},
+            jobs=study.jobs,
+            description=f"{study.task}, {algo}, {arm}",
+        )
+        found |= {(env, algo): of for env, of in results.items()}
+    return found
+
+
+def _worlds(task: str) -> dict[str, Any]:
+    return {env: dataclasses.asdict(world) for (kind, env), world in TASKS.items() if kind == task}
 
 
 def _print(numbers: dict[str, Any], study: Study) -> None:

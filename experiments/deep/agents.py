@@ -17,7 +17,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from experiments.deep.repeats import RandomRepeat
-from experiments.deep.settings import GAMMA, DeepSettings
+from experiments.deep.settings import GAMMA, DeepSettings, family
 from experiments.deep.tasks import SLACK, Task, optimal_steps, world_of
 from experiments.seeds import Result
 from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper
@@ -168,7 +168,7 @@ def train(
                 wrapper.bank.load(options)
     model = make_model(algo, venv, arm, settings, seed)
     if steps_after is None:
-        steps_after = settings.steps_after["ppo" if algo.startswith("ppo") else "dqn"]
+        steps_after = settings.steps_after[family(algo)]
     evaluations = Evaluations(eval_env, settings.evaluate_every, steps_after, EVAL_SEED + seed)
     discovery = None
     callbacks: list[BaseCallback] = [evaluations]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,7 +16,7 @@ def _dqn() -> dict[str, Any]:
         "learning_starts": 500,
         "batch_size": 64,
         "train_freq": 1,
-        "gradient_steps": 8,
+        "gradient_steps": 4,
         "target_update_interval": 100,
         "exploration_fraction": 0.2,
         "exploration_final_eps": 0.05,
@@ -70,3 +71,13 @@ class DeepSettings:
     evaluation_episodes: int = 20
     steps_after: dict[str, int] = field(default_factory=lambda: {"dqn": 6_000, "ppo": 15_000})
     final_evaluations: int = 10
+
+    def of(self, algo: str) -> dict[str, Any]:
+        """What a run of an algorithm depends on."""
+        others = "dqn" if family(algo) == "ppo" else "ppo"
+        return {name: value for name, value in dataclasses.asdict(self).items() if not name.startswith(others)}
+
+
+def family(algo: str) -> str:
+    """``ppo`` or ``dqn``, whose settings an algorithm has."""
+    return "ppo" if algo.startswith("ppo") else "dqn"
