@@ -70,7 +70,7 @@ def make_model(algo: str, venv: VecEnv, arm: Arm, settings: DeepSettings, seed: 
             buffer = {"replay_buffer_class": OptionReplayBuffer, "replay_buffer_kwargs": settings.buffer}
         own = {**settings.dqn, **buffer}
     else:
-        own = settings.ppo if arm == "stock" else settings.ppo_with_options
+        own = settings.ppo
     made: BaseAlgorithm = (stock if arm == "stock" else with_options)("MlpPolicy", venv, **common, **own)
     return made
 

@@ -24,14 +24,15 @@ def _dqn() -> dict[str, Any]:
     }
 
 
-def _ppo(n_steps: int, learning_rate: float) -> dict[str, Any]:
+def _ppo() -> dict[str, Any]:
     return {
-        "learning_rate": learning_rate,
-        "n_steps": n_steps,
-        "batch_size": max(64, 4 * n_steps),
+        "learning_rate": 2e-3,
+        "n_steps": 32,
+        "batch_size": 128,
         "n_epochs": 8,
         "gae_lambda": 0.95,
-        "ent_coef": 0.05,
+        "ent_coef": 0.003,
+        "normalize_advantage": False,  # before the first reward it would blow up noise until the policy is stuck
         "policy_kwargs": {"net_arch": [64, 64]},
     }
 
@@ -42,8 +43,7 @@ class DeepSettings:
 
     Attributes:
         dqn: Of ``DQN``, with and without options.
-        ppo: Of stock ``PPO``: of the configurations tried, the best without options.
-        ppo_with_options: Of ``PPO`` with options: of the same configurations, the best with them.
+        ppo: Of ``PPO``, with and without options.
         n_envs: Parallel environments.
         max_options: Option slots.
         max_new_options: Most options to discover.
@@ -58,8 +58,7 @@ class DeepSettings:
     """
 
     dqn: dict[str, Any] = field(default_factory=_dqn)
-    ppo: dict[str, Any] = field(default_factory=lambda: _ppo(32, 2e-3))
-    ppo_with_options: dict[str, Any] = field(default_factory=lambda: _ppo(16, 1e-3))
+    ppo: dict[str, Any] = field(default_factory=_ppo)
     n_envs: int = 8
     max_options: int = 4
     max_new_options: int = 2
@@ -69,7 +68,7 @@ class DeepSettings:
     buffer: dict[str, Any] = field(default_factory=lambda: {"intra_option": False})
     evaluate_every: int = 1000
     evaluation_episodes: int = 20
-    steps_after: dict[str, int] = field(default_factory=lambda: {"dqn": 6_000, "ppo": 15_000})
+    steps_after: dict[str, int] = field(default_factory=lambda: {"dqn": 6_000, "ppo": 12_000})
     final_evaluations: int = 10
 
     def of(self, algo: str) -> dict[str, Any]:
