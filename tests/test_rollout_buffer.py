@@ -304,3 +304,38 @@ def test_refuses_another_meaning_of_lambda() -> None:
 def test_refuses_dict_observations() -> None:
     with pytest.raises(ValueError, match="For Dict observations pass rollout_buffer_class=OptionDictRolloutBuffer"):
         OptionRolloutBuffer(8, DictEnv().observation_space, DictEnv().action_space)
+
+
+@pytest.mark.parametrize(("share", "n_present"), [(0.5, 1), (0.8, 1), (0.5, 2)])
+def test_an_option_opens_with_its_share_of_the_probability_where_masks_keep_it_in_its_place(
+    share: float, n_present: int
+) -> None:
+    env = OptionsWrapper(Corridor(), 3, gamma=GAMMA)
+    for _ in range(n_present):
+        env.bank.add(steady_option(1))
+    model: Any = make(MaskablePPO, env)
+    with torch.no_grad():
+        model.policy.action_net.weight.zero_()
+        model.policy.action_net.bias.zero_()
+    OptionServer(model, env_of(model), None, max_option_exploration=share)
+    observation = torch.zeros((1, 2))
+    masks = np.array([[True, True, *[True] * n_present, *[False] * (3 - n_present)]])
+    probabilities = model.policy.get_distribution(observation, action_masks=masks).distribution.probs[0].detach()
+    last = share / (1.0 - share) / n_present  # odds of the option that came last against the primitives together
+    assert float(probabilities[1 + n_present] / probabilities[:2].sum()) == pytest.approx(last, rel=1e-5)
+    assert float(probabilities[0]) == pytest.approx(float(probabilities[1]))
+
+
+def test_an_untrained_model_opens_the_heads_of_options_that_are_there_a_trained_one_keeps_them() -> None:
+    env = OptionsWrapper(Corridor(), 2, gamma=GAMMA)
+    env.bank.add(steady_option(1))
+    model: Any = make(PPO, env)
+    head = model.policy.action_net
+    OptionServer(model, env_of(model), None)
+    assert torch.equal(head.weight[2], head.weight[:2].mean(dim=0))
+    assert torch.equal(head.bias[2], head.bias[:2].mean(dim=0))
+    model.learn(64, callback=PrimitiveStepsCallback())
+    learned = head.weight[2].clone()
+    OptionServer(model, env_of(model), None)
+    assert torch.equal(head.weight[2], learned)
+    assert not torch.equal(learned, head.weight[:2].mean(dim=0))
