@@ -53,7 +53,7 @@ class Study:
     arms: str = "stock,options,repeats"
     runs: int = 20
     control_runs: int | None = None
-    first_seed: int = 1000
+    first_seed: int = 2000
     jobs: int | None = None
     settings: DeepSettings = field(default_factory=DeepSettings)
 

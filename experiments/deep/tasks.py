@@ -30,7 +30,7 @@ class Task:
     target: dict[str, Any] = field(default_factory=dict)
     source: dict[str, Any] | None = None
     n_timesteps: int = 30_000
-    source_timesteps: int = 20_000
+    source_timesteps: int = 30_000
 
 
 MOVED = {"success_probability": 0.8}

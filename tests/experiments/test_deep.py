@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from experiments.deep import __main__ as deep
-from experiments.deep import tasks
+from experiments.deep import report, tasks
 from experiments.deep.repeats import LONGEST, RandomRepeat
 from experiments.deep.settings import DeepSettings
 from experiments.deep.summary import (
@@ -33,8 +33,9 @@ class TestNumbers:
         assert iqm(np.array([100.0, 2.0, 3.0, 4.0, 5.0, -50.0, 3.0, 4.0])) == pytest.approx((3 + 4 + 3 + 4) / 4)
 
     def test_steps_to_success(self) -> None:
-        assert steps_to_success(result([0, 1000, 2000, 3000], [0.0, 0.9, 0.5, 1.0]), 9000) == 1000
-        assert steps_to_success(result([0, 1000], [0.0, 0.85]), 9000) == 9000
+        lucky_once = result([0, 1000, 2000, 3000, 4000], [0.0, 0.9, 0.5, 1.0, 0.9])
+        assert steps_to_success(lucky_once, 9000) == 3000
+        assert steps_to_success(result([0, 1000, 2000], [0.0, 0.85, 1.0]), 9000) == 9000
 
     def test_a_curve_holds_its_last_value(self) -> None:
         np.testing.assert_array_equal(curve(result([0, 900, 1500], [0.0, 0.4, 1.0]), 2500), [0, 0, 0.4, 1, 1, 1])
@@ -53,8 +54,8 @@ class TestNumbers:
         assert probability_of_improvement(np.array([1.0, 2.0]), np.array([2.0, 3.0])).mean == pytest.approx(3.5 / 4)
 
     def test_summary(self) -> None:
-        stock = [result([0, 2000], [0.0, 1.0], 20.0) for _ in range(4)]
-        ours = [result([0, 1000], [0.0, 1.0], 22.0, brought=[[1.0, 2.0]]) for _ in range(3)]
+        stock = [result([0, 2000, 3000], [0.0, 1.0, 1.0], 20.0) for _ in range(4)]
+        ours = [result([0, 1000, 2000], [0.0, 1.0, 1.0], 22.0, brought=[[1.0, 2.0]]) for _ in range(3)]
         ours.append(result([0, 1000], [0.0, 0.2], 22.0))
         numbers = summarise({"stock": stock, "options": ours}, 4000)
         assert numbers["stock"]["steps_to_90"]["mean"] == 2000
@@ -112,6 +113,21 @@ class TestArguments:
     def test_what_there_is_not(self, tmp_path: Path, arguments: dict[str, Any], text: str) -> None:
         with pytest.raises(SystemExit, match=text):
             deep.Study(out=tmp_path, **arguments)
+
+
+def test_report_fills_its_document(tmp_path: Path) -> None:
+    numbers = summarise(
+        {"stock": [result([0, 1000, 2000], [0.0, 1.0, 1.0])] * 4, "options": [result([0], [0.0])] * 4}, 3000
+    )
+    results, document = tmp_path / "results.json", tmp_path / "deep.md"
+    command = "python -m experiments.deep --task same --env TwoRooms"
+    results.write_text(json.dumps({"command": command, "results": {"TwoRooms": {"ppo": numbers}}}))
+    document.write_text("<!-- transfer -->\n<!-- end transfer -->\n<!-- same -->\n<!-- end same -->\n")
+    report.main(report.Report((results,), document))
+    text = document.read_text()
+    assert command in text
+    assert "| PPO, TwoRooms: stock | 4 | 1,000 (1,000 to 1,000) |" in text
+    assert "| PPO, TwoRooms: discovered options | 4 | 3,000 (3,000 to 3,000) | 3.00 (3.00 to 3.00) | 0.00" in text
 
 
 @pytest.mark.slow

@@ -1,0 +1,85 @@
+"""``python -m experiments.deep.report docs/results/deep-*.json --document docs/deep.md``: numbers into their document.
+
+No number is copied by hand.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from experiments.deep.plots import LABELS
+from experiments.documents import fill, number
+
+COLUMNS = (
+    "",
+    "runs",
+    "steps to 90 %",
+    "of stock",
+    "Pr(faster)",
+    "area of stock",
+    "final steps",
+    "of stock",
+    "never",
+)
+
+
+@dataclass(frozen=True)
+class Report:
+    """Put the numbers of the study into their document.
+
+    Attributes:
+        results: What the study wrote, one file or several.
+        document: Markdown with the markers.
+    """
+
+    results: tyro.conf.Positional[tuple[Path, ...]]
+    document: Path = Path("docs/deep.md")
+
+
+def main(report: Report) -> None:
+    """Read, and fill in."""
+    studies = [json.loads(path.read_text(encoding="utf-8")) for path in report.results]
+    parts = {}
+    for task in ("transfer", "same"):
+        of_task = [study for study in studies if f"--task {task} " in study["command"]]
+        commands = ", ".join(f"`{study['command']}`" for study in of_task)
+        parts[task] = f"{commands}\n\n{table(of_task)}"
+    fill(report.document, parts)
+
+
+def table(studies: list[dict[str, Any]]) -> str:
+    """One row for each algorithm, environment and arm."""
+    lines = ["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|"]
+    return "\n".join(lines + [row for study in studies for row in rows(study)])
+
+
+def rows(study: dict[str, Any]) -> Iterator[str]:
+    """Of one study."""
+    for env, algorithms in study["results"].items():
+        for algo, arms in algorithms.items():
+            for arm, of in arms.items():
+                cells = [
+                    f"{algo.upper()}, {env}: {LABELS[arm]}",
+                    str(of["n_runs"]),
+                    "{mean:,.0f} ({low:,.0f} to {high:,.0f})".format(**of["steps_to_90"]),
+                    *(_against_stock(of, name) for name in ("steps_to_90", "probability_of_improvement", "area")),
+                    "{mean:.1f}".format(**of["final_steps"]),
+                    _against_stock(of, "final_steps"),
+                    str(of["never"]),
+                ]
+                yield "| " + " | ".join(cells) + " |"
+
+
+def _against_stock(of: dict[str, Any], name: str) -> str:
+    value = of.get(name if name.startswith("probability") else f"{name}_of_stock")
+    return "" if value is None else number(value)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Report))
