@@ -49,8 +49,8 @@ class DeepSettings:
         max_new_options: Most options to discover.
         discovery: Other than the defaults of `DiscoverySettings`.
         option: Other than the defaults of `OptionLearningSettings`.
-        callback: Other arguments of `SubgoalDiscoveryCallback` than its defaults.
-        buffer: Other arguments of `OptionReplayBuffer` than its defaults.
+        callback: Switches of `SubgoalDiscoveryCallback`: ``teach_head``, ``interruption``.
+        buffer: Switches of `OptionReplayBuffer`: ``intra_option``, ``macro_q``.
         evaluate_every: Primitive steps between evaluations.
         evaluation_episodes: Episodes of each.
         steps_after: A run ends this many primitive steps after it has reached 90 %, by the algorithm's family.
@@ -64,7 +64,7 @@ class DeepSettings:
     max_new_options: int = 2
     discovery: dict[str, Any] = field(default_factory=lambda: {"decay": 0.75, "min_positive": 5})
     option: dict[str, Any] = field(default_factory=lambda: {"grow": True})
-    callback: dict[str, Any] = field(default_factory=lambda: {"teach_head": False})
+    callback: dict[str, Any] = field(default_factory=lambda: {"teach_head": False, "interruption": True})
     buffer: dict[str, Any] = field(default_factory=lambda: {"intra_option": False})
     evaluate_every: int = 1000
     evaluation_episodes: int = 20
