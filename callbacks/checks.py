@@ -41,6 +41,21 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
     check_wrapped(venv, "The model's environment")
     if not isinstance(model, MacroQ):
         _check_deep(model, venv)
+    check_gamma(model, venv)
+    _check_nothing_above_changes_observations(venv)
+    if venv.env_method("feature_kind", indices=[0])[0] is None:
+        raise ValueError(
+            f"There is no default feature map for {venv.observation_space}: pass OptionsWrapper(env, "
+            "feature_map=...) a function from a batch of observations to features of shape (batch, d)."
+        )
+
+
+def check_gamma(model: BaseAlgorithm, venv: VecEnv) -> None:
+    """Refuse a discount that is not the wrapper's.
+
+    Raises:
+        ValueError: They differ.
+    """
     gammas: list[float] = venv.get_attr("gamma")
     model_gamma: float = model.gamma  # type: ignore[attr-defined]  # every algorithm that passed until here has it
     different = [gamma for gamma in gammas if abs(gamma - model_gamma) > 1e-12]
@@ -48,12 +63,6 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
         raise ValueError(
             f"OptionsWrapper discounts with gamma={different[0]}, {type(model).__name__} with gamma={model_gamma}: "
             "give both the same."
-        )
-    _check_nothing_above_changes_observations(venv)
-    if venv.env_method("feature_kind", indices=[0])[0] is None:
-        raise ValueError(
-            f"There is no default feature map for {venv.observation_space}: pass OptionsWrapper(env, "
-            "feature_map=...) a function from a batch of observations to features of shape (batch, d)."
         )
 
 
@@ -79,15 +88,25 @@ def _refuse_change(seen: spaces.Space[Any], given: spaces.Space[Any]) -> NoRetur
 
 def _check_deep(model: BaseAlgorithm, venv: VecEnv) -> None:
     """Refuse an off-policy algorithm without `OptionReplayBuffer`, and any without heads that could be opened."""
+    check_replay_buffer(model)
     buffer = getattr(model, "replay_buffer", None)
-    if buffer is not None:
-        if not isinstance(buffer, OptionReplayBuffer):
-            raise ValueError(
-                f"{type(model).__name__} was built with {type(buffer).__name__}, which discounts an option of k steps "
-                f"with γ instead of γᵏ: pass {type(model).__name__}(..., replay_buffer_class=OptionReplayBuffer)."
-            )
+    if isinstance(buffer, OptionReplayBuffer):
         _check_stacked_frames(model, buffer, venv)
     heads.option_outputs(model.policy)
+
+
+def check_replay_buffer(model: BaseAlgorithm) -> None:
+    """Refuse a replay buffer that does not know of durations.
+
+    Raises:
+        ValueError: The model has one.
+    """
+    buffer = getattr(model, "replay_buffer", None)
+    if buffer is not None and not isinstance(buffer, OptionReplayBuffer):
+        raise ValueError(
+            f"{type(model).__name__} was built with {type(buffer).__name__}, which discounts an option of k steps "
+            f"with γ instead of γᵏ: pass {type(model).__name__}(..., replay_buffer_class=OptionReplayBuffer)."
+        )
 
 
 def _check_stacked_frames(model: BaseAlgorithm, buffer: OptionReplayBuffer, venv: VecEnv) -> None:

@@ -28,7 +28,7 @@ from sb3_options.option_growth import OptionGrowth
 from sb3_options.option_learning import OptionLearningSettings, learn_further, learn_option
 from sb3_options.option_trial import TrialSettings, Verdict
 from sb3_options.plots import discovery_figures
-from sb3_options.rollout_buffer import SMDPAdvantages, passage_of
+from sb3_options.rollout_buffer import LambdaPer, SMDPAdvantages, passage_of
 from sb3_options.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.withholding import TrialReport
 from sb3_options.workers import watch_workers
@@ -58,16 +58,18 @@ class SubgoalDiscoveryCallback(BaseCallback):
         success: Which trajectories make positive bags; by default ``info["is_success"]``, or a positive last reward
             above all earlier ones in a terminal state where the environment does not say.
         static_filter: What may be a subgoal; by default not near the start and end of a trajectory.
-        max_new_options: Most options to make; by default as many as there are slots.
+        max_new_options: Most options to make, not counting closed ones; by default as many as there are slots.
         teach_head: Whether what the replay buffer holds teaches the head of a new option at once (`head_teaching`).
             Algorithms without a replay buffer have no values of options, and nothing to teach.
-        max_option_exploration: Largest share of options among the exploratory choices of DQN, QRDQN and OptionDQN.
+        max_option_exploration: Largest share of options among the exploratory choices of DQN, QRDQN and OptionDQN; the
+            share of the probability that options open with under MaskablePPO, where primitives are equally likely.
         interruption: Whether options end where going on is worth less than the best alternative (`interruption`), for
             algorithms that know the values of options: DQN, QRDQN and OptionDQN.
         interruption_margin: By how much less, in units of return.
         trial: Whether and how options are tried, and closed where they prove harmful or useless (`option_trial`); by
             default they are not.
         save_path: Where to write the options each time one is made; None writes nothing.
+        lambda_per: What λ of PPO and its kin means across an option (`SMDPAdvantages`); None leaves the buffer's own.
         seed: For option policies that are networks.
         verbose: 1 prints each new option.
 
@@ -84,12 +86,13 @@ class SubgoalDiscoveryCallback(BaseCallback):
         success: SuccessRule = reported_success,
         static_filter: StaticFilter | None = None,
         max_new_options: int | None = None,
-        teach_head: bool = True,
+        teach_head: bool = False,
         max_option_exploration: float = 0.5,
         interruption: bool = True,
         interruption_margin: float = 0.0,
         trial: TrialSettings | Mapping[str, Any] | None = None,
         save_path: str | os.PathLike[str] | None = None,
+        lambda_per: LambdaPer | None = None,
         seed: int = 0,
         verbose: int = 0,
     ) -> None:
@@ -110,12 +113,16 @@ class SubgoalDiscoveryCallback(BaseCallback):
         self.teach_head = teach_head
         self.interruption_margin = checked_margin(interruption_margin) if interruption else None
         self.trial = TrialSettings(**trial) if isinstance(trial, Mapping) else trial
+        if self.trial is not None and self.settings.segmentation == "peaks":
+            raise ValueError("A trial compares episodes, and a continuing task has none: pass trial=None with peaks.")
         self.max_option_exploration = checked_share(max_option_exploration)
         self.save_path = save_path
         self.episodes = 0
         self.discoveries: list[DiscoveredOption] = []
         self.discovery: SubgoalDiscovery | None = None
         self.closed: list[ClosedOption] = []
+        self._made_here: set[int] = set()
+        self.lambda_per = lambda_per
         self.seed = seed
         self._trials: OptionTrials | None = None
         self._generator = torch.Generator().manual_seed(seed)
@@ -133,7 +140,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
         venv = self.training_env
         watch_workers(venv)
         check_model(self.model, venv)
-        self._rollout_buffer = option_rollout_buffer(self.model)
+        self._rollout_buffer = option_rollout_buffer(self.model, self.lambda_per)
         monitor_primitive_steps(venv)
         self._server = OptionServer(
             self.model,
@@ -185,7 +192,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
         try:
             if self._trials is not None:
                 success = bool(self.success(trajectory))
-                for slot, why in self._trials.episode_ended(report, success=success, filled=self.bank.filled):
+                for slot, why in self._trials.episode_ended(report, success=success, filled=self._serving.staying()):
                     self._close_option(slot, why)
             self._learn_from(trajectory)
         except ValueError as error:
@@ -231,7 +238,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
         )
 
     def _may_discover(self) -> bool:
-        if self.max_new_options is not None and len(self.discoveries) >= self.max_new_options:
+        if self.max_new_options is not None and len(self._made_here) >= self.max_new_options:
             return False
         return len(self.bank) < self.bank.max_options
 
@@ -245,6 +252,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
             return
         slot = self.bank.slots.index(None)
         self._serving.put(slot, option)
+        self._made_here.add(slot)
         self._growth.made(slot, subgoal, self.discovery.database)
         self.discoveries.append(
             DiscoveredOption(
@@ -270,6 +278,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
 
     def _close_option(self, slot: int, why: Verdict) -> None:
         self._serving.remove(slot)
+        self._made_here.discard(slot)
         self.closed.append(ClosedOption(slot, self.episodes, self.num_timesteps, why))
         logger.info("The option in slot %d proved %s and is closed, after %d episodes.", slot, why, self.episodes)
         if self.verbose:
@@ -303,6 +312,8 @@ class SubgoalDiscoveryCallback(BaseCallback):
 
     def _on_training_end(self) -> None:
         self._serving.training_ends()
+        if self._trials is not None:
+            self._trials.end()
         if self.closed:
             self._save()  # without them
         self._draw()

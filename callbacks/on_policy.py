@@ -7,14 +7,21 @@ from typing import Any
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import DictRolloutBuffer, RolloutBuffer
 
-from sb3_options.rollout_buffer import OptionDictRolloutBuffer, OptionRolloutBuffer, SMDPAdvantages
+from sb3_options.rollout_buffer import (
+    LambdaPer,
+    OptionDictRolloutBuffer,
+    OptionRolloutBuffer,
+    SMDPAdvantages,
+    checked_lambda,
+)
 
 
-def option_rollout_buffer(model: BaseAlgorithm) -> SMDPAdvantages | None:
+def option_rollout_buffer(model: BaseAlgorithm, lambda_per: LambdaPer | None = None) -> SMDPAdvantages | None:
     """The model's rollout buffer, made into one that discounts with γᵏ where it was a stock one.
 
     Args:
         model: Any; before training starts.
+        lambda_per: As for `SMDPAdvantages`; None leaves what the buffer has.
 
     Returns:
         The buffer that is the model's from now on; None for an algorithm without rollouts.
@@ -23,8 +30,15 @@ def option_rollout_buffer(model: BaseAlgorithm) -> SMDPAdvantages | None:
         ValueError: The buffer is a class that is not known here.
     """
     buffer = getattr(model, "rollout_buffer", None)
-    if buffer is None or isinstance(buffer, SMDPAdvantages):
-        return buffer
+    if buffer is None:
+        return None
+    made = buffer if isinstance(buffer, SMDPAdvantages) else _made_anew(model, buffer)
+    if lambda_per is not None:
+        made.lambda_per = checked_lambda(lambda_per)
+    return made
+
+
+def _made_anew(model: BaseAlgorithm, buffer: Any) -> SMDPAdvantages:
     sibling = _siblings(type(buffer)).get(type(buffer))
     if sibling is None:
         raise ValueError(

@@ -18,9 +18,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, is
 
 from sb3_options import heads
 from sb3_options.bank import OptionBank
-from sb3_options.callbacks.checks import check_wrapped
+from sb3_options.callbacks.checks import check_gamma, check_replay_buffer, check_wrapped
 from sb3_options.callbacks.on_policy import option_rollout_buffer
-from sb3_options.rollout_buffer import passage_of
+from sb3_options.rollout_buffer import LambdaPer, passage_of
 from sb3_options.workers import watch_workers
 from sb3_options.wrapper import OptionsWrapper
 
@@ -36,16 +36,25 @@ class PrimitiveStepsCallback(BaseCallback):
     (it leaves ``info["option"] = {"index": -1, "duration": k, "discount": gamma**k}``); `SubgoalDiscoveryCallback`
     does the same.
 
+    Args:
+        lambda_per: What λ of PPO and its kin means across an option (`SMDPAdvantages`); None leaves the buffer's own.
+
     Raises:
-        ValueError: The environment reports no durations.
+        ValueError: When training starts: the environment reports no durations, or buffer or discount do not fit.
     """
 
+    def __init__(self, lambda_per: LambdaPer | None = None) -> None:
+        super().__init__()
+        self.lambda_per = lambda_per
+
     def _on_training_start(self) -> None:
-        self._rollout_buffer = option_rollout_buffer(self.model)
+        self._rollout_buffer = option_rollout_buffer(self.model, self.lambda_per)
+        check_replay_buffer(self.model)
         watch_workers(self.training_env)
         if not any(self.training_env.env_is_wrapped(OptionsWrapper)):
             return  # its own environment's actions take times of their own; the first step shows it
         check_wrapped(self.training_env, "The model's environment")
+        check_gamma(self.model, self.training_env)
         monitor_primitive_steps(self.training_env)
         if heads.has_heads(self.model.policy):
             bank: OptionBank = self.training_env.get_attr("bank", [0])[0]

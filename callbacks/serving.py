@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import logging
 
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -25,6 +26,8 @@ from sb3_options.workers import watch_workers
 
 AVAILABILITY_CHUNK = 4096
 """Stored observations are sent to the environment in batches of this many when an option moves in."""
+
+logger = logging.getLogger("sb3_options")
 
 
 class OptionServer:
@@ -80,13 +83,27 @@ class OptionServer:
         self.interrupter: Interrupter | None = None
         if interruption_margin is not None and heads.has_networks(model.policy):
             self.interrupter = Interrupter(model, venv, self.eval_envs, interruption_margin)
+        else:
+            for each in [venv, *self.eval_envs]:
+                each.env_method("set_interruption", None)  # an earlier training may have left its own
         for slot, option in enumerate(present.slots):
             if option is not None:
                 if self.has_heads and getattr(model, "_n_updates", 1) == 0:
                     heads.close_head(model.policy, self.n_primitive + slot)  # as drawn at random; it opens below
                 self._move_in(slot, option)
             elif self.has_heads:
-                heads.close_head(model.policy, self.n_primitive + slot)
+                self._close(slot)
+
+    def _close(self, slot: int) -> None:
+        action = self.n_primitive + slot
+        if getattr(self.model, "_n_updates", 0) > 0 and not heads.is_closed(self.model.policy, action):
+            logger.warning(
+                "Slot %d is empty, and the model has learned what an option there is worth: that is forgotten now. If "
+                "the options of an earlier training were meant to be there, load them first: OptionsWrapper(env, "
+                "options_file=...) or env.bank.load(...).",
+                slot,
+            )
+        heads.close_head(self.model.policy, action)
 
     def features_of(self, observations: Observations) -> FloatArray:
         """φ of a batch of observations, which may live in a worker process only, (batch, d)."""
@@ -114,6 +131,10 @@ class OptionServer:
                     self.teacher.changed(slot)
             elif slot not in self._moved_in:
                 self._moved_in.append(slot)  # where it may start has to be worked out again
+
+    def staying(self) -> list[int]:
+        """The filled slots, without those that are to be emptied."""
+        return [slot for slot in self.bank.filled if slot not in self._leaving]
 
     def remove(self, slot: int) -> None:
         """Let the option in a slot move out, when nothing can name it any more that is learned from.
@@ -155,6 +176,7 @@ class OptionServer:
     def training_ends(self) -> None:
         """Leave no option waiting, and the environments with the values that were learned."""
         self.rollout_starts()
+        self.rollout_ends()
         if self.interrupter is not None and len(self.bank):
             self.interrupter.refresh(at_once=True)
 

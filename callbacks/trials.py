@@ -66,6 +66,11 @@ class OptionTrials:
         self.trials.pop(slot, None)
         self._ages.pop(slot, None)
 
+    def end(self) -> None:
+        """Withhold nothing any more."""
+        self._shares = {}
+        self.venv.env_method("end_trials")
+
     def _is_on(self, slot: int) -> bool:
         knows = len(self._succeeded) == self.settings.success_window and 2 * sum(self._succeeded) >= len(
             self._succeeded

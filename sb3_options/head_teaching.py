@@ -7,12 +7,16 @@ from typing import Any, NamedTuple
 import torch
 
 from sb3_options import heads
+from sb3_options.observations import batch_size, take
 
 SWEEPS = 100
 """Most sweeps of fitted Q-iteration; value travels one primitive step a sweep, and options are shorter."""
 
 TOLERANCE = 1e-3
 """Sweeps stop when no target moves by more than this share of the targets' standard deviation."""
+
+CHUNK = 1000
+"""Observations go through the network in batches of this many."""
 
 RIDGE = 0.1
 """Weight of the prior, the mean of the primitive heads, relative to the mean square of a feature.
@@ -80,7 +84,7 @@ def teach_head(policy: Any, action: int, n_primitive: int, lessons: HeadLessons)
     for _ in range(SWEEPS):
         going_on = (following @ fit[1].solve(targets)).clamp(low, high)
         before, targets = targets, rewards + discounts * ((1 - goes_on) * ends + goes_on * going_on)
-        if (targets - before).abs().max() <= TOLERANCE * (targets.std() + 1e-8):
+        if (targets - before).abs().max() <= TOLERANCE * (targets.std(correction=0) + 1e-8):
             break
     for (layer, outputs), solved in zip(layers, (fit[0].solve(targets), fit[1].solve(targets)), strict=True):
         rows = heads.rows_of(layer, outputs, action)
@@ -116,5 +120,7 @@ class _Ridge:
 def _inputs(network: Any, observations: Any) -> torch.Tensor:
     """What the last layer of a network sees, and a one for its bias, float64, (n, inputs + 1)."""
     body = heads.body_of(network)
-    latent = body(network.extract_features(observations, network.features_extractor)).double()
+    n = batch_size(observations)
+    chunks = [take(observations, slice(start, start + CHUNK)) for start in range(0, n, CHUNK)]
+    latent = torch.cat([body(network.extract_features(c, network.features_extractor)).double() for c in chunks])
     return torch.cat([latent, torch.ones(len(latent), 1, dtype=latent.dtype, device=latent.device)], dim=1)

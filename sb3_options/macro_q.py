@@ -158,13 +158,14 @@ class MacroQ(BaseAlgorithm):
         Returns:
             The model.
         """
-        total_timesteps, callbacks = self._setup_learn(
+        # Callbacks look for each other in the local `callback`, as with SB3's own algorithms.
+        total_timesteps, callback = self._setup_learn(
             total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
         )
         assert self.env is not None  # _setup_learn has reset it
         assert self.features is not None  # set up with the model
-        callbacks.on_training_start(locals(), globals())
-        callbacks.on_rollout_start()
+        callback.on_training_start(locals(), globals())
+        callback.on_rollout_start()
         self._begin_learning()
         choices = self._choices()
         active = self._active(self._last_obs)
@@ -181,8 +182,8 @@ class MacroQ(BaseAlgorithm):
                 self._learn_from(active[i], int(actions[i]), float(rewards[i]), arrived, ended, info.get("option"))
             self._last_obs, active = new_obs, new_active  # type: ignore[assignment]  # SB3 annotates it as None
             # After learning: a callback that stops training at the end of an episode loses nothing of it.
-            callbacks.update_locals(locals())
-            goes_on = callbacks.on_step()
+            callback.update_locals(locals())
+            goes_on = callback.on_step()
             self._update_current_progress_remaining(self.num_timesteps, total_timesteps)
             if any(over):
                 self._update_info_buffer(infos, dones)  # infos say something of episodes only at their ends
@@ -192,8 +193,8 @@ class MacroQ(BaseAlgorithm):
                     self._log()
             elif self._n_slots:
                 choices = [self._choices_after(info["option"]) for info in infos]
-        callbacks.on_rollout_end()
-        callbacks.on_training_end()
+        callback.on_rollout_end()
+        callback.on_training_end()
         return self
 
     def replay(

@@ -16,6 +16,17 @@ from sb3_options.observations import FloatArray
 LambdaPer: TypeAlias = Literal["decision", "primitive_step"]
 
 
+def checked_lambda(lambda_per: LambdaPer) -> LambdaPer:
+    """``lambda_per`` itself, if there is such a meaning of λ.
+
+    Raises:
+        ValueError: There is none.
+    """
+    if lambda_per not in get_args(LambdaPer):
+        raise ValueError(f"lambda_per must be 'decision' or 'primitive_step', got {lambda_per!r}.")
+    return lambda_per
+
+
 class Passage(NamedTuple):
     """What one step of all environments took, in their order.
 
@@ -118,9 +129,7 @@ class SMDPAdvantages:
     pos: int
 
     def __init__(self, *args: Any, lambda_per: LambdaPer = "decision", **kwargs: Any) -> None:
-        if lambda_per not in get_args(LambdaPer):
-            raise ValueError(f"lambda_per must be 'decision' or 'primitive_step', got {lambda_per!r}.")
-        self.lambda_per = lambda_per
+        self.lambda_per = checked_lambda(lambda_per)
         super().__init__(*args, **kwargs)
 
     def reset(self) -> None:

@@ -346,6 +346,10 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         """Interrupt options by these values from now on; None lets every option run to its end."""
         self._interruption = interruption
 
+    def end_trials(self) -> None:
+        """Withhold nothing any more, in the current episode either."""
+        self._withholding = None
+
     def withhold_options(self, shares: dict[int, float], seed: Sequence[int]) -> None:
         """Try options: let each episode from the next one on do without a slot with a probability of ``shares[slot]``.
 

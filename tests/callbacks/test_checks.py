@@ -109,7 +109,7 @@ def test_dict_observations_with_a_feature_map_are_welcome() -> None:
 
 def test_counting_alone_needs_durations_too() -> None:
     with pytest.raises(ValueError, match=r"There is no info\[\"option\"\]: wrap the environment in OptionsWrapper, or"):
-        dqn(small_rooms(), replay_buffer_class=None).learn(20, callback=PrimitiveStepsCallback())
+        dqn(small_rooms()).learn(20, callback=PrimitiveStepsCallback())
 
 
 class TestEvaluationEnvironment:

@@ -168,7 +168,9 @@ def test_a_harmful_option_leaves_nothing_behind(algorithm: Any) -> None:
     # A policy that learns would leave the option alone by itself.
     kwargs = replay if off_policy else {"n_steps": 64, "seed": 0, "device": "cpu", "learning_rate": 1e-9}
     model = algorithm("MlpPolicy", DummyVecEnv([dragged, dragged]), gamma=GAMMA, **kwargs)
-    callback = SubgoalDiscoveryCallback(FAST_DISCOVERY, max_new_options=0, interruption=False, trial=QUICK)
+    callback = SubgoalDiscoveryCallback(
+        FAST_DISCOVERY, max_new_options=0, teach_head=True, interruption=False, trial=QUICK
+    )
     model.learn(200, callback=callback)
     assert callback.bank.filled == (0,)
     model.learn(5000, callback=callback)
@@ -187,7 +189,8 @@ def test_a_harmful_option_leaves_nothing_behind(algorithm: Any) -> None:
 
 def test_its_slot_is_filled_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """With a verdict at once, in the place of what the statistics would say much later."""
-    monkeypatch.setattr(OptionTrial, "add", lambda trial, **episode: "harmful")
+    verdicts = iter(["harmful"])
+    monkeypatch.setattr(OptionTrial, "add", lambda trial, **episode: next(verdicts, None))
     env = optioned_rooms(1)
     env.bank.add(steady_option(3, max_duration=5))
     model = DQN("MlpPolicy", env, gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, **TINY | RANDOM)

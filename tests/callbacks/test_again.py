@@ -1,0 +1,109 @@
+"""A second training: nothing of the first stays behind in the environments that was not asked for again."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from stable_baselines3 import DQN, PPO
+from stable_baselines3.common.callbacks import EvalCallback
+
+from sb3_options import MacroQ, OptionReplayBuffer, OptionsWrapper, heads
+from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback, TrialSettings
+from sb3_options.callbacks.serving import OptionServer
+from sb3_options.callbacks.trials import OptionTrials
+from tests.helpers import steady_option
+from tests.sb3_helpers import RANDOM, TINY, env_of, fast_callback, optioned_rooms
+
+
+def model_of(env: Any, **kwargs: Any) -> DQN:
+    own = {"replay_buffer_class": OptionReplayBuffer, **kwargs}
+    return DQN("MlpPolicy", env, **{"gamma": 0.9, **TINY, **RANDOM, **own})
+
+
+def with_option() -> OptionsWrapper:
+    env = optioned_rooms(2)
+    env.bank.add(steady_option(1, max_duration=3))
+    return env
+
+
+def test_values_that_interrupt_do_not_outlive_the_training_that_asked_for_them() -> None:
+    env = with_option()
+    model = model_of(env)
+    model.learn(200, callback=SubgoalDiscoveryCallback(max_new_options=0))
+    assert env._interruption is not None
+    model.learn(200, callback=SubgoalDiscoveryCallback(max_new_options=0, interruption=False))
+    assert env._interruption is None
+
+
+def test_a_trial_withholds_nothing_after_training() -> None:
+    env = with_option()
+    trial = TrialSettings(withhold=0.5, patience=1, success_window=1)
+    model_of(env).learn(700, callback=SubgoalDiscoveryCallback(max_new_options=0, trial=trial))
+    assert env._withholding is None
+    env.reset(seed=0)
+    assert env.action_masks()[4]
+
+
+def test_an_option_that_is_leaving_is_not_judged_again() -> None:
+    env = with_option()
+    server = OptionServer(model_of(env), env_of(model_of(env)), None)
+    assert server.staying() == [0]
+    server.remove(0)
+    assert server.staying() == []
+    trials = OptionTrials(env_of(model_of(env)), TrialSettings(), 0)
+    assert trials.episode_ended(None, success=True, filled=server.staying()) == []
+
+
+def test_a_closed_option_makes_room_for_another() -> None:
+    callback = fast_callback()
+    model_of(optioned_rooms(2)).learn(5000, callback=callback)
+    assert len(callback.discoveries) == 1
+    assert not callback._may_discover()
+    callback._close_option(callback.discoveries[0].slot, "useless")
+    assert callback._may_discover()
+
+
+def test_a_trial_of_a_continuing_task_is_refused() -> None:
+    with pytest.raises(ValueError, match="A trial compares episodes, and a continuing task has none"):
+        SubgoalDiscoveryCallback({"segmentation": "peaks"}, trial=TrialSettings())
+
+
+def test_macro_q_serves_the_environment_of_a_sibling() -> None:
+    env, served = with_option(), optioned_rooms(2)
+    model = MacroQ(env, gamma=0.9, seed=0)
+    model.learn(50, callback=[SubgoalDiscoveryCallback(max_new_options=0), EvalCallback(served, eval_freq=10_000)])
+    assert len(served.bank) == 1
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "text"),
+    [
+        ({"replay_buffer_class": None}, r"built with ReplayBuffer, .* pass DQN\(\.\.\., replay_buffer_class=Option"),
+        ({"gamma": 0.5}, r"OptionsWrapper discounts with gamma=0\.9, DQN with gamma=0\.5: give both the same"),
+    ],
+)
+def test_counting_alone_needs_the_right_buffer_and_discount(kwargs: dict[str, Any], text: str) -> None:
+    with pytest.raises(ValueError, match=text):
+        model_of(with_option(), **kwargs).learn(50, callback=PrimitiveStepsCallback())
+
+
+def test_going_on_without_the_options_says_so(caplog: pytest.LogCaptureFixture) -> None:
+    model = model_of(with_option())
+    model.learn(300, callback=PrimitiveStepsCallback())
+    model.set_env(optioned_rooms(2))
+    model.learn(20, callback=SubgoalDiscoveryCallback(max_new_options=0), reset_num_timesteps=False)
+    assert "Slot 0 is empty, and the model has learned what an option there is worth" in caplog.text
+    assert "Slot 1" not in caplog.text
+    assert heads.is_closed(model.policy, 4)
+
+
+def test_what_lambda_means_can_be_said_to_the_callback() -> None:
+    for callback in (
+        PrimitiveStepsCallback(lambda_per="primitive_step"),
+        SubgoalDiscoveryCallback(lambda_per="primitive_step", max_new_options=0),
+    ):
+        model: Any = PPO("MlpPolicy", with_option(), gamma=0.9, n_steps=16, batch_size=16, n_epochs=1)
+        model.learn(16, callback=callback)
+        assert model.rollout_buffer.lambda_per == "primitive_step"
+        expected = np.where(model.rollout_buffer.durations > 1, 0.9**model.rollout_buffer.durations, 0.9)
+        np.testing.assert_allclose(model.rollout_buffer.discounts, expected)
