@@ -8,6 +8,7 @@ from sb3_options.macro_q import MacroQ
 from sb3_options.option import Option
 from sb3_options.replay_buffer import OptionReplayBuffer
 from sb3_options.rollout_buffer import OptionDictRolloutBuffer, OptionRolloutBuffer
+from sb3_options.value_snapshot import interrupt_options
 from sb3_options.wrapper import OptionsWrapper
 
 __all__ = [
@@ -21,4 +22,5 @@ __all__ = [
     "OptionRolloutBuffer",
     "OptionsWrapper",
     "expand_action_space",
+    "interrupt_options",
 ]
