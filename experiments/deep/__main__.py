@@ -97,7 +97,7 @@ def main(study: Study) -> None:
     if study.control_runs is not None:
         command += f" --control-runs {study.control_runs}"
     content = {
-        "command": command,
+        "command": " ".join([command, *study.settings.switched()]),
         "n_runs": study.runs,
         "seconds": round(time.perf_counter() - began, 1),
         "settings": dataclasses.asdict(study.settings),

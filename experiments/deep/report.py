@@ -47,9 +47,11 @@ def main(report: Report) -> None:
     studies = [json.loads(path.read_text(encoding="utf-8")) for path in report.results]
     parts = {}
     for task in ("transfer", "same"):
-        of_task = [study for study in studies if f"--task {task} " in study["command"]]
+        of_task = [s for s in studies if f"--task {task} " in s["command"] and "--arms options " not in s["command"]]
         commands = ", ".join(f"`{study['command']}`" for study in of_task)
         parts[task] = f"{commands}\n\n{table(of_task)}"
+    switches = [study for study in studies if "--arms options " in study["command"]]
+    parts["switches"] = switches_table(switches)
     fill(report.document, parts)
 
 
@@ -57,6 +59,19 @@ def table(studies: list[dict[str, Any]]) -> str:
     """One row for each algorithm, environment and arm."""
     lines = ["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|"]
     return "\n".join(lines + [row for study in studies for row in rows(study)])
+
+
+def switches_table(studies: list[dict[str, Any]]) -> str:
+    """One row for each study that has options only, by its command."""
+    lines = ["| | steps to 90 % | final steps | never |", "|---|---|---|---|"]
+    for study in studies:
+        for algorithms in study["results"].values():
+            for arms in algorithms.values():
+                of = arms["options"]
+                steps = "{mean:,.0f} ({low:,.0f} to {high:,.0f})".format(**of["steps_to_90"])
+                final = "{mean:.1f}".format(**of["final_steps"])
+                lines.append(f"| `{study['command']}` | {steps} | {final} | {of['never']} of {of['n_runs']} |")
+    return "\n".join(lines)
 
 
 def rows(study: dict[str, Any]) -> Iterator[str]:

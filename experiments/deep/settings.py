@@ -76,6 +76,15 @@ class DeepSettings:
         others = "dqn" if family(algo) == "ppo" else "ppo"
         return {name: value for name, value in dataclasses.asdict(self).items() if not name.startswith(others)}
 
+    def switched(self) -> list[str]:
+        """The flags of the switches that are not as by default."""
+        flags = []
+        for group, default in (("callback", DeepSettings().callback), ("buffer", DeepSettings().buffer)):
+            for name, value in getattr(self, group).items():
+                if value != default.get(name):
+                    flags.append(f"--settings.{group}.{'' if value else 'no-'}{name.replace('_', '-')}")
+        return flags
+
 
 def family(algo: str) -> str:
     """``ppo`` or ``dqn``, whose settings an algorithm has."""

@@ -122,7 +122,9 @@ def test_report_fills_its_document(tmp_path: Path) -> None:
     results, document = tmp_path / "results.json", tmp_path / "deep.md"
     command = "python -m experiments.deep --task same --env TwoRooms"
     results.write_text(json.dumps({"command": command, "results": {"TwoRooms": {"ppo": numbers}}}))
-    document.write_text("<!-- transfer -->\n<!-- end transfer -->\n<!-- same -->\n<!-- end same -->\n")
+    document.write_text(
+        "<!-- transfer -->\n<!-- end transfer -->\n<!-- same -->\n<!-- end same -->\n<!-- switches -->\n<!-- end switches -->\n"
+    )
     report.main(report.Report((results,), document))
     text = document.read_text()
     assert command in text
