@@ -26,7 +26,8 @@ class Option:
 
     All three are functions of a batch of the observations that `OptionsWrapper` sees. The wrapper ends an option in
     the first state after at least one step where ``termination`` says so, or which lies outside the initiation set,
-    or after ``max_duration`` steps; so ``initiation`` must hold in every state where the option may go on.
+    or after ``max_duration`` steps; so ``initiation`` must hold in every state where the option may go on. In worker
+    processes (``SubprocVecEnv``) all three must be functions of a module: lambdas and closures cannot travel.
 
     Args:
         initiation: I. Observations → bool, shape (batch,).
