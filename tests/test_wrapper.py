@@ -604,3 +604,13 @@ class TestArguments:
             ValueError, match=r"^There is no default feature map for Dict\(.+pass OptionsWrapper\(env, f"
         ):
             without.concept_features({"place": np.array([[3.0]])})
+
+
+def test_a_primitive_step_adds_no_more_than_five_scalars_to_its_info() -> None:
+    env = OptionsWrapper(CountingEnv(), 3, gamma=0.9)
+    env.reset()
+    info = env.step(0)[4]
+    added = info.pop("option")
+    assert info == {"time": 1}
+    assert len(added) <= 5
+    assert all(isinstance(value, int | float | str) for value in added.values())
