@@ -33,7 +33,7 @@ from sb3_options import OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.evaluation import mean_interval
 
-ENV = "sb3_options/TwoRooms-v0"
+ENV = "sb3_options.envs:sb3_options/TwoRooms-v0"  # with its module, for worker processes
 GAMMA = 0.97
 SLOTS = 4
 BARS = {"wrapped": 0.95, "discovering": 0.90}

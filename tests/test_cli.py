@@ -64,7 +64,19 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """One training from the shell, with evaluation and a configuration file."""
     folder = tmp_path_factory.mktemp("cli")
     (folder / "config.yml").write_text(CONFIG)
-    done = shell("--config", "config.yml", "--eval-freq", "700", "--eval-episodes", "2", "--seed", "1", cwd=folder)
+    done = shell(
+        "--config",
+        "config.yml",
+        "--eval-freq",
+        "700",
+        "--eval-episodes",
+        "2",
+        "--seed",
+        "1",
+        "--n-timesteps",
+        "8000",
+        cwd=folder,
+    )
     assert done.returncode == 0, done.stderr
     return Run(folder / "runs" / "dqn" / "sb3_options-TwoRooms-v0_1", done.stdout)
 
@@ -81,7 +93,7 @@ class TestTrain:
 
     def test_with_the_resolved_configuration(self, run: Run) -> None:
         config = configs.load(run.folder / "config.yml")
-        assert (config.seed, config.eval_freq, config.n_timesteps, config.net_arch) == (1, 700, 4000, (32,))
+        assert (config.seed, config.eval_freq, config.n_timesteps, config.net_arch) == (1, 700, 8000, (32,))
         assert config.discovery.goal_radius == 4.0
         assert str(config.env_keywords()["map"]).strip() == SMALL_ROOMS.strip()
 
@@ -110,8 +122,8 @@ class TestTrain:
         assert (np.diff([0, *steps]) < 800).all()
 
     def test_says_what_it_found_and_what_to_do_next(self, run: Run) -> None:
-        assert "Training DQN on sb3_options/TwoRooms-v0 for 4,000 primitive steps." in run.printed
-        assert re.search(r"Finished after 4,0\d\d primitive steps, \d+ episodes\.", run.printed)
+        assert "Training DQN on sb3_options/TwoRooms-v0 for 8,000 primitive steps." in run.printed
+        assert re.search(r"Finished after 8,\d\d\d primitive steps, \d+ episodes\.", run.printed)
         row = re.search(r"0 +│ \((\d), (\d)\) +│ (\d+) +│ ([\d,]+) +│ (\d+)", run.printed)
         assert row is not None
         bank = OptionBank(4, 4)

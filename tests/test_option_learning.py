@@ -427,6 +427,14 @@ def test_every_numeric_setting_has_a_range() -> None:
     """A new field needs a row above."""
     assert {f.name for f in dataclasses.fields(OptionLearningSettings)} == {
         *("initiation_steps", "max_duration", "sweeps", "network_updates", "initiation_radius", "gamma", "step_size"),
-        *("step_reward", "subgoal_reward", "leave_reward", "initiation_visits", "value_function", "keep_learning"),
+        *(
+            "step_reward",
+            "subgoal_reward",
+            "leave_reward",
+            "initiation_visits",
+            "value_function",
+            "keep_learning",
+            "grow",
+        ),
         "policy_input",
     }

@@ -22,7 +22,7 @@ COLUMNS = (
     "steps to 90 %",
     "of stock",
     "Pr(faster)",
-    "area of stock",
+    "area, difference",
     "final steps",
     "of stock",
     "never",
@@ -47,11 +47,9 @@ def main(report: Report) -> None:
     studies = [json.loads(path.read_text(encoding="utf-8")) for path in report.results]
     parts = {}
     for task in ("transfer", "same"):
-        of_task = [s for s in studies if f"--task {task} " in s["command"] and "--arms options " not in s["command"]]
+        of_task = [s for s in studies if f"--task {task} " in s["command"]]
         commands = ", ".join(f"`{study['command']}`" for study in of_task)
         parts[task] = f"{commands}\n\n{table(of_task)}"
-    switches = [study for study in studies if "--arms options " in study["command"]]
-    parts["switches"] = switches_table(switches)
     fill(report.document, parts)
 
 
@@ -59,19 +57,6 @@ def table(studies: list[dict[str, Any]]) -> str:
     """One row for each algorithm, environment and arm."""
     lines = ["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|"]
     return "\n".join(lines + [row for study in studies for row in rows(study)])
-
-
-def switches_table(studies: list[dict[str, Any]]) -> str:
-    """One row for each study that has options only, by its command."""
-    lines = ["| | steps to 90 % | final steps | never |", "|---|---|---|---|"]
-    for study in studies:
-        for algorithms in study["results"].values():
-            for arms in algorithms.values():
-                of = arms["options"]
-                steps = "{mean:,.0f} ({low:,.0f} to {high:,.0f})".format(**of["steps_to_90"])
-                final = "{mean:.1f}".format(**of["final_steps"])
-                lines.append(f"| `{study['command']}` | {steps} | {final} | {of['never']} of {of['n_runs']} |")
-    return "\n".join(lines)
 
 
 def rows(study: dict[str, Any]) -> Iterator[str]:
@@ -83,16 +68,18 @@ def rows(study: dict[str, Any]) -> Iterator[str]:
                     f"{algo.upper()}, {env}: {LABELS[arm]}",
                     str(of["n_runs"]),
                     "{mean:,.0f} ({low:,.0f} to {high:,.0f})".format(**of["steps_to_90"]),
-                    *(_against_stock(of, name) for name in ("steps_to_90", "probability_of_improvement", "area")),
+                    _against_stock(of, "steps_to_90_of_stock"),
+                    _against_stock(of, "probability_of_improvement"),
+                    _against_stock(of, "area_difference"),
                     "{mean:.1f}".format(**of["final_steps"]),
-                    _against_stock(of, "final_steps"),
+                    _against_stock(of, "final_steps_of_stock"),
                     str(of["never"]),
                 ]
                 yield "| " + " | ".join(cells) + " |"
 
 
 def _against_stock(of: dict[str, Any], name: str) -> str:
-    value = of.get(name if name.startswith("probability") else f"{name}_of_stock")
+    value = of.get(name)
     return "" if value is None else number(value)
 
 

@@ -47,6 +47,11 @@ def iqm_ratio(ours: FloatArray, theirs: FloatArray) -> Interval:
     return interval_of(iqm(ours) / iqm(theirs), iqm(resampled(ours, 0)) / iqm(resampled(theirs, 1)))
 
 
+def iqm_difference(ours: FloatArray, theirs: FloatArray) -> Interval:
+    """Difference of interquartile means; each side is resampled on its own."""
+    return interval_of(iqm(ours) - iqm(theirs), iqm(resampled(ours, 0)) - iqm(resampled(theirs, 1)))
+
+
 def probability_of_improvement(ours: FloatArray, theirs: FloatArray) -> Interval:
     """Pr(a run of ours takes fewer steps than one of theirs), ties counting half (Agarwal et al. 2021, §4.3)."""
 
@@ -100,7 +105,7 @@ def summarise(runs: dict[str, Sequence[Result]], n_timesteps: int) -> dict[str, 
             paired = min(len(of["final"]), len(stock["final"]))
             numbers |= {
                 "steps_to_90_of_stock": iqm_ratio(of["steps"], stock["steps"])._asdict(),
-                "area_of_stock": iqm_ratio(of["area"], stock["area"])._asdict(),
+                "area_difference": iqm_difference(of["area"], stock["area"])._asdict(),
                 "probability_of_improvement": probability_of_improvement(of["steps"], stock["steps"])._asdict(),
                 "final_steps_of_stock": ratio_interval(of["final"][:paired], stock["final"][:paired])._asdict(),
             }

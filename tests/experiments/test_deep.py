@@ -122,7 +122,7 @@ def test_report_fills_its_document(tmp_path: Path) -> None:
     results, document = tmp_path / "results.json", tmp_path / "deep.md"
     command = "python -m experiments.deep --task same --env TwoRooms"
     results.write_text(json.dumps({"command": command, "results": {"TwoRooms": {"ppo": numbers}}}))
-    marks = (f"<!-- {name} -->\n<!-- end {name} -->\n" for name in ("transfer", "same", "switches"))
+    marks = (f"<!-- {name} -->\n<!-- end {name} -->\n" for name in ("transfer", "same"))
     document.write_text("".join(marks))
     report.main(report.Report((results,), document))
     text = document.read_text()
