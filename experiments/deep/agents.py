@@ -141,7 +141,6 @@ def train(
     *,
     options: Path | None = None,
     steps_after: int | None = None,
-    n_timesteps: int | None = None,
 ) -> tuple[Result, SubgoalDiscoveryCallback | None]:
     """Train once in the target.
 
@@ -153,7 +152,6 @@ def train(
         seed: Of everything random.
         options: A file of options to begin with, in which case none are discovered.
         steps_after: In place of the settings'.
-        n_timesteps: In place of the task's.
 
     Returns:
         ``steps``, ``success`` and ``length`` of each evaluation, ``final_success`` and ``final_length``, and what was
@@ -183,7 +181,7 @@ def train(
         callbacks = [discovery, *callbacks, Served(eval_env)]
     elif arm == "repeats":
         callbacks = [PrimitiveStepsCallback(), *callbacks]
-    model.learn(n_timesteps or task.n_timesteps, callback=CallbackList(callbacks))
+    model.learn(task.n_timesteps, callback=CallbackList(callbacks))
     steps, success, lengths = zip(*evaluations.points, strict=True)
     last = [
         greedy(model, eval_env, FINAL_SEED + seed * settings.final_evaluations + i)
