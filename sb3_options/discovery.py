@@ -37,6 +37,9 @@ class DiscoverySettings:
         negative_bags: Whether unsuccessful trajectories become negative bags.
         negative_strength: η in (0, 1]: how strongly an instance of a negative bag speaks against a concept near it.
             Below 1 because an unsuccessful trajectory may well pass a bottleneck (the paper's §8).
+        leak: λ in [0, 1): the probability that a trajectory succeeds without the bottleneck, because there is another
+            way. Above 0, a trajectory of the other way costs a concept no more than log λ, and with λ = 0.2 what lies
+            on some 60 % of the successful trajectories still reaches a ``min_density`` of 0.5. Not for ``incremental``.
         search: ``gradient`` ascent from many starts, ``exhaustive`` over the instances of positive bags, or
             ``incremental``: ascent from the peaks of the last search and the best instances of the newest positive
             bag, over bags that are packed once. With many or long trajectories it takes a small part of the time.
@@ -64,6 +67,7 @@ class DiscoverySettings:
     min_positive: int = 8
     negative_bags: bool = True
     negative_strength: float = 0.1
+    leak: float = 0.0
     search: Literal["gradient", "exhaustive", "incremental"] = "gradient"
     scale: float | None = None
     start_radius: float = 2.0
@@ -98,6 +102,10 @@ class DiscoverySettings:
             raise ValueError(f"scale must be positive and finite, got {self.scale}.")
         if not 0.0 < self.negative_strength <= 1.0:
             raise ValueError(f"negative_strength must be in (0, 1], got {self.negative_strength}.")
+        if not 0.0 <= self.leak < 1.0:
+            raise ValueError(f"leak must be in [0, 1), got {self.leak}.")
+        if self.leak and self.search == "incremental":
+            raise ValueError(f"search='incremental' knows no leak, got leak={self.leak}: use 'gradient'.")
         if not 0.0 <= self.min_density <= 1.0:
             raise ValueError(f"min_density must be in [0, 1], got {self.min_density}.")
         if self.search not in ("gradient", "exhaustive", "incremental"):
@@ -303,13 +311,12 @@ class SubgoalDiscovery:
         return DiverseDensity(
             scale=1.0 if self.scale is None else self.scale,
             negative_strength=self.settings.negative_strength,
+            leak=self.settings.leak,
             method="exhaustive" if self.settings.search == "exhaustive" or self.kind == "categorical" else "gradient",
         )
 
     def _bag(self, labelled: LabelledTrajectory) -> FloatArray:
-        """The filtered bag of a trajectory; the same array every time if the search is incremental."""
-        if not self._is_incremental:
-            return self._filtered(labelled)
+        """The filtered bag of a trajectory, the same array every time: cutting all anew took most of a search."""
         if id(labelled) not in self._cut:
             self._cut[id(labelled)] = labelled, self._filtered(labelled)
         return self._cut[id(labelled)][1]

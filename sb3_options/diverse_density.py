@@ -52,13 +52,13 @@ def _log2_membership(points: Tensor, scales: Tensor, layout: Layout) -> Tensor:
     return out
 
 
-def _noisy_or(log2_p: Tensor, layout: Layout) -> tuple[Tensor, Tensor]:
+def _noisy_or(log2_p: Tensor, layout: Layout, leak: float = 0.0) -> tuple[Tensor, Tensor]:
     """Σ_i log Pr(t | B_i⁺) = Σ_i log(1 − Π_j (1 − p_ij)), shape (S,), and weights −∂/∂D_ij, (S, places).
 
     The weight p_ij Π_{k≠j} (1 − p_ik) / Pr(t | B_i⁺) lies in [0, 1] and tends to the soft-max of −D_ij as the
     bag recedes. The bag's largest p is factored out, so nothing underflows at any distance. Where it is small,
     1 − Π would cancel, and Π (1 − p_j) = exp(−Σ p_j − Σ p_j² / 2 − …) takes its place; the cube root of the
-    precision balances the two errors. Overwrites its argument.
+    precision balances the two errors. With a leak λ, Pr is λ + (1 − λ) (1 − Π). Overwrites its argument.
     """
     precision = torch.finfo(log2_p.dtype)
     floor = math.log2(precision.tiny) / 2  # keeps squares above the subnormal numbers, which are slow
@@ -77,6 +77,10 @@ def _noisy_or(log2_p: Tensor, layout: Layout) -> tuple[Tensor, Tensor]:
     hit_share = minus_hit.div_(minus)  # Pr(t | B⁺) over the largest p: at least 1 on a hit, which the clamp makes log 1
     log_hit = hit_share.log().add_(top, alpha=math.log(2)).clamp_(max=0)
     ratio = all_miss.div_(hit_share)
+    if leak:
+        hit = log_hit.exp().mul_(1 - leak)
+        log_hit = (hit + leak).log()
+        ratio.mul_(hit.div_(hit + leak))
     if layout.bag_weights is not None:
         log_hit, ratio = log_hit * layout.bag_weights, ratio * layout.bag_weights
     weights = share.div_(miss).mul_(layout.per_row(ratio))
@@ -99,8 +103,11 @@ def _noisy_nor(log2_p: Tensor, strength: float, bag_weights: Tensor | None) -> t
     return log_miss.sum(1), weights
 
 
-def _by_nearest(points: Tensor, scale: Tensor, layout: Layout, n: int) -> Tensor:
-    """Indices of `n` points by Σ_i max_j log Pr(B_ij ∈ c) over positive bags: a fifth of the work of a noisy-or."""
+def _by_nearest(points: Tensor, scale: Tensor, layout: Layout, n: int, leak: float = 0.0) -> Tensor:
+    """Indices of `n` points by Σ_i max_j log Pr(B_ij ∈ c) over positive bags: a fifth of the work of a noisy-or.
+
+    A bag that leaks counts for no less than the log of its leak.
+    """
     if len(points) <= n or not layout.n_bags:
         return torch.arange(len(points), device=points.device)
     d, n_places = len(scale), math.prod(layout.rows)
@@ -109,7 +116,10 @@ def _by_nearest(points: Tensor, scale: Tensor, layout: Layout, n: int) -> Tensor
     bounds = []
     for t in torch.split(points * scale.square(), max(1, MAX_PAIRS // n_places)):
         nearest = torch.addmm(offset, t, features, alpha=2).view(-1, *layout.rows).amax(-1)
-        bounds.append(layout.per_bag(nearest, "amax").sum(1))
+        nearest = layout.per_bag(nearest, "amax")
+        if leak:
+            nearest = torch.maximum(nearest, (t / scale).square().sum(1, keepdim=True) + math.log(leak))
+        bounds.append(nearest.sum(1))
     bound = torch.cat(bounds) - layout.n_bags * (points * scale).square().sum(1)
     return bound.topk(n).indices
 
@@ -126,16 +136,16 @@ class _Densities(NamedTuple):
     total: Tensor
 
 
-def _evaluate(points: Tensor, scales: Tensor, layout: Layout, strength: float) -> _Densities:
+def _evaluate(points: Tensor, scales: Tensor, layout: Layout, strength: float, leak: float = 0.0) -> _Densities:
     """Evaluate points and scales (S, d), relative to the origin, as many at once as `MAX_PAIRS` allows."""
     at_once = max(1, MAX_PAIRS // len(layout.padding))
     if len(points) > at_once:
         chunks = zip(torch.split(points, at_once), torch.split(scales, at_once), strict=True)
-        parts = [_evaluate(t, s, layout, strength) for t, s in chunks]
+        parts = [_evaluate(t, s, layout, strength, leak) for t, s in chunks]
         return _Densities(*map(torch.cat, zip(*parts, strict=True)))
     n = math.prod(layout.rows)
     log2_p = _log2_membership(points, scales, layout)
-    log_density, weights = _noisy_or(log2_p[:, :n], layout)
+    log_density, weights = _noisy_or(log2_p[:, :n], layout, leak)
     attract = weights @ layout.powers[:, :n].T
     if n == len(layout.padding):
         return _Densities(log_density, attract, attract)
@@ -159,19 +169,24 @@ class _LogDiverseDensity(torch.autograd.Function):
     """The closed-form gradient for autograd; no (points × instances) array outlives the forward pass."""
 
     @staticmethod
-    def forward(ctx: Any, points: Tensor, scales: Tensor, layout: Layout, strength: float) -> Tensor:
-        log_density, net, _ = _evaluate(points, scales, layout, strength)
+    def forward(ctx: Any, points: Tensor, scales: Tensor, layout: Layout, strength: float, leak: float) -> Tensor:
+        log_density, net, _ = _evaluate(points, scales, layout, strength, leak)
         ctx.save_for_backward(2 * scales.square() * _pull(net, points), -2 * scales * _spread(net, points))
         return log_density
 
     @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, Tensor, None, None]:
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, Tensor, None, None, None]:
         by_point, by_scale = ctx.saved_tensors
-        return grads[0][:, None] * by_point, grads[0][:, None] * by_scale, None, None
+        return grads[0][:, None] * by_point, grads[0][:, None] * by_scale, None, None, None
 
 
 def log_diverse_density(
-    points: ArrayLike | Tensor, scales: ArrayLike | Tensor, bags: Bags, *, negative_strength: float = 1.0
+    points: ArrayLike | Tensor,
+    scales: ArrayLike | Tensor,
+    bags: Bags,
+    *,
+    negative_strength: float = 1.0,
+    leak: float = 0.0,
 ) -> Tensor:
     """Log diverse density log DD(t, s) = Σ_i log Pr(t | B_i⁺) + Σ_i log Pr(t | B_i⁻), at most 0.
 
@@ -184,15 +199,20 @@ def log_diverse_density(
         scales: (S, d), (d,) or a number: one over the width of the concept.
         bags: The evidence.
         negative_strength: η in (0, 1]: below 1 a negative instance does not rule a point out.
+        leak: λ in [0, 1): the probability that a bag is positive for a reason other than the concept, as in a leaky
+            noisy-or (Henrion 1989): Pr(t | B⁺) = λ + (1 − λ) (1 − Π_j (1 − p_j)). Above 0, a bag without the concept
+            costs no more than log λ, however far it is.
 
     Returns:
         Shape (S,), in nats and in the precision of the bags.
 
     Raises:
-        ValueError: Shapes that do not fit the bags, values not finite, scales or strength out of range.
+        ValueError: Shapes that do not fit the bags, values not finite, scales, strength or leak out of range.
     """
     if not 0 < negative_strength <= 1:
         raise ValueError(f"negative_strength must lie in (0, 1], got {negative_strength}")
+    if not 0 <= leak < 1:
+        raise ValueError(f"leak must lie in [0, 1), got {leak}")
     layout = bags.layout(bags.dtype)
     t, s = (
         (x if isinstance(x, Tensor) else torch.from_numpy(np.array(x, dtype=np.float64))).to(layout.origin)
@@ -207,7 +227,7 @@ def log_diverse_density(
     if not bool((s.isfinite() & (s > 0)).all()):
         raise ValueError("scales must be positive and finite: a scale is one over a width")
     t, s = (t - layout.origin).to(bags.dtype), s.expand_as(t).to(bags.dtype)
-    value = _LogDiverseDensity.apply(t, s, layout, negative_strength)  # type: ignore[no-untyped-call]  # torch's
+    value = _LogDiverseDensity.apply(t, s, layout, negative_strength, leak)  # type: ignore[no-untyped-call]  # torch's
     return cast(Tensor, value)
 
 
@@ -250,6 +270,7 @@ class DiverseDensity:
         merge_radius: A point this close to a better one is merged into it, in widths of the concept.
         tolerance: Candidates this close to the maximum tie with it, in nats.
         negative_strength: η of :func:`log_diverse_density`.
+        leak: λ of :func:`log_diverse_density`.
 
     Raises:
         ValueError: An argument out of its range.
@@ -265,6 +286,7 @@ class DiverseDensity:
     merge_radius: float = 0.5
     tolerance: float = 1e-9
     negative_strength: float = 1.0
+    leak: float = 0.0
 
     def __post_init__(self) -> None:
         scale = np.asarray(self.scale, dtype=np.float64)
@@ -281,6 +303,7 @@ class DiverseDensity:
             "merge_radius": ("at least 0", self.merge_radius >= 0),
             "tolerance": ("at least 0", self.tolerance >= 0),
             "negative_strength": ("in (0, 1]", 0 < self.negative_strength <= 1),
+            "leak": ("in [0, 1)", 0 <= self.leak < 1),
         }
         for name, (expected, holds) in checks.items():
             if not holds:
@@ -293,7 +316,9 @@ class DiverseDensity:
             ValueError: As :func:`log_diverse_density`.
         """
         with torch.no_grad():
-            value = log_diverse_density(points, self.scale, bags, negative_strength=self.negative_strength)
+            value = log_diverse_density(
+                points, self.scale, bags, negative_strength=self.negative_strength, leak=self.leak
+            )
         return value.double().cpu().numpy()
 
     def search(self, bags: Bags, *, starts: ArrayLike | None = None, candidates: ArrayLike | None = None) -> list[Peak]:
@@ -344,11 +369,11 @@ class DiverseDensity:
         width = np.broadcast_to(np.asarray(self.scale, dtype=np.float64), starts.shape[1:])
 
         def evaluate(points: Tensor, scales: Tensor) -> _Densities:
-            return _evaluate(points, scales, layout, self.negative_strength)
+            return _evaluate(points, scales, layout, self.negative_strength, self.leak)
 
         points = (torch.from_numpy(starts).to(layout.origin) - layout.origin).float()
         base = torch.tensor(width, dtype=torch.float32, device=points.device)
-        shortlist = _by_nearest(points, base, layout, SHORTLIST * self.n_starts)
+        shortlist = _by_nearest(points, base, layout, SHORTLIST * self.n_starts, self.leak)
         value = points.new_full((len(points),), -math.inf)
         value[shortlist] = evaluate(points[shortlist], base.expand_as(points[shortlist])).log_density
         kept = best_apart(starts * width, value.cpu().numpy(), self.merge_radius, self.n_starts)
@@ -379,7 +404,9 @@ class DiverseDensity:
         ascended = (best_points.double() + layout.origin).cpu().numpy()
         found = np.concatenate([ascended, starts])
         found_scale = np.concatenate([best_scales.double().cpu().numpy(), np.broadcast_to(width, starts.shape)])
-        log_density = log_diverse_density(found, found_scale, bags, negative_strength=self.negative_strength)
+        log_density = log_diverse_density(
+            found, found_scale, bags, negative_strength=self.negative_strength, leak=self.leak
+        )
         values = log_density.double().cpu().numpy().reshape(2, -1)
         # The start itself, to the last bit, unless the ascent did better.
         chosen = np.arange(len(kept)) + len(kept) * (values[0] <= values[1])

@@ -21,8 +21,8 @@ EVERY_FIELD_CHANGED = TrainConfig(
     exploration_fraction=0.25, exploration_final_eps=0.125, net_arch=(3,),
     discovery=DiscoverySettings(
         segmentation="peaks", peak_reward=0.75, max_segment=70,
-        capacity=7, min_positive=2, negative_bags=False, negative_strength=0.5, search="incremental", scale=2.5,
-        start_radius=1.0, goal_radius=0.0, decay=0.75, threshold=0.25, peak_radius=2.0, peak_tolerance=0.01,
+        capacity=7, min_positive=2, negative_bags=False, negative_strength=0.5, leak=0.125, search="exhaustive",
+        scale=2.5, start_radius=1.0, goal_radius=0.0, decay=0.75, threshold=0.25, peak_radius=2.0, peak_tolerance=0.01,
         subgoal_radius=1.25, spacing=1.5, max_places=6, max_extent=2.5,
         min_density=0.25,
     ),

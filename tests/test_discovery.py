@@ -231,6 +231,21 @@ class TestSearch:
         assert subgoals[0] is None
         assert subgoals[1] is not None
 
+    @pytest.mark.parametrize("search", ["gradient", "exhaustive"])
+    def test_a_leak_lets_one_of_two_ways_count(self, search: Literal["gradient", "exhaustive"]) -> None:
+        ways = [5.0, 25.0, 5.0, 5.0, 25.0, 5.0, 5.0]
+
+        def searched(leak: float) -> SubgoalDiscovery:
+            settings = settings_of(search=search, min_positive=3, min_density=0.5, leak=leak, start_radius=1.0)
+            discovery = SubgoalDiscovery(settings)
+            for i, way in enumerate(ways):
+                discovery.add(*on_a_line(100.0 + 9 * i, way, 200.0 + 9 * i))
+                discovery.search()
+            return discovery
+
+        assert not searched(0.0).found
+        assert [f.subgoal.points.tolist() for f in searched(0.2).found] == [[[5.0]]]
+
     def test_seconds_add_up(self) -> None:
         discovery = SubgoalDiscovery(settings_of(threshold=0.9))
         discovery.add(*on_a_line(0, 5, 20))
@@ -395,6 +410,7 @@ RANGES: list[tuple[str, tuple[Any, ...], str]] = [
     ),
     ("scale", (0.0, -1.0, math.nan, math.inf), "must be positive and finite, got "),
     ("negative_strength", (0.0, -0.5, 1.5, math.nan), r"must be in \(0, 1\], got "),
+    ("leak", (-0.1, 1.0, math.nan), r"must be in \[0, 1\), got "),
     ("search", ("random", None), "must be 'gradient', 'exhaustive' or 'incremental', got "),
     ("segmentation", ("lives", None), "must be 'episodes' or 'peaks', got "),
     ("peak_reward", (math.nan, math.inf), "must be finite, got "),
@@ -410,6 +426,11 @@ def test_settings_out_of_range(name: str, values: tuple[Any, ...], message: str)
     for value in values:
         with pytest.raises(ValueError, match=rf"^{name} {message}{value!r}\.$"):
             DiscoverySettings(**{name: value})
+
+
+def test_incremental_search_knows_no_leak() -> None:
+    with pytest.raises(ValueError, match=r"search='incremental' knows no leak, got leak=0\.2: use 'gradient'"):
+        DiscoverySettings(leak=0.2, search="incremental")
 
 
 def test_every_setting_has_a_range() -> None:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from decimal import MIN_EMIN, Decimal, localcontext
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -135,6 +136,45 @@ def test_gradient(n_positive: int, n_negative: int, eta: float, d: int) -> None:
 
     assert torch.autograd.gradcheck(f, (points, scales))
     assert torch.autograd.gradcheck(lambda s: f(points.detach(), s), (scales[0].detach().requires_grad_(),))
+
+
+@pytest.mark.parametrize("leak", [1e-6, 0.2, 0.9])
+@pytest.mark.parametrize("d", [2, 20])
+def test_leaky_noisy_or_against_the_definition(leak: float, d: int) -> None:
+    rng = np.random.default_rng(6)
+    positive, negative = random_bags(rng, 5, d, 1.0), random_bags(rng, 2, d, 1.0)
+    points = np.concatenate([rng.normal(size=(6, d)), positive[0], np.full((1, d), 1e3)])
+    expected = density(points, 1.0, [], negative)
+    for bag in positive:
+        expected = expected + np.log(leak + (1 - leak) * np.exp(density(points, 1.0, [bag])))
+    value = log_diverse_density(points, 1.0, Bags.pack(positive, negative), leak=leak)
+    np.testing.assert_allclose(value, expected, rtol=1e-10, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("d", [1, 2, 6])
+def test_gradient_with_a_leak(d: int) -> None:
+    rng = np.random.default_rng(7)
+    bags = Bags.pack(random_bags(rng, 3, d, 1.5), random_bags(rng, 2, d, 1.5), weights=[1, 2, 1, 1, 3])
+    points = torch.tensor(rng.normal(scale=2, size=(4, d)), requires_grad=True)
+    scales = torch.tensor(rng.uniform(0.5, 1.5, size=(4, d)), requires_grad=True)
+    assert torch.autograd.gradcheck(lambda t, s: log_diverse_density(t, s, bags, leak=0.2), (points, scales))
+
+
+@pytest.mark.parametrize("method", ["gradient", "exhaustive"])
+def test_with_a_leak_the_place_of_most_bags_beats_the_middle(method: Literal["gradient", "exhaustive"]) -> None:
+    most, few, between = [[0.0, 0.0]], [[6.0, 0.0]], [[3.0, 0.0]]
+    bags = Bags.pack([np.array(most)] + [np.array(most + between)] * 5 + [np.array(few)] * 4)
+
+    def best(leak: float) -> float:
+        return float(DiverseDensity(method=method, leak=leak).search(bags)[0].point[0])
+
+    assert 2.5 < best(0.0) < 4.5  # near all bags, and where few pass
+    assert best(0.2) == pytest.approx(0.0, abs=0.1)
+
+
+def test_with_a_leak_a_far_bag_costs_no_more_than_its_log() -> None:
+    value = log_diverse_density([[0.0, 0.0]], 1.0, Bags.pack([ONE, ONE + 1e6]), leak=0.2)
+    assert value.item() == pytest.approx(np.log(0.2))
 
 
 def test_a_far_point_is_pulled_by_the_soft_max_of_the_bag() -> None:
@@ -435,6 +475,14 @@ def test_bad_bags(positive: list[ArrayLike], negative: list[ArrayLike], text: st
 def test_bad_arguments(points: ArrayLike, scales: ArrayLike, eta: float, text: str) -> None:
     with pytest.raises(ValueError, match=re.escape(text)):
         log_diverse_density(points, scales, Bags.pack([ONE]), negative_strength=eta)
+
+
+@pytest.mark.parametrize("leak", [-0.1, 1.0, np.nan])
+def test_a_leak_out_of_range(leak: float) -> None:
+    with pytest.raises(ValueError, match=re.escape("leak must lie in [0, 1), got")):
+        log_diverse_density([[0.0, 0.0]], 1.0, Bags.pack([ONE]), leak=leak)
+    with pytest.raises(ValueError, match=re.escape("leak must be in [0, 1), got")):
+        DiverseDensity(leak=leak)
 
 
 @pytest.mark.parametrize(
