@@ -119,7 +119,7 @@ def _run(study: Study, arm: Arm) -> dict[tuple[str, str], Any]:
         results = run_parts(
             parts,
             range(study.first_seed, study.first_seed + n),
-            settings={**study.settings.of(algo), "task": study.task, "worlds": _worlds(study.task)},
+            settings={**study.settings.of(algo, arm), "task": study.task, "worlds": _worlds(study.task)},
             jobs=study.jobs,
             description=f"{study.task}, {algo}, {arm}",
         )

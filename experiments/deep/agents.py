@@ -68,9 +68,9 @@ def make_model(algo: str, venv: VecEnv, arm: Arm, settings: DeepSettings, seed: 
         buffer: dict[str, Any] = {}
         if arm != "stock":
             buffer = {"replay_buffer_class": OptionReplayBuffer, "replay_buffer_kwargs": settings.buffer}
-        own = {**settings.dqn, **buffer}
+        own = {**settings.arguments(algo, arm), **buffer}
     else:
-        own = settings.ppo
+        own = settings.arguments(algo, arm)
     made: BaseAlgorithm = (stock if arm == "stock" else with_options)("MlpPolicy", venv, **common, **own)
     return made
 
@@ -175,6 +175,7 @@ def train(
             settings.discovery,
             settings.option,
             max_new_options=settings.max_new_options if options is None else 0,
+            max_option_exploration=settings.max_option_exploration[family(algo)],
             seed=seed,
             **settings.callback,
         )

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 GAMMA = 0.97
 
 
-def _dqn() -> dict[str, Any]:
-    return {
+Sides: TypeAlias = dict[str, dict[str, Any]]
+"""Arguments of the algorithm for ``stock`` and for ``options``."""
+
+
+def _dqn() -> Sides:
+    common = {
         "learning_rate": 5e-4,
         "buffer_size": 50_000,
         "learning_starts": 500,
@@ -22,18 +26,32 @@ def _dqn() -> dict[str, Any]:
         "exploration_final_eps": 0.05,
         "policy_kwargs": {"net_arch": [64, 64]},
     }
+    return {"stock": common, "options": common}
 
 
-def _ppo() -> dict[str, Any]:
+def _ppo() -> Sides:
+    # Each side as `experiments.deep.tune` chose: docs/results/deep-tuning-ppo-*.json.
     return {
-        "learning_rate": 2e-3,
-        "n_steps": 32,
-        "batch_size": 128,
-        "n_epochs": 8,
-        "gae_lambda": 0.95,
-        "ent_coef": 0.003,
-        "normalize_advantage": False,  # before the first reward it would blow up noise until the policy is stuck
-        "policy_kwargs": {"net_arch": [64, 64]},
+        "stock": {
+            "learning_rate": 3.62e-3,
+            "n_steps": 64,
+            "batch_size": 128,
+            "n_epochs": 4,
+            "gae_lambda": 0.95,
+            "ent_coef": 2.22e-3,
+            "normalize_advantage": False,
+            "policy_kwargs": {"net_arch": [256]},
+        },
+        "options": {
+            "learning_rate": 3.94e-3,
+            "n_steps": 64,
+            "batch_size": 64,
+            "n_epochs": 16,
+            "gae_lambda": 0.8,
+            "ent_coef": 3.44e-3,
+            "normalize_advantage": False,
+            "policy_kwargs": {"net_arch": []},
+        },
     }
 
 
@@ -42,8 +60,9 @@ class DeepSettings:
     """Settings of the study.
 
     Attributes:
-        dqn: Of ``DQN``, with and without options.
-        ppo: Of ``PPO``, with and without options.
+        dqn: Of ``DQN``, stock and with options.
+        ppo: Of ``PPO``, stock and with options.
+        max_option_exploration: Of `SubgoalDiscoveryCallback`, by the algorithm's family.
         n_envs: Parallel environments.
         max_options: Option slots.
         max_new_options: Most options to discover.
@@ -57,24 +76,34 @@ class DeepSettings:
         final_evaluations: How many there are at the end.
     """
 
-    dqn: dict[str, Any] = field(default_factory=_dqn)
-    ppo: dict[str, Any] = field(default_factory=_ppo)
+    dqn: Sides = field(default_factory=_dqn)
+    ppo: Sides = field(default_factory=_ppo)
+    max_option_exploration: dict[str, float] = field(default_factory=lambda: {"dqn": 0.5, "ppo": 0.75})
     n_envs: int = 8
     max_options: int = 4
     max_new_options: int = 2
-    discovery: dict[str, Any] = field(default_factory=lambda: {"decay": 0.75, "min_positive": 5})
+    discovery: dict[str, Any] = field(default_factory=lambda: {"decay": 0.75, "min_positive": 5, "leak": 0.2})
     option: dict[str, Any] = field(default_factory=lambda: {"grow": True})
     callback: dict[str, Any] = field(default_factory=lambda: {"teach_head": False, "interruption": True})
     buffer: dict[str, Any] = field(default_factory=lambda: {"intra_option": False})
     evaluate_every: int = 1000
     evaluation_episodes: int = 20
-    steps_after: dict[str, int] = field(default_factory=lambda: {"dqn": 6_000, "ppo": 12_000})
+    steps_after: dict[str, int] = field(default_factory=lambda: {"dqn": 6_000, "ppo": 30_000})
     final_evaluations: int = 10
 
-    def of(self, algo: str) -> dict[str, Any]:
-        """What a run of an algorithm depends on."""
-        others = "dqn" if family(algo) == "ppo" else "ppo"
-        return {name: value for name, value in dataclasses.asdict(self).items() if not name.startswith(others)}
+    def of(self, algo: str, arm: str) -> dict[str, Any]:
+        """What the runs of one arm of an algorithm depend on."""
+        own = {"algorithm": self.arguments(algo, arm), "steps_after": self.steps_after[family(algo)]}
+        common = ["n_envs", "evaluate_every", "evaluation_episodes", "final_evaluations"]
+        if arm != "stock":
+            common += ["max_options", "max_new_options", "discovery", "option", "callback", "buffer"]
+            own["max_option_exploration"] = self.max_option_exploration[family(algo)]
+        return {**own, **{name: value for name, value in dataclasses.asdict(self).items() if name in common}}
+
+    def arguments(self, algo: str, arm: str) -> dict[str, Any]:
+        """Of the algorithm itself; random repeats take those of options."""
+        sides: Sides = getattr(self, family(algo))
+        return sides["stock" if arm == "stock" else "options"]
 
     def switched(self) -> list[str]:
         """The flags of the switches that are not as by default."""

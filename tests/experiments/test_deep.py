@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from experiments.deep import __main__ as deep
-from experiments.deep import report, tasks
+from experiments.deep import report, tasks, tune
 from experiments.deep.repeats import LONGEST, RandomRepeat
 from experiments.deep.settings import DeepSettings
 from experiments.deep.summary import (
@@ -22,6 +22,8 @@ from experiments.deep.summary import (
 from sb3_options import OptionsWrapper
 from sb3_options.envs import GridWorld
 from tests.helpers import CountingEnv
+
+RESULTS = Path(__file__).parents[2] / "docs" / "results"
 
 
 def result(steps: list[int], success: list[float], length: float = 20.0, **kwargs: Any) -> dict[str, Any]:
@@ -148,3 +150,27 @@ def test_study_writes_results_and_picture_and_resumes(tmp_path: Path, monkeypatc
     before = [path.stat().st_mtime_ns for path in kept]
     deep.main(study)
     assert [path.stat().st_mtime_ns for path in kept] == before
+
+
+def test_settings_are_those_that_tuning_chose() -> None:
+    for side, text in (("stock", "deep-tuning-ppo-stock.json"), ("options", "deep-tuning-ppo-options.json")):
+        best = json.loads((RESULTS / text).read_text())["best"]
+        settings = DeepSettings()
+        used = dict(settings.ppo[side])
+        assert used.pop("policy_kwargs") == {"net_arch": tune.NET_ARCHS[best.pop("net_arch")]}
+        assert best.pop("max_option_exploration", 0.75) == settings.max_option_exploration["ppo"]
+        assert used == pytest.approx(best, rel=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arm", ["stock", "options"])
+def test_tuning_writes_what_was_best_and_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arm: Any) -> None:
+    key = ("transfer", "FourRooms")
+    task = tasks.TASKS[key]
+    monkeypatch.setattr(tune, "TASKS", {key: tasks.Task(task.env, task.target, task.source, 600, 400)})
+    tune.main(tune.Tuning(out=tmp_path, algo="ppo", arm=arm, trials=1, seeds=1, jobs=1))
+    tune.main(tune.Tuning(out=tmp_path, algo="ppo", arm=arm, trials=2, seeds=1, jobs=1))
+    written = json.loads((tmp_path / f"ppo-{arm}" / "tuned.json").read_text())
+    assert written["finished"] + written["pruned"] == 2
+    assert written["steps_to_90"] == {"transfer, FourRooms": [600]}
+    assert set(written["best"]) >= {"learning_rate", "n_steps", "net_arch"}
