@@ -30,12 +30,18 @@ SETTINGS: dict[str, frozenset[str]] = {
     "maskableppo": _PPO,
     "recurrentppo": _PPO,
 }
-"""Fields of `TrainConfig` that an algorithm knows besides ``gamma``, ``learning_rate`` and ``net_arch``."""
-
-EVERY_SETTING = frozenset().union(*SETTINGS.values())
+"""Fields of `TrainConfig` that an algorithm's class knows besides ``gamma``, ``learning_rate`` and ``net_arch``."""
 
 OFF_POLICY = tuple(name for name, settings in SETTINGS.items() if settings is _OFF_POLICY)
 ON_POLICY = tuple(name for name in get_args(AlgorithmName) if name not in OFF_POLICY)
+
+_OPTION_SETTINGS: dict[str, frozenset[str]] = {
+    "maskableppo": frozenset({"max_option_exploration"}),
+    **dict.fromkeys(OFF_POLICY, frozenset({"max_option_exploration", "interruption", "teach_head", "intra_option"})),
+}
+"""Fields that say how an algorithm handles options, beyond what all of them do."""
+
+EVERY_SETTING = frozenset().union(*SETTINGS.values(), *_OPTION_SETTINGS.values())
 
 _CLASSES = {
     "dqn": ("stable_baselines3", "DQN"),
@@ -62,6 +68,11 @@ def class_of(name: str) -> Any:
         raise ModuleNotFoundError(f"{class_name} needs sb3-contrib: pip install 'sb3-options[contrib]'") from error
 
 
+def known_to(name: str) -> frozenset[str]:
+    """Fields of `TrainConfig` that are not for all algorithms, and are for this one."""
+    return SETTINGS.get(name, frozenset()) | _OPTION_SETTINGS.get(name, frozenset())
+
+
 def knowing(setting: str) -> list[str]:
     """The algorithms that know a setting."""
-    return [name for name, settings in SETTINGS.items() if setting in settings]
+    return [name for name in SETTINGS if setting in known_to(name)]

@@ -27,6 +27,7 @@ from sb3_options.atomic import whole_file
 from sb3_options.bank import OptionBank
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.config import TrainConfig
+from sb3_options.option_trial import TrialSettings
 from sb3_options.plots import subgoals_figure
 from sb3_options.workers import WorkerLostError, end_workers
 
@@ -106,6 +107,10 @@ def train(config: TrainConfig) -> Path:
         config.discovery,
         config.option,
         max_new_options=config.max_new_options if config.discover else 0,
+        teach_head=config.teach_head,
+        max_option_exploration=config.max_option_exploration,
+        interruption=config.interruption,
+        trial=TrialSettings() if config.close_harmful else None,
         save_path=folder / runs.OPTIONS,
         seed=config.seed,
         verbose=1,

@@ -79,6 +79,12 @@ class TrainConfig:
         n_epochs: PPO: passes over a rollout.
         clip_range: PPO: how far the policy may move in an update.
         net_arch: Hidden layers of the network.
+        max_option_exploration: DQN: largest share of options among exploratory choices. MaskablePPO: of the
+            probability they open with.
+        interruption: DQN: end an option where going on is worth less than the best alternative.
+        teach_head: DQN: fit the head of a new option to what is stored, at once.
+        intra_option: DQN: let every primitive step teach the options that would have taken it.
+        close_harmful: Try options in a randomised trial, and close those that do harm.
         discovery: How subgoals are found.
         option: How options are learned.
     """
@@ -115,6 +121,11 @@ class TrainConfig:
     n_epochs: int = 10
     clip_range: float = 0.2
     net_arch: tuple[int, ...] = (64, 64)
+    max_option_exploration: float = 0.5
+    interruption: bool = True
+    teach_head: bool = False
+    intra_option: bool = False
+    close_harmful: bool = False
     discovery: DiscoverySettings = field(default_factory=DiscoverySettings)
     option: OptionLearningSettings = field(default_factory=OptionLearningSettings)
 
@@ -141,20 +152,22 @@ class TrainConfig:
             raise ValueError(f"--learning-rate must be positive, got {self.learning_rate}.")
         if not 0.0 < self.exploration_fraction <= 1.0:
             raise ValueError(f"--exploration-fraction must be in (0, 1], got {self.exploration_fraction}.")
-        for name in ("exploration_final_eps", "gae_lambda"):
+        for name in ("exploration_final_eps", "gae_lambda", "max_option_exploration"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"--{name.replace('_', '-')} must be in [0, 1], got {getattr(self, name)}.")
         if not self.clip_range > 0.0:
             raise ValueError(f"--clip-range must be positive, got {self.clip_range}.")
         if not 0.0 <= self.ent_coef < math.inf:
             raise ValueError(f"--ent-coef must be at least 0, got {self.ent_coef}.")
+        if self.close_harmful and self.discovery.segmentation == "peaks":
+            raise ValueError("--close-harmful compares episodes, and a continuing task has none: leave it out.")
         if any(":" not in pair for pair in self.env_kwargs):
             raise ValueError(f"--env-kwargs takes pairs name:value, got {' '.join(self.env_kwargs)}.")
 
         self._check_settings_of_the_algorithm()
 
     def _check_settings_of_the_algorithm(self) -> None:
-        known = algorithms.SETTINGS.get(self.algo, frozenset())
+        known = algorithms.known_to(self.algo)
         if known >= {"n_steps", "batch_size"} and (self.n_steps * self.n_envs < 2 or self.batch_size < 2):
             raise ValueError(
                 f"{self.algo} normalises advantages, which takes two: --n-steps times --n-envs and --batch-size must "

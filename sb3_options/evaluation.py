@@ -226,7 +226,8 @@ def _play(run: Path, episodes: int, seed: int, film: Video | None = None, mode: 
     except (RuntimeError, ValueError, UnpicklingError) as error:
         raise ValueError(f"{run / runs.MODEL} is damaged, or does not fit {run / runs.CONFIG}: {error}") from error
     venv.get_attr("bank")[0].load(run / runs.OPTIONS)
-    interrupt_options(model, venv)
+    if config.interruption:
+        interrupt_options(model, venv)
     venv.env_method("record_trajectories", True)
 
     returns, steps, successes = [], [], 0

@@ -155,6 +155,7 @@ def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> Ba
     settings = {name: getattr(config, name) for name in algorithms.SETTINGS[config.algo]}
     if config.algo in algorithms.OFF_POLICY:
         settings["replay_buffer_class"] = OptionReplayBuffer  # rollout buffers are the callback's affair
+        settings["replay_buffer_kwargs"] = {"intra_option": config.intra_option}
     if playing and config.algo in algorithms.OFF_POLICY:
         settings["buffer_size"] = 1
     elif playing:

@@ -19,6 +19,7 @@ EVERY_FIELD_CHANGED = TrainConfig(
     max_options=2, max_new_options=None, discover=False, gamma=0.5, learning_rate=3e-05,
     buffer_size=77, learning_starts=11, batch_size=5, train_freq=6, target_update_interval=8,
     exploration_fraction=0.25, exploration_final_eps=0.125, net_arch=(3,),
+    max_option_exploration=0.25, interruption=False, teach_head=True, intra_option=True,
     discovery=DiscoverySettings(
         segmentation="peaks", peak_reward=0.75, max_segment=70,
         capacity=7, min_positive=2, negative_bags=False, negative_strength=0.5, leak=0.125, search="exhaustive",
@@ -35,7 +36,7 @@ EVERY_FIELD_CHANGED = TrainConfig(
 )  # fmt: skip
 
 ON_POLICY = {"n_steps": 12, "gae_lambda": 0.5, "ent_coef": 0.125, "n_epochs": 3, "clip_range": 0.25}
-EVERY_ON_POLICY_FIELD_CHANGED = TrainConfig(algo="recurrentppo", batch_size=5, **ON_POLICY)  # type: ignore[arg-type]  # of several types
+EVERY_ON_POLICY_FIELD_CHANGED = TrainConfig(algo="recurrentppo", batch_size=5, close_harmful=True, **ON_POLICY)  # type: ignore[arg-type]  # of several types
 
 
 def leaves(settings: Any, prefix: str = "") -> dict[str, Any]:
@@ -51,7 +52,7 @@ def leaves(settings: Any, prefix: str = "") -> dict[str, Any]:
 
 def test_every_field_survives_saving_and_loading(tmp_path: Path) -> None:
     default, changed = leaves(TrainConfig()), leaves(EVERY_FIELD_CHANGED)
-    assert [name for name in default if changed[name] == default[name]] == list(ON_POLICY)
+    assert [name for name in default if changed[name] == default[name]] == [*ON_POLICY, "close_harmful"]
     others = (EVERY_FIELD_CHANGED, EVERY_ON_POLICY_FIELD_CHANGED, TrainConfig(algo="a2c"))
     for config in (TrainConfig(), *others, dataclasses.replace(TrainConfig(), net_arch=(), env_kwargs=())):
         configs.save(config, tmp_path / "config.yml")
@@ -221,6 +222,16 @@ class TestSettingsOfTheAlgorithm:
             ),
             (["--algo", "a2c", "--batch-size", "32"], "--batch-size has no effect on a2c"),
             (["--algo=trpo", "--ent-coef", "0.5"], "--ent-coef has no effect on trpo"),
+            (
+                ["--algo=ppo", "--no-interruption"],
+                "--interruption has no effect on ppo: it is a setting of dqn, qrdqn,",
+            ),
+            (["--algo=ppo", "--max-option-exploration=1"], "--max-option-exploration has no effect on ppo"),
+            (["--max-option-exploration=2"], "--max-option-exploration must be in [0, 1], got 2.0"),
+            (
+                ["--close-harmful", "--discovery.segmentation=peaks"],
+                "--close-harmful compares episodes, and a continuing task has none",
+            ),
         ],
     )
     def test_one_that_has_no_effect_is_refused(
