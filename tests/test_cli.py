@@ -19,7 +19,9 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from sb3_options import OptionBank, cli, runs
 from sb3_options import config as configs
 from sb3_options.algorithms import AlgorithmName
+from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.config import TrainConfig
+from sb3_options.option_trial import TrialSettings
 from tests.sb3_helpers import DOORWAY, SMALL_ROOMS, TAXI, read_video
 
 ROOT = Path(__file__).parents[1]
@@ -168,6 +170,29 @@ class TestTrain:
         assert np.abs(subgoal - DOORWAY).sum() <= 1
         result = cli.evaluate(cli.EvaluateConfig(folder, episodes=2))
         assert result.episodes == 2
+
+    def test_switches_reach_the_callback_and_the_buffer(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        made: list[SubgoalDiscoveryCallback] = []
+
+        class Remembered(SubgoalDiscoveryCallback):
+            def _init_callback(self) -> None:
+                super()._init_callback()
+                made.append(self)
+
+        monkeypatch.setattr(cli, "SubgoalDiscoveryCallback", Remembered)
+        args = ["--n-timesteps", "600", "--no-progress", "--tensorboard-log", str(tmp_path), "--eval-episodes", "1"]
+        cli.main([*args, "--no-interruption", "--teach-head", "--intra-option", "--close-harmful"])
+        cli.main([*args, "--max-option-exploration", "0.25"])
+        switched, usual = made
+        assert switched.interruption_margin is None
+        assert switched.teach_head
+        assert switched.trial == TrialSettings()
+        assert switched.model.replay_buffer.intra_option  # type: ignore[attr-defined]  # of DQN
+        assert usual.interruption_margin == 0.0
+        assert not usual.teach_head
+        assert usual.trial is None
+        assert usual.max_option_exploration == 0.25
+        assert not usual.model.replay_buffer.intra_option  # type: ignore[attr-defined]  # of DQN
 
     def test_an_interrupt_keeps_what_was_learned(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
