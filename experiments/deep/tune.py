@@ -1,8 +1,9 @@
-"""``python -m experiments.deep.tune --algo ppo --arm stock|options --trials 24 --out FOLDER``.
+"""``python -m experiments.deep.tune --algo ppo --arm stock|options --out FOLDER``.
 
 Chooses the hyper-parameters of one side of the study: the same search space, the same number of trials and the same
 seeds for stock Stable-Baselines3 and for the library with options. Optuna's TPE proposes, and its Wilcoxon pruner stops
-a trial whose runs so far are worse, run by run, than those of the best one. Interrupted, it goes on where it was.
+a trial whose runs so far are worse, run by run, than those of the best one. Interrupted, it goes on where it was. What is
+proposed depends on which of several processes is done first, so that another search may choose otherwise.
 """
 
 from __future__ import annotations
@@ -51,7 +52,6 @@ def space(trial: optuna.Trial, algo: str) -> dict[str, Any]:
     else:
         kwargs["learning_rate"] = trial.suggest_float("learning_rate", 2e-4, 4e-3, log=True)
         kwargs["batch_size"] = trial.suggest_categorical("batch_size", [32, 64, 128])
-        kwargs["gradient_steps"] = trial.suggest_categorical("gradient_steps", [4])
         kwargs["target_update_interval"] = trial.suggest_categorical("target_update_interval", [50, 100, 200, 500])
         kwargs["exploration_fraction"] = trial.suggest_categorical("exploration_fraction", [0.1, 0.2, 0.4])
         kwargs["exploration_final_eps"] = trial.suggest_categorical("exploration_final_eps", [0.02, 0.05, 0.1])
@@ -75,7 +75,7 @@ class Tuning:
     out: Annotated[Path, tyro.conf.arg(name="out")]
     algo: Literal["dqn", "ppo"] = "ppo"
     arm: Literal["stock", "options"] = "options"
-    trials: int = 24
+    trials: int = 17
     seeds: int = 2
     jobs: int | None = None
 
@@ -125,7 +125,6 @@ def _study(tuning: Tuning) -> optuna.Study:
 
 def _optimise(tuning: Tuning, n_trials: int) -> None:
     torch.set_num_threads(1)
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = _study(tuning)
     study.sampler.reseed_rng()  # or both processes would propose the same
     study.optimize(partial(_objective, tuning), n_trials=n_trials)
@@ -171,7 +170,8 @@ def _make_sources(tuning: Tuning) -> None:
         for (kind, env), task in TASKS.items()
         if kind == "transfer"
     ]
-    run_parts(parts, range(tuning.seeds), settings={}, jobs=tuning.jobs, description="Options of the old task")
+    settings = DeepSettings().of(tuning.algo, "options")
+    run_parts(parts, range(tuning.seeds), settings=settings, jobs=tuning.jobs, description="Options of the old task")
 
 
 def _source(task: Task, tuning: Tuning, env: str, seed: int) -> Result:

@@ -152,14 +152,13 @@ def test_study_writes_results_and_picture_and_resumes(tmp_path: Path, monkeypatc
     assert [path.stat().st_mtime_ns for path in kept] == before
 
 
-def test_settings_are_those_that_tuning_chose() -> None:
-    for side, text in (("stock", "deep-tuning-ppo-stock.json"), ("options", "deep-tuning-ppo-options.json")):
-        best = json.loads((RESULTS / text).read_text())["best"]
-        settings = DeepSettings()
-        used = dict(settings.ppo[side])
-        assert used.pop("policy_kwargs") == {"net_arch": tune.NET_ARCHS[best.pop("net_arch")]}
-        assert best.pop("max_option_exploration", 0.75) == settings.max_option_exploration["ppo"]
-        assert used == pytest.approx(best, rel=0.01)
+def test_settings_of_options_are_those_that_tuning_chose() -> None:
+    best = json.loads((RESULTS / "deep-tuning-ppo-options.json").read_text())["best"]
+    settings = DeepSettings()
+    used = dict(settings.ppo["options"])
+    assert used.pop("policy_kwargs") == {"net_arch": tune.NET_ARCHS[best.pop("net_arch")]}
+    assert settings.max_option_exploration["ppo"] == best.pop("max_option_exploration")
+    assert used == pytest.approx(best, rel=0.01)
 
 
 @pytest.mark.slow
