@@ -2,8 +2,8 @@
 
 Chooses the hyper-parameters of one side of the study: the same search space, the same number of trials and the same
 seeds for stock Stable-Baselines3 and for the library with options. Optuna's TPE proposes, and its Wilcoxon pruner stops
-a trial whose runs so far are worse, run by run, than those of the best one. Interrupted, it goes on where it was. What is
-proposed depends on which of several processes is done first, so that another search may choose otherwise.
+a trial whose runs so far are worse, run by run, than those of the best one. Interrupted, it goes on where it was. What
+is proposed depends on which of several processes is done first, so that another search may choose otherwise.
 """
 
 from __future__ import annotations
