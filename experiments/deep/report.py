@@ -48,15 +48,13 @@ def main(report: Report) -> None:
     parts = {}
     for task in ("transfer", "same"):
         of_task = [s for s in studies if f"--task {task} " in s["command"]]
-        commands = ", ".join(f"`{study['command']}`" for study in of_task)
-        parts[task] = f"{commands}\n\n{table(of_task)}"
+        parts[task] = "\n\n".join(f"`{study['command']}`\n\n{table(study)}" for study in of_task)
     fill(report.document, parts)
 
 
-def table(studies: list[dict[str, Any]]) -> str:
+def table(study: dict[str, Any]) -> str:
     """One row for each algorithm, environment and arm."""
-    lines = ["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|"]
-    return "\n".join(lines + [row for study in studies for row in rows(study)])
+    return "\n".join(["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|", *rows(study)])
 
 
 def rows(study: dict[str, Any]) -> Iterator[str]:

@@ -62,6 +62,7 @@ class DeepSettings:
         dqn: Of ``DQN``, stock and with options.
         ppo: Of ``PPO``, stock and with options.
         max_option_exploration: Of `SubgoalDiscoveryCallback`, by the algorithm's family.
+        same_for_both: Whether options take the arguments of stock instead of their own.
         n_envs: Parallel environments.
         max_options: Option slots.
         max_new_options: Most options to discover.
@@ -78,6 +79,7 @@ class DeepSettings:
     dqn: Sides = field(default_factory=_dqn)
     ppo: Sides = field(default_factory=_ppo)
     max_option_exploration: dict[str, float] = field(default_factory=lambda: {"dqn": 0.5, "ppo": 0.75})
+    same_for_both: bool = False
     n_envs: int = 8
     max_options: int = 4
     max_new_options: int = 2
@@ -102,11 +104,14 @@ class DeepSettings:
     def arguments(self, algo: str, arm: str) -> dict[str, Any]:
         """Of the algorithm itself; random repeats take those of options."""
         sides: Sides = getattr(self, family(algo))
-        return sides["stock" if arm == "stock" else "options"]
+        return sides["stock" if arm == "stock" or self.same_for_both else "options"]
 
     def switched(self) -> list[str]:
-        """The flags of the switches that are not as by default."""
-        flags = []
+        """The flags of what is not as by default, as far as the study varies it."""
+        flags = ["--settings.same-for-both"] if self.same_for_both else []
+        for name, share in self.max_option_exploration.items():
+            if share != DeepSettings().max_option_exploration[name]:
+                flags.append(f"--settings.max-option-exploration.{name} {share}")
         for group, default in (("callback", DeepSettings().callback), ("buffer", DeepSettings().buffer)):
             for name, value in getattr(self, group).items():
                 if value != default.get(name):

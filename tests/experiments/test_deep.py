@@ -161,6 +161,22 @@ def test_settings_of_options_are_those_that_tuning_chose() -> None:
     assert used == pytest.approx(best, rel=0.01)
 
 
+def test_the_command_says_what_was_varied() -> None:
+    assert DeepSettings().switched() == []
+    varied = DeepSettings(
+        same_for_both=True,
+        max_option_exploration={"dqn": 0.5, "ppo": 0.25},
+        callback={"teach_head": True, "interruption": False},
+    )
+    assert varied.switched() == [
+        "--settings.same-for-both",
+        "--settings.max-option-exploration.ppo 0.25",
+        "--settings.callback.teach-head",
+        "--settings.callback.no-interruption",
+    ]
+    assert varied.arguments("ppo", "options") == varied.ppo["stock"] != DeepSettings().arguments("ppo", "options")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("arm", ["stock", "options"])
 def test_tuning_writes_what_was_best_and_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arm: Any) -> None:
