@@ -14,6 +14,7 @@ from sb3_options.observations import FloatArray
 COLOURS = {"stock": "0.45", "options": "#d62728", "repeats": "#1f77b4"}
 LABELS = {"stock": "stock", "options": "discovered options", "repeats": "random repeats"}
 N_BANDS = 500
+APART = 0.025
 
 
 def draw(task: str, runs: dict[tuple[str, str], dict[str, Sequence[Result]]], lengths: dict[str, int]) -> Figure:
@@ -39,8 +40,9 @@ def draw(task: str, runs: dict[tuple[str, str], dict[str, Sequence[Result]]], le
                 axes.plot(at, middle, color=COLOURS[arm], label=f"{LABELS[arm]} ({len(results)} runs)")
                 axes.fill_between(at, low, high, color=COLOURS[arm], alpha=0.18, linewidth=0)
                 reached = iqm_interval(np.array([steps_to_success(r, lengths[env]) for r in results]))
-                axes.plot(reached.mean, 0.9, "o", color=COLOURS[arm], markersize=5)
-                axes.hlines(0.9, reached.low, reached.high, color=COLOURS[arm], linewidth=2)
+                height = 0.9 + APART * list(COLOURS).index(arm)  # side by side where they overlap
+                axes.plot(reached.mean, height, "o", color=COLOURS[arm], markersize=5)
+                axes.hlines(height, reached.low, reached.high, color=COLOURS[arm], linewidth=2)
             axes.set_title(f"{algo.upper()}, {env}, {task}")
             axes.set_ylim(-0.03, 1.05)
             axes.grid(alpha=0.25)
