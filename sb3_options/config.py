@@ -63,6 +63,7 @@ class TrainConfig:
         options: Start with the options of another run: a file or a run folder.
         max_options: Number of option slots.
         max_new_options: Most options to discover, besides those it starts with; by default one, as in the paper.
+        max_runs: How often one option may run in an episode; by default any number of times.
         discover: Discover options; without it the slots stay empty.
         gamma: Discount per primitive step.
         learning_rate: Of Adam.
@@ -104,6 +105,7 @@ class TrainConfig:
     num_threads: int = 1
     options: Path | None = None
     max_options: int = 4
+    max_runs: int | None = None
     max_new_options: int | None = 1
     discover: bool = True
     gamma: float = 0.97
@@ -146,6 +148,8 @@ class TrainConfig:
                 raise ValueError(f"--{name.replace('_', '-')} must be at least 1, got {getattr(self, name)}.")
         if self.eval_freq < 0 or self.max_options < 0:
             raise ValueError("--eval-freq and --max-options must be at least 0.")
+        if self.max_runs is not None and self.max_runs < 1:
+            raise ValueError(f"--max-runs must be at least 1, got {self.max_runs}.")
         if not 0.0 < self.gamma <= 1.0:
             raise ValueError(f"--gamma must be in (0, 1], got {self.gamma}.")
         if not self.learning_rate > 0.0:

@@ -119,7 +119,9 @@ def make_env(
     def with_options(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
         if beneath is not None:
             env = beneath(env)
-        return OptionsWrapper(env, config.max_options, gamma=config.gamma, options_file=options)
+        return OptionsWrapper(
+            env, config.max_options, gamma=config.gamma, options_file=options, max_runs=config.max_runs
+        )
 
     env_id = config.env
     if subproc and env_id.startswith(OWN_NAMESPACE):

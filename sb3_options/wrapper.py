@@ -57,6 +57,10 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
     process; ``action_masks()`` gives the strict sets to one that can. With no options it is the environment itself,
     bit for bit.
 
+    With ``max_runs`` no option begins more often than that in an episode; then its slot counts as empty until the
+    next one. An option whose subgoal is a dead end draws an untrained agent back again and again: so the agent is rid
+    of it after a few runs. The values that `OptionDQN` and Macro-Q learn stay those of the process without the limit.
+
     Args:
         env: Its action space must be ``Discrete`` and start at 0.
         max_options: Number of slots, at least 0.
@@ -64,6 +68,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         feature_map: φ from a batch of observations to concept space, shape (batch, d). By default the environment's
             own ``concept_features``; else a one-hot code for ``Discrete`` observations and the flat observation for
             ``Box``. A ``Dict`` space has no default.
+        max_runs: How often one option may run in an episode, at least 1; None for any number. Runs of a single step,
+            where an option was chosen outside its initiation set, do not count.
         options_file: Start with the options of this file, which `OptionBank.save` wrote.
 
     Raises:
@@ -80,6 +86,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         gamma: float = 0.99,
         feature_map: FeatureMap | None = None,
         options_file: str | os.PathLike[str] | None = None,
+        max_runs: int | None = None,
     ) -> None:
         # Not copied: a feature map may be a method of the environment, which would be copied with it.
         RecordConstructorArgs.__init__(
@@ -89,6 +96,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             gamma=gamma,
             feature_map=feature_map,
             options_file=options_file,
+            max_runs=max_runs,
         )
         gym.Wrapper.__init__(self, env)
         primitive = env.action_space
@@ -101,7 +109,10 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             raise ValueError(f"OptionsWrapper needs actions that start at 0, got {primitive}.")
         if not 0.0 < gamma <= 1.0:
             raise ValueError(f"gamma must be in (0, 1], got {gamma}.")
+        if max_runs is not None and (max_runs < 1 or max_runs % 1):
+            raise ValueError(f"max_runs must be a whole number, at least 1, or None for no limit, got {max_runs}.")
         self.gamma = float(gamma)
+        self.max_runs = max_runs
         self.n_primitive = int(primitive.n)
         self.features = feature_maps.resolve(env, feature_map)
         self.bank = OptionBank(
@@ -117,6 +128,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         self.action_space: Any = spaces.Discrete(self.n_primitive + max_options)
         self._random = np.random.default_rng()
         self._observation: Any = None
+        self._runs = np.zeros(max_options, dtype=np.int64)
         self._recorder: TrajectoryRecorder | None = None
         self._recorded_at: RewardPeaks | None = None
         self._reports_availability = False
@@ -129,6 +141,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         if seed is not None:
             self.seed_empty_slots(seed)
         self._observation = observation
+        self._runs[:] = 0
         if self.features is not None and self.bank.feature_size is None:
             self.bank.feature_size = feature_maps.checked_size(self.features.map(batch_of_one(observation)))
         if self._recorder is not None:
@@ -165,13 +178,17 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             return self._run_primitive(action)
         slot = action - self.n_primitive
         option = self.bank[slot]
-        if option is None:
+        if option is None or self._has_run_out(slot):
             return self._run_instead(int(self._random.integers(self.n_primitive)))
         if self._withholding is not None:
             if self._withholding.holds(slot):
                 return self._run_instead(self._instead_of(option, slot))
             self._withholding.note_use(slot)
         return self._run_option(option, slot)
+
+    def _has_run_out(self, slot: int) -> bool:
+        """Whether the option may not run again in this episode."""
+        return self.max_runs is not None and bool(self._runs[slot] >= self.max_runs)
 
     def _run_instead(self, primitive: int) -> StepReturn:
         """Run a primitive in the place of a slot, and name it."""
@@ -208,6 +225,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         rewards: list[float] = []
         termination: Termination | None = None
         began_inside = bool(option.initiation(batch_of_one(observations[0]))[0])
+        self._runs[slot] += began_inside
         interruptible = began_inside and self._is_interruptible(slot)
         while termination is None:
             action = self._action_of(option, observations[-1])
@@ -293,7 +311,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         """Which augmented actions may start now, shape (n_primitive + max_options,).
 
         An environment that masks its own actions goes on doing so; what an option does inside is not masked. An option
-        that this episode does without may not start.
+        that this episode does without, or that has run ``max_runs`` times in it, may not start.
 
         Raises:
             gymnasium.error.ResetNeeded: Before the first ``reset``.
@@ -301,6 +319,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         mask: BoolArray = self.bank.available(batch_of_one(self._current_observation("action_masks()")))[0]
         if self.env.has_wrapper_attr("action_masks"):
             mask[: self.n_primitive] &= np.asarray(self.env.get_wrapper_attr("action_masks")(), dtype=bool)
+        if self.max_runs is not None:
+            mask[self.n_primitive :][self._runs >= self.max_runs] = False
         if self._withholding is not None:
             mask[[self.n_primitive + slot for slot in self._withholding.withheld()]] = False
         return mask

@@ -41,6 +41,7 @@ class ZooOptionsWrapper(OptionsWrapper):
         gamma: Discount γ per primitive step; must equal the algorithm's.
         feature_map: As for `OptionsWrapper`.
         options_file: Another file to start with.
+        max_runs: As for `OptionsWrapper`.
 
     Raises:
         FileNotFoundError: The run has no options file: it was trained without `ZooDiscoveryCallback`.
@@ -55,6 +56,7 @@ class ZooOptionsWrapper(OptionsWrapper):
         gamma: float = 0.99,
         feature_map: FeatureMap | None = None,
         options_file: str | os.PathLike[str] | None = None,
+        max_runs: int | None = None,
     ) -> None:
         if options_file is None:
             folder = loaded_run(_program(), sys.argv[1:])
@@ -65,7 +67,9 @@ class ZooOptionsWrapper(OptionsWrapper):
                         f"There is no {OPTIONS} in {folder}: the run was trained without ZooDiscoveryCallback. Name it "
                         "under `callback`, or name an options_file for ZooOptionsWrapper."
                     )
-        super().__init__(env, max_options, gamma=gamma, feature_map=feature_map, options_file=options_file)
+        super().__init__(
+            env, max_options, gamma=gamma, feature_map=feature_map, options_file=options_file, max_runs=max_runs
+        )
 
     def run_folder(self) -> str | None:
         """The folder of the run that is being trained: where ``Monitor`` writes; None where it writes nothing."""

@@ -16,7 +16,7 @@ EVERY_FIELD_CHANGED = TrainConfig(
     algo="optiondqn", env="Taxi-v3", env_kwargs=("is_rainy:true", 'map:"S#\\nSG"', "max_steps:7"), n_timesteps=123,
     seed=9, tensorboard_log=Path("else/where"), n_envs=3, eval_freq=50, eval_episodes=4, progress=False, device="cpu",
     num_threads=2, vec_env="subproc", options=Path("a/run"),
-    max_options=2, max_new_options=None, discover=False, gamma=0.5, learning_rate=3e-05,
+    max_options=2, max_runs=3, max_new_options=None, discover=False, gamma=0.5, learning_rate=3e-05,
     buffer_size=77, learning_starts=11, batch_size=5, train_freq=6, target_update_interval=8,
     exploration_fraction=0.25, exploration_final_eps=0.125, net_arch=(3,),
     max_option_exploration=0.25, interruption=False, teach_head=True, intra_option=True,
@@ -160,6 +160,7 @@ class TestRefuses:
         [
             (["--n-timesteps", "0"], "--n-timesteps must be at least 1, got 0"),
             (["--n-envs", "-1"], "--n-envs must be at least 1, got -1"),
+            (["--max-runs", "0"], "--max-runs must be at least 1, got 0"),
             (["--num-threads", "0"], "--num-threads must be at least 1, got 0"),
             (["--eval-freq", "-1"], "--eval-freq and --max-options must be at least 0"),
             (["--gamma", "1.5"], "--gamma must be in (0, 1], got 1.5"),

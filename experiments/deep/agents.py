@@ -41,14 +41,15 @@ REACHED = 0.9
 """The success rate that a run has to reach, in two evaluations in a row: one alone may be luck."""
 
 
-def make_env(task: Task, arm: Arm, settings: DeepSettings, seed: int, n_envs: int, **kwargs: Any) -> VecEnv:
+def make_env(task: Task, algo: str, arm: Arm, settings: DeepSettings, seed: int, n_envs: int, **kwargs: Any) -> VecEnv:
     """The target's environments, with option slots unless it is the stock arm."""
 
     def make(i: int) -> gym.Env[Any, Any]:
         env: gym.Env[Any, Any] = Monitor(gym.make(task.env, **{**task.target, **kwargs}))
         if arm == "stock":
             return env
-        optioned = OptionsWrapper(env, settings.max_options, gamma=GAMMA)
+        max_runs = settings.max_runs[family(algo)] if arm == "options" else 0
+        optioned = OptionsWrapper(env, settings.max_options, gamma=GAMMA, max_runs=max_runs or None)
         if arm == "repeats":
             rng = np.random.default_rng([seed + i, REPEAT_SEED])
             for action in range(optioned.n_primitive):
@@ -158,8 +159,8 @@ def train(
         discovered; the callback that discovered it.
     """
     limit = round(SLACK * optimal_steps(world_of(task.env, **task.target)))
-    venv = make_env(task, arm, settings, seed, settings.n_envs)
-    eval_env = make_env(task, arm, settings, EVAL_SEED + seed, settings.evaluation_episodes, max_steps=limit)
+    venv = make_env(task, algo, arm, settings, seed, settings.n_envs)
+    eval_env = make_env(task, algo, arm, settings, EVAL_SEED + seed, settings.evaluation_episodes, max_steps=limit)
     if options is not None:
         for each in (venv, eval_env):
             for wrapper in each.envs:  # type: ignore[attr-defined]  # a DummyVecEnv

@@ -41,9 +41,9 @@ def _ppo() -> Sides:
             "normalize_advantage": False,  # before the first reward it would blow up noise until the policy is stuck
             "policy_kwargs": {"net_arch": [64, 64]},
         },
-        "options": {  # as `experiments.deep.tune` chose: docs/results/deep-tuning-ppo-options.json
+        "options": {  # but for n_steps as `experiments.deep.tune` chose: docs/results/deep-tuning-ppo-options.json
             "learning_rate": 3.94e-3,
-            "n_steps": 64,
+            "n_steps": 32,  # by hand; 64 was chosen before `max_runs` was there
             "batch_size": 64,
             "n_epochs": 16,
             "gae_lambda": 0.8,
@@ -62,6 +62,7 @@ class DeepSettings:
         dqn: Of ``DQN``, stock and with options.
         ppo: Of ``PPO``, stock and with options.
         max_option_exploration: Of `SubgoalDiscoveryCallback`, by the algorithm's family.
+        max_runs: Of `OptionsWrapper`, by the algorithm's family, 0 for no limit; random repeats have none.
         same_for_both: Whether options take the arguments of stock instead of their own.
         n_envs: Parallel environments.
         max_options: Option slots.
@@ -79,6 +80,7 @@ class DeepSettings:
     dqn: Sides = field(default_factory=_dqn)
     ppo: Sides = field(default_factory=_ppo)
     max_option_exploration: dict[str, float] = field(default_factory=lambda: {"dqn": 0.5, "ppo": 0.75})
+    max_runs: dict[str, int] = field(default_factory=lambda: {"dqn": 0, "ppo": 5})
     same_for_both: bool = False
     n_envs: int = 8
     max_options: int = 4
@@ -99,6 +101,8 @@ class DeepSettings:
         if arm != "stock":
             common += ["max_options", "max_new_options", "discovery", "option", "callback", "buffer"]
             own["max_option_exploration"] = self.max_option_exploration[family(algo)]
+        if arm == "options":
+            own["max_runs"] = self.max_runs[family(algo)]
         return {**own, **{name: value for name, value in dataclasses.asdict(self).items() if name in common}}
 
     def arguments(self, algo: str, arm: str) -> dict[str, Any]:
@@ -109,9 +113,10 @@ class DeepSettings:
     def switched(self) -> list[str]:
         """The flags of what is not as by default, as far as the study varies it."""
         flags = ["--settings.same-for-both"] if self.same_for_both else []
-        for name, share in self.max_option_exploration.items():
-            if share != DeepSettings().max_option_exploration[name]:
-                flags.append(f"--settings.max-option-exploration.{name} {share}")
+        for group in ("max_option_exploration", "max_runs"):
+            for name, value in getattr(self, group).items():
+                if value != getattr(DeepSettings(), group)[name]:
+                    flags.append(f"--settings.{group.replace('_', '-')}.{name} {value}")
         for group, default in (("callback", DeepSettings().callback), ("buffer", DeepSettings().buffer)):
             for name, value in getattr(self, group).items():
                 if value != default.get(name):

@@ -158,6 +158,7 @@ def test_settings_of_options_are_those_that_tuning_chose() -> None:
     used = dict(settings.ppo["options"])
     assert used.pop("policy_kwargs") == {"net_arch": tune.NET_ARCHS[best.pop("net_arch")]}
     assert settings.max_option_exploration["ppo"] == best.pop("max_option_exploration")
+    del used["n_steps"], best["n_steps"]  # chosen by hand, with `max_runs`
     assert used == pytest.approx(best, rel=0.01)
 
 
@@ -166,11 +167,14 @@ def test_the_command_says_what_was_varied() -> None:
     varied = DeepSettings(
         same_for_both=True,
         max_option_exploration={"dqn": 0.5, "ppo": 0.25},
+        max_runs={"dqn": 7, "ppo": 0},
         callback={"teach_head": True, "interruption": False},
     )
     assert varied.switched() == [
         "--settings.same-for-both",
         "--settings.max-option-exploration.ppo 0.25",
+        "--settings.max-runs.dqn 7",
+        "--settings.max-runs.ppo 0",
         "--settings.callback.teach-head",
         "--settings.callback.no-interruption",
     ]
