@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
@@ -21,7 +22,7 @@ from experiments.deep.settings import GAMMA, DeepSettings, family
 from experiments.deep.tasks import SLACK, Task, optimal_steps, world_of
 from experiments.seeds import Result
 from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper
-from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
+from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback, TrialSettings
 
 Arm: TypeAlias = Literal["stock", "options", "repeats"]
 ARMS: tuple[Arm, ...] = get_args(Arm)
@@ -172,11 +173,13 @@ def train(
     discovery = None
     callbacks: list[BaseCallback] = [evaluations]
     if arm == "options":
+        withhold = settings.withhold[family(algo)]
         discovery = SubgoalDiscoveryCallback(
             settings.discovery,
             settings.option,
             max_new_options=settings.max_new_options if options is None else 0,
             max_option_exploration=settings.max_option_exploration[family(algo)],
+            trial=TrialSettings(withhold=withhold) if withhold else None,
             seed=seed,
             **settings.callback,
         )
@@ -204,6 +207,25 @@ def train(
     return result, discovery
 
 
+def discover(task: Task, algo: str, settings: DeepSettings, seed: int) -> SubgoalDiscoveryCallback:
+    """Train in the old task of a transfer, for its options.
+
+    Args:
+        task: Which has a source.
+        algo: As for `train`.
+        settings: Of everything; but options are not tried there, as what does harm may help where the goal has moved.
+        seed: Of the run in the target; the source has one of its own.
+
+    Returns:
+        The callback that holds the options.
+    """
+    source = Task(task.env, task.source or {}, n_timesteps=task.source_timesteps)
+    untried = dataclasses.replace(settings, withhold=dict.fromkeys(settings.withhold, 0.0))
+    discovery = train(source, algo, "options", untried, SOURCE_SEED + seed, steps_after=source.n_timesteps)[1]
+    assert discovery is not None  # of this arm
+    return discovery
+
+
 def run(task: Task, algo: str, arm: Arm, settings: DeepSettings, folder: Path, seed: int) -> Result:
     """One run of one arm.
 
@@ -220,9 +242,7 @@ def run(task: Task, algo: str, arm: Arm, settings: DeepSettings, folder: Path, s
     """
     if task.source is None or arm != "options":
         return train(task, algo, arm, settings, seed)[0]
-    source = Task(task.env, task.source, n_timesteps=task.source_timesteps)
-    discovery = train(source, algo, arm, settings, SOURCE_SEED + seed, steps_after=source.n_timesteps)[1]
-    assert discovery is not None  # of this arm
+    discovery = discover(task, algo, settings, seed)
     options = folder / "options" / f"{seed}.safetensors"
     options.parent.mkdir(parents=True, exist_ok=True)
     discovery.bank.save(options)

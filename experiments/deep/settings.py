@@ -63,6 +63,8 @@ class DeepSettings:
         ppo: Of ``PPO``, stock and with options.
         max_option_exploration: Of `SubgoalDiscoveryCallback`, by the algorithm's family.
         max_runs: Of `OptionsWrapper`, by the algorithm's family, 0 for no limit; random repeats have none.
+        withhold: Of `TrialSettings`, by the algorithm's family, 0 for no trial of options; in the old task there is
+            none, for what does harm there may help where the goal has moved.
         same_for_both: Whether options take the arguments of stock instead of their own.
         n_envs: Parallel environments.
         max_options: Option slots.
@@ -81,6 +83,7 @@ class DeepSettings:
     ppo: Sides = field(default_factory=_ppo)
     max_option_exploration: dict[str, float] = field(default_factory=lambda: {"dqn": 0.5, "ppo": 0.75})
     max_runs: dict[str, int] = field(default_factory=lambda: {"dqn": 0, "ppo": 5})
+    withhold: dict[str, float] = field(default_factory=lambda: {"dqn": 0.0, "ppo": 0.3})
     same_for_both: bool = False
     n_envs: int = 8
     max_options: int = 4
@@ -103,6 +106,7 @@ class DeepSettings:
             own["max_option_exploration"] = self.max_option_exploration[family(algo)]
         if arm == "options":
             own["max_runs"] = self.max_runs[family(algo)]
+            own["withhold"] = self.withhold[family(algo)]
         return {**own, **{name: value for name, value in dataclasses.asdict(self).items() if name in common}}
 
     def arguments(self, algo: str, arm: str) -> dict[str, Any]:
@@ -113,7 +117,7 @@ class DeepSettings:
     def switched(self) -> list[str]:
         """The flags of what is not as by default, as far as the study varies it."""
         flags = ["--settings.same-for-both"] if self.same_for_both else []
-        for group in ("max_option_exploration", "max_runs"):
+        for group in ("max_option_exploration", "max_runs", "withhold"):
             for name, value in getattr(self, group).items():
                 if value != getattr(DeepSettings(), group)[name]:
                     flags.append(f"--settings.{group.replace('_', '-')}.{name} {value}")

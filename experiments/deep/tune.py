@@ -27,7 +27,7 @@ from optuna.storages.journal import JournalFileBackend
 from rich.console import Console
 
 import sb3_options.envs  # noqa: F401  # registers them, in worker processes too
-from experiments.deep.agents import SOURCE_SEED, reached_at, train
+from experiments.deep.agents import discover, reached_at, train
 from experiments.deep.settings import DeepSettings
 from experiments.deep.tasks import TASKS, Task
 from experiments.seeds import Part, Result, run_parts, write_json
@@ -175,11 +175,7 @@ def _make_sources(tuning: Tuning) -> None:
 
 
 def _source(task: Task, tuning: Tuning, env: str, seed: int) -> Result:
-    source = Task(task.env, task.source or {}, n_timesteps=task.source_timesteps)
-    discovery = train(
-        source, tuning.algo, "options", DeepSettings(), SOURCE_SEED + seed, steps_after=source.n_timesteps
-    )[1]
-    assert discovery is not None  # of this arm
+    discovery = discover(task, tuning.algo, DeepSettings(), seed)
     discovery.bank.save(tuning.folder / "sources" / env / f"{seed}.safetensors")
     return {"subgoals": [[float(x) for x in d.subgoal] for d in discovery.discoveries]}
 

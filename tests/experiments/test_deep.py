@@ -168,6 +168,7 @@ def test_the_command_says_what_was_varied() -> None:
         same_for_both=True,
         max_option_exploration={"dqn": 0.5, "ppo": 0.25},
         max_runs={"dqn": 7, "ppo": 0},
+        withhold={"dqn": 0.1, "ppo": 0.3},
         callback={"teach_head": True, "interruption": False},
     )
     assert varied.switched() == [
@@ -175,6 +176,7 @@ def test_the_command_says_what_was_varied() -> None:
         "--settings.max-option-exploration.ppo 0.25",
         "--settings.max-runs.dqn 7",
         "--settings.max-runs.ppo 0",
+        "--settings.withhold.dqn 0.1",
         "--settings.callback.teach-head",
         "--settings.callback.no-interruption",
     ]
