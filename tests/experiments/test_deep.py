@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from experiments.deep import __main__ as deep
-from experiments.deep import report, tasks, tune
+from experiments.deep import agents, report, tasks, tune
 from experiments.deep.repeats import LONGEST, RandomRepeat
 from experiments.deep.settings import DeepSettings
 from experiments.deep.summary import (
@@ -181,6 +181,23 @@ def test_the_command_says_what_was_varied() -> None:
         "--settings.callback.no-interruption",
     ]
     assert varied.arguments("ppo", "options") == varied.ppo["stock"] != DeepSettings().arguments("ppo", "options")
+
+
+def test_options_are_tried_in_the_target_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried = []
+
+    class Recorded(agents.SubgoalDiscoveryCallback):
+        def __init__(self, *args: Any, **kwargs: Any) -> None:
+            tried.append(kwargs["trial"])
+            super().__init__(*args, **kwargs)
+
+    monkeypatch.setattr(agents, "SubgoalDiscoveryCallback", Recorded)
+    full = tasks.TASKS["transfer", "TwoRooms"]
+    task = tasks.Task(full.env, full.target, full.source, 300, 300)
+    settings = DeepSettings(evaluation_episodes=2, final_evaluations=1)
+    agents.discover(task, "ppo", settings, 0)
+    agents.train(task, "ppo", "options", settings, 0)
+    assert tried == [None, agents.TrialSettings(withhold=0.3)]
 
 
 @pytest.mark.slow
