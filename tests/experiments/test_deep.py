@@ -20,6 +20,7 @@ from experiments.deep.summary import (
     summarise,
 )
 from sb3_options import OptionsWrapper
+from sb3_options.callbacks import SubgoalDiscoveryCallback, TrialSettings
 from sb3_options.envs import GridWorld
 from tests.helpers import CountingEnv
 
@@ -186,7 +187,7 @@ def test_the_command_says_what_was_varied() -> None:
 def test_options_are_tried_in_the_target_only(monkeypatch: pytest.MonkeyPatch) -> None:
     tried = []
 
-    class Recorded(agents.SubgoalDiscoveryCallback):
+    class Recorded(SubgoalDiscoveryCallback):
         def __init__(self, *args: Any, **kwargs: Any) -> None:
             tried.append(kwargs["trial"])
             super().__init__(*args, **kwargs)
@@ -197,7 +198,7 @@ def test_options_are_tried_in_the_target_only(monkeypatch: pytest.MonkeyPatch) -
     settings = DeepSettings(evaluation_episodes=2, final_evaluations=1)
     agents.discover(task, "ppo", settings, 0)
     agents.train(task, "ppo", "options", settings, 0)
-    assert tried == [None, agents.TrialSettings(withhold=0.3)]
+    assert tried == [None, TrialSettings(withhold=0.3)]
 
 
 @pytest.mark.slow
