@@ -145,7 +145,7 @@ def check_same_slots(venv: VecEnv, eval_env: VecEnv) -> None:
     """Refuse an evaluation environment that has other actions than the training environment.
 
     Raises:
-        ValueError: It is not wrapped, or has another number of slots.
+        ValueError: It is not wrapped, or has another number of slots or another ``max_runs``.
     """
     check_wrapped(eval_env, "The environment of EvalCallback")
     actions: tuple[Any, Any] = (venv.action_space, eval_env.action_space)
@@ -153,4 +153,10 @@ def check_same_slots(venv: VecEnv, eval_env: VecEnv) -> None:
         raise ValueError(
             f"The environment of EvalCallback has actions {actions[1]}, the training environment {actions[0]}: give "
             "both the same max_options."
+        )
+    limits = [set(env.get_attr("max_runs")) for env in (venv, eval_env)]
+    if limits[0] != limits[1]:
+        raise ValueError(
+            f"The environment of EvalCallback has max_runs {limits[1].pop()}, the training environment "
+            f"{limits[0].pop()}: give both the same max_runs."
         )

@@ -158,6 +158,8 @@ class SubgoalDiscoveryCallback(BaseCallback):
                 kind=venv.env_method("feature_kind", indices=[0])[0],
                 taken=[option.subgoal for option in self.bank.slots if isinstance(option, SubgoalOption)],
             )
+        if self.settings.segmentation == "peaks" and set(venv.get_attr("max_runs")) != {None}:
+            raise ValueError("max_runs counts in an episode, and a continuing task has none: leave it out with peaks.")
         venv.env_method("record_trajectories", True, self.settings.reward_peaks())
 
         self._trials = None if self.trial is None else OptionTrials(venv, self.trial, self.seed)

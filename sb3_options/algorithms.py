@@ -36,7 +36,7 @@ OFF_POLICY = tuple(name for name, settings in SETTINGS.items() if settings is _O
 ON_POLICY = tuple(name for name in get_args(AlgorithmName) if name not in OFF_POLICY)
 
 _OPTION_SETTINGS: dict[str, frozenset[str]] = {
-    "maskableppo": frozenset({"max_option_exploration"}),
+    "maskableppo": frozenset({"max_option_exploration", "max_runs"}),
     **dict.fromkeys(OFF_POLICY, frozenset({"max_option_exploration", "interruption", "teach_head", "intra_option"})),
 }
 """Fields that say how an algorithm handles options, beyond what all of them do."""

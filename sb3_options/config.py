@@ -63,7 +63,7 @@ class TrainConfig:
         options: Start with the options of another run: a file or a run folder.
         max_options: Number of option slots.
         max_new_options: Most options to discover, besides those it starts with; by default one, as in the paper.
-        max_runs: How often one option may run in an episode; by default any number of times.
+        max_runs: MaskablePPO: how often one option may run in an episode; by default any number of times.
         discover: Discover options; without it the slots stay empty.
         gamma: Discount per primitive step.
         learning_rate: Of Adam.
@@ -165,6 +165,8 @@ class TrainConfig:
             raise ValueError(f"--ent-coef must be at least 0, got {self.ent_coef}.")
         if self.close_harmful and self.discovery.segmentation == "peaks":
             raise ValueError("--close-harmful compares episodes, and a continuing task has none: leave it out.")
+        if self.max_runs is not None and self.discovery.segmentation == "peaks":
+            raise ValueError("--max-runs counts in an episode, and a continuing task has none: leave it out.")
         if any(":" not in pair for pair in self.env_kwargs):
             raise ValueError(f"--env-kwargs takes pairs name:value, got {' '.join(self.env_kwargs)}.")
 

@@ -117,7 +117,8 @@ class OptionDQN(DQN):
             episode_start: Unused.
             deterministic: Greedy, without ε.
             action_masks: Which actions may be taken, (n_actions,) or (batch, n_actions); by default asked from the
-                model's own environment, and every action where there is none.
+                model's own environment, by initiation sets alone (without ``max_runs`` or a trial), and every action
+                where there is no environment.
 
         Returns:
             Actions and ``state``.

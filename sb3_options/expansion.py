@@ -45,8 +45,9 @@ def expand_action_space(
     Args:
         model: DQN, QRDQN, PPO, A2C, TRPO, MaskablePPO or RecurrentPPO, trained on an environment without options.
         max_options: Number of slots, at least 1.
-        env: Takes the place of the model's environment; wrapped in `OptionsWrapper`, with ``max_options`` slots and
-            the model's γ. Needed where the model has none, or where its environments live in other processes.
+        env: Takes the place of the model's environment; wrapped in `OptionsWrapper`, with ``max_options`` slots, the
+            model's γ, and ``max_runs`` if there is to be one. Needed where the model has none, or where its
+            environments live in other processes.
         feature_map: For the wrapper, as `OptionsWrapper` takes it; not together with ``env``.
 
     Returns:

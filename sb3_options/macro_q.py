@@ -340,7 +340,8 @@ class MacroQ(BaseAlgorithm):
             state: Passed through.
             episode_start: Unused.
             deterministic: Greedy, without ε, the first of several best.
-            action_masks: Which actions may be taken; by default asked from the model's own environment.
+            action_masks: Which actions may be taken; by default asked from the model's own environment, by initiation
+                sets alone.
 
         Returns:
             Actions and ``state``.

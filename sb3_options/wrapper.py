@@ -59,7 +59,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
 
     With ``max_runs`` no option begins more often than that in an episode; then its slot counts as empty until the
     next one. An option whose subgoal is a dead end draws an untrained agent back again and again: so the agent is rid
-    of it after a few runs. The values that `OptionDQN` and Macro-Q learn stay those of the process without the limit.
+    of it after a few runs. It is for algorithms that mask: others go on choosing the slot, and walk at random. How
+    often an option has run is not in the observation; what is learned is an average over it.
 
     Args:
         env: Its action space must be ``Discrete`` and start at 0.
@@ -68,8 +69,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         feature_map: φ from a batch of observations to concept space, shape (batch, d). By default the environment's
             own ``concept_features``; else a one-hot code for ``Discrete`` observations and the flat observation for
             ``Box``. A ``Dict`` space has no default.
-        max_runs: How often one option may run in an episode, at least 1; None for any number. Runs of a single step,
-            where an option was chosen outside its initiation set, do not count.
+        max_runs: How often one option may run in an episode, at least 1; None for any number. Runs that were
+            interrupted count; single steps, where an option was chosen outside its initiation set, do not.
         options_file: Start with the options of this file, which `OptionBank.save` wrote.
 
     Raises:
@@ -214,7 +215,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         observation, reward, terminated, truncated, info = self._primitive_step(action)
         info["option"] = {"index": -1, "duration": 1, "discount": self.gamma, "termination": "primitive"}
         if self._reports_availability and self.bank.filled:
-            info["option"]["available"] = self.bank.available_slots(batch_of_one(observation))
+            info["option"]["available"] = self._available_slots(batch_of_one(observation))
         return observation, reward, terminated, truncated, info
 
     def _run_option(self, option: Option, slot: int) -> StepReturn:
@@ -253,8 +254,15 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             "rewards": np.array(rewards),
         }
         if self._reports_availability:
-            info["option"]["available"] = self.bank.available_slots(stack(observations[1:]))
+            info["option"]["available"] = self._available_slots(stack(observations[1:]))
         return observation, total, terminated, truncated, info
+
+    def _available_slots(self, arrived_in: Observations) -> BoolArray:
+        """Which slots may start in each observation; in the last, where the agent is, `max_runs` counts."""
+        available: BoolArray = self.bank.available_slots(arrived_in)
+        if self.max_runs is not None:
+            available[-1, self._runs >= self.max_runs] = False
+        return available
 
     def _is_interruptible(self, slot: int) -> bool:
         """Whether the option about to begin ends where something else becomes the better choice."""
@@ -331,7 +339,10 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         return self._observation
 
     def available(self, observations: Observations) -> BoolArray:
-        """Which augmented actions may start in each observation, shape (batch, n_primitive + max_options)."""
+        """Which augmented actions may start in each observation, shape (batch, n_primitive + max_options).
+
+        Initiation sets alone: what an episode has used up, or does without, is nothing an observation tells.
+        """
         return self.bank.available(observations)
 
     def concept_features(self, observations: Observations) -> FloatArray:
@@ -361,6 +372,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self.bank.add(option, slot)
         elif slot in self.bank.filled:
             self.bank.remove(slot)
+        if option is None:
+            self._runs[slot] = 0  # the next one begins to count anew; one that has grown does not
 
     def set_interruption(self, interruption: Interruption | None) -> None:
         """Interrupt options by these values from now on; None lets every option run to its end."""

@@ -16,7 +16,7 @@ EVERY_FIELD_CHANGED = TrainConfig(
     algo="optiondqn", env="Taxi-v3", env_kwargs=("is_rainy:true", 'map:"S#\\nSG"', "max_steps:7"), n_timesteps=123,
     seed=9, tensorboard_log=Path("else/where"), n_envs=3, eval_freq=50, eval_episodes=4, progress=False, device="cpu",
     num_threads=2, vec_env="subproc", options=Path("a/run"),
-    max_options=2, max_runs=3, max_new_options=None, discover=False, gamma=0.5, learning_rate=3e-05,
+    max_options=2, max_new_options=None, discover=False, gamma=0.5, learning_rate=3e-05,
     buffer_size=77, learning_starts=11, batch_size=5, train_freq=6, target_update_interval=8,
     exploration_fraction=0.25, exploration_final_eps=0.125, net_arch=(3,),
     max_option_exploration=0.25, interruption=False, teach_head=True, intra_option=True,
@@ -39,6 +39,9 @@ ON_POLICY = {"n_steps": 12, "gae_lambda": 0.5, "ent_coef": 0.125, "n_epochs": 3,
 EVERY_ON_POLICY_FIELD_CHANGED = TrainConfig(algo="recurrentppo", batch_size=5, close_harmful=True, **ON_POLICY)  # type: ignore[arg-type]  # of several types
 
 
+MASKED = TrainConfig(algo="maskableppo", max_runs=3)
+
+
 def leaves(settings: Any, prefix: str = "") -> dict[str, Any]:
     found: dict[str, Any] = {}
     for field in dataclasses.fields(settings):
@@ -52,8 +55,8 @@ def leaves(settings: Any, prefix: str = "") -> dict[str, Any]:
 
 def test_every_field_survives_saving_and_loading(tmp_path: Path) -> None:
     default, changed = leaves(TrainConfig()), leaves(EVERY_FIELD_CHANGED)
-    assert [name for name in default if changed[name] == default[name]] == [*ON_POLICY, "close_harmful"]
-    others = (EVERY_FIELD_CHANGED, EVERY_ON_POLICY_FIELD_CHANGED, TrainConfig(algo="a2c"))
+    assert [name for name in default if changed[name] == default[name]] == ["max_runs", *ON_POLICY, "close_harmful"]
+    others = (EVERY_FIELD_CHANGED, EVERY_ON_POLICY_FIELD_CHANGED, TrainConfig(algo="a2c"), MASKED)
     for config in (TrainConfig(), *others, dataclasses.replace(TrainConfig(), net_arch=(), env_kwargs=())):
         configs.save(config, tmp_path / "config.yml")
         assert configs.load(tmp_path / "config.yml") == config
@@ -160,7 +163,7 @@ class TestRefuses:
         [
             (["--n-timesteps", "0"], "--n-timesteps must be at least 1, got 0"),
             (["--n-envs", "-1"], "--n-envs must be at least 1, got -1"),
-            (["--max-runs", "0"], "--max-runs must be at least 1, got 0"),
+            (["--algo=maskableppo", "--max-runs", "0"], "--max-runs must be at least 1, got 0"),
             (["--num-threads", "0"], "--num-threads must be at least 1, got 0"),
             (["--eval-freq", "-1"], "--eval-freq and --max-options must be at least 0"),
             (["--gamma", "1.5"], "--gamma must be in (0, 1], got 1.5"),
@@ -228,6 +231,11 @@ class TestSettingsOfTheAlgorithm:
                 "--interruption has no effect on ppo: it is a setting of dqn, qrdqn,",
             ),
             (["--algo=ppo", "--max-option-exploration=1"], "--max-option-exploration has no effect on ppo"),
+            (["--algo=ppo", "--max-runs=5"], "--max-runs has no effect on ppo: it is a setting of maskableppo."),
+            (
+                ["--algo=maskableppo", "--max-runs=5", "--discovery.segmentation=peaks"],
+                "--max-runs counts in an episode, and a continuing task has none",
+            ),
             (["--max-option-exploration=2"], "--max-option-exploration must be in [0, 1], got 2.0"),
             (
                 ["--close-harmful", "--discovery.segmentation=peaks"],

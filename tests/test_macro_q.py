@@ -152,6 +152,23 @@ def test_what_may_start_is_chosen_among_step_by_step(monkeypatch: pytest.MonkeyP
     assert offered == [[0, 1], [0, 1, 3], [0, 1], [0, 1, 3], [0, 1], [0, 1]]
 
 
+def test_a_slot_that_has_run_out_is_not_chosen() -> None:
+    env = OptionsWrapper(small_rooms(), 1, gamma=GAMMA, max_runs=1)
+    env.bank.add(steady_option(1))
+    model = MacroQ(env, gamma=GAMMA, epsilon=0.5, seed=0)
+    chosen: list[tuple[int, int]] = []
+
+    class Watch(BaseCallback):
+        def _on_step(self) -> bool:
+            chosen.append((int(self.locals["actions"][0]), self.locals["infos"][0]["option"]["index"]))
+            return True
+
+    model.learn(2000, callback=Watch())
+    slots = [slot for action, slot in chosen if action >= env.n_primitive]
+    assert len(slots) >= 5
+    assert set(slots) == {0}
+
+
 def test_greedy_ties_are_broken_evenly_and_epsilon_explores_all() -> None:
     model = MacroQ(Script(), epsilon=0.0, seed=1)
     chosen = [model._explore([1.0, 2.0, 2.0, 5.0], [0, 1, 2]) for _ in range(4000)]

@@ -594,6 +594,27 @@ class TestMaxRuns:
             assert (info["index"], info["duration"]) == (-1, 1)
             assert 0 <= int(info["actions"][0]) < 4
 
+    def test_what_may_start_next_keeps_to_it(self) -> None:
+        env = self.make(1)
+        env.report_availability(True)
+        env.reset(seed=0, options={"start": (5, 5)})
+        available = env.step(4)[4]["option"]["available"]
+        assert available[:, :2].tolist() == [[True, True], [True, True], [False, False]]  # on the way; at the subgoal
+        observation, _, _, _, info = env.step(2)  # back into the initiation set
+        assert info["option"]["available"][:, :2].tolist() == [[False, True]]
+        assert env.available(observation[None])[0, 4:6].tolist() == [True, True]
+
+    def test_another_option_in_the_slot_counts_anew(self) -> None:
+        env = self.make(1)
+        env.reset(seed=0, options={"start": (5, 5)})
+        option = env.bank[0]
+        self.run(env, [4, 2])
+        env.set_option(0, option)  # one that has grown
+        assert not env.action_masks()[4]
+        env.set_option(0, None)
+        env.set_option(0, option)
+        assert env.action_masks()[4]
+
     def test_without_it_an_option_runs_any_number_of_times(self) -> None:
         env = self.make(None)
         env.reset(seed=0, options={"start": (5, 5)})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 GAMMA = 0.97
 
@@ -65,7 +65,7 @@ class DeepSettings:
         max_runs: Of `OptionsWrapper`, by the algorithm's family, 0 for no limit; random repeats have none.
         withhold: Of `TrialSettings`, by the algorithm's family, 0 for no trial of options; in the old task there is
             none, for what does harm there may help where the goal has moved.
-        same_for_both: Whether options take the arguments of stock instead of their own.
+        both_as: Whose arguments of the algorithm both sides take; by default each its own.
         n_envs: Parallel environments.
         max_options: Option slots.
         max_new_options: Most options to discover.
@@ -84,7 +84,7 @@ class DeepSettings:
     max_option_exploration: dict[str, float] = field(default_factory=lambda: {"dqn": 0.5, "ppo": 0.75})
     max_runs: dict[str, int] = field(default_factory=lambda: {"dqn": 0, "ppo": 5})
     withhold: dict[str, float] = field(default_factory=lambda: {"dqn": 0.0, "ppo": 0.3})
-    same_for_both: bool = False
+    both_as: Literal["", "stock", "options"] = ""
     n_envs: int = 8
     max_options: int = 4
     max_new_options: int = 2
@@ -112,11 +112,11 @@ class DeepSettings:
     def arguments(self, algo: str, arm: str) -> dict[str, Any]:
         """Of the algorithm itself; random repeats take those of options."""
         sides: Sides = getattr(self, family(algo))
-        return sides["stock" if arm == "stock" or self.same_for_both else "options"]
+        return sides[self.both_as or ("stock" if arm == "stock" else "options")]
 
     def switched(self) -> list[str]:
         """The flags of what is not as by default, as far as the study varies it."""
-        flags = ["--settings.same-for-both"] if self.same_for_both else []
+        flags = [f"--settings.both-as {self.both_as}"] if self.both_as else []
         for group in ("max_option_exploration", "max_runs", "withhold"):
             for name, value in getattr(self, group).items():
                 if value != getattr(DeepSettings(), group)[name]:

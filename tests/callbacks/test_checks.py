@@ -118,6 +118,18 @@ class TestEvaluationEnvironment:
         with pytest.raises(ValueError, match="The environment of EvalCallback is not wrapped in OptionsWrapper: use"):
             dqn(optioned_rooms()).learn(20, callback=callbacks)
 
+    def test_a_limit_in_a_continuing_task(self) -> None:
+        limited = OptionsWrapper(small_rooms(), gamma=0.9, max_runs=3)
+        with pytest.raises(ValueError, match="max_runs counts in an episode, and a continuing task has none"):
+            dqn(limited).learn(20, callback=SubgoalDiscoveryCallback({"segmentation": "peaks"}))
+
+    def test_other_limit(self) -> None:
+        limited = OptionsWrapper(small_rooms(), gamma=0.9, max_runs=3)
+        callbacks: list[BaseCallback] = [SubgoalDiscoveryCallback(), EvalCallback(limited)]
+        text = "EvalCallback has max_runs 3, the training environment None: give both the same max_runs"
+        with pytest.raises(ValueError, match=text):
+            dqn(optioned_rooms()).learn(20, callback=callbacks)
+
     def test_other_slots(self) -> None:
         callbacks: list[BaseCallback] = [SubgoalDiscoveryCallback(), EvalCallback(optioned_rooms(3))]
         text = r"EvalCallback has actions Discrete\(7\), the training environment Discrete\(8\): give both the same max"

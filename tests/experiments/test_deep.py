@@ -166,14 +166,14 @@ def test_settings_of_options_are_those_that_tuning_chose() -> None:
 def test_the_command_says_what_was_varied() -> None:
     assert DeepSettings().switched() == []
     varied = DeepSettings(
-        same_for_both=True,
+        both_as="stock",
         max_option_exploration={"dqn": 0.5, "ppo": 0.25},
         max_runs={"dqn": 7, "ppo": 0},
         withhold={"dqn": 0.1, "ppo": 0.3},
         callback={"teach_head": True, "interruption": False},
     )
     assert varied.switched() == [
-        "--settings.same-for-both",
+        "--settings.both-as stock",
         "--settings.max-option-exploration.ppo 0.25",
         "--settings.max-runs.dqn 7",
         "--settings.max-runs.ppo 0",
@@ -182,6 +182,7 @@ def test_the_command_says_what_was_varied() -> None:
         "--settings.callback.no-interruption",
     ]
     assert varied.arguments("ppo", "options") == varied.ppo["stock"] != DeepSettings().arguments("ppo", "options")
+    assert DeepSettings(both_as="options").arguments("ppo", "stock") == varied.ppo["options"]
 
 
 def test_options_are_tried_in_the_target_only(monkeypatch: pytest.MonkeyPatch) -> None:
