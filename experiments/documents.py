@@ -30,12 +30,12 @@ def settings_table(settings: dict[str, dict[str, Any]]) -> str:
     return "\n".join(rows)
 
 
-def number(interval: Mapping[str, Any], key: str = "mean") -> str:
+def number(interval: Mapping[str, Any], key: str = "mean", *, decimals: int = 2) -> str:
     """An estimate with its interval, if it has one."""
     if interval[key] is None:
         return "–"
-    around = "" if interval["low"] is None else f" ({interval['low']:.2f} to {interval['high']:.2f})"
-    return f"{interval[key]:.2f}{around}"
+    around = "" if interval["low"] is None else f" ({interval['low']:.{decimals}f} to {interval['high']:.{decimals}f})"
+    return f"{interval[key]:.{decimals}f}{around}"
 
 
 def _filled(text: str, name: str, part: str, document: Path) -> str:

@@ -19,6 +19,7 @@ from experiments.documents import fill, number
 COLUMNS = (
     "",
     "runs",
+    "with an option",
     "steps to 90 %",
     "of stock",
     "Pr(faster)",
@@ -27,6 +28,7 @@ COLUMNS = (
     "of stock",
     "never",
 )
+PARTS = ("transfer", "same", "control")
 
 
 @dataclass(frozen=True)
@@ -46,10 +48,17 @@ def main(report: Report) -> None:
     """Read, and fill in."""
     studies = [json.loads(path.read_text(encoding="utf-8")) for path in report.results]
     parts = {}
-    for task in ("transfer", "same"):
-        of_task = [s for s in studies if f"--task {task} " in s["command"]]
-        parts[task] = "\n\n".join(f"`{study['command']}`\n\n{table(study)}" for study in of_task)
+    for part in PARTS:
+        of_part = [study for study in studies if part_of(study["command"]) == part]
+        parts[part] = "\n\n".join(f"`{study['command']}`\n\n{table(study)}" for study in of_part)
     fill(report.document, parts)
+
+
+def part_of(command: str) -> str:
+    """Where in the document the results of a command belong."""
+    if "--settings.both-as " in command:
+        return "control"
+    return "transfer" if "--task transfer " in command else "same"
 
 
 def table(study: dict[str, Any]) -> str:
@@ -65,20 +74,21 @@ def rows(study: dict[str, Any]) -> Iterator[str]:
                 cells = [
                     f"{algo.upper()}, {env}: {LABELS[arm]}",
                     str(of["n_runs"]),
+                    str(of["with_option"]) if arm == "options" else "",
                     "{mean:,.0f} ({low:,.0f} to {high:,.0f})".format(**of["steps_to_90"]),
                     _against_stock(of, "steps_to_90_of_stock"),
                     _against_stock(of, "probability_of_improvement"),
                     _against_stock(of, "area_difference"),
                     "{mean:.1f}".format(**of["final_steps"]),
-                    _against_stock(of, "final_steps_of_stock"),
+                    _against_stock(of, "final_steps_of_stock", decimals=3),
                     str(of["never"]),
                 ]
                 yield "| " + " | ".join(cells) + " |"
 
 
-def _against_stock(of: dict[str, Any], name: str) -> str:
+def _against_stock(of: dict[str, Any], name: str, **kwargs: Any) -> str:
     value = of.get(name)
-    return "" if value is None else number(value)
+    return "" if value is None else number(value, **kwargs)
 
 
 if __name__ == "__main__":

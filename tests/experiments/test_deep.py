@@ -125,13 +125,16 @@ def test_report_fills_its_document(tmp_path: Path) -> None:
     results, document = tmp_path / "results.json", tmp_path / "deep.md"
     command = "python -m experiments.deep --task same --env TwoRooms"
     results.write_text(json.dumps({"command": command, "results": {"TwoRooms": {"ppo": numbers}}}))
-    marks = (f"<!-- {name} -->\n<!-- end {name} -->\n" for name in ("transfer", "same"))
+    marks = (f"<!-- {name} -->\n<!-- end {name} -->\n" for name in report.PARTS)
     document.write_text("".join(marks))
-    report.main(report.Report((results,), document))
+    control = tmp_path / "control.json"
+    control.write_text(json.dumps({"command": f"{command} --settings.both-as options", "results": {}}))
+    report.main(report.Report((results, control), document))
     text = document.read_text()
-    assert command in text
-    assert "| PPO, TwoRooms: stock | 4 | 1,000 (1,000 to 1,000) |" in text
-    assert "| PPO, TwoRooms: discovered options | 4 | 3,000 (3,000 to 3,000) | 3.00 (3.00 to 3.00) | 0.00" in text
+    assert f"<!-- same -->\n`{command}`" in text
+    assert f"<!-- control -->\n`{command} --settings.both-as options`" in text
+    assert "| PPO, TwoRooms: stock | 4 |  | 1,000 (1,000 to 1,000) |" in text
+    assert "| PPO, TwoRooms: discovered options | 4 | 0 | 3,000 (3,000 to 3,000) | 3.00 (3.00 to 3.00) | 0.00" in text
 
 
 @pytest.mark.slow
