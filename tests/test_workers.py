@@ -241,7 +241,7 @@ def test_command_line_keeps_what_was_learned(tmp_path: Path, what: str) -> None:
         # The text of the error is what the user waits for; after it Python takes its time to end.
         said = "" if what == "interrupt" else process.stderr.readline()
         took = time.monotonic() - killed_at
-        output, errors = process.communicate(timeout=100)  # saving and leaving takes long on a busy machine
+        output, errors = process.communicate(timeout=30)
         errors = said + errors
     (folder,) = tmp_path.glob("dqn/*")
     if what == "interrupt":
