@@ -28,10 +28,10 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 import sb3_options.envs  # noqa: F401  # registers them
-from experiments.seeds import write_json
+from experiments.common.seeds import write_json
 from sb3_options import OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
-from sb3_options.evaluation import mean_interval
+from sb3_options.runs.evaluation import mean_interval
 
 ENV = "sb3_options.envs:sb3_options/TwoRooms-v0"  # with its module, for worker processes
 GAMMA = 0.97

@@ -4,7 +4,7 @@ from sb3_options.callbacks.discovery import SubgoalDiscoveryCallback
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
 from sb3_options.callbacks.records import ClosedOption, DiscoveredOption
 from sb3_options.callbacks.zoo import ZooDiscoveryCallback
-from sb3_options.option_trial import TrialSettings
+from sb3_options.execution.trials import TrialSettings
 
 __all__ = [
     "ClosedOption",

@@ -15,10 +15,10 @@ from stable_baselines3.common.vec_env import (
     is_vecenv_wrapped,
 )
 
-from sb3_options import heads
-from sb3_options.macro_q import MacroQ
-from sb3_options.replay_buffer import OptionReplayBuffer
-from sb3_options.wrapper import OptionsWrapper
+from sb3_options.execution.wrapper import OptionsWrapper
+from sb3_options.learning import heads
+from sb3_options.learning.macro_q import MacroQ
+from sb3_options.learning.replay_buffer import OptionReplayBuffer
 
 
 def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:

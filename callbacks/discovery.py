@@ -11,27 +11,27 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Figure, TensorBoardOutputFormat
 
-from sb3_options.bags import StaticFilter, SuccessRule, reported_success
-from sb3_options.bank import OptionBank
 from sb3_options.callbacks.checks import check_model
-from sb3_options.callbacks.on_policy import option_rollout_buffer
 from sb3_options.callbacks.primitive_steps import count_inner_steps, monitor_primitive_steps
 from sb3_options.callbacks.records import ClosedOption, DiscoveredOption
 from sb3_options.callbacks.serving import OptionServer
 from sb3_options.callbacks.statistics import OptionStatistics
 from sb3_options.callbacks.trials import OptionTrials
-from sb3_options.discovery import DiscoverySettings, SubgoalDiscovery
-from sb3_options.exploration import checked_share
-from sb3_options.interruption import checked_margin
-from sb3_options.option import Region, SubgoalOption
-from sb3_options.option_growth import OptionGrowth
-from sb3_options.option_learning import OptionLearningSettings, learn_further, learn_option
-from sb3_options.option_trial import TrialSettings, Verdict
-from sb3_options.plots import discovery_figures
-from sb3_options.rollout_buffer import LambdaPer, SMDPAdvantages, passage_of
-from sb3_options.trajectories import LabelledTrajectory, Trajectory
-from sb3_options.withholding import TrialReport
-from sb3_options.workers import watch_workers
+from sb3_options.discovery.figures import discovery_figures
+from sb3_options.discovery.static_filter import StaticFilter, SuccessRule, reported_success
+from sb3_options.discovery.subgoals import DiscoverySettings, SubgoalDiscovery
+from sb3_options.execution.exploration import checked_share
+from sb3_options.execution.interruption import checked_margin
+from sb3_options.execution.trials import TrialSettings, Verdict
+from sb3_options.execution.withholding import TrialReport
+from sb3_options.execution.workers import watch_workers
+from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
+from sb3_options.learning.on_policy import option_rollout_buffer
+from sb3_options.learning.rollout_buffer import LambdaPer, SMDPAdvantages, passage_of
+from sb3_options.options.bank import OptionBank
+from sb3_options.options.creation import OptionLearningSettings, learn_further, learn_option
+from sb3_options.options.growth import OptionGrowth
+from sb3_options.options.option import Region, SubgoalOption
 
 logger = logging.getLogger("sb3_options")
 

@@ -16,13 +16,13 @@ from stable_baselines3.common.callbacks import (
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, is_vecenv_wrapped
 
-from sb3_options import heads
-from sb3_options.bank import OptionBank
 from sb3_options.callbacks.checks import check_gamma, check_replay_buffer, check_wrapped
-from sb3_options.callbacks.on_policy import option_rollout_buffer
-from sb3_options.rollout_buffer import LambdaPer, passage_of
-from sb3_options.workers import watch_workers
-from sb3_options.wrapper import OptionsWrapper
+from sb3_options.execution.workers import watch_workers
+from sb3_options.execution.wrapper import OptionsWrapper
+from sb3_options.learning import heads
+from sb3_options.learning.on_policy import option_rollout_buffer
+from sb3_options.learning.rollout_buffer import LambdaPer, passage_of
+from sb3_options.options.bank import OptionBank
 
 logger = logging.getLogger("sb3_options")
 

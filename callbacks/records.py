@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sb3_options.observations import FloatArray
-from sb3_options.option_trial import Verdict
+from sb3_options.execution.trials import Verdict
+from sb3_options.experience.observations import FloatArray
 
 
 @dataclass(frozen=True)

@@ -10,19 +10,19 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_options import heads
-from sb3_options.bank import OptionBank
 from sb3_options.callbacks.checks import check_same_slots
-from sb3_options.callbacks.interrupting import Interrupter
 from sb3_options.callbacks.primitive_steps import all_callbacks, monitor_primitive_steps
 from sb3_options.callbacks.teaching import IntraOptionTeacher
-from sb3_options.exploration import cap_option_exploration
-from sb3_options.macro_q import MacroQ
-from sb3_options.observations import BoolArray, FloatArray, Observations, take
-from sb3_options.option import Option, SubgoalOption
-from sb3_options.replay_buffer import OptionReplayBuffer
-from sb3_options.vec_env import as_wrapper_sees
-from sb3_options.workers import watch_workers
+from sb3_options.execution.exploration import cap_option_exploration
+from sb3_options.execution.vec_env import as_wrapper_sees
+from sb3_options.execution.workers import watch_workers
+from sb3_options.experience.observations import BoolArray, FloatArray, Observations, take
+from sb3_options.learning import heads
+from sb3_options.learning.interrupting import Interrupter
+from sb3_options.learning.macro_q import MacroQ
+from sb3_options.learning.replay_buffer import OptionReplayBuffer
+from sb3_options.options.bank import OptionBank
+from sb3_options.options.option import Option, SubgoalOption
 
 AVAILABILITY_CHUNK = 4096
 """Stored observations are sent to the environment in batches of this many when an option moves in."""

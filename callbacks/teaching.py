@@ -10,14 +10,14 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_options import heads
-from sb3_options.bank import OptionBank
-from sb3_options.dqn import OptionDQN
-from sb3_options.head_teaching import HeadLessons, teach_head
-from sb3_options.intra_option import IntraOptionMemory, judge
-from sb3_options.option import Option
-from sb3_options.replay_buffer import OptionReplayBuffer
-from sb3_options.vec_env import as_wrapper_sees
+from sb3_options.execution.vec_env import as_wrapper_sees
+from sb3_options.learning import heads
+from sb3_options.learning.dqn import OptionDQN
+from sb3_options.learning.head_teaching import HeadLessons, teach_head
+from sb3_options.learning.intra_option import IntraOptionMemory, judge
+from sb3_options.learning.replay_buffer import OptionReplayBuffer
+from sb3_options.options.bank import OptionBank
+from sb3_options.options.option import Option
 
 CHUNK = 4096
 """Stored observations are judged in batches of this many."""

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_options.option_trial import OptionTrial, TrialSettings, Verdict
-from sb3_options.withholding import TrialReport
+from sb3_options.execution.trials import OptionTrial, TrialSettings, Verdict
+from sb3_options.execution.withholding import TrialReport
 
 TRIAL_SEED = 0x7121A1
 """Mixed into the seed, so that trials draw from streams of their own."""

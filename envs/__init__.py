@@ -17,9 +17,9 @@ from typing import Any
 
 import gymnasium
 
-from sb3_options.envs.grid_map import Direction
-from sb3_options.envs.gridworld import KEY_FEATURE_SCALE, GridWorld
-from sb3_options.envs.maps import (
+from sb3_options.envs.gridworld.env import KEY_FEATURE_SCALE, GridWorld
+from sb3_options.envs.gridworld.grid_map import Direction
+from sb3_options.envs.gridworld.maps import (
     FOUR_ROOMS,
     FOUR_ROOMS_MAX_STEPS,
     KEY_DOOR,

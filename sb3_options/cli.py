@@ -21,15 +21,16 @@ from stable_baselines3.common.callbacks import BaseCallback, EvalCallback, Every
 from stable_baselines3.common.vec_env import VecEnv
 
 import sb3_options.envs  # noqa: F401  # registers them
-from sb3_options import config as configs
-from sb3_options import evaluation, runs
 from sb3_options.atomic import whole_file
-from sb3_options.bank import OptionBank
 from sb3_options.callbacks import SubgoalDiscoveryCallback
-from sb3_options.config import TrainConfig
-from sb3_options.option_trial import TrialSettings
-from sb3_options.plots import subgoals_figure
-from sb3_options.workers import WorkerLostError, end_workers
+from sb3_options.discovery.figures import subgoals_figure
+from sb3_options.execution.trials import TrialSettings
+from sb3_options.execution.workers import WorkerLostError, end_workers
+from sb3_options.options.bank import OptionBank
+from sb3_options.runs import config as configs
+from sb3_options.runs import evaluation
+from sb3_options.runs import folder as runs
+from sb3_options.runs.config import TrainConfig
 
 console = Console(highlight=False, soft_wrap=True)
 errors = Console(highlight=False, soft_wrap=True, stderr=True)

@@ -18,8 +18,8 @@ from typing import Any
 import gymnasium as gym
 from stable_baselines3.common.monitor import Monitor
 
-from sb3_options.observations import FeatureMap
-from sb3_options.wrapper import OptionsWrapper
+from sb3_options.execution.wrapper import OptionsWrapper
+from sb3_options.experience.observations import FeatureMap
 
 OPTIONS = "options.safetensors"
 """Name of the options file in the folder of a run, beside the model."""

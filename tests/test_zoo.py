@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv
 from sb3_options import OptionBank, OptionReplayBuffer
 from sb3_options.callbacks import ZooDiscoveryCallback
 from sb3_options.zoo import OPTIONS, ZooOptionsWrapper, loaded_run
-from tests.sb3_helpers import FAST_DISCOVERY, RANDOM, TINY, optioned_rooms, small_rooms
+from tests.support.sb3_helpers import FAST_DISCOVERY, RANDOM, TINY, optioned_rooms, small_rooms
 
 
 def zoo_rooms(monitor_dir: Path | None, n_envs: int = 1, vec_env_cls: type[VecEnv] | None = None) -> VecEnv:

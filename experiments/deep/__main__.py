@@ -18,12 +18,12 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from experiments.common.seeds import Part, run_parts, write_json
 from experiments.deep.agents import ALGORITHMS, ARMS, Arm, run
 from experiments.deep.plots import draw
 from experiments.deep.settings import DeepSettings
 from experiments.deep.summary import summarise
 from experiments.deep.tasks import TASKS
-from experiments.seeds import Part, run_parts, write_json
 
 DPI = 100
 

@@ -17,10 +17,10 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
+from experiments.common.seeds import Result
 from experiments.deep.repeats import RandomRepeat
 from experiments.deep.settings import GAMMA, DeepSettings, family
 from experiments.deep.tasks import SLACK, Task, optimal_steps, world_of
-from experiments.seeds import Result
 from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback, TrialSettings
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments.common.seeds import Result
 from experiments.deep.summary import GRID, curve, iqm, iqm_interval, steps_to_success
-from experiments.seeds import Result
-from sb3_options.observations import FloatArray
+from sb3_options.experience.observations import FloatArray
 
 COLOURS = {"stock": "0.45", "options": "#d62728", "repeats": "#1f77b4"}
 LABELS = {"stock": "stock", "options": "discovered options", "repeats": "random repeats"}

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from sb3_options.observations import batch_size
-from sb3_options.option import Option
+from sb3_options.experience.observations import batch_size
+from sb3_options.options.option import Option
 
 EXPONENT = 2.0
 """μ of the zeta distribution that durations are drawn from (Dabney, Ostrovski & Barreto 2021, §4)."""

@@ -13,8 +13,8 @@ from typing import Any
 
 import tyro
 
+from experiments.common.documents import fill, number
 from experiments.deep.plots import LABELS
-from experiments.documents import fill, number
 
 COLUMNS = (
     "",

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from scipy.stats import mannwhitneyu, trim_mean
 
-from experiments.curves import ratio_interval
+from experiments.common.curves import ratio_interval
+from experiments.common.seeds import Result
 from experiments.deep.agents import reached_at
-from experiments.seeds import Result
-from sb3_options.evaluation import CONFIDENCE, Interval, mean_interval
-from sb3_options.observations import FloatArray
+from sb3_options.experience.observations import FloatArray
+from sb3_options.runs.evaluation import CONFIDENCE, Interval, mean_interval
 
 N_RESAMPLES = 5000
 GRID = 500

@@ -27,10 +27,10 @@ from optuna.storages.journal import JournalFileBackend
 from rich.console import Console
 
 import sb3_options.envs  # noqa: F401  # registers them, in worker processes too
+from experiments.common.seeds import Part, Result, run_parts, write_json
 from experiments.deep.agents import discover, reached_at, train
 from experiments.deep.settings import DeepSettings
 from experiments.deep.tasks import TASKS, Task
-from experiments.seeds import Part, Result, run_parts, write_json
 
 STEPS_AFTER = 1000
 """Training ends here, primitive steps after the first success: only steps to 90 % count."""

@@ -16,12 +16,12 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from experiments.common.seeds import Part, Result, run_parts, write_json
 from experiments.paper import conditions
 from experiments.paper.claims import Claim, claims_of
 from experiments.paper.plots import draw
 from experiments.paper.settings import PaperSettings
 from experiments.paper.summary import numbers_of
-from experiments.seeds import Part, Result, run_parts, write_json
 
 FigureName = Literal["figure1", "figure2", "figure3", "figure4", "figure5", "figure6", "controls", "negatives"]
 

@@ -16,9 +16,9 @@ from experiments.paper.settings import PaperSettings
 from sb3_options import MacroQ, OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.envs import GridWorld
-from sb3_options.observations import BoolArray, FloatArray
-from sb3_options.option import SubgoalOption
-from sb3_options.trajectories import LabelledTrajectory, Trajectory
+from sb3_options.experience.observations import BoolArray, FloatArray
+from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
+from sb3_options.options.option import SubgoalOption
 
 NO_LIMIT = 10**12
 """Primitive steps; trials end a run, not steps."""

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import torch
 
+from experiments.common.seeds import Result
 from experiments.paper import measures
 from experiments.paper.agents import (
     Replay,
@@ -25,16 +26,15 @@ from experiments.paper.agents import (
     wrapper_of,
 )
 from experiments.paper.settings import TRANSFER_GOAL, PaperSettings
-from experiments.seeds import Result
 from sb3_options import MacroQ
 from sb3_options.atomic import whole_file
-from sb3_options.bags import success_by_steps
 from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.discovery.static_filter import success_by_steps
 from sb3_options.envs import GridWorld
-from sb3_options.observations import FloatArray
-from sb3_options.option import Option, Region, SubgoalOption
-from sb3_options.option_learning import learn_option
-from sb3_options.trajectories import LabelledTrajectory, Trajectory
+from sb3_options.experience.observations import FloatArray
+from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
+from sb3_options.options.creation import learn_option
+from sb3_options.options.option import Option, Region, SubgoalOption
 
 STRICT, SOFT = 1.0, 0.1
 """Strength η of negative bags: a noisy-or that allows no exception, and the library's default."""

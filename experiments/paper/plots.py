@@ -11,10 +11,10 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.curves import curve_interval
-from experiments.seeds import Result
+from experiments.common.curves import curve_interval
+from experiments.common.seeds import Result
 from sb3_options.envs import GridWorld
-from sb3_options.observations import FloatArray
+from sb3_options.experience.observations import FloatArray
 
 Groups = Mapping[str, list[Result]]
 """The results of every run, by the group of conditions they belong to."""

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from experiments.documents import fill, number, settings_table
+from experiments.common.documents import fill, number, settings_table
 
 SAYS: list[tuple[str, str, str, tuple[str, ...]]] = [
     (

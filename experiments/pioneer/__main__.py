@@ -19,12 +19,12 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from experiments.common.seeds import Result, run_seeds, write_json
 from experiments.pioneer import conditions
 from experiments.pioneer.plots import draw
 from experiments.pioneer.settings import MAIN_TASK, PioneerSettings
 from experiments.pioneer.summary import numbers_of
-from experiments.seeds import Result, run_seeds, write_json
-from sb3_options.config import TrainConfig, tuned
+from sb3_options.runs.config import TrainConfig, tuned
 
 FigureName = Literal["figure7", "figure8", "learning", "transfer", "dqn"]
 

@@ -11,14 +11,14 @@ from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
+from experiments.common.seeds import Result
 from experiments.pioneer.settings import PioneerSettings
-from experiments.seeds import Result
 from sb3_options import MacroQ, OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
-from sb3_options.envs.pioneer import DISPLACEMENT, GRIPPING, VISIBLE, WIDTH
-from sb3_options.envs.pioneer_senses import FIELD_OF_VIEW, MAX_WIDTH, SONAR_MIN
-from sb3_options.linear_features import Concatenated, TileCoding
-from sb3_options.observations import BoolArray, FloatArray
+from sb3_options.envs.pioneer.env import DISPLACEMENT, GRIPPING, VISIBLE, WIDTH
+from sb3_options.envs.pioneer.senses import FIELD_OF_VIEW, MAX_WIDTH, SONAR_MIN
+from sb3_options.experience.observations import BoolArray, FloatArray
+from sb3_options.learning.linear_features import Concatenated, TileCoding
 
 NO_LIMIT = 10**12
 """Primitive steps; trials end a run, not steps."""

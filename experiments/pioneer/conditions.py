@@ -10,15 +10,15 @@ from shutil import rmtree
 
 import numpy as np
 
+from experiments.common.seeds import Result
 from experiments.pioneer.agents import discoverer, evaluate, live, make_agent, wrapper_of
 from experiments.pioneer.settings import MAIN_TASK, TASKS, PioneerSettings
-from experiments.seeds import Result
 from sb3_options.atomic import whole_file
 from sb3_options.cli import train
-from sb3_options.config import TrainConfig
-from sb3_options.envs.pioneer import DEPOSIT_REWARD, STEP_REWARD, TOUCH_REWARD
-from sb3_options.evaluation import evaluate_run
-from sb3_options.runs import MONITOR
+from sb3_options.envs.pioneer.env import DEPOSIT_REWARD, STEP_REWARD, TOUCH_REWARD
+from sb3_options.runs.config import TrainConfig
+from sb3_options.runs.evaluation import evaluate_run
+from sb3_options.runs.folder import MONITOR
 
 EVALUATION_SEED = 10_000
 """Added to a run's seed for the trials in which it is evaluated."""

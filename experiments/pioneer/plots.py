@@ -9,13 +9,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.curves import curve_interval
+from experiments.common.curves import curve_interval
+from experiments.common.seeds import Result
 from experiments.pioneer.settings import TASKS
 from experiments.pioneer.summary import DEAD_AHEAD, NEAR, Groups, curves_of
-from experiments.seeds import Result
-from sb3_options.envs.pioneer import Pioneer
-from sb3_options.envs.pioneer_senses import FIELD_OF_VIEW, MAX_WIDTH
-from sb3_options.observations import FloatArray
+from sb3_options.envs.pioneer.env import Pioneer
+from sb3_options.envs.pioneer.senses import FIELD_OF_VIEW, MAX_WIDTH
+from sb3_options.experience.observations import FloatArray
 
 RED, BLUE, GREY = "#d62728", "#1f77b4", "0.75"
 TRIALS_PER_POINT = 5

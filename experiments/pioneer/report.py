@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from experiments.documents import fill, number, settings_table
+from experiments.common.documents import fill, number, settings_table
 from experiments.pioneer.settings import TASKS
 
 

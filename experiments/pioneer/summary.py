@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from experiments.curves import by_ten, ratio_interval, window
+from experiments.common.curves import by_ten, ratio_interval, window
+from experiments.common.seeds import Result
 from experiments.pioneer.settings import TASKS
-from experiments.seeds import Result
-from sb3_options.envs.pioneer_senses import MAX_WIDTH
-from sb3_options.evaluation import mean_interval, share_interval
-from sb3_options.observations import FloatArray
+from sb3_options.envs.pioneer.senses import MAX_WIDTH
+from sb3_options.experience.observations import FloatArray
+from sb3_options.runs.evaluation import mean_interval, share_interval
 
 Groups = Mapping[str, list[Result]]
 """The results of every run, by group."""

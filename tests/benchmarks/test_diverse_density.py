@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import diverse_density
-from benchmarks.bag_data import uneven
-from benchmarks.density_parts import area_under_curve
-from benchmarks.references import BagByBag, Vectorised
-from tests.test_diverse_density import oracle
+from benchmarks.diverse_density import __main__ as diverse_density
+from benchmarks.diverse_density.data import uneven
+from benchmarks.diverse_density.parts import area_under_curve
+from benchmarks.diverse_density.references import BagByBag, Vectorised
+from tests.density.test_diverse_density import oracle
 
 
 def test_references_agree_with_the_definition() -> None:

@@ -7,12 +7,13 @@ import pytest
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.callbacks import EvalCallback
 
-from sb3_options import MacroQ, OptionReplayBuffer, OptionsWrapper, heads
+from sb3_options import MacroQ, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback, TrialSettings
 from sb3_options.callbacks.serving import OptionServer
 from sb3_options.callbacks.trials import OptionTrials
-from tests.helpers import steady_option
-from tests.sb3_helpers import RANDOM, TINY, env_of, fast_callback, optioned_rooms
+from sb3_options.learning import heads
+from tests.support.helpers import steady_option
+from tests.support.sb3_helpers import RANDOM, TINY, env_of, fast_callback, optioned_rooms
 
 
 def model_of(env: Any, **kwargs: Any) -> DQN:

@@ -11,10 +11,11 @@ from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper, heads
+from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
-from tests.helpers import DictEnv, place_of, steady_option
-from tests.sb3_helpers import optioned_rooms, small_rooms
+from sb3_options.learning import heads
+from tests.support.helpers import DictEnv, place_of, steady_option
+from tests.support.sb3_helpers import optioned_rooms, small_rooms
 
 DQN_KWARGS: dict[str, Any] = {"gamma": 0.9, "buffer_size": 200, "learning_starts": 10, "seed": 0}
 

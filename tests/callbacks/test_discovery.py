@@ -23,12 +23,13 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator  # type: ignore[import-untyped]  # no stubs
 
-from sb3_options import OptionBank, OptionDQN, OptionReplayBuffer, OptionsWrapper, heads
+from sb3_options import OptionBank, OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.callbacks.statistics import WINDOW, OptionStatistics
-from sb3_options.option import SubgoalOption
-from tests.helpers import DictEnv, place_of, steady_option
-from tests.sb3_helpers import (
+from sb3_options.learning import heads
+from sb3_options.options.option import SubgoalOption
+from tests.support.helpers import DictEnv, place_of, steady_option
+from tests.support.sb3_helpers import (
     DOORWAY,
     FAST_DISCOVERY,
     RANDOM,
@@ -392,7 +393,7 @@ ACT_AGAIN = """
 import numpy as np
 from stable_baselines3 import DQN
 from sb3_options import OptionDQN, OptionReplayBuffer
-from tests.sb3_helpers import optioned_rooms
+from tests.support.sb3_helpers import optioned_rooms
 
 observations = np.load("observations.npy")
 for algorithm in (DQN, OptionDQN):

@@ -20,8 +20,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 from sb3_options import OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback
 from sb3_options.callbacks.primitive_steps import all_callbacks, monitor_primitive_steps
-from tests.helpers import CountingEnv, steady_option
-from tests.sb3_helpers import RANDOM, StepLog, make_optioned_rooms, optioned_rooms, small_rooms
+from tests.support.helpers import CountingEnv, steady_option
+from tests.support.sb3_helpers import RANDOM, StepLog, make_optioned_rooms, optioned_rooms, small_rooms
 
 K = 5
 

@@ -9,14 +9,15 @@ from sb3_contrib import QRDQN
 from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from sb3_options import Option, OptionDQN, OptionReplayBuffer, OptionsWrapper, heads
+from sb3_options import Option, OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.callbacks.trials import OptionTrials
-from sb3_options.interruption import Interruption
-from sb3_options.option_trial import OptionTrial, TrialSettings
-from sb3_options.withholding import TrialReport
-from tests.helpers import CountingEnv, steady_option, table_option
-from tests.sb3_helpers import FAST_DISCOVERY, RANDOM, TINY, Corridor, env_of, optioned_rooms
+from sb3_options.execution.interruption import Interruption
+from sb3_options.execution.trials import OptionTrial, TrialSettings
+from sb3_options.execution.withholding import TrialReport
+from sb3_options.learning import heads
+from tests.support.helpers import CountingEnv, steady_option, table_option
+from tests.support.sb3_helpers import FAST_DISCOVERY, RANDOM, TINY, Corridor, env_of, optioned_rooms
 
 GAMMA = 0.9
 QUICK: dict[str, Any] = {"withhold": 0.4, "look_every": 5, "window": 60, "success_window": 5, "patience": 5}

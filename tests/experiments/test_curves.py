@@ -1,6 +1,6 @@
 import numpy as np
 
-from experiments import curves
+from experiments.common import curves
 
 
 def test_ratios_and_windows() -> None:

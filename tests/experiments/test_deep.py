@@ -22,7 +22,7 @@ from experiments.deep.summary import (
 from sb3_options import OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback, TrialSettings
 from sb3_options.envs import GridWorld
-from tests.helpers import CountingEnv
+from tests.support.helpers import CountingEnv
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
 

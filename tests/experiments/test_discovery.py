@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments import discovery
+from experiments.discovery import __main__ as discovery
 
 
 def result(episode: int | None, distance: int | None) -> dict[str, object]:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments import noisy_bags
+from experiments.noisy_bags import __main__ as noisy_bags
 
 
 def test_contamination_adds_an_instance_to_some_negative_bags() -> None:

@@ -14,8 +14,8 @@ from experiments.paper.__main__ import GROUPS, Study, main
 from experiments.paper.report import Report
 from experiments.paper.report import main as fill_in
 from experiments.paper.settings import IN_PAPER, PaperSettings
-from sb3_options.trajectories import LabelledTrajectory
-from tests.helpers import trajectory_of
+from sb3_options.experience.trajectories import LabelledTrajectory
+from tests.support.helpers import trajectory_of
 
 TINY = PaperSettings(
     trials=6,

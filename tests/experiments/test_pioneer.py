@@ -16,8 +16,8 @@ from experiments.pioneer.__main__ import GROUPS, Study, main
 from experiments.pioneer.report import Report
 from experiments.pioneer.report import main as fill_in
 from experiments.pioneer.settings import IN_PAPER, MAIN_TASK, TASKS, PioneerSettings
-from sb3_options.config import tuned
-from sb3_options.envs.pioneer import DISPLACEMENT, GRIPPING, VISIBLE, WIDTH
+from sb3_options.envs.pioneer.env import DISPLACEMENT, GRIPPING, VISIBLE, WIDTH
+from sb3_options.runs.config import tuned
 
 TINY = PioneerSettings(
     trials=8,

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from experiments.seeds import Part, run_parts, run_seeds
+from experiments.common.seeds import Part, run_parts, run_seeds
 
 
 def doubled(seed: int) -> dict[str, Any]:

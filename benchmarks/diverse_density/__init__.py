@@ -1,0 +1,1 @@
+"""Speed and quality of diverse density: ``python -m benchmarks.diverse_density``."""

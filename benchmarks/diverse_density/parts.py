@@ -1,0 +1,278 @@
+"""The measurements of `benchmarks.diverse_density.__main__`, one function each."""
+
+from __future__ import annotations
+
+import math
+import resource
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+import torch
+from rich.progress import track
+
+from benchmarks.diverse_density.classifier import DiverseDensityClassifier
+from benchmarks.diverse_density.data import Array, LabelledBags, planted, uneven
+from benchmarks.diverse_density.references import BagByBag, Vectorised, descend
+from sb3_options.density.bags import Bags
+from sb3_options.density.concepts import Point
+from sb3_options.density.diverse_density import log_diverse_density
+from sb3_options.density.search import ConceptSearch
+from sb3_options.discovery.subgoals import DiscoverySettings, SubgoalDiscovery
+from sb3_options.experience.trajectories import Trajectory
+from sb3_options.runs.evaluation import mean_interval
+
+UNBOUNDED = Point(scale_bounds=(0, math.inf), prior=None)
+"""The likelihood alone, as the references compute it."""
+
+START_SCALE = 0.1
+MORE_START_SCALES = (0.05, 0.1, 0.2, 0.5, 1.0)
+TOLERANCE = 1e-6
+"""Relative, of the timed search: 1.5e-5 nats, well within the 1e-4 in which both must agree."""
+
+SAME = 1e-4
+SCIPY_BEST = 15.2798
+"""Negative log likelihood that scipy reached from all starts at scale 0.1 before this search was written."""
+
+FOLDS, INNER_FOLDS = 10, 3
+CANDIDATES: list[dict[str, Any]] = [
+    {"steps": steps, "start_scales": scales} for steps in (10, 20, 40) for scales in ((0.25, 0.5), (0.5, 1.0))
+]
+DIMENSIONS = (2, 8, 16, 64)
+N_STARTS = 128
+EDGE = 1024
+N_EXPONENTIALS = 1 << 17
+
+
+def seconds(work: Callable[[], Any]) -> float:
+    """Processor time of this single-threaded process: other work on the machine does not count."""
+    began = time.process_time()
+    work()
+    return time.process_time() - began
+
+
+def against_references(data: LabelledBags, rounds: int, loop_starts: int) -> dict[str, Any]:
+    """Time to the best of all starts on Musk1, ours and the references', taking turns.
+
+    Every round runs our whole search, the vectorised reference from its share of the starts, and the bag-by-bag
+    reference from a few; times of parts are scaled up to all starts.
+    """
+    data = data.standardised()
+    starts = np.concatenate(data.positive)
+    bags = Bags.pack(data.positive, data.negative)
+    quick = ConceptSearch(concept=UNBOUNDED, start_scales=(START_SCALE,), max_starts=None, tolerance=TOLERANCE)
+    vectorised, loop = Vectorised(data.positive, data.negative), BagByBag(data.positive, data.negative)
+    check = _agreement(starts[0], bags, vectorised, loop)
+    quick.search(bags)
+    best = {"ours": math.inf, "vectorised": math.inf, "bag_by_bag": math.inf}
+    times: dict[str, list[float]] = {name: [] for name in best}
+    order = np.random.default_rng(0).permutation(len(starts))
+
+    def ours() -> None:
+        best["ours"] = min(best["ours"], -quick.search(bags)[0].log_density)
+
+    def reference(name: str, objective: Vectorised | BagByBag, numbers: Array) -> None:
+        for i in numbers:
+            best[name] = min(best[name], descend(objective, starts[int(i)], START_SCALE).value)
+
+    for turn, share in enumerate(track(np.array_split(order, rounds), description="Musk1, speed")):
+        few = share[:loop_starts]
+        times["ours"].append(seconds(ours))
+        times["vectorised"].append(seconds(lambda s=share: reference("vectorised", vectorised, s)))  # type: ignore[misc]
+        times["vectorised"][turn] *= len(starts) / len(share)
+        times["bag_by_bag"].append(seconds(lambda s=few: reference("bag_by_bag", loop, s)))  # type: ignore[misc]
+        times["bag_by_bag"][turn] *= len(starts) / len(few)
+    exact = ConceptSearch(concept=UNBOUNDED, start_scales=(START_SCALE,), max_starts=None).search(bags)
+    several = ConceptSearch(concept=UNBOUNDED, start_scales=MORE_START_SCALES, max_starts=None).search(bags)
+    result: dict[str, Any] = {
+        "n_starts": len(starts),
+        "rounds": rounds,
+        "error_against_log_diverse_density": check,
+        "best_nll": {**best, "ours_to_rest": -exact[0].log_density, "ours_several_scales": -several[0].log_density},
+        "best_nll_at_one_scale": {"value": best["ours"], "bar": SCIPY_BEST, "reached": best["ours"] <= SCIPY_BEST},
+        "several_scales": list(MORE_START_SCALES),
+        "seconds": {name: float(np.median(t)) for name, t in times.items()},
+    }
+    for name, bar in (("vectorised", 25.0), ("bag_by_bag", 200.0)):
+        ratio = mean_interval(np.array(times[name]) / np.array(times["ours"]))
+        reached = ratio.mean >= bar and best["ours"] <= best["vectorised"] + SAME
+        result[f"times_faster_than_{name}"] = {**ratio._asdict(), "bar": bar, "reached": reached}
+    return result
+
+
+def _agreement(point: Array, bags: Bags, *references: Vectorised | BagByBag) -> float:
+    """Largest error of the references against the library's most exact function, value and gradient."""
+    theta = np.concatenate([point + 0.1, np.full_like(point, START_SCALE)])
+    t, s = (torch.from_numpy(part.copy())[None].requires_grad_() for part in np.split(theta, 2))
+    value = log_diverse_density(t, s, bags)
+    gradient = torch.cat(torch.autograd.grad(-value, [t, s]), 1)[0].numpy()
+    errors = []
+    for reference in references:
+        other, slope = reference(theta)
+        errors += [abs(other + value.item()), float(np.abs(slope - gradient).max())]
+    return max(errors)
+
+
+def kernel(rounds: int, seed: int) -> dict[str, Any]:
+    """Nanoseconds per (start, instance) of value and gradient, beside the machine's limit in the same rounds."""
+    rng = np.random.default_rng(seed)
+    work: dict[int, tuple[Callable[[], Any], int]] = {}
+    for d in DIMENSIONS:
+        data = uneven(rng, d)
+        search = ConceptSearch(concept=Point(prior=None))
+        evidence = search.evidence(Bags.pack(data.positive, data.negative))
+        points = np.concatenate(data.positive)[rng.permutation(sum(map(len, data.positive)))[:N_STARTS]]
+        theta = search.concept.start(torch.from_numpy(evidence.scaled(points)), 0.7 / math.sqrt(d)).float()
+        work[d] = (lambda e=evidence, th=theta: e.loss(th)), sum(map(len, data.bags)) * N_STARTS  # type: ignore[misc]
+    left, right, out = torch.randn(EDGE, EDGE), torch.randn(EDGE, EDGE), torch.empty(EDGE, EDGE)
+    exponents, powers = -20 * torch.rand(N_EXPONENTIALS), torch.empty(N_EXPONENTIALS)
+    nanoseconds: dict[int, list[float]] = {d: [] for d in DIMENSIONS}
+    limit: dict[int, list[float]] = {d: [] for d in DIMENSIONS}
+    for turn in track(range(rounds + 1), description="Kernel"):
+        product = min(seconds(lambda: torch.mm(left, right, out=out)) for _ in range(2)) / EDGE**3
+        exponential = _best(lambda: torch.exp2(exponents, out=powers)) / N_EXPONENTIALS
+        for d, (evaluation, pairs) in work.items():
+            taken = _best(evaluation) / pairs
+            if turn:  # the first round fills caches
+                nanoseconds[d].append(1e9 * taken)
+                limit[d].append(1e9 * (4 * d * product + exponential))
+    result: dict[str, Any] = {}
+    for d, bar in zip(DIMENSIONS, (0.20, 0.40, 0.45, 0.65), strict=True):
+        share = mean_interval(np.array(limit[d]) / np.array(nanoseconds[d]))
+        result[str(d)] = {
+            "nanoseconds": float(np.median(nanoseconds[d])),
+            "limit_nanoseconds": float(np.median(limit[d])),
+            "share_of_limit": {**share._asdict(), "bar": bar, "reached": share.mean >= bar},
+        }
+    return result
+
+
+def _best(work: Callable[[], Any], repeats: int = 5) -> float:
+    return min(seconds(work) for _ in range(repeats))
+
+
+def cross_validation(data: LabelledBags, repetitions: int, nested: int) -> dict[str, Any]:
+    """Repeated stratified cross-validation on Musk1.
+
+    First of `DiverseDensityClassifier` as it comes, nothing chosen on the data. Then ``nested`` times with steps and
+    scales chosen from `CANDIDATES` by an inner cross-validation on the training bags of every fold.
+    """
+    result: dict[str, Any] = {"repetitions": repetitions, "folds": FOLDS}
+    runs = [_out_of_fold(data, seed, FOLDS, _as_it_comes) for seed in track(range(repetitions), "Musk1, folds")]
+    scores = _scores(runs, data.labels)
+    for name, bar in (("accuracy", 0.875), ("auc", 0.915)):
+        result[name] = {**scores[name], "bar": bar, "reached": scores[name]["mean"] >= bar}
+    runs = [_out_of_fold(data, seed, FOLDS, _chosen_within) for seed in track(range(nested), "Musk1, nested")]
+    if runs:
+        result["nested"] = {"repetitions": nested, "candidates": CANDIDATES, **_scores(runs, data.labels)}
+    return result
+
+
+def _scores(runs: list[Array], labels: np.typing.NDArray[np.bool_]) -> dict[str, dict[str, float]]:
+    """Mean and, over several repetitions, standard deviation of accuracy and area under the curve."""
+    values = {
+        "accuracy": [float(np.mean((positive >= 0.5) == labels)) for positive in runs],
+        "auc": [area_under_curve(positive, labels) for positive in runs],
+    }
+    return {
+        name: {"mean": float(np.mean(v)), **({"sd": float(np.std(v, ddof=1))} if len(v) > 1 else {})}
+        for name, v in values.items()
+    }
+
+
+def _as_it_comes(_: LabelledBags) -> DiverseDensityClassifier:
+    return DiverseDensityClassifier()
+
+
+def _chosen_within(train: LabelledBags) -> DiverseDensityClassifier:
+    """The candidate with the best area under the curve in a cross-validation within the training bags."""
+    candidates = [DiverseDensityClassifier(**settings) for settings in CANDIDATES]
+    areas = [
+        area_under_curve(_out_of_fold(train, 0, INNER_FOLDS, lambda _, c=c: c), train.labels)  # type: ignore[misc]
+        for c in candidates
+    ]
+    return candidates[int(np.argmax(areas))]
+
+
+def _out_of_fold(
+    data: LabelledBags, seed: int, folds: int, make: Callable[[LabelledBags], DiverseDensityClassifier]
+) -> Array:
+    """Probability that each bag is positive from a classifier fitted without its fold, folds stratified."""
+    rng = np.random.default_rng(seed)
+    fold = np.empty(len(data.labels), dtype=np.int64)
+    for label in (False, True):
+        members = rng.permutation(np.flatnonzero(data.labels == label))
+        fold[members] = np.arange(len(members)) % folds
+    positive = np.empty(len(data.labels))
+    for number in range(folds):
+        train, test = np.flatnonzero(fold != number), np.flatnonzero(fold == number)
+        training = LabelledBags([data.bags[i] for i in train], data.labels[train])
+        classifier = make(training).fit(training.bags, training.labels)
+        positive[test] = classifier.predict_proba([data.bags[i] for i in test])[:, 1]
+    return positive
+
+
+def area_under_curve(score: Array, labels: Array | np.typing.NDArray[np.bool_]) -> float:
+    """Probability that a positive scores above a negative, ties counting half."""
+    above = score[labels.astype(bool)][:, None] - score[~labels.astype(bool)]
+    return float(np.mean((above > 0) + 0.5 * (above == 0)))
+
+
+def one_more_bag(n_bags: int, n_instances: int, added: int, seed: int) -> dict[str, Any]:
+    """What one more bag costs when there are many, in a process of its own for the sake of its memory.
+
+    Discovery as in training: trajectories of a database that is full, so that each new one replaces the oldest.
+    """
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(_one_more_bag, n_bags, n_instances, added, seed).result()
+
+
+def _one_more_bag(n_bags: int, n_instances: int, added: int, seed: int) -> dict[str, Any]:
+    torch.set_num_threads(1)
+    before = _peak_megabytes()
+    rng = np.random.default_rng(seed)
+    # No share of the limit of the running average is ever reached, or the place would be taken and left out.
+    settings = DiscoverySettings(
+        capacity=n_bags, search="incremental", start_radius=0, goal_radius=0, threshold=math.nextafter(1, 0)
+    )
+    discovery = SubgoalDiscovery(settings)
+    for _ in range(n_bags):
+        discovery.add(*_trajectory(rng, n_instances))
+    whole = seconds(discovery.search)
+    times = []
+    for _ in range(added):
+        trajectory, features = _trajectory(rng, n_instances)
+        began = time.process_time()
+        discovery.add(trajectory, features)
+        discovery.search()
+        times.append(1e3 * (time.process_time() - began))
+    memory, peak = _peak_megabytes(), discovery.last.peaks[0]
+    bags = discovery.bags()
+    assert bags is not None  # or there were no peaks
+    exact = discovery.engine().search(bags, starts=peak.point[None])[0]
+    cost = mean_interval(np.array(times))
+    return {
+        "n_bags": n_bags,
+        "n_instances": n_instances,
+        "added": added,
+        "distance_of_best_peak": float(np.linalg.norm(peak.point - [3.0, -2.0])),
+        "nats_below_search_anew": exact.log_density - peak.log_density,
+        "seconds_of_first_search": whole,
+        "milliseconds": {**cost._asdict(), "bar": 100.0, "reached": cost.mean <= 100.0},
+        "median_milliseconds": float(np.median(times)),
+        "peak_memory_megabytes": {"value": memory, "of_imports": before, "bar": 500.0, "reached": memory < 500.0},
+    }
+
+
+def _trajectory(rng: np.random.Generator, n_instances: int) -> tuple[Trajectory, Array]:
+    """A success that visits the planted place at some time, and its features."""
+    bag = rng.permutation(planted(rng, 1, n_instances)[0])
+    n = len(bag) - 1
+    return Trajectory(bag, np.arange(n + 1), np.zeros(n, np.int64), np.zeros(n), True, False, True), bag
+
+
+def _peak_megabytes() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

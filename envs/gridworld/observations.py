@@ -1,0 +1,130 @@
+"""What the agent of a gridworld sees: three kinds of observation, each of which can be read back."""
+
+import math
+from abc import ABC, abstractmethod
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from sb3_options.envs.gridworld import drawing
+from sb3_options.envs.gridworld.grid_map import GridMap
+
+__all__ = ["ImageView", "OneHotView", "View", "XYView"]
+
+MIN_IMAGE_PX = 36
+"""Least side of an image, px: the smallest that the convolutions of SB3's NatureCNN accept."""
+
+
+class View(ABC):
+    """One kind of observation of a map's states.
+
+    Attributes:
+        space: The space of one observation.
+    """
+
+    space: spaces.Space[NDArray[Any]]
+
+    @abstractmethod
+    def __init__(self, grid: GridMap) -> None: ...
+
+    @abstractmethod
+    def observe(self, state: int) -> NDArray[Any]:
+        """The observation of a state, as a new array."""
+
+    @abstractmethod
+    def positions(self, observations: NDArray[Any]) -> NDArray[np.float64]:
+        """Column, row and, on a map with a key, 0 or 1 for having it.
+
+        Args:
+            observations: Observations of any integer or floating dtype, shape (batch, *space.shape).
+
+        Returns:
+            A new array of shape (batch, 2), with a key on the map (batch, 3).
+        """
+
+
+class OneHotView(View):
+    """A vector of zeros with a one at the index of the state."""
+
+    def __init__(self, grid: GridMap) -> None:
+        self.space = spaces.Box(0.0, 1.0, (grid.n_states,), np.float32)
+        self._n_states = grid.n_states
+        self._positions = _position_table(grid)
+
+    def observe(self, state: int) -> NDArray[np.float32]:
+        """See `View.observe`."""
+        observation = np.zeros(self._n_states, np.float32)
+        observation[state] = 1
+        return observation
+
+    def positions(self, observations: NDArray[Any]) -> NDArray[np.float64]:
+        """See `View.positions`."""
+        positions: NDArray[np.float64] = self._positions[observations.argmax(axis=1)]
+        return positions
+
+
+class XYView(View):
+    """The position itself, in cells."""
+
+    def __init__(self, grid: GridMap) -> None:
+        self._positions = _position_table(grid).astype(np.float32)
+        high = np.array([grid.width - 1, grid.height - 1, 1][: self._positions.shape[1]], np.float32)
+        self.space = spaces.Box(np.zeros_like(high), high)
+
+    def observe(self, state: int) -> NDArray[np.float32]:
+        """See `View.observe`."""
+        observation: NDArray[np.float32] = self._positions[state].copy()
+        return observation
+
+    def positions(self, observations: NDArray[Any]) -> NDArray[np.float64]:
+        """See `View.positions`."""
+        return observations.astype(np.float64)
+
+
+class ImageView(View):
+    """A picture (height, width, RGB) with one colour a cell; a held key is gone, and its doors are open."""
+
+    def __init__(self, grid: GridMap) -> None:
+        self._grid = grid
+        self._cell_px = math.ceil(MIN_IMAGE_PX / min(grid.width, grid.height))
+        self._backgrounds = [
+            drawing.flat_picture(grid, has_key, self._cell_px) for has_key in ([False, True] if grid.keys else [False])
+        ]
+        self.space = spaces.Box(0, 255, self._backgrounds[0].shape, np.uint8)
+
+    def observe(self, state: int) -> NDArray[np.uint8]:
+        """See `View.observe`."""
+        picture = self._backgrounds[state >= self._grid.n_cells].copy()
+        drawing.fill_cell(picture, self._grid.cell(state), self._cell_px, drawing.AGENT)
+        return picture
+
+    def positions(self, observations: NDArray[Any]) -> NDArray[np.float64]:
+        """See `View.positions`.
+
+        Raises:
+            ValueError: If no cell of a picture has the agent's colour.
+        """
+        # A cell has one colour, so one of its pixels says it all.
+        cells = observations[:, :: self._cell_px, :: self._cell_px]
+        is_agent = (cells == drawing.AGENT).all(axis=3)
+        seen = is_agent.any(axis=(1, 2))
+        if not seen.all():
+            raise ValueError(
+                f"observations[{int(seen.argmin())}] shows no agent: pass the environment's own images, "
+                "neither rescaled nor normalized"
+            )
+        cell = is_agent.reshape(len(cells), self._grid.n_cells).argmax(axis=1)
+        y, x = np.divmod(cell, self._grid.width)
+        columns = [x, y]
+        if self._grid.keys:
+            key_x, key_y = min(self._grid.keys)
+            columns.append((cells[:, key_y, key_x] != drawing.KEY).any(axis=1))
+        return np.stack(columns, axis=1).astype(np.float64)
+
+
+def _position_table(grid: GridMap) -> NDArray[np.float64]:
+    """Positions of all states, shape (number of states, 2 or 3)."""
+    rows = [(*grid.cell(state), state >= grid.n_cells) for state in range(grid.n_states)]
+    return np.array(rows, dtype=np.float64)[:, : 3 if grid.keys else 2]

@@ -1,0 +1,219 @@
+"""The Pioneer's arena: four walls, round obstacles, and where robot, balls and obstacles may stand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sb3_options.envs.pioneer.body import BODY_RADIUS
+from sb3_options.envs.pioneer.bullet import Box, Cylinder
+
+__all__ = ["BALL_RADIUS", "CORNER_SIZE", "OBSTACLE_RADIUS", "Arena", "Layout"]
+
+BALL_RADIUS = 0.08
+"""m; fits between the gripper's open paddles and is lower than the sonar ring."""
+
+WALL_HEIGHT = 0.4
+"""m; higher than the sonar ring."""
+
+WALL_THICKNESS = 0.1
+"""m."""
+
+OBSTACLE_RADIUS = 0.15
+"""m."""
+
+CORNER_SIZE = 0.8
+"""Sides of the marked corner, a square, m."""
+
+ROBOT_CLEARANCE = 0.5
+"""A robot starts with its axle's middle this far from walls and obstacles, m; it can then turn freely (0.41 m)."""
+
+BALL_CLEARANCE = 0.6
+"""A ball starts with its centre this far from walls and obstacles, m: where the robot can get at it from all sides."""
+
+PASSAGE = 0.85
+"""Free width between obstacles, and between an obstacle and a wall, m; the robot needs 0.82 m to turn with a ball."""
+
+START_DISTANCE = 0.8
+"""Between the robot and a ball, and between two balls, at the start, m."""
+
+N_PROBES = 200
+"""Layouts tried before an arena is said to have no room."""
+
+N_SPOTS = 20
+"""Places tried for one thing of a layout."""
+
+GRIPPER_AHEAD, GRIPPER_RADIUS = 0.28, 0.14
+"""A circle around the paddles, m ahead of the axle and m."""
+
+Position = tuple[float, float]
+Distance = tuple[Sequence[Position], float]
+Pose = tuple[float, float, float]
+
+
+class Layout(NamedTuple):
+    """Where things stand at the start.
+
+    Attributes:
+        robot: x, y of the axle's middle, m, and heading, rad, counter-clockwise from +x.
+        balls: x, y of each ball, m.
+        obstacles: x, y of each obstacle's middle, m.
+    """
+
+    robot: Pose
+    balls: tuple[Position, ...]
+    obstacles: tuple[Position, ...]
+
+
+class Arena:
+    """A square floor with walls around; the origin is in its middle, +x to the right and +y up.
+
+    Args:
+        size: Inner side, m.
+        n_obstacles: Number of round obstacles.
+        n_balls: Number of balls.
+
+    Raises:
+        ValueError: There is no room for robot, balls and obstacles.
+    """
+
+    def __init__(self, size: float, n_obstacles: int, n_balls: int) -> None:
+        self.size = size
+        self.half = size / 2
+        self._n_obstacles = n_obstacles
+        self._n_balls = n_balls
+        # A generator of its own: whether there is room must not depend on, or use up, an environment's numbers.
+        probe = np.random.default_rng(0)
+        if all(self._draw(probe) is None for _ in range(N_PROBES)):
+            raise ValueError(
+                f"arena_size {size:g} m has no room for the robot, {n_balls} ball(s) and {n_obstacles} obstacle(s): "
+                "enlarge arena_size, or lower n_obstacles or n_balls"
+            )
+
+    @property
+    def walls(self) -> list[Box]:
+        """The four walls."""
+        half_thickness = WALL_THICKNESS / 2
+        middle, length = self.half + half_thickness, self.half + WALL_THICKNESS
+        z = WALL_HEIGHT / 2
+        return [
+            *(Box((sign * middle, 0, z), (half_thickness, length, z)) for sign in (-1, 1)),
+            *(Box((0, sign * middle, z), (length, half_thickness, z)) for sign in (-1, 1)),
+        ]
+
+    def given(self, options: dict[str, Any]) -> dict[str, Any]:
+        """What the options of an environment's reset say of a `Layout`.
+
+        Raises:
+            ValueError: There is another key, or the numbers do not have the right shape.
+        """
+        shapes = {"robot": (3,), "balls": (self._n_balls, 2), "obstacles": (self._n_obstacles, 2)}
+        fields: dict[str, Any] = {}
+        for key, value in options.items():
+            if key not in shapes:
+                raise ValueError(
+                    f"options has the unknown key {key!r}: only {', '.join(map(repr, shapes))} are understood"
+                )
+            try:
+                numbers = np.asarray(value, dtype=np.float64)
+            except (TypeError, ValueError):
+                numbers = np.array(math.nan)
+            if numbers.shape != shapes[key] or not np.isfinite(numbers).all():
+                raise ValueError(f"options[{key!r}] must be finite numbers of shape {shapes[key]}, got {value!r}")
+            fields[key] = tuple(numbers.tolist() if key == "robot" else map(tuple, numbers.tolist()))
+        return fields
+
+    @staticmethod
+    def obstacles(layout: Layout) -> list[Cylinder]:
+        """The obstacles of a layout."""
+        return [Cylinder((x, y, WALL_HEIGHT / 2), OBSTACLE_RADIUS, WALL_HEIGHT) for x, y in layout.obstacles]
+
+    def wall_gap(self, x: float, y: float) -> float:
+        """Distance of a point from the nearest wall, m; negative outside."""
+        return self.half - max(abs(x), abs(y))
+
+    def in_marked_corner(self, x: float, y: float) -> bool:
+        """Whether a point is in the marked corner, the one of largest x and y."""
+        edge = self.half - CORNER_SIZE
+        return x >= edge and y >= edge
+
+    def sample(self, rng: np.random.Generator, **given: Any) -> Layout:
+        """Draws a random layout.
+
+        Args:
+            rng: Source of randomness.
+            given: Fields of the `Layout` that are not to be drawn.
+
+        Raises:
+            ValueError: What was given overlaps, is outside, or leaves no room for the rest.
+        """
+        refusal = f"found no layout in {N_PROBES} tries: enlarge arena_size, {self.size:g} m"
+        for _ in range(N_PROBES):
+            layout = self._draw(rng)
+            if layout is not None and not given:
+                return layout
+            if layout is not None:
+                layout = layout._replace(**given)
+                overlap = self._overlap(layout)
+                if not overlap:
+                    return layout
+                refusal = overlap
+        raise ValueError(refusal)
+
+    def _overlap(self, layout: Layout) -> str:
+        """What in a layout is in a wall or in something else; empty if nothing is."""
+        x, y, heading = layout.robot
+        gripper = (x + GRIPPER_AHEAD * math.cos(heading), y + GRIPPER_AHEAD * math.sin(heading))
+        things = [("the robot", (x, y), BODY_RADIUS), ("the robot's gripper", gripper, GRIPPER_RADIUS)]
+        things += [(f"balls[{i}]", ball, BALL_RADIUS) for i, ball in enumerate(layout.balls)]
+        things += [(f"obstacles[{i}]", place, OBSTACLE_RADIUS) for i, place in enumerate(layout.obstacles)]
+        for i, (name, place, radius) in enumerate(things):
+            where = f"({place[0]:.2f}, {place[1]:.2f})"
+            if self.wall_gap(*place) < radius:
+                return f"{name} at {where} m is in a wall of the arena, which ends at ±{self.half:g} m"
+            for other, other_place, other_radius in things[: 0 if i == 1 else i]:
+                if math.dist(place, other_place) < radius + other_radius:
+                    return f"{name} at {where} m overlaps {other}"
+        return ""
+
+    def _draw(self, rng: np.random.Generator) -> Layout | None:
+        """One try at a layout."""
+        far_from_obstacles = OBSTACLE_RADIUS + BALL_CLEARANCE
+        obstacles = self._scatter(rng, self._n_obstacles, OBSTACLE_RADIUS + PASSAGE, 2 * OBSTACLE_RADIUS + PASSAGE)
+        if obstacles is None:
+            return None
+        balls = self._scatter(rng, self._n_balls, BALL_CLEARANCE, START_DISTANCE, [(obstacles, far_from_obstacles)])
+        if balls is None:
+            return None
+        robot = self._spot(
+            rng, ROBOT_CLEARANCE, [(balls, START_DISTANCE), (obstacles, OBSTACLE_RADIUS + ROBOT_CLEARANCE)]
+        )
+        if robot is None:
+            return None
+        return Layout((*robot, float(rng.uniform(-math.pi, math.pi))), tuple(balls), tuple(obstacles))
+
+    def _scatter(
+        self, rng: np.random.Generator, n: int, margin: float, apart: float, others: Sequence[Distance] = ()
+    ) -> list[Position] | None:
+        """``n`` random places, ``margin`` from the walls and ``apart`` from each other, or None."""
+        places: list[Position] = []
+        for _ in range(n):
+            place = self._spot(rng, margin, [(places, apart), *others])
+            if place is None:
+                return None
+            places.append(place)
+        return places
+
+    def _spot(self, rng: np.random.Generator, margin: float, others: Sequence[Distance]) -> Position | None:
+        """A uniformly random place ``margin`` from the walls and far enough from the others, or None."""
+        reach = self.half - margin
+        if reach <= 0:
+            return None
+        for _ in range(N_SPOTS):
+            x, y = rng.uniform(-reach, reach, 2).tolist()
+            if all(math.hypot(x - other[0], y - other[1]) >= apart for places, apart in others for other in places):
+                return x, y
+        return None

@@ -1,0 +1,195 @@
+"""What the Pioneer senses: seven sonars, and a one-dimensional retina on which a ball is an interval.
+
+Angles are in rad in the robot's frame, positive to the left; the sonars and the retina's pixels go from left to right.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sb3_options.envs.pioneer.arena import BALL_RADIUS, Pose
+from sb3_options.envs.pioneer.body import BODY_RADIUS, SOLID
+from sb3_options.envs.pioneer.bullet import Bullet
+
+__all__ = ["CAMERA_AHEAD", "FIELD_OF_VIEW", "MAX_WIDTH", "N_PIXELS", "SONARS", "Sensed", "Senses", "Sighting"]
+
+SONARS = tuple(
+    (x / 1000, y / 1000, math.radians(heading))
+    for x, y, heading in (
+        (100, 100, 90),
+        (120, 80, 30),
+        (130, 40, 15),
+        (130, 0, 0),
+        (130, -40, -15),
+        (120, -80, -30),
+        (100, -100, -90),
+    )
+)
+"""Where the sonars sit, m, and look, rad.
+
+The paper's robot has seven sonars, which is the front ring of the Pioneer 1; that of the 2-DX has eight, at 10, 30,
+50 and 90 degrees to each side. These are the Pioneer 1's, from its parameter file (``pioneer1.p`` of ActivMedia's
+ARIA, section "Sonar parameters").
+"""
+
+SONAR_HEIGHT = 0.19
+"""m above the floor, just below the deck. The balls (16 cm) are lower: sonars see walls and obstacles only."""
+
+SONAR_MIN, SONAR_MAX = 0.1, 5.0
+"""m: the Pioneer's sonars range from 10 cm to 5 m; nothing nearer or farther can be told apart from the bound."""
+
+FIELD_OF_VIEW = math.radians(140)
+"""rad, McGovern & Barto (2001), §7."""
+
+CAMERA_AHEAD = 0.10
+"""The camera is on the robot's middle line, m ahead of the axle, and looks at balls at the height of their centres."""
+
+MAX_WIDTH = 2 * math.asin(BALL_RADIUS / (BODY_RADIUS + BALL_RADIUS - CAMERA_AHEAD))
+"""Angular width of a ball that touches the body's front, rad: it can come no nearer."""
+
+N_PIXELS = 70
+"""Of the raw retina: 2 degrees each."""
+
+N_RAYS = 16
+"""Rays at each ball, which cut its interval into as many equal parts: hidden is what they do not reach."""
+
+
+class Sighting(NamedTuple):
+    """The part of a ball that the retina sees.
+
+    Attributes:
+        left: Its left edge, rad.
+        right: Its right edge, rad.
+    """
+
+    left: float
+    right: float
+
+    @property
+    def displacement(self) -> float:
+        """Bearing of the middle of the visible part, rad."""
+        return (self.left + self.right) / 2
+
+    @property
+    def width(self) -> float:
+        """Angular width of the visible part, rad."""
+        return self.left - self.right
+
+
+class Sensed(NamedTuple):
+    """All that the robot senses at a time.
+
+    Attributes:
+        ranges: Of the sonars, m.
+        sightings: The balls that are to be seen, widest first.
+    """
+
+    ranges: list[float]
+    sightings: list[Sighting]
+
+
+class Senses:
+    """Looks into a scene, with one batch of rays.
+
+    Args:
+        bullet: The physics client.
+        can_hide: Whether there is anything behind which a ball can be: in a bare arena, which is convex, there is not.
+    """
+
+    def __init__(self, bullet: Bullet, *, can_hide: bool) -> None:
+        self._bullet = bullet
+        self._can_hide = can_hide
+
+    def look(self, pose: Pose, balls: Iterable[tuple[float, float]]) -> Sensed:
+        """Senses from a pose.
+
+        Args:
+            pose: The robot's: x and y, m, and heading, rad.
+            balls: x, y of the balls' centres, m.
+        """
+        x, y, heading = pose
+        cos, sin = math.cos(heading), math.sin(heading)
+        starts, ends = [], []
+        for ahead, left, angle in SONARS:
+            start_x, start_y = x + ahead * cos - left * sin, y + ahead * sin + left * cos
+            starts.append((start_x, start_y, SONAR_HEIGHT))
+            ends.append(
+                (
+                    start_x + SONAR_MAX * math.cos(heading + angle),
+                    start_y + SONAR_MAX * math.sin(heading + angle),
+                    SONAR_HEIGHT,
+                )
+            )
+        eye_x, eye_y = x + CAMERA_AHEAD * cos, y + CAMERA_AHEAD * sin
+        sightings = []
+        for ball_x, ball_y in balls:
+            dx, dy = ball_x - eye_x, ball_y - eye_y
+            sighting = _in_view(dx * cos + dy * sin, dy * cos - dx * sin)
+            if sighting is not None:
+                sightings.append(sighting)
+                if self._can_hide:
+                    distance = math.hypot(dx, dy)
+                    step = sighting.width / N_RAYS
+                    for i in range(N_RAYS):
+                        angle = heading + sighting.left - (i + 0.5) * step
+                        starts.append((eye_x, eye_y, BALL_RADIUS))
+                        ends.append(
+                            (eye_x + distance * math.cos(angle), eye_y + distance * math.sin(angle), BALL_RADIUS)
+                        )
+        fractions = self._bullet.ray_fractions(starts, ends, SOLID)
+        n = len(SONARS)
+        ranges = [min(max(fraction * SONAR_MAX, SONAR_MIN), SONAR_MAX) for fraction in fractions[:n]]
+        if self._can_hide:
+            parts = [
+                _visible_part(sighting, fractions[n + i * N_RAYS : n + (i + 1) * N_RAYS])
+                for i, sighting in enumerate(sightings)
+            ]
+            sightings = [part for part in parts if part is not None]
+        if len(sightings) > 1:
+            sightings.sort(key=lambda sighting: -sighting.width)
+        return Sensed(ranges, sightings)
+
+
+def retina(sightings: Sequence[Sighting]) -> NDArray[np.float32]:
+    """The raw retina, shape (N_PIXELS,), from left to right: 1 where a pixel's middle is on a ball, else 0."""
+    pixels = np.zeros(N_PIXELS, dtype=np.float32)
+    per_rad = N_PIXELS / FIELD_OF_VIEW
+    for left, right in sightings:
+        first = math.ceil((FIELD_OF_VIEW / 2 - left) * per_rad - 0.5)
+        last = math.floor((FIELD_OF_VIEW / 2 - right) * per_rad - 0.5)
+        pixels[max(first, 0) : last + 1] = 1
+    return pixels
+
+
+def _in_view(ahead: float, left: float) -> Sighting | None:
+    """The interval of a ball on the retina, with nothing in between; its centre is given from the camera, m.
+
+    A sphere of radius r at distance d is 2 asin(r / d) wide.
+    """
+    distance = math.hypot(ahead, left)
+    half_width = math.asin(min(BALL_RADIUS / distance, 1.0)) if distance > 0 else math.pi / 2
+    bearing = math.atan2(left, ahead)
+    left_edge = min(bearing + half_width, FIELD_OF_VIEW / 2)
+    right_edge = max(bearing - half_width, -FIELD_OF_VIEW / 2)
+    return Sighting(left_edge, right_edge) if left_edge > right_edge else None
+
+
+def _visible_part(whole: Sighting, fractions: Sequence[float]) -> Sighting | None:
+    """What the rays, from left to right, reach of a ball: its longest visible stretch."""
+    best_start = best_length = start = 0
+    for i, fraction in enumerate(fractions):
+        if fraction < 1:
+            start = i + 1
+        elif i + 1 - start > best_length:
+            best_start, best_length = start, i + 1 - start
+    if best_length == len(fractions):
+        return whole
+    if best_length == 0:
+        return None
+    step = whole.width / len(fractions)
+    return Sighting(whole.left - best_start * step, whole.left - (best_start + best_length) * step)

@@ -1,0 +1,52 @@
+"""Curves over trials: windows, means and ratios, with bootstrap intervals over runs."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import bootstrap
+
+from sb3_options.experience.observations import FloatArray
+from sb3_options.runs.evaluation import CONFIDENCE, N_RESAMPLES, Interval, mean_interval
+
+N_CURVE_RESAMPLES = 2000
+
+
+def ratio_interval(ours: FloatArray, theirs: FloatArray) -> Interval:
+    """Ratio of the means of paired values, with a 95 % bootstrap interval over the pairs (bias-corrected)."""
+    ratio = float(ours.mean() / theirs.mean())
+    if len(ours) < 2 or np.ptp(ours / theirs) == 0:
+        return Interval(ratio, ratio, ratio)
+    result = bootstrap(
+        (ours, theirs),
+        lambda a, b, axis: a.mean(axis=axis) / b.mean(axis=axis),
+        paired=True,
+        vectorized=True,
+        confidence_level=CONFIDENCE,
+        n_resamples=N_RESAMPLES,
+        rng=np.random.default_rng(0),
+    )
+    return Interval(ratio, float(result.confidence_interval.low), float(result.confidence_interval.high))
+
+
+def window(curves: FloatArray, first: int, last: int) -> FloatArray:
+    """Mean over trials first … last of each run, (runs, trials) → (runs,); over the last trial if there are fewer."""
+    chosen = curves[:, first : last + 1]
+    means: FloatArray = (chosen if chosen.shape[1] else curves[:, -1:]).mean(axis=1)
+    return means
+
+
+def curve_interval(curves: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean of (runs, trials) for each trial, and its 95 % percentile bootstrap interval."""
+    n = len(curves)
+    weights = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=N_CURVE_RESAMPLES) / n
+    low, high = np.quantile(weights @ curves, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], axis=0)
+    return curves.mean(axis=0), low, high
+
+
+def by_ten(curves: FloatArray) -> list[dict[str, float]]:
+    """Mean steps of trials 0–9, 10–19, …, each with its interval over runs."""
+    means = []
+    for first in range(0, curves.shape[1], 10):
+        interval = mean_interval(window(curves, first, first + 9))
+        means.append({"first_trial": first, **interval._asdict()})
+    return means

@@ -1,0 +1,1 @@
+"""Ways to treat noisy negative bags: ``python -m experiments.noisy_bags``."""

@@ -1,0 +1,286 @@
+"""Concepts: what a subgoal may look like, as energies that are linear in coefficients of 1, x_k and x_k².
+
+A concept class says how its parameters θ make coefficients and how gradients come back; where a search starts and
+which bounds and prior hold θ; and which region of concept space θ means, so that β can test it. Everything is in
+scaled features, whose unit is the width of a concept of scale 1.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar, Literal, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from sb3_options.density.objective import Link
+from sb3_options.options.option import HalfSpace, Region
+
+Array = NDArray[np.float64]
+
+SCALE_BOUNDS = (0.1, 10.0)
+"""Default smallest and largest learned scale, as factors of the scale given.
+
+Without a lower bound and without negative bags a concept grows for ever, because at scale 0 it holds every instance;
+without an upper bound it may shrink onto one instance.
+"""
+
+
+class Frame(NamedTuple):
+    """How scaled features come from features: (x[features] − origin) · scale.
+
+    Attributes:
+        features: Numbers of the m features that count.
+        origin: (m,) in features.
+        scale: (m,) one over a width.
+        n_features: All there are, d.
+    """
+
+    features: NDArray[np.int64]
+    origin: Array
+    scale: Array
+    n_features: int
+
+    def spread(self, values: Array) -> Array:
+        """Values of the features that count (m,) among zeros for the others (d,)."""
+        out = np.zeros(self.n_features)
+        out[self.features] = values
+        return out
+
+
+class Concept(ABC):
+    """A class of concepts with parameters θ, batched over starts in columns: (n_parameters, S)."""
+
+    link: ClassVar[Link]
+    n_powers: ClassVar[int]
+    """2 if the energy has coefficients of x_k², else 1."""
+
+    @property
+    def learns_scale(self) -> bool:
+        """Whether starts at several scales differ."""
+        return True
+
+    @abstractmethod
+    def coefficients(self, theta: Tensor) -> Tensor:
+        """Of 1, x_k and perhaps x_k²: (K, S)."""
+
+    @abstractmethod
+    def pull_back(self, theta: Tensor, gradient: Tensor) -> Tensor:
+        """The gradient in θ from the gradient in the coefficients (K, S): the chain rule."""
+
+    @abstractmethod
+    def start(self, instances: Tensor, scale: float) -> Tensor:
+        """θ of concepts at scaled instances (S, d), with one scale for all: (n_parameters, S)."""
+
+    @abstractmethod
+    def bounds(self, n_features: int) -> tuple[Tensor, Tensor]:
+        """Smallest and largest θ, each (n_parameters, 1), in double precision."""
+
+    @abstractmethod
+    def region(self, theta: Array, frame: Frame, level: float) -> Region:
+        """Where Pr(x ∈ concept) ≥ level, in features, for one θ (n_parameters,)."""
+
+    def canonical(self, theta: Tensor) -> Tensor:
+        """One θ for all that mean the same concept."""
+        return theta
+
+    def log_prior(self, theta: Tensor) -> tuple[Tensor, Tensor]:
+        """Logarithm of the prior (S,), up to a constant, and its gradient in θ; flat by default."""
+        return theta.new_zeros(theta.shape[1]), torch.zeros_like(theta)
+
+
+@dataclass(frozen=True)
+class Point(Concept):
+    """A point t with scales s: z = Σ_k (s_k (x_k − t_k))² (Maron & Lozano-Pérez 1998).
+
+    Searched in a = s · t and s, where z = Σ_k (s_k x_k − a_k)² is convex, a feature whose scale goes to 0 drops out
+    without taking t_k anywhere, and both kinds of parameters are curved alike. θ holds a, then the learned scales.
+
+    Attributes:
+        scales: Learned for "each" feature, "one" for all, or "fixed" at the scale given.
+        scale_bounds: Smallest and largest learned scale, as factors of the scale given; (0, inf) for none.
+        prior: What is thought of a learned scale before any bag is seen. "near": its logarithm is normal about the
+            scale given, so that of concepts which explain the bags alike the one of the expected size wins; in two
+            rooms that is the doorway, where without it a slab across the world ties. "small": the scale is normal
+            about 0, so that a feature counts only as far as the bags say so. None: all scales alike.
+        prior_width: Standard deviation of the prior, in e-folds for "near", as a factor of the scale given for
+            "small".
+
+    Raises:
+        ValueError: An argument is out of its range.
+    """
+
+    scales: Literal["each", "one", "fixed"] = "each"
+    scale_bounds: tuple[float, float] = SCALE_BOUNDS
+    prior: Literal["near", "small"] | None = "near"
+    prior_width: float = 1.0
+    link: ClassVar[Link] = "gaussian"
+    n_powers: ClassVar[int] = 2
+
+    def __post_init__(self) -> None:
+        """Refuse arguments out of range."""
+        if self.scales not in ("each", "one", "fixed"):
+            raise ValueError(f'scales must be "each", "one" or "fixed", got {self.scales!r}')
+        low, high = self.scale_bounds
+        if not 0 <= low < high:
+            raise ValueError(f"scale_bounds must be factors 0 <= low < high, got {self.scale_bounds}")
+        if self.prior not in ("near", "small", None):
+            raise ValueError(f'prior must be "near", "small" or None, got {self.prior!r}')
+        if not 0 < self.prior_width < math.inf:
+            raise ValueError(f"prior_width must be positive and finite, got {self.prior_width}")
+
+    @property
+    def learns_scale(self) -> bool:
+        """Whether starts at several scales differ."""
+        return self.scales != "fixed"
+
+    def coefficients(self, theta: Tensor) -> Tensor:
+        """‖a‖², −2 s a and s²."""
+        a, s = self._split(theta)
+        return torch.cat([(a * a).sum(0, keepdim=True), (a * s).mul_(-2), s * s])
+
+    def pull_back(self, theta: Tensor, gradient: Tensor) -> Tensor:
+        """∂/∂a = 2 (a g₀ − s g_k) and ∂/∂s = 2 (s g_kk − a g_k)."""
+        a, s = self._split(theta)
+        m = len(a)
+        first, second = gradient[1 : 1 + m], gradient[1 + m :]
+        in_a = (a * gradient[:1]).addcmul_(s, first, value=-1)
+        if self.scales == "fixed":
+            return in_a.mul_(2)
+        in_s = (s * second).addcmul_(a, first, value=-1)
+        return torch.cat([in_a, in_s.sum(0, keepdim=True) if self.scales == "one" else in_s]).mul_(2)
+
+    def start(self, instances: Tensor, scale: float) -> Tensor:
+        """The instances themselves. A fixed scale stays 1."""
+        if self.scales == "fixed":
+            return instances.T.contiguous()
+        n_scales = 1 if self.scales == "one" else instances.shape[1]
+        return torch.cat([instances.T * scale, instances.new_full((n_scales, len(instances)), scale)])
+
+    def bounds(self, n_features: int) -> tuple[Tensor, Tensor]:
+        """None on a. With no lower bound s may change its sign, which changes nothing: (−s, −a) is the same."""
+        n_scales = {"fixed": 0, "one": 1, "each": n_features}[self.scales]
+        low, high = self.scale_bounds
+        free = torch.full((n_features, 1), math.inf, dtype=torch.float64)
+        least = low if low > 0 else -high
+        return (
+            torch.cat([-free, free.new_full((n_scales, 1), least)]),
+            torch.cat([free, free.new_full((n_scales, 1), high)]),
+        )
+
+    def log_prior(self, theta: Tensor) -> tuple[Tensor, Tensor]:
+        """−½ Σ_k (log s_k)² / width² for "near", −½ Σ_k s_k² / width² for "small"."""
+        if self.scales == "fixed" or self.prior is None:
+            return super().log_prior(theta)
+        n_scales = 1 if self.scales == "one" else len(theta) // 2
+        scales, precision, gradient = theta[-n_scales:], self.prior_width**-2, torch.zeros_like(theta)
+        if self.prior == "small":
+            gradient[-n_scales:] = -precision * scales
+            return -precision / 2 * scales.square().sum(0), gradient
+        logs = scales.abs().clamp(min=torch.finfo(theta.dtype).tiny ** 0.5).log()
+        gradient[-n_scales:] = -precision * logs / scales
+        return -precision / 2 * logs.square().sum(0), gradient
+
+    def canonical(self, theta: Tensor) -> Tensor:
+        """With no scale below 0."""
+        if self.scales == "fixed":
+            return theta
+        a, s = self._split(theta)
+        sign = torch.where(s < 0, -1.0, 1.0).to(theta.dtype)
+        return torch.cat([a * sign, (s * sign)[:1] if self.scales == "one" else s * sign])
+
+    def point_and_scale(self, theta: Array) -> tuple[Array, Array]:
+        """Point t and scales s ≥ 0 in scaled features, each (m, ...); where s is 0, t is 0."""
+        a, s = (part.numpy() for part in self._split(torch.from_numpy(theta.reshape(len(theta), -1))))
+        s = np.broadcast_to(s, a.shape)
+        t = np.divide(a, s, out=np.zeros_like(a), where=s != 0)
+        shape = (len(a), *theta.shape[1:])
+        return t.reshape(shape), np.abs(s).reshape(shape)
+
+    def region(self, theta: Array, frame: Frame, level: float) -> Region:
+        """The ellipsoid ‖s (x − t)‖² ≤ −log level; a feature with scale 0 may be anything."""
+        t, s = self.point_and_scale(theta)
+        centre = frame.spread(t / frame.scale + frame.origin)
+        return Region(centre[None], frame.spread(s * frame.scale), math.sqrt(-math.log(level)))
+
+    def _split(self, theta: Tensor) -> tuple[Tensor, Tensor]:
+        """Parameters a and s, each (m, S)."""
+        if self.scales == "fixed":
+            return theta, torch.ones_like(theta)
+        if self.scales == "one":
+            return theta[:-1], theta[-1:].expand_as(theta[:-1])
+        m = len(theta) // 2
+        return theta[:m], theta[m:]
+
+
+@dataclass(frozen=True)
+class Plane(Concept):
+    """A half-space: Pr(x ∈ c) = 1 / (1 + exp(b − v·x)), the paper's "linearly discriminable surfaces" (§8).
+
+    The steepness ‖v‖ takes the place of the scale: a Gaussian prior keeps it from growing without end where bags can
+    be separated, and b from −∞ where there are no negative bags, when a half-space that holds everything explains
+    everything. θ holds v, then b.
+
+    Attributes:
+        steepness: Standard deviation of the prior of v_k, per width of a scaled feature, > 0.
+        offset: Standard deviation of the prior of b, > 0.
+
+    Raises:
+        ValueError: An argument is out of its range.
+    """
+
+    steepness: float = 3.0
+    offset: float = 10.0
+    link: ClassVar[Link] = "logistic"
+    n_powers: ClassVar[int] = 1
+
+    def __post_init__(self) -> None:
+        """Refuse arguments out of range."""
+        for name in ("steepness", "offset"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name} must be positive and finite, got {getattr(self, name)}")
+
+    def coefficients(self, theta: Tensor) -> Tensor:
+        """B and −v."""
+        return torch.cat([theta[-1:], -theta[:-1]])
+
+    def pull_back(self, theta: Tensor, gradient: Tensor) -> Tensor:
+        """∂/∂v = −g_k and ∂/∂b = g₀."""
+        return torch.cat([-gradient[1:], gradient[:1]])
+
+    def start(self, instances: Tensor, scale: float) -> Tensor:
+        """Facing each instance from the middle of all, half way, as steep as ``scale`` says."""
+        away = instances - instances.mean(0)
+        length = away.norm(dim=1, keepdim=True)
+        axis = torch.zeros_like(away)
+        axis[:, 0] = 1
+        v = scale * torch.where(length > 0, away / length.clamp(min=torch.finfo(away.dtype).tiny), axis)
+        b = (v * (instances - away / 2)).sum(1, keepdim=True)
+        return torch.cat([v, b], dim=1).T.contiguous()
+
+    def bounds(self, n_features: int) -> tuple[Tensor, Tensor]:
+        """None: the prior does their work."""
+        free = torch.full((n_features + 1, 1), math.inf, dtype=torch.float64)
+        return -free, free
+
+    def log_prior(self, theta: Tensor) -> tuple[Tensor, Tensor]:
+        """−½ ‖v / steepness‖² − ½ (b / offset)²."""
+        precision = theta.new_full((len(theta), 1), self.steepness**-2)
+        precision[-1] = self.offset**-2
+        gradient = -precision * theta
+        return (gradient * theta).sum(0) / 2, gradient
+
+    def region(self, theta: Array, frame: Frame, level: float) -> HalfSpace:
+        """Where v·x ≥ b + log(level / (1 − level))."""
+        v, offset = theta[:-1], float(theta[-1]) + math.log(level / (1 - level))
+        nearest = v * (offset / max(float(v @ v), np.finfo(np.float64).tiny))  # of the boundary, to the origin
+        return HalfSpace(
+            frame.spread(nearest / frame.scale + frame.origin)[None],
+            frame.spread(frame.scale),
+            0.0,
+            frame.spread(v * frame.scale),
+        )

@@ -1,0 +1,142 @@
+"""Bags as a search for one class of concepts sees them: scaled, packed once, then added and removed one by one."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from sb3_options.density.bags import Bags
+from sb3_options.density.concepts import Array, Concept, Frame
+from sb3_options.density.layout import SEGMENT_INSTANCES, BagArrays, Segment, segment_of
+from sb3_options.density.objective import evaluate
+from sb3_options.density.workspace import Workspace
+
+GROWING_INSTANCES = SEGMENT_INSTANCES // 4
+"""What is packed again with every bag that is added or removed; more segments cost calls in every evaluation."""
+
+
+class Evidence:
+    """Bags in scaled features, in as many precisions as are asked for.
+
+    Args:
+        bags: What there is at first.
+        concept: The class of concepts they are evidence for.
+        frame: Scaled features.
+        negative_strength: η of `ConceptSearch`.
+        negative_width: Width of negative instances of `ConceptSearch`.
+        max_pairs: (instances × starts) held at once.
+    """
+
+    def __init__(
+        self,
+        bags: Bags,
+        concept: Concept,
+        frame: Frame,
+        *,
+        negative_strength: float,
+        negative_width: float,
+        max_pairs: int,
+    ) -> None:
+        self.concept, self.frame = concept, frame
+        self.device = bags.instances.device
+        self._strength, self._width, self._max_pairs = negative_strength, negative_width, max_pairs
+        self._workspace = Workspace()
+        positive = np.arange(len(bags.lengths)) < bags.n_positive
+        whole = BagArrays(
+            self.scaled(bags.instances.cpu().numpy()), np.array(bags.lengths), positive, np.array(bags.bag_weights)
+        )
+        self._parts = whole.split(SEGMENT_INSTANCES)
+        self._segments: dict[torch.dtype, list[Segment]] = {}
+
+    @property
+    def n_bags(self) -> int:
+        """How many bags there are."""
+        return sum(len(part.lengths) for part in self._parts)
+
+    @property
+    def n_instances(self) -> int:
+        """How many instances they hold."""
+        return sum(len(part.instances) for part in self._parts)
+
+    @property
+    def positive_weight(self) -> float:
+        """Sum of the weights of the positive bags."""
+        return float(sum(part.weights[part.positive].sum() for part in self._parts))
+
+    def add(self, bag: Array, *, positive: bool = True, weight: float = 1.0) -> None:
+        """Add a bag (n, d), at the cost of packing one segment.
+
+        Raises:
+            ValueError: The bag is empty, has other features, or is not finite.
+        """
+        instances = np.asarray(bag, dtype=np.float64)
+        if instances.ndim != 2 or not len(instances) or instances.shape[1] != self.frame.n_features:
+            raise ValueError(f"bag must have shape (n >= 1, {self.frame.n_features}), got {instances.shape}")
+        if not np.isfinite(instances).all():
+            raise ValueError("bag holds NaN or infinite features")
+        new = BagArrays(
+            self.scaled(instances), np.array([len(instances)]), np.array([positive]), np.array([float(weight)])
+        )
+        if self._parts and len(self._parts[-1].instances) + len(instances) <= GROWING_INSTANCES:
+            new = self._parts.pop().joined(new)
+            for segments in self._segments.values():
+                segments.pop()
+        self._parts.append(new)
+        for dtype, segments in self._segments.items():
+            segments.append(self._packed(new, dtype))
+
+    def remove(self, number: int) -> None:
+        """Remove the bag of this number, as packed and added since, at the cost of packing one segment.
+
+        Raises:
+            ValueError: There is no such bag.
+        """
+        if not 0 <= number < self.n_bags:
+            raise ValueError(f"number must be that of one of {self.n_bags} bags, from 0, got {number}")
+        ends = np.cumsum([len(part.lengths) for part in self._parts])
+        at = int(np.searchsorted(ends, number, side="right"))
+        part = self._parts[at]
+        # A large part is divided once, so that the next bag to go costs less.
+        left = part.without(number - int(ends[at]) + len(part.lengths)).split(GROWING_INSTANCES)
+        self._parts[at : at + 1] = left
+        for dtype, segments in self._segments.items():
+            segments[at : at + 1] = [self._packed(rest, dtype) for rest in left]
+
+    @torch.inference_mode()
+    def loss(self, theta: Tensor) -> tuple[Tensor, Tensor]:
+        """−log DD − log prior of every column of θ (P, S), shape (S,), and its gradient (P, S)."""
+        at = evaluate(
+            self.concept.coefficients(theta),
+            self.segments(theta.dtype),
+            self.concept.link,
+            self._workspace,
+            max_pairs=self._max_pairs,
+        )
+        prior, pull = self.concept.log_prior(theta)
+        pull.add_(self.concept.pull_back(theta, at.gradient))
+        return at.log_density.add_(prior).neg_(), pull.neg_()
+
+    def positive_instances(self) -> Array:
+        """Scaled instances of all positive bags, (n, m)."""
+        return np.concatenate([part.instances[np.repeat(part.positive, part.lengths)] for part in self._parts])
+
+    def segments(self, dtype: torch.dtype) -> list[Segment]:
+        """The bags in this precision; packed once."""
+        if dtype not in self._segments:
+            self._segments[dtype] = [self._packed(part, dtype) for part in self._parts]
+        return self._segments[dtype]
+
+    def _packed(self, part: BagArrays, dtype: torch.dtype) -> Segment:
+        return segment_of(
+            part,
+            n_powers=self.concept.n_powers,
+            strength=self._strength,
+            width=self._width,
+            dtype=dtype,
+            device=self.device,
+        )
+
+    def scaled(self, instances: Array) -> Array:
+        """Features (n, d) in scaled features (n, m)."""
+        return (instances[:, self.frame.features] - self.frame.origin) * self.frame.scale

@@ -1,0 +1,331 @@
+"""Search for concepts of any class: many starts with cheap steps in single precision, then the best to the end.
+
+`DiverseDensity` is the quick search for points of known scale that discovery runs after every episode. This is the
+thorough one: scales are learned, the concept may be any `Concept`, and the peaks are exact.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from sb3_options.density.bags import Bags, distinct
+from sb3_options.density.concepts import Array, Concept, Frame, Point
+from sb3_options.density.evidence import Evidence
+from sb3_options.density.lbfgs import Descent
+from sb3_options.density.objective import MAX_PAIRS
+from sb3_options.options.option import Region
+
+SURVIVORS = 4
+"""After every `first_steps` the best quarter of the starts goes on, until `finalists` are left."""
+
+UPDATE_PAIRS = 1 << 21
+UPDATE_STARTS = 8
+UPDATE_FINALISTS = 4
+"""What `ConceptSearch.update` may cost: (instances × starts) of an evaluation; and if that would be fewer, starts that
+are tried and starts that climb."""
+
+UPDATE_STEPS = 2
+UPDATE_MOST_STEPS = 6
+"""Steps that they climb with much and with little evidence."""
+
+
+class Solution(NamedTuple):
+    """A peak of diverse density.
+
+    Attributes:
+        concept: Its class.
+        theta: Its parameters (P,), in scaled features.
+        frame: What scaled features are.
+        log_density: Log diverse density there, in nats, without the prior.
+        converged: Whether the ascent had come to rest.
+    """
+
+    concept: Concept
+    theta: Array
+    frame: Frame
+    log_density: float
+    converged: bool
+
+    def region(self, level: float = 0.5) -> Region:
+        """Where Pr(x ∈ concept) ≥ level, in (0, 1): a subgoal that β can test.
+
+        Raises:
+            ValueError: ``level`` out of range.
+        """
+        if not 0 < level < 1:
+            raise ValueError(f"level must lie between 0 and 1, got {level}")
+        return self.concept.region(self.theta, self.frame, level)
+
+    def probability(self, instances: ArrayLike) -> Array:
+        """Pr(x ∈ concept) of instances (n, d), shape (n,)."""
+        x = (np.asarray(instances, dtype=np.float64)[:, self.frame.features] - self.frame.origin) * self.frame.scale
+        return instance_probabilities(self.concept, self.theta[:, None], x)[:, 0]
+
+
+def instance_probabilities(concept: Concept, theta: Array, scaled: Array) -> Array:
+    """Pr(x ∈ concept) of scaled instances (n, m) under every column of θ (P, S): (n, S)."""
+    powers = np.concatenate([np.ones((len(scaled), 1)), scaled, scaled**2], axis=1)
+    coefficients = concept.coefficients(torch.from_numpy(np.ascontiguousarray(theta))).numpy()
+    energy = powers[:, : len(coefficients)] @ coefficients
+    if concept.link == "gaussian":
+        return np.asarray(np.exp(-np.maximum(energy, 0)))
+    return np.asarray(torch.from_numpy(-energy).sigmoid().numpy())
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ConceptSearch:
+    """Multi-start ascent of log diverse density, plus the log prior of the concept.
+
+    Starts are distinct instances of positive bags, one of which lies in the concept, at each of several scales. All
+    climb together in single precision; after every `first_steps` the best quarter goes on, of those that lie apart,
+    until `finalists` are left. They climb until they rest, at last in double precision.
+
+    Attributes:
+        concept: What is searched for.
+        scale: Factor for every feature, 1/width of a concept of scale 1: a number or (d,).
+        features: Numbers of the features that count; by default all.
+        start_scales: Scales of the starts, as factors of `scale`.
+        max_starts: Most instances that are started from, evenly spaced among all; None for all.
+        finalists: Most starts that climb to the end.
+        first_steps: Evaluations before each cut.
+        final_steps: Most evaluations afterwards, in each precision.
+        tolerance: Of `lbfgs.Descent`, in nats relative to the value.
+        merge_radius: A peak this close to a better one is merged into it, in parameters: for points, in widths.
+        negative_strength: η in (0, 1]: log(1 − η p) of every negative instance. For a half-space η multiplies the
+            odds of p.
+        negative_width: Energies of negative instances are divided by its square: below 1 they reach less far (the
+            paper's "decrease the influence of each negative instance through the width of the Gaussians", §8).
+        max_pairs: (instances × starts) held at once; bounds the memory, 4 bytes each.
+
+    Raises:
+        ValueError: An argument out of its range.
+    """
+
+    concept: Concept = field(default_factory=Point)
+    scale: ArrayLike = 1.0
+    features: Sequence[int] | None = None
+    start_scales: Sequence[float] = (1.0,)
+    max_starts: int | None = 256
+    finalists: int = 8
+    first_steps: int = 20
+    final_steps: int = 500
+    tolerance: float = 1e-8
+    merge_radius: float = 0.5
+    negative_strength: float = 1.0
+    negative_width: float = 1.0
+    max_pairs: int = MAX_PAIRS
+
+    def __post_init__(self) -> None:
+        """Refuse arguments out of range, by name."""
+        scale = np.asarray(self.scale, dtype=np.float64)
+        checks = {
+            "scale": (
+                "positive, finite, a number or (d,)",
+                scale.ndim < 2 and bool(((scale > 0) & np.isfinite(scale)).all()),
+            ),
+            "features": (
+                "distinct numbers of features, from 0, at least one",
+                self.features is None
+                or (len(self.features) == len(set(self.features)) > 0 and min(self.features) >= 0),
+            ),
+            "start_scales": (
+                "positive and finite, at least one",
+                len(self.start_scales) > 0 and all(0 < s < math.inf for s in self.start_scales),
+            ),
+            "max_starts": ("at least 1, or None", self.max_starts is None or self.max_starts >= 1),
+            "finalists": ("at least 1", self.finalists >= 1),
+            "first_steps": ("at least 1", self.first_steps >= 1),
+            "final_steps": ("at least 1", self.final_steps >= 1),
+            "tolerance": ("above 0", self.tolerance > 0),
+            "merge_radius": ("at least 0", self.merge_radius >= 0),
+            "negative_strength": ("in (0, 1]", 0 < self.negative_strength <= 1),
+            "negative_width": ("positive and finite", 0 < self.negative_width < math.inf),
+            "max_pairs": ("at least 1", self.max_pairs >= 1),
+        }
+        for name, (expected, holds) in checks.items():
+            if not holds:
+                raise ValueError(f"{name} must be {expected}, got {getattr(self, name)!r}")
+
+    def search(
+        self, bags: Bags | Evidence, *, starts: ArrayLike | None = None, warm: Sequence[Solution] = ()
+    ) -> list[Solution]:
+        """Search for peaks, the most probable first, prior included, no two within `merge_radius`.
+
+        Args:
+            bags: The evidence.
+            starts: (m, d) points to start from, instead of instances of positive bags.
+            warm: Peaks of an earlier search for the same concept, which climb on beside the finalists.
+
+        Raises:
+            ValueError: No point to start from, or points, features or a scale that do not fit the bags.
+        """
+        evidence = bags if isinstance(bags, Evidence) else self.evidence(bags)
+        points = self._start_points(evidence, starts)
+        theta = [self._in_frame(solution, evidence)[:, None] for solution in warm]
+        if len(points):
+            theta.append(self._started(points))
+        if not theta:
+            raise ValueError("there is nothing to search from: without positive bags pass starts or warm")
+        descent = self._descent(torch.cat(theta, dim=1).float(), evidence)
+        n = descent.theta.shape[1]
+        while n > self.finalists:
+            descent.run(self.first_steps)
+            n = max(self.finalists, n // SURVIVORS)
+            descent.keep(self._best_apart(descent, n), torch.float32)
+        descent.run(self.final_steps)
+        descent.keep(self._best_apart(descent, n), torch.float64)
+        descent.run(self.final_steps)
+        return self._solutions(descent, evidence)
+
+    def update(
+        self, evidence: Evidence, warm: Sequence[Solution], starts: ArrayLike, *, steps: int | None = None
+    ) -> list[Solution]:
+        """Search again after bags were added or removed, at a small part of the cost of a search.
+
+        The earlier peaks and some new points are evaluated, and the best of all climb a few steps, in single precision.
+        Peaks that did not climb are returned as well; those that are far worse than the best are forgotten.
+
+        Args:
+            evidence: As it is now.
+            warm: Peaks of the search before; the best `update_starts`.
+            starts: (m, d) new points, such as instances of the new bag; `update_starts` of them, evenly spaced.
+            steps: Most evaluations of those that climb; the more evidence, the fewer by default.
+
+        Raises:
+            ValueError: As `search`.
+        """
+        most = self.update_starts(evidence)
+        known = [self._in_frame(solution, evidence)[:, None] for solution in warm[:most]]
+        points = _evenly(self._start_points(evidence, starts), most)
+        theta = torch.cat([*known, self.concept.start(points, self.start_scales[0])], dim=1).float()
+        if not theta.shape[1]:
+            raise ValueError("there is nothing to search from: pass starts or warm")
+        # Of a point whose every bag pulls with all its weight: a step is then never much too long.
+        curvature = 2 * max(1.0, evidence.positive_weight)
+        descent = self._descent(theta, evidence, curvature=curvature)
+        best = self._best_apart(descent, most)
+        # Twice what a point loses within `merge_radius` of a peak: below that it cannot become as good as the best.
+        reach = curvature * self.merge_radius**2
+        best = [i for i in best if descent.value[i] <= descent.value[best[0]] + reach]
+        n = min(self.finalists, max(UPDATE_FINALISTS, most // 4))
+        climbing, resting = best[:n], best[n:]
+        still = (theta[:, resting], descent.value[resting], descent.converged[resting])
+        descent.keep(climbing, torch.float32)
+        descent.run(min(UPDATE_MOST_STEPS, max(UPDATE_STEPS, most // 16)) if steps is None else steps)
+        moved = (descent.theta, descent.value, descent.converged)
+        theta, loss, converged = (torch.cat(pair, dim=-1) for pair in zip(moved, still, strict=True))
+        return self.solutions(theta.double(), loss.double(), converged, evidence)
+
+    def update_starts(self, evidence: Evidence) -> int:
+        """How many earlier peaks and how many new points `update` can afford."""
+        return max(UPDATE_STARTS, UPDATE_PAIRS // evidence.n_instances)
+
+    def starts(self, evidence: Evidence) -> Tensor:
+        """θ of every start, (P, S)."""
+        return self._started(self._start_points(evidence, None))
+
+    def _started(self, points: Tensor) -> Tensor:
+        scales = self.start_scales if self.concept.learns_scale else self.start_scales[:1]
+        return torch.cat([self.concept.start(points, scale) for scale in scales], dim=1)
+
+    def climb(self, evidence: Evidence, steps: int) -> Array:
+        """Where every start is after ``steps`` evaluations, none dropped and none merged: θ (P, S)."""
+        descent = self._descent(self.starts(evidence).float(), evidence)
+        descent.run(steps)
+        return np.asarray(self.concept.canonical(descent.theta.double()).cpu().numpy())
+
+    def evidence(self, bags: Bags) -> Evidence:
+        """The bags as this search sees them, to be searched and extended many times.
+
+        Raises:
+            ValueError: Features or a scale that do not fit the bags.
+        """
+        d = bags.n_features
+        if self.features is not None and max(self.features) >= d:
+            raise ValueError(f"features names feature {max(self.features)}, the bags have {d} features")
+        if np.ndim(self.scale) and np.shape(self.scale) != (d,):
+            raise ValueError(f"scale has shape {np.shape(self.scale)}, the bags have {d} features")
+        features = np.arange(d) if self.features is None else np.array(self.features, dtype=np.int64)
+        scale = np.broadcast_to(np.asarray(self.scale, dtype=np.float64), (d,))[features]
+        # In the middle of the data, where products of features are smallest and lose the fewest digits.
+        origin = bags.instances.mean(0).cpu().numpy()[features]
+        return Evidence(
+            bags,
+            self.concept,
+            Frame(features, origin, scale, d),
+            negative_strength=self.negative_strength,
+            negative_width=self.negative_width,
+            max_pairs=self.max_pairs,
+        )
+
+    def _start_points(self, evidence: Evidence, starts: ArrayLike | None) -> Tensor:
+        """In scaled features, (S, m)."""
+        if starts is None:
+            instances = evidence.positive_instances()
+            points = instances[np.sort(np.unique(instances, axis=0, return_index=True)[1])]
+            points = points if self.max_starts is None else _evenly(points, self.max_starts)
+        else:
+            given = np.asarray(starts, dtype=np.float64)
+            if given.ndim != 2 or given.shape[1] != evidence.frame.n_features or not np.isfinite(given).all():
+                raise ValueError(f"starts must be finite, of shape (m, {evidence.frame.n_features}), got {given.shape}")
+            points = distinct(evidence.scaled(given))
+        return torch.from_numpy(points).to(evidence.device)
+
+    def _descent(self, theta: Tensor, evidence: Evidence, curvature: float | None = None) -> Descent:
+        bounds = self.concept.bounds(len(evidence.frame.features))
+        return Descent(evidence.loss, theta, bounds, tolerance=self.tolerance, curvature=curvature)
+
+    def _best_apart(self, descent: Descent, n: int) -> list[int]:
+        return _best_apart(self.concept.canonical(descent.theta), descent.value, self.merge_radius, n)
+
+    def _in_frame(self, solution: Solution, evidence: Evidence) -> Tensor:
+        if solution.concept != self.concept:
+            raise ValueError(f"warm holds a {solution.concept}, this search is for a {self.concept}")
+        known, frame = solution.frame, evidence.frame
+        if not (
+            np.array_equal(known.features, frame.features)
+            and np.array_equal(known.origin, frame.origin)
+            and np.array_equal(known.scale, frame.scale)
+        ):
+            raise ValueError(
+                "warm comes from other scaled features: keep the evidence of the first search, add bags to it, and "
+                "search that"
+            )
+        return torch.from_numpy(solution.theta).to(evidence.device)
+
+    def _solutions(self, descent: Descent, evidence: Evidence) -> list[Solution]:
+        theta = descent.theta.double()
+        return self.solutions(theta, evidence.loss(theta)[0], descent.converged, evidence)
+
+    def solutions(self, theta: Tensor, loss: Tensor, converged: Tensor, evidence: Evidence) -> list[Solution]:
+        """Solutions at θ (P, S), smallest loss first, merged; the loss is −log density − log prior, (S,)."""
+        theta = self.concept.canonical(theta)
+        density = -loss - self.concept.log_prior(theta)[0]
+        return [
+            Solution(self.concept, theta[:, i].cpu().numpy(), evidence.frame, float(density[i]), bool(converged[i]))
+            for i in _best_apart(theta, loss, self.merge_radius, theta.shape[1])
+        ]
+
+
+def _evenly(points: Any, n: int) -> Any:
+    """Up to ``n`` rows, evenly spaced."""
+    return points if len(points) <= n else points[np.linspace(0, len(points) - 1, n).round().astype(np.int64)]
+
+
+def _best_apart(theta: Tensor, loss: Tensor, radius: float, n: int) -> list[int]:
+    """Columns of up to ``n`` concepts, best first, each further than ``radius`` from every better one."""
+    kept: list[int] = []
+    for i in loss.argsort().tolist():
+        if len(kept) == n:
+            break
+        if not kept or float((theta[:, kept] - theta[:, i : i + 1]).norm(dim=0).min()) > radius:
+            kept.append(i)
+    return kept

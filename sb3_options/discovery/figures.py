@@ -1,0 +1,222 @@
+"""Pictures of discovery: where diverse density is high, and what the options made of it do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
+
+from sb3_options.discovery.subgoals import SubgoalDiscovery
+from sb3_options.experience.observations import FloatArray, IntArray, batch_size
+from sb3_options.options.bank import OptionBank
+from sb3_options.options.option import Region, SubgoalOption
+
+PANEL_SIZE = (6.4, 3.6)
+WORST_SHOWN = 60.0
+"""Log densities this far below the best share the darkest colour, in nats."""
+
+SUBGOAL_COLOUR = "#d62728"
+MARGIN = 0.75
+"""Free space around the outermost centres, in sides of a rectangle."""
+
+INITIATION_COLOUR = "#9ecae1"
+
+
+def discovery_figures(discovery: SubgoalDiscovery, bank: OptionBank) -> dict[str, Figure]:
+    """One figure per panel, by name: for TensorBoard.
+
+    Args:
+        discovery: After at least one search, or there is nothing to draw.
+        bank: The options made so far.
+
+    Returns:
+        ``diverse_density``, ``first_visits``, ``initiation_set`` and ``option_policy``; empty before any search, and
+        the last two only once there is an option in a space that can be drawn.
+    """
+    figures: dict[str, Figure] = {}
+    for name, draw in _panels(discovery, bank).items():
+        figure = Figure(figsize=PANEL_SIZE, layout="constrained")
+        draw(figure.add_subplot())
+        figures[name] = figure
+    return figures
+
+
+def subgoals_figure(discovery: SubgoalDiscovery, bank: OptionBank) -> Figure:
+    """All panels in one figure: for a run folder.
+
+    Args:
+        discovery: What was found.
+        bank: The options made.
+
+    Returns:
+        A figure; it says so where nothing was searched yet.
+    """
+    panels = _panels(discovery, bank)
+    columns = min(2, max(1, len(panels)))
+    rows = max(1, -(-len(panels) // columns))
+    figure = Figure(figsize=(PANEL_SIZE[0] * columns, PANEL_SIZE[1] * rows), layout="constrained")
+    for i, draw in enumerate(panels.values()):
+        draw(figure.add_subplot(rows, columns, i + 1))
+    if not panels:
+        axes = figure.add_subplot()
+        axes.set_axis_off()
+        axes.text(0.5, 0.5, "No search yet: too few successful trajectories.", ha="center", va="center")
+    return figure
+
+
+def _panels(discovery: SubgoalDiscovery, bank: OptionBank) -> dict[str, Callable[[Axes], None]]:
+    bags = discovery.found[-1].bags if discovery.found else discovery.last.bags
+    if bags is None or discovery.scale is None:
+        return {}
+    seen = np.unique(np.concatenate([t.features for t in discovery.database]), axis=0)
+    density = np.asarray(discovery.engine().log_density(seen, bags))
+    visits = _first_visits(discovery, seen)
+    centres = [finding.subgoal.points[0] for finding in discovery.found]
+    if discovery.kind == "categorical":
+        numbers = seen.argmax(axis=1)
+        marked = [int(c.argmax()) for c in centres]
+        return {
+            "diverse_density": lambda axes: _bars(axes, "log diverse density", numbers, density, marked),
+            "first_visits": lambda axes: _bars(axes, "successful trajectories that visit", numbers, visits, marked),
+        }
+    cells = _Cells(seen, discovery.scale, centres)
+    panels: dict[str, Callable[[Axes], None]] = {
+        "diverse_density": lambda axes: cells.draw(
+            axes, "log diverse density", np.maximum(density, density.max() - WORST_SHOWN)
+        ),
+        "first_visits": lambda axes: cells.draw(axes, "successful trajectories that visit", visits),
+    }
+    options = [o for o in bank.slots if isinstance(o, SubgoalOption)]
+    if options:
+        panels["initiation_set"] = lambda axes: cells.draw_sets(axes, [o.initiation_set for o in options])
+        panels["option_policy"] = lambda axes: _draw_policies(axes, cells, discovery, options)
+    return panels
+
+
+def _first_visits(discovery: SubgoalDiscovery, seen: FloatArray) -> IntArray:
+    """How many successful trajectories visit each row of ``seen``."""
+    counts = np.zeros(len(seen), dtype=np.int64)
+    row_of = {row.tobytes(): i for i, row in enumerate(seen)}
+    for labelled in discovery.database:
+        if labelled.success:
+            counts[[row_of[row.tobytes()] for row in np.unique(labelled.features, axis=0)]] += 1
+    return counts
+
+
+def _bars(axes: Axes, title: str, states: IntArray, values: FloatArray | IntArray, marked: list[int]) -> None:
+    order = np.argsort(states)
+    axes.plot(states[order], values[order], ".", markersize=5, color="0.4")
+    for state in marked:
+        axes.axvline(state, color=SUBGOAL_COLOUR, linewidth=1.0)
+    axes.set_title(title)
+    axes.set_xlabel("state")
+
+
+class _Cells:
+    """The first two features of everything seen, as a map: rectangles as wide as neighbours are apart.
+
+    Where features hardly repeat, neighbours are next to nothing apart, and the rectangles have sides of one unit.
+    """
+
+    def __init__(self, seen: FloatArray, scale: FloatArray, centres: list[FloatArray]) -> None:
+        flat = seen if seen.shape[1] > 1 else np.column_stack([seen, np.zeros(len(seen))])
+        sides = scale if len(scale) > 1 else np.array([scale[0], 1.0])
+        self.positions, self.row_of = np.unique(flat[:, :2], axis=0, return_inverse=True)
+        self.side = np.array([max(1.0 / s, _spacing(x)) for s, x in zip(sides, self.positions.T, strict=False)])
+        self.centres = centres
+
+    def draw(self, axes: Axes, title: str, values: FloatArray | IntArray) -> None:
+        """Colour every square by the largest value that falls into it; a star marks each subgoal."""
+        largest = np.full(len(self.positions), -np.inf)
+        np.maximum.at(largest, self.row_of.reshape(-1), values)
+        squares = PatchCollection(self._squares(self.positions), cmap="viridis")
+        squares.set_array(largest)
+        axes.add_collection(squares)
+        whole = np.issubdtype(values.dtype, np.integer)
+        axes.figure.colorbar(squares, ax=axes, shrink=0.8, ticks=MaxNLocator(integer=whole, min_n_ticks=1))
+        self._finish(axes, title)
+
+    def draw_sets(self, axes: Axes, regions: list[Region]) -> None:
+        """Shade the initiation sets over everything seen."""
+        self._ground(axes)
+        for region in regions:
+            axes.add_collection(
+                PatchCollection(self._squares(region.points), facecolor=INITIATION_COLOUR, edgecolor="white")
+            )
+        self._finish(axes, "initiation set")
+
+    def draw_arrows(self, axes: Axes, starts: FloatArray, moves: FloatArray) -> None:
+        """Draw where the greedy action leads on average, from each state of the initiation sets."""
+        self._ground(axes)
+        length = np.linalg.norm(moves, axis=1, keepdims=True)
+        unit = np.divide(moves, length, out=np.zeros_like(moves), where=length > 0) * self.side * 0.8
+        axes.quiver(
+            *(starts - unit / 2).T,
+            *unit.T,
+            angles="xy",
+            scale_units="xy",
+            scale=1,
+            width=0.004,
+            color="#08519c",
+        )
+        self._finish(axes, "option policy: where the greedy action leads")
+
+    def _ground(self, axes: Axes) -> None:
+        axes.add_collection(PatchCollection(self._squares(self.positions), facecolor="0.93", edgecolor="white"))
+
+    def _squares(self, positions: FloatArray) -> list[Rectangle]:
+        if positions.shape[1] == 1:
+            positions = np.column_stack([positions, np.zeros(len(positions))])
+        return [Rectangle(tuple(p - self.side / 2), *self.side) for p in positions[:, :2]]
+
+    def _finish(self, axes: Axes, title: str) -> None:
+        for centre in self.centres:
+            x, y = (centre[0], centre[1]) if len(centre) > 1 else (centre[0], 0.0)
+            axes.plot(x, y, "*", color=SUBGOAL_COLOUR, markersize=14, markeredgecolor="white")
+        margin = MARGIN * self.side
+        low, high = self.positions.min(axis=0) - margin, self.positions.max(axis=0) + margin
+        axes.set_xlim(low[0], high[0])
+        axes.set_ylim(high[1], low[1])  # rows are counted downwards, as in the map
+        if np.ptp(self.positions[:, 1]) == 0:
+            axes.set_yticks([])  # there is but one feature to show
+        elif np.isclose(self.side[0], self.side[1]):
+            axes.set_aspect("equal")
+        if np.array_equal(self.positions, np.round(self.positions)):
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+            axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.set_title(title)
+
+
+def _spacing(values: FloatArray) -> float:
+    """The smallest distance between two different values; 0 where there is one value only."""
+    return float(np.diff(np.unique(values)).min(initial=np.inf)) if np.ptp(values) > 0 else 0.0
+
+
+def _draw_policies(axes: Axes, cells: _Cells, discovery: SubgoalDiscovery, options: list[SubgoalOption]) -> None:
+    moves: dict[bytes, list[FloatArray]] = {}
+    for option in options:
+        for labelled in discovery.database:
+            trajectory, features = labelled.trajectory, labelled.features
+            inside = option.initiation_set.contains(features) & ~option.subgoal.contains(features)
+            if not inside.any() or batch_size(trajectory.states) == 0:
+                continue
+            greedy = option.option_policy.actions(features if option.policy_input == "features" else trajectory.states)
+            began, led = trajectory.visits[:-1], trajectory.visits[1:]
+            followed = inside[began] & (trajectory.actions == greedy[began])
+            for a, b in zip(features[began[followed]], features[led[followed]], strict=True):
+                moves.setdefault(_plane(a).tobytes(), []).append(_plane(b) - _plane(a))
+    if not moves:
+        axes.set_axis_off()
+        return
+    starts = np.array([np.frombuffer(key, dtype=np.float64) for key in moves])
+    cells.draw_arrows(axes, starts, np.array([np.mean(m, axis=0) for m in moves.values()]))
+
+
+def _plane(feature: FloatArray) -> FloatArray:
+    """The first two features; a second 0 where there is only one."""
+    return np.array([feature[0], feature[1] if len(feature) > 1 else 0.0], dtype=np.float64)

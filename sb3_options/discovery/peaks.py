@@ -1,0 +1,126 @@
+"""Which peaks of diverse density appear early and persist: running averages (McGovern & Barto 2001, §5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial.distance import cdist
+
+from sb3_options.experience.observations import FloatArray
+
+
+def plateau_centres(points: FloatArray, scale: FloatArray, radius: float) -> tuple[FloatArray, float]:
+    """Peaks that tie and touch are one plateau; the middle of each plateau.
+
+    In two rooms every crossing visits the doorway and both its neighbours, so that the three tie exactly: the middle
+    of them is the doorway, any other choice is an accident.
+
+    Args:
+        points: Peaks of equal diverse density, shape (n, d), n ≥ 1.
+        scale: Factor for every feature before distances are taken, shape (d,).
+        radius: Peaks within this distance touch.
+
+    Returns:
+        The medoid of each plateau, the first where several are equally central, shape (m, d), in order of first peak;
+        and the farthest that any peak is from the medoid of its plateau.
+    """
+    distances = cdist(points * scale, points * scale)
+    n_plateaus, plateau = connected_components(distances <= radius, directed=False)
+    centres, extent = [], 0.0
+    for label in range(n_plateaus):
+        members = np.flatnonzero(plateau == label)
+        centre = members[distances[np.ix_(members, members)].sum(axis=1).argmin()]
+        centres.append(centre)
+        extent = max(extent, float(distances[centre, members].max()))
+    middle: FloatArray = points[np.array(centres)]
+    return middle, extent
+
+
+@dataclass
+class TrackedConcept:
+    """A concept that was a peak at least once.
+
+    Attributes:
+        point: Where it was last found, shape (d,).
+        average: c̄, in [0, λ/(1−λ)).
+        found: Whether the last search found it.
+    """
+
+    point: FloatArray
+    average: float
+    found: bool = False
+
+
+class PeakTracker:
+    """Running averages c̄ of how often each concept is a peak.
+
+    After every search c̄ ← λ(c̄ + 1) for a concept found this time and c̄ ← λ c̄ for the others, so that c̄ of a
+    concept found every time rises to λ/(1−λ). In a continuous space two searches never find the very same point: a
+    peak belongs to the nearest known concept within ``radius``.
+
+    Args:
+        decay: λ in (0, 1).
+        threshold: Share of the limit λ/(1−λ) above which a concept is persistent, in [0, 1).
+        radius: In scaled units of concept space, ≥ 0.
+
+    Raises:
+        ValueError: An argument is out of its range.
+    """
+
+    FORGOTTEN = 1e-3
+    """A concept whose average has decayed below this is dropped, so that the list stays short."""
+
+    def __init__(self, *, decay: float = 0.9, threshold: float = 0.6, radius: float = 1.0) -> None:
+        if not 0.0 < decay < 1.0:
+            raise ValueError(f"decay (λ) must be in (0, 1), got {decay}.")
+        if not 0.0 <= threshold < 1.0:
+            raise ValueError(f"threshold must be a share of the limit λ/(1−λ), in [0, 1), got {threshold}.")
+        if not radius >= 0.0:
+            raise ValueError(f"radius must be at least 0, got {radius}.")
+        self.decay, self.threshold, self.radius = decay, threshold, radius
+        self.concepts: list[TrackedConcept] = []
+
+    @property
+    def limit(self) -> float:
+        """λ/(1−λ), the average of a concept that is always found."""
+        return self.decay / (1.0 - self.decay)
+
+    def update(self, peaks: FloatArray, scale: FloatArray) -> None:
+        """Enter the peaks of one search.
+
+        Args:
+            peaks: Shape (n, d), best first.
+            scale: Factor for every feature before distances are taken, shape (d,).
+        """
+        for concept in self.concepts:
+            concept.found = False
+        for peak in peaks:
+            known = self._nearest(peak, scale)
+            if known is None:
+                known = TrackedConcept(np.array(peak, dtype=np.float64), 0.0)
+                self.concepts.append(known)
+            if not known.found:
+                known.point = np.array(peak, dtype=np.float64)  # the newest search knows the most bags
+                known.found = True
+        for concept in self.concepts:
+            concept.average = self.decay * (concept.average + concept.found)
+        self.concepts = [c for c in self.concepts if c.found or c.average > self.FORGOTTEN]
+
+    def leading(self) -> TrackedConcept | None:
+        """The concept with the largest average; None before the first peak."""
+        return max(self.concepts, key=lambda c: c.average, default=None)
+
+    def persistent(self) -> list[TrackedConcept]:
+        """The concepts of the last search whose average exceeds the threshold, largest first."""
+        above = [c for c in self.concepts if c.found and c.average > self.threshold * self.limit]
+        return sorted(above, key=lambda c: -c.average)
+
+    def _nearest(self, peak: FloatArray, scale: FloatArray) -> TrackedConcept | None:
+        if not self.concepts:
+            return None
+        points = np.stack([c.point for c in self.concepts])
+        distances = np.linalg.norm((points - peak) * scale, axis=1)
+        nearest = int(distances.argmin())
+        return self.concepts[nearest] if distances[nearest] <= self.radius else None

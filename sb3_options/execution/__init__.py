@@ -1,0 +1,1 @@
+"""Options run in a Gymnasium environment."""

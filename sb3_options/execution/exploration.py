@@ -1,0 +1,90 @@
+"""A cap on exploratory option choices.
+
+DQN and QRDQN explore by ``action_space.sample()``, uniformly over all actions. An option lasts many primitive steps, so
+that with as many options as primitives most of the exploration would happen inside options, where they lead, and little
+of it elsewhere.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from sb3_options.experience.observations import BoolArray
+
+
+class CappedActions(spaces.Discrete):
+    """Augmented actions that `sample` draws from with at most a given share of options; equal to a ``Discrete``.
+
+    As long as uniform choices keep to the share they are made as ever, draw by draw. An empty slot counts as a
+    primitive: it runs a uniformly random one.
+
+    Args:
+        actions: The space whose place it takes, and whose generator it goes on drawing from.
+        n_primitive: Number of primitive actions.
+        share: Largest share of options among exploratory choices, in [0, 1].
+
+    Raises:
+        ValueError: ``share`` is out of its range.
+    """
+
+    def __init__(self, actions: spaces.Discrete[Any], n_primitive: int, share: float) -> None:
+        super().__init__(int(actions.n))
+        self._np_random = actions.np_random
+        self.n_primitive = n_primitive
+        self.share = checked_share(share)
+        self.filled: tuple[int, ...] = ()
+
+    def sample(self, mask: Any = None, probability: Any = None) -> Any:
+        """One exploratory choice; ``mask`` and ``probability`` as for ``Discrete``."""
+        if mask is not None or probability is not None or len(self.filled) <= self.share * int(self.n):
+            return super().sample(mask, probability)
+        if self.np_random.random() < self.share:
+            return self.n_primitive + self.np_random.choice(self.filled)
+        return self.np_random.integers(self.n_primitive)
+
+    def choose(self, allowed: BoolArray) -> int:
+        """One exploratory choice among the allowed actions, (n_actions,), uniform as long as it keeps to the share."""
+        primitive = np.flatnonzero(allowed[: self.n_primitive])
+        options = self.n_primitive + np.flatnonzero(allowed[self.n_primitive :])
+        total = len(primitive) + len(options)
+        if len(primitive) == 0 or len(options) <= self.share * total:
+            return int(self.np_random.choice(np.flatnonzero(allowed)))
+        return int(self.np_random.choice(options if self.np_random.random() < self.share else primitive))
+
+    def __eq__(self, other: object) -> bool:
+        same = isinstance(other, spaces.Discrete)
+        return same and (self.n, self.start) == (other.n, other.start)  # type: ignore[attr-defined]  # a Discrete has them
+
+    __hash__ = None  # type: ignore[assignment]  # as for every space
+
+
+def checked_share(share: float) -> float:
+    """``share`` itself, if it is one.
+
+    Raises:
+        ValueError: It is not in [0, 1].
+    """
+    if not 0.0 <= share <= 1.0:
+        raise ValueError(f"max_option_exploration must be a share in [0, 1], got {share}.")
+    return float(share)
+
+
+def cap_option_exploration(model: BaseAlgorithm, n_primitive: int, share: float) -> CappedActions | None:
+    """Let a model that explores by ``action_space.sample()`` choose options with at most this share.
+
+    Args:
+        model: Of any algorithm.
+        n_primitive: Number of primitive actions.
+        share: As for `CappedActions`.
+
+    Returns:
+        The model's action space from now on; None for an algorithm that explores otherwise.
+    """
+    if not hasattr(model, "exploration_rate") or not isinstance(model.action_space, spaces.Discrete):
+        return None
+    model.action_space = capped = CappedActions(model.action_space, n_primitive, share)
+    return capped

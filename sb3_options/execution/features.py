@@ -1,0 +1,156 @@
+"""Which feature map φ an environment gets when its user names none."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+from collections.abc import Iterator
+from typing import Any, Literal, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+from sb3_options.experience.observations import FeatureMap, FloatArray, Observations, batch_of_one, flatten
+from sb3_options.options.file import MadeFor
+
+MAX_FEATURES = 4096
+"""Concept spaces with more dimensions than this (images, say) are refused: distances in them mean nothing."""
+
+LONGEST_DESCRIPTION = 200
+"""Of an observation space, in characters: an error must stay readable."""
+
+FeatureKind = Literal["given", "environment", "categorical", "identity"]
+
+
+class Features(NamedTuple):
+    """A feature map and where it comes from.
+
+    Attributes:
+        map: φ.
+        size: Dimensions d of concept space; None where φ refuses a made-up observation, until there is a real one.
+        kind: ``given`` by the user, ``environment`` (its ``concept_features``), ``categorical`` (one-hot code of a
+            ``Discrete`` space, in which all states are equally far apart) or ``identity`` (the flat observation).
+    """
+
+    map: FeatureMap
+    size: int | None
+    kind: FeatureKind
+
+
+class _OneHot:
+    def __init__(self, space: spaces.Discrete) -> None:
+        self._n, self._start = int(space.n), int(space.start)
+
+    def __call__(self, observations: Observations) -> FloatArray:
+        index = np.asarray(observations).reshape(-1).astype(np.int64) - self._start
+        features = np.zeros((len(index), self._n))
+        features[np.arange(len(index)), index] = 1.0
+        return features
+
+
+def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | None) -> Features | None:
+    """The feature map to use for ``env``: the given one, else the environment's own, else one that fits its space.
+
+    Args:
+        env: Any environment.
+        feature_map: A user's φ, or None.
+
+    Returns:
+        The map, or None where there is no sensible default (``Dict`` and other composite spaces, images).
+
+    Raises:
+        TypeError: ``feature_map`` is not callable.
+        ValueError: A given map or the environment's own does not return shape (batch, d).
+    """
+    space = env.observation_space
+    if feature_map is not None:
+        if not callable(feature_map):
+            raise TypeError(
+                "feature_map must be a function from a batch of observations to features (batch, d), "
+                f"got {type(feature_map).__name__}."
+            )
+        return Features(feature_map, _size_of(feature_map, space, "feature_map"), "given")
+    if env.has_wrapper_attr("concept_features"):
+        own: FeatureMap = env.get_wrapper_attr("concept_features")
+        return Features(own, _size_of(own, space, "the environment's concept_features"), "environment")
+    if isinstance(space, spaces.Discrete) and space.n <= MAX_FEATURES:
+        return Features(_OneHot(space), int(space.n), "categorical")
+    if isinstance(space, spaces.Box | spaces.MultiBinary | spaces.MultiDiscrete):
+        size = int(np.prod(space.shape))
+        if size <= MAX_FEATURES:
+            return Features(flatten, size, "identity")
+    return None
+
+
+def flat_size(space: gym.Space[Any]) -> int:
+    """How many numbers `observations.flatten` makes of one observation of ``space``."""
+    return int(flatten(_sample(space)).shape[1])
+
+
+def _sample(space: gym.Space[Any]) -> Observations:
+    # From a copy, so that the environment's own space draws what it would have drawn without us.
+    space = copy.deepcopy(space)
+    space.seed(0)
+    return batch_of_one(space.sample())
+
+
+def _size_of(feature_map: FeatureMap, space: gym.Space[Any], name: str) -> int | None:
+    sample = _sample(space)
+    try:
+        features = feature_map(sample)
+    except Exception:
+        # A random element of the space need not be an observation (random pixels show no agent), and what a user's
+        # function raises then is its own affair; the first observation of an episode settles the size.
+        return None
+    return checked_size(features, name)
+
+
+def checked_size(features: FloatArray, name: str = "feature_map") -> int:
+    """Dimensions d of what a feature map made of a batch of one observation.
+
+    Raises:
+        ValueError: It does not have shape (1, d).
+    """
+    features = np.asarray(features)
+    if features.ndim != 2 or len(features) != 1:
+        raise ValueError(
+            f"{name} must return features of shape (batch, d); for a batch of one it gave shape {features.shape}."
+        )
+    return int(features.shape[1])
+
+
+def made_for(space: gym.Space[Any], features: Features | None) -> MadeFor:
+    """What an options file says of the observations its options act on.
+
+    Args:
+        space: Of the observations.
+        features: Their way into concept space.
+    """
+    text = " ".join(str(space).split())
+    if len(text) > LONGEST_DESCRIPTION:
+        text = text[:LONGEST_DESCRIPTION] + "…"
+    sha256 = hashlib.sha256()
+    for part in _parts(space, ""):
+        sha256.update(part + b"\n")
+    return MadeFor(text, sha256.hexdigest(), None if features is None else features.kind)
+
+
+def _parts(space: gym.Space[Any], name: str) -> Iterator[bytes]:
+    """Everything that tells one space from another, part by part."""
+    if isinstance(space, spaces.Dict):
+        yield f"{name} Dict {sorted(space.spaces)}".encode()
+        for key in sorted(space.spaces):
+            yield from _parts(space[key], f"{name}.{key}")
+    elif isinstance(space, spaces.Tuple):
+        yield f"{name} Tuple {len(space.spaces)}".encode()
+        for i, part in enumerate(space.spaces):
+            yield from _parts(part, f"{name}.{i}")
+    elif isinstance(space, spaces.Box):
+        yield f"{name} Box {space.shape} {space.dtype}".encode()
+        yield space.low.tobytes() + space.high.tobytes()
+    elif isinstance(space, spaces.MultiDiscrete):
+        # Not its text, in which numpy leaves out the middle of a long array.
+        yield f"{name} MultiDiscrete {space.dtype} {space.nvec.tolist()} {space.start.tolist()}".encode()
+    else:
+        yield f"{name} {space}".encode()

@@ -1,0 +1,60 @@
+"""Interruption: an option ends where going on is worth less than the best that could be done instead.
+
+In s', o ends when Q(s', o) < max Q(s', a) over the available actions (Sutton, Precup & Singh 1999, §4): with exact
+values the policy that interrupts is as good as the one that does not in every state, and better where it makes a
+difference. So a detour that an option has learned stays on no final path, as soon as its values are known.
+
+An option that was chosen to explore was below the best from its first state on. To interrupt it would undo the choice
+after one step, and with it all temporally extended exploration; so while an agent learns, an option is interrupted
+only if it was the best choice where it began. Under evaluation every choice is greedy, and every option is interrupted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sb3_options.experience.observations import BoolArray, FloatArray
+
+
+@dataclass(frozen=True)
+class Interruption:
+    """When a running option is to be ended, by values as they were at some time.
+
+    Attributes:
+        values: One observation, as `OptionsWrapper` sees it → Q, (n_actions,). Must travel between processes.
+        masks: Whether the agent chooses among available actions only; else it chooses among all.
+        margin: By how much, in units of return, going on must be worse.
+        every_choice: Whether options that were not the best choice where they began are interrupted as well.
+    """
+
+    values: Callable[[Any], FloatArray]
+    masks: bool = False
+    margin: float = 0.0
+    every_choice: bool = False
+
+    def falls_behind(self, action: int, observation: Any, available: Callable[[], BoolArray]) -> bool:
+        """Whether Q(s, action) < max Q(s, a) − margin over the actions that may be chosen in s.
+
+        Args:
+            action: An option, as augmented action.
+            observation: s.
+            available: Gives the mask of s, (n_actions,); called only if the agent keeps to it.
+        """
+        values = self.values(observation)
+        best = np.where(available(), values, -np.inf).max() if self.masks else values.max()
+        return bool(values[action] < best - self.margin)
+
+
+def checked_margin(margin: float) -> float:
+    """``margin`` itself, if it may be one.
+
+    Raises:
+        ValueError: It is negative.
+    """
+    if not margin >= 0:
+        raise ValueError(f"interruption_margin must be at least 0, in units of return, got {margin}.")
+    return float(margin)

@@ -1,0 +1,200 @@
+"""`OptionDQN`: DQN that respects initiation sets wherever an action is chosen or maximised over."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, cast
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from gymnasium import spaces
+from stable_baselines3 import DQN
+from stable_baselines3.common.noise import ActionNoise
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.type_aliases import GymEnv
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.dqn.policies import DQNPolicy
+from torch.nn import functional
+
+from sb3_options.execution.exploration import CappedActions
+from sb3_options.execution.vec_env import as_wrapper_sees
+from sb3_options.execution.wrapper import OptionsWrapper
+from sb3_options.experience.observations import BoolArray, batch_of_one, batch_size
+from sb3_options.learning.replay_buffer import OptionReplayBuffer, OptionReplayBufferSamples
+
+
+class OptionDQN(DQN):
+    """DQN whose greedy, ε-random and warm-up actions and bootstrap targets keep to the available options.
+
+    Stock DQN sees every slot as an action, and its target maximises over all of them. Here an option counts only in
+    the observations of its initiation set, and an empty slot nowhere.
+
+    Args:
+        policy: As for ``DQN``.
+        env: Wrapped in `OptionsWrapper`.
+        replay_buffer_class: `OptionReplayBuffer` or a subclass.
+        **kwargs: As for ``DQN``.
+
+    Raises:
+        ValueError: The environment is not wrapped, or the buffer is another.
+    """
+
+    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = DQN.policy_aliases
+
+    def __init__(
+        self,
+        policy: str | type[DQNPolicy],
+        env: GymEnv | str | None,
+        *,
+        replay_buffer_class: type[OptionReplayBuffer] = OptionReplayBuffer,
+        **kwargs: Any,
+    ) -> None:
+        if not issubclass(replay_buffer_class, OptionReplayBuffer):
+            raise ValueError(
+                f"OptionDQN needs replay_buffer_class=OptionReplayBuffer, got {replay_buffer_class.__name__}."
+            )
+        super().__init__(policy, env, replay_buffer_class=replay_buffer_class, **kwargs)  # type: ignore[arg-type]  # SB3 passes None when loading
+
+    def _setup_model(self) -> None:
+        super()._setup_model()
+        if self.env is not None:
+            self._track_availability(self.env)
+
+    def set_env(self, env: GymEnv, force_reset: bool = True) -> None:
+        """Set the environment to learn in; it must be wrapped in `OptionsWrapper` as well."""
+        super().set_env(env, force_reset)
+        self._track_availability(cast("VecEnv", self.env))
+
+    def _track_availability(self, env: VecEnv) -> None:
+        if not all(env.env_is_wrapped(OptionsWrapper)):
+            raise ValueError(
+                "OptionDQN needs an environment wrapped in OptionsWrapper: use OptionsWrapper(env, max_options=..., "
+                "gamma=...) or make_vec_env(..., wrapper_class=OptionsWrapper)."
+            )
+        max_options = self._n_actions() - env.get_attr("n_primitive", [0])[0]
+        self._option_buffer().track_availability(max_options)
+
+    def _setup_learn(self, *args: Any, **kwargs: Any) -> Any:
+        result = super()._setup_learn(*args, **kwargs)
+        assert self.env is not None  # it has just been reset
+        self.env.env_method("report_availability", True)
+        return result
+
+    def _option_buffer(self) -> OptionReplayBuffer:
+        return cast("OptionReplayBuffer", self.replay_buffer)
+
+    def _n_actions(self) -> int:
+        return int(cast("spaces.Discrete", self.action_space).n)
+
+    def _available(self, observation: Any) -> BoolArray:
+        """Masks for a batch of observations as the algorithm sees them, shape (batch, n_actions)."""
+        if self.env is None:
+            return np.ones((batch_size(observation), self._n_actions()), dtype=bool)
+        if self._vec_normalize_env is not None:
+            observation = self._vec_normalize_env.unnormalize_obs(observation)
+        seen = as_wrapper_sees(self.env, observation)
+        mask: BoolArray = self.env.env_method("available", seen, indices=[0])[0]
+        return mask
+
+    def _masks_now(self) -> BoolArray:
+        """Masks for the current observations of all training environments, shape (n_envs, n_actions)."""
+        assert self.env is not None  # there is no collecting without one
+        return np.stack(self.env.env_method("action_masks"))
+
+    def predict(
+        self,
+        observation: npt.NDArray[Any] | dict[str, npt.NDArray[Any]],
+        state: tuple[npt.NDArray[Any], ...] | None = None,
+        episode_start: npt.NDArray[Any] | None = None,
+        deterministic: bool = False,
+        action_masks: BoolArray | None = None,
+    ) -> tuple[npt.NDArray[Any], tuple[npt.NDArray[Any], ...] | None]:
+        """ε-greedy (or greedy) among the available actions.
+
+        Args:
+            observation: One, or a batch.
+            state: Passed through.
+            episode_start: Unused.
+            deterministic: Greedy, without ε.
+            action_masks: Which actions may be taken, (n_actions,) or (batch, n_actions); by default asked from the
+                model's own environment, by initiation sets alone (without ``max_runs`` or a trial), and every action
+                where there is no environment.
+
+        Returns:
+            Actions and ``state``.
+        """
+        self.policy.set_training_mode(False)
+        tensor, vectorized = self.policy.obs_to_tensor(observation)
+        with torch.no_grad():
+            values = self.q_net(tensor).cpu().numpy()
+        if action_masks is None:
+            batch = observation if vectorized else batch_of_one(observation)
+            action_masks = self._available(batch)
+        masks = np.asarray(action_masks, dtype=bool).reshape(values.shape)
+        actions = np.where(masks, values, -np.inf).argmax(axis=1)
+        if not deterministic:
+            random = self.action_space.np_random
+            explores = random.random(len(actions)) < self.exploration_rate
+            for i in np.flatnonzero(explores):
+                actions[i] = self._explore(masks[i])
+        return (actions if vectorized else actions[0]), state
+
+    def _sample_action(
+        self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
+    ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+        assert self._last_obs is not None  # SB3 resets the environment before it collects
+        if self.num_timesteps < learning_starts:
+            masks = self._masks_now()
+            actions = np.array([self._explore(mask) for mask in masks])
+        else:
+            last_obs = cast("npt.NDArray[Any]", self._last_obs)
+            actions, _ = self.predict(last_obs, deterministic=False, action_masks=self._masks_now())
+        return actions, actions
+
+    def _explore(self, mask: BoolArray) -> int:
+        """One random action among those available, (n_actions,)."""
+        if isinstance(self.action_space, CappedActions):
+            return self.action_space.choose(mask)
+        return int(self.action_space.np_random.choice(np.flatnonzero(mask)))
+
+    def train(self, gradient_steps: int, batch_size: int = 100) -> None:
+        """DQN's update with the maximum taken over available actions."""
+        self.policy.set_training_mode(True)
+        self._update_learning_rate(self.policy.optimizer)
+        losses = []
+        for _ in range(gradient_steps):
+            samples = cast(
+                "OptionReplayBufferSamples",
+                self._option_buffer().sample(batch_size, env=self._vec_normalize_env),
+            )
+            with torch.no_grad():
+                target = smdp_target(self.q_net_target(samples.next_observations), samples)
+            current = self.q_net(samples.observations).gather(1, samples.actions)
+            loss = functional.smooth_l1_loss(current, target)
+            losses.append(loss.item())
+            self.policy.optimizer.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]  # torch ships no annotation for it
+            torch.nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
+            self.policy.optimizer.step()
+        self._n_updates += gradient_steps
+        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
+        self.logger.record("train/loss", float(np.mean(losses)))
+
+
+def smdp_target(next_values: torch.Tensor, samples: OptionReplayBufferSamples) -> torch.Tensor:
+    """R + γᵏ max over available a' of Q(s', a') (Sutton, Precup & Singh 1999, §3).
+
+    Args:
+        next_values: Q(s', ·), (batch, n_actions).
+        samples: The transitions; ``next_available`` speaks of the last actions, primitives are always available.
+
+    Returns:
+        Targets, (batch, 1).
+    """
+    if samples.next_available is not None:
+        max_options = samples.next_available.shape[1]
+        options = next_values[:, next_values.shape[1] - max_options :]
+        masked = options.masked_fill(~samples.next_available, -torch.inf)
+        next_values = torch.cat([next_values[:, : next_values.shape[1] - max_options], masked], dim=1)
+    best = next_values.max(dim=1, keepdim=True).values
+    return samples.rewards + (1 - samples.dones) * samples.discounts * best

@@ -1,0 +1,249 @@
+"""`expand_action_space`: option slots for a model that was trained without them."""
+
+from __future__ import annotations
+
+import copy
+import logging
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.buffers import BaseBuffer, NStepReplayBuffer
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.type_aliases import GymEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper
+
+from sb3_options.execution.wrapper import OptionsWrapper
+from sb3_options.experience.observations import FeatureMap
+from sb3_options.learning import heads
+from sb3_options.learning.joined_linear import JoinedLinear, check_optimizer, widened_linear
+from sb3_options.learning.replay_buffer import OptionReplayBuffer
+from sb3_options.learning.replay_expansion import check_buffer, option_replay_buffer
+
+logger = logging.getLogger("sb3_options")
+
+Model = TypeVar("Model", bound=BaseAlgorithm)
+
+
+def expand_action_space(
+    model: Model, max_options: int = 4, *, env: GymEnv | None = None, feature_map: FeatureMap | None = None
+) -> Model:
+    """Give a trained model option slots, in place, with everything kept that it has learned.
+
+    Weights, target network, optimizer moments, replay data, counters and schedules stay; for every observation the
+    outputs for the old actions are bit for bit what they were, also after options have moved in. The new heads are
+    closed. The model's environments are wrapped in `OptionsWrapper` (a ``Monitor`` stays beneath it) and reset when
+    training goes on. A stock replay buffer becomes an `OptionReplayBuffer`.
+
+    Then train on with ``model.learn(..., callback=SubgoalDiscoveryCallback(), reset_num_timesteps=False)``. An
+    evaluation environment must be wrapped by hand, with as many slots.
+
+    Args:
+        model: DQN, QRDQN, PPO, A2C, TRPO, MaskablePPO or RecurrentPPO, trained on an environment without options.
+        max_options: Number of slots, at least 1.
+        env: Takes the place of the model's environment; wrapped in `OptionsWrapper`, with ``max_options`` slots, the
+            model's γ, and ``max_runs`` if there is to be one. Needed where the model has none, or where its
+            environments live in other processes.
+        feature_map: For the wrapper, as `OptionsWrapper` takes it; not together with ``env``.
+
+    Returns:
+        The same model.
+
+    Raises:
+        TypeError: Actions are not discrete, or policy, optimizer or replay buffer are none that is known.
+        ValueError: The model has slots already, ``max_options`` is below 1, or ``env`` is missing or does not fit.
+            Nothing has been changed then.
+    """
+    n_primitive = _n_actions(model)
+    if max_options < 1:
+        raise ValueError(f"max_options must be at least 1, got {max_options}.")
+    if model.env is not None and any(model.env.env_is_wrapped(OptionsWrapper)):
+        raise ValueError(
+            f"The model's environment is wrapped in OptionsWrapper already: among its {n_primitive} actions are "
+            "option slots, and their number cannot be changed any more."
+        )
+    outputs = heads.option_outputs(model.policy)
+    for layer, _ in outputs:
+        check_optimizer(model.policy.optimizer, layer)
+    if isinstance(model, OffPolicyAlgorithm):
+        check_buffer(model.replay_buffer)
+    venv = _fitting(model, env, n_primitive, max_options, feature_map)
+
+    actions = spaces.Discrete(n_primitive + max_options, seed=model.action_space.np_random)  # explores on as before
+    for layer, outputs_per_action in outputs:
+        wider = widened_linear(layer, max_options, outputs_per_action, [model.policy.optimizer])
+        _put_in_place(model.policy, layer, wider)
+    _set_action_space(model.policy, actions)
+    model.action_space = actions
+    model.policy_class = JoinedPolicy(model.policy_class, n_primitive)  # type: ignore[assignment]  # called, no more
+    _expand_buffers(model, actions)
+    for slot in range(max_options):
+        heads.close_head(model.policy, n_primitive + slot)
+    model.set_env(venv)
+    return model
+
+
+@dataclass(frozen=True)
+class JoinedPolicy:
+    """Builds the policy of an expanded model when SB3 loads it: old and new outputs computed apart as before.
+
+    Args:
+        policy_class: The class it is of, or whatever built it.
+        n_primitive: Number of actions it was first trained with.
+    """
+
+    policy_class: Any
+    n_primitive: int
+
+    @property
+    def __name__(self) -> str:
+        """SB3 looks at the name to say which policies are slow on a GPU."""
+        return str(self.policy_class.__name__)
+
+    def __call__(self, *args: Any, **kwargs: Any) -> BasePolicy:
+        """Build it."""
+        policy: BasePolicy = self.policy_class(*args, **kwargs)
+        for layer, outputs_per_action in heads.option_outputs(policy):
+            _put_in_place(policy, layer, JoinedLinear(layer, self.n_primitive, outputs_per_action))
+        return policy
+
+
+def _n_actions(model: BaseAlgorithm) -> int:
+    space: spaces.Space[Any] = model.action_space
+    if not isinstance(space, spaces.Discrete) or space.start != 0:
+        raise TypeError(
+            f"expand_action_space needs a model whose actions are Discrete and start at 0, got {space}: options "
+            "choose among numbered primitive actions."
+        )
+    return int(space.n)
+
+
+def _fitting(
+    model: BaseAlgorithm, env: GymEnv | None, n_primitive: int, max_options: int, feature_map: FeatureMap | None
+) -> VecEnv:
+    """The environment the model goes on with, checked."""
+    gamma: float = model.gamma  # type: ignore[attr-defined]  # every algorithm whose heads are known has it
+    if env is None:
+        if model.env is None:
+            raise ValueError(
+                f"The model has no environment: give one to {type(model).__name__}.load(..., env=...), or pass "
+                f"expand_action_space(model, {max_options}, env=...) one that is wrapped in OptionsWrapper."
+            )
+        # A copy, because what is explored next must not depend on the number of environments.
+        random = copy.deepcopy(model.action_space.np_random)
+        return _wrap(model.env, max_options, gamma, feature_map, random)
+    if feature_map is not None:
+        raise ValueError("feature_map belongs to OptionsWrapper: with env=... pass it to the wrapper in there.")
+    venv = model._wrap_env(env, model.verbose)
+    if not all(venv.env_is_wrapped(OptionsWrapper)):
+        raise ValueError(
+            f"env is not wrapped in OptionsWrapper: use OptionsWrapper(env, {max_options}, gamma={gamma}) or "
+            "make_vec_env(..., wrapper_class=OptionsWrapper)."
+        )
+    _check_fit(model, venv, n_primitive, max_options, gamma)
+    return venv
+
+
+def _check_fit(model: BaseAlgorithm, venv: VecEnv, n_primitive: int, max_options: int, gamma: float) -> None:
+    has: list[int] = venv.get_attr("n_primitive")
+    if set(has) != {n_primitive}:
+        raise ValueError(f"The model chooses among {n_primitive} actions, env has {has[0]} primitive actions.")
+    n_actions: int = venv.action_space.n  # type: ignore[attr-defined]  # OptionsWrapper makes it Discrete
+    if n_actions != n_primitive + max_options:
+        raise ValueError(
+            f"env has {n_actions - n_primitive} option slots, max_options is {max_options}: give both the same."
+        )
+    different = [g for g in venv.get_attr("gamma") if abs(g - gamma) > 1e-12]
+    if different:
+        raise ValueError(f"OptionsWrapper discounts with gamma={different[0]}, the model with gamma={gamma}.")
+    if venv.observation_space != model.observation_space:
+        raise ValueError(
+            f"The model was trained on observations {model.observation_space}, env has {venv.observation_space}."
+        )
+    if venv.num_envs != model.n_envs:
+        raise ValueError(
+            f"The model was trained with n_envs={model.n_envs}, env has {venv.num_envs}: give as many, or load the "
+            f"model with {type(model).__name__}.load(..., env=...) and as many environments without options first."
+        )
+
+
+def _wrap(
+    venv: VecEnv, max_options: int, gamma: float, feature_map: FeatureMap | None, random: np.random.Generator
+) -> VecEnv:
+    """Put `OptionsWrapper` around each environment of a ``DummyVecEnv``, whatever stands above it."""
+    inner = venv.unwrapped
+    if not isinstance(inner, DummyVecEnv):
+        raise ValueError(
+            f"The environments of a {type(inner).__name__} cannot be wrapped from here: pass env=... a new one, such "
+            f'as make_vec_env(..., wrapper_class=OptionsWrapper, wrapper_kwargs={{"max_options": {max_options}, '
+            f'"gamma": {gamma}}}, vec_env_cls={type(inner).__name__}).'
+        )
+    wrapped = [OptionsWrapper(env, max_options, gamma=gamma, feature_map=feature_map) for env in inner.envs]
+    for options in wrapped:
+        options.seed_empty_slots(int(random.integers(2**32)))
+    inner.envs = [*wrapped]
+    above: VecEnv = venv
+    while isinstance(above, VecEnvWrapper):
+        above.action_space = wrapped[0].action_space
+        above = above.venv
+    inner.action_space = wrapped[0].action_space
+    return venv
+
+
+def _put_in_place(policy: BasePolicy, layer: torch.nn.Linear, other: torch.nn.Linear) -> None:
+    names = [name for name, module in policy.named_modules(remove_duplicate=False) if module is layer]
+    for name in names:
+        policy.set_submodule(name, other)
+
+
+def _set_action_space(policy: Any, actions: spaces.Discrete) -> None:
+    """Tell the policy, its networks and its distribution of the new actions."""
+    for module in policy.modules():
+        if isinstance(module, BasePolicy):
+            module.action_space = actions
+    if hasattr(policy, "net_args"):
+        policy.net_args["action_space"] = actions  # what DQN and QRDQN build their networks from
+    if hasattr(policy, "action_dist"):
+        policy.action_dist.action_dim = int(actions.n)
+
+
+def _expand_buffers(model: BaseAlgorithm, actions: spaces.Discrete) -> None:
+    if isinstance(model, OffPolicyAlgorithm):
+        _expand_replay(model, actions)
+    rollout: BaseBuffer | None = getattr(model, "rollout_buffer", None)
+    if rollout is not None:
+        rollout.action_space = actions
+        if hasattr(rollout, "mask_dims"):  # MaskablePPO's
+            rollout.mask_dims = int(actions.n)
+            rollout.reset()
+
+
+def _expand_replay(model: OffPolicyAlgorithm, actions: spaces.Discrete) -> None:
+    stock = model.replay_buffer
+    if isinstance(stock, OptionReplayBuffer):
+        stock.action_space = actions
+        return
+    if isinstance(stock, NStepReplayBuffer):
+        logger.warning(
+            "OptionReplayBuffer has no n-step returns: the model goes on with one-step returns, not n_steps=%d.",
+            stock.n_steps,
+        )
+    kwargs = {key: value for key, value in model.replay_buffer_kwargs.items() if key == "handle_timeout_termination"}
+    model.replay_buffer_class, model.replay_buffer_kwargs = OptionReplayBuffer, kwargs
+    model.optimize_memory_usage, model.n_steps = False, 1
+    model.replay_buffer = (
+        OptionReplayBuffer(
+            model.buffer_size,
+            model.observation_space,
+            actions,
+            model.device,
+            model.n_envs,
+            **model.replay_buffer_kwargs,
+        )
+        if stock is None
+        else option_replay_buffer(stock, actions, model.gamma)
+    )

@@ -1,0 +1,155 @@
+"""Binary features for linear value functions: one-hot (tabular) and tile coding (CMAC)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from sb3_options.experience.observations import FloatArray, IntArray
+
+HASH_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
+"""2⁶⁴ over the golden ratio, odd: Knuth's multiplicative hashing (The Art of Computer Programming 3, §6.4)."""
+
+HASH_SHIFT = np.uint64(32)
+"""Only the upper half of the product is used: the lower bits of a product depend on the lower bits of the index."""
+
+
+class LinearFeatures(Protocol):
+    """Which of ``n_features`` binary features are 1 in an observation; always ``n_active`` of them.
+
+    Attributes:
+        n_features: How many there are.
+        n_active: How many of them are 1.
+    """
+
+    n_features: int
+    n_active: int
+
+    def active(self, observations: npt.NDArray[Any]) -> IntArray:
+        """Indices of the features that are 1, for a batch of observations: shape (batch, n_active)."""
+
+
+class OneHot:
+    """One feature a state: a linear value function over it is a table.
+
+    Args:
+        n_features: Number of states.
+        coded: Whether observations are one-hot vectors (batch, n_features) rather than indices (batch,).
+
+    Raises:
+        ValueError: ``n_features`` < 1.
+    """
+
+    n_active = 1
+
+    def __init__(self, n_features: int, *, coded: bool) -> None:
+        if n_features < 1:
+            raise ValueError(f"n_features must be at least 1, got {n_features}.")
+        self.n_features = n_features
+        self.coded = coded
+
+    def active(self, observations: npt.NDArray[Any]) -> IntArray:
+        """The state's index, shape (batch, 1)."""
+        if self.coded:
+            index: IntArray = observations.reshape(-1, self.n_features).argmax(axis=1, keepdims=True)
+            return index
+        return observations.reshape(-1, 1).astype(np.int64)
+
+
+class TileCoding:
+    """Tile coding, or CMAC (Albus 1975; Sutton & Barto 2018, §9.5.4): several grids, each shifted a little.
+
+    Tiling i is shifted along dimension k by (i · (2k + 1) mod n) / n of a tile, n the number of tilings: the
+    displacement vector of the first odd integers, which Miller & Glanz (1996) recommend and Sutton & Barto (2018,
+    §9.5.4, p. 219) repeat, with n a power of two and at least four times the number of dimensions.
+
+    Args:
+        low: Lower bounds of the observation, shape (d,). What lies beyond a bound falls into the tile at the bound.
+        high: Upper bounds, > low, shape (d,).
+        tiles: Tiles along each dimension within the bounds, at least 1 each, shape (d,).
+        n_tilings: Number of tilings, at least 1.
+        hash_size: Number of features if tiles are to share them by hashing; None gives every tile its own.
+
+    Raises:
+        ValueError: Shapes differ, or a value is out of its range.
+    """
+
+    def __init__(
+        self,
+        low: npt.ArrayLike,
+        high: npt.ArrayLike,
+        tiles: Sequence[int],
+        *,
+        n_tilings: int = 8,
+        hash_size: int | None = None,
+    ) -> None:
+        self.low = np.asarray(low, dtype=np.float64)
+        self.high = np.asarray(high, dtype=np.float64)
+        self.tiles = np.asarray(tiles, dtype=np.int64)
+        if not self.low.shape == self.high.shape == self.tiles.shape or self.low.ndim != 1:
+            raise ValueError(
+                f"low, high and tiles must have one entry per dimension, got shapes {self.low.shape}, "
+                f"{self.high.shape} and {self.tiles.shape}."
+            )
+        if not (np.isfinite(self.low).all() and np.isfinite(self.high).all() and (self.low < self.high).all()):
+            raise ValueError(f"low must be below high, both finite, got {self.low} and {self.high}.")
+        if (self.tiles < 1).any() or n_tilings < 1 or (hash_size is not None and hash_size < 1):
+            raise ValueError(
+                f"tiles, n_tilings and hash_size must be at least 1, got {tiles}, {n_tilings} and {hash_size}."
+            )
+        self.n_active = n_tilings
+        dimension, tiling = np.arange(len(self.low)), np.arange(n_tilings)[:, None]
+        self._offsets: FloatArray = (tiling * (2 * dimension + 1)) % n_tilings / n_tilings
+        # A shifted grid needs one tile more to cover the upper bound.
+        self._cells = self.tiles + 1
+        self._strides = np.append(np.cumprod(self._cells[::-1])[::-1][1:], 1)
+        per_tiling = int(np.prod(self._cells))
+        self._first = np.arange(n_tilings) * per_tiling
+        self._hash_size = hash_size
+        self.n_features = n_tilings * per_tiling if hash_size is None else hash_size
+
+    def active(self, observations: npt.NDArray[Any]) -> IntArray:
+        """The tile of each tiling, shape (batch, n_tilings)."""
+        unit = (observations.reshape(-1, len(self.low)) - self.low) / (self.high - self.low)
+        place = np.clip(unit, 0.0, 1.0)[:, None, :] * self.tiles + self._offsets
+        cell = np.minimum(place.astype(np.int64), self._cells - 1)
+        index: IntArray = cell @ self._strides + self._first
+        if self._hash_size is None:
+            return index
+        mixed = (index.astype(np.uint64) + np.uint64(1)) * HASH_MULTIPLIER >> HASH_SHIFT
+        return (mixed % np.uint64(self._hash_size)).astype(np.int64)
+
+
+class Concatenated:
+    """Several feature sets side by side, each over some of the observation's numbers.
+
+    A tile coding of all numbers at once needs tiles for every combination; one of each group of numbers that belong
+    together needs far fewer, and the value is then a sum of functions of the groups (Sutton & Barto 2018, §9.5.4).
+
+    Args:
+        parts: Pairs of the numbers' indices in the flat observation, and features of these numbers.
+
+    Raises:
+        ValueError: There is no part.
+    """
+
+    def __init__(self, parts: Sequence[tuple[Sequence[int], LinearFeatures]]) -> None:
+        if not parts:
+            raise ValueError("parts must not be empty.")
+        self.parts = [(np.asarray(columns, dtype=np.int64), features) for columns, features in parts]
+        sizes = [features.n_features for _, features in self.parts]
+        self.n_features = sum(sizes)
+        self.n_active = sum(features.n_active for _, features in self.parts)
+        self._first = [sum(sizes[:i]) for i in range(len(sizes))]
+
+    def active(self, observations: npt.NDArray[Any]) -> IntArray:
+        """Those of all parts, one after another, shape (batch, n_active)."""
+        flat = observations.reshape(len(observations), -1)
+        found = [
+            features.active(flat[:, columns]) + first
+            for (columns, features), first in zip(self.parts, self._first, strict=True)
+        ]
+        return np.concatenate(found, axis=1)

@@ -1,0 +1,394 @@
+"""`MacroQ`: Q-learning and Macro Q-learning over linear features, as a Stable-Baselines3 algorithm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar, Self, cast
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback
+from stable_baselines3.common.utils import safe_mean
+
+from sb3_options.execution.wrapper import OptionsWrapper
+from sb3_options.experience.observations import BoolArray, FloatArray
+from sb3_options.learning.linear_features import LinearFeatures, OneHot
+
+
+class LinearPolicy(BasePolicy):
+    """Greedy in Q(s, a) = Σ over active features i of w[i, a].
+
+    Args:
+        observation_space: ``Discrete`` or ``Box``.
+        action_space: ``Discrete``.
+        features: Which features are active.
+    """
+
+    def __init__(
+        self, observation_space: spaces.Space[Any], action_space: spaces.Discrete, features: LinearFeatures
+    ) -> None:
+        super().__init__(observation_space, action_space)
+        self.features = features
+        weights = torch.zeros(features.n_features, int(action_space.n), dtype=torch.float64)
+        self.weights: torch.Tensor
+        self.register_buffer("weights", weights)
+
+    def table(self) -> FloatArray:
+        """The weights as an array that shares their memory, shape (n_features, n_actions)."""
+        return cast("FloatArray", self.weights.numpy())
+
+    def values(self, observations: npt.NDArray[Any]) -> FloatArray:
+        """Q of every action, shape (batch, n_actions)."""
+        return np.asarray(self.table()[self.features.active(observations)].sum(axis=1))
+
+    def _predict(self, observation: Any, deterministic: bool = False) -> torch.Tensor:
+        return torch.as_tensor(self.values(np.asarray(observation)).argmax(axis=1))
+
+
+class MacroQ(BaseAlgorithm):
+    """Q-learning (Watkins 1989), and Macro Q-learning once there are options (McGovern & Sutton 1998).
+
+    After a primitive action: Q(s, a) ← Q(s, a) + α [r + γ max Q(s', ·) − Q(s, a)]. After an option of k steps the same
+    is done for each primitive step inside it, in order, and then for the option itself with Σ γⁱ rᵢ and γᵏ:
+    Q(s, o) ← Q(s, o) + α [Σ γⁱ rᵢ + γᵏ max Q(s', ·) − Q(s, o)]. The maximum is taken over what may start in s'.
+    Actions are ε-greedy among what may start, with ties broken at random.
+
+    Args:
+        env: With discrete actions; `OptionsWrapper` beneath or not.
+        features: Linear features; by default one per state, for ``Discrete`` observations and for one-hot ``Box``.
+        learning_rate: α, divided among the active features.
+        gamma: γ per primitive step, in [0, 1].
+        epsilon: ε, in [0, 1].
+        tensorboard_log: Where to log; None does not.
+        verbose: As in SB3.
+        seed: Of everything random.
+        device: Ignored: a table is updated faster by the CPU.
+        _init_setup_model: As in SB3.
+
+    Raises:
+        ValueError: A value is out of its range, or there are no default features for the observations.
+        TypeError: Actions are not discrete.
+    """
+
+    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"LinearPolicy": LinearPolicy}
+    policy: LinearPolicy
+
+    def __init__(
+        self,
+        env: GymEnv | str | None,
+        *,
+        features: LinearFeatures | None = None,
+        learning_rate: float = 0.05,
+        gamma: float = 0.9,
+        epsilon: float = 0.1,
+        tensorboard_log: str | None = None,
+        verbose: int = 0,
+        seed: int | None = None,
+        device: torch.device | str = "cpu",
+        policy: type[LinearPolicy] = LinearPolicy,
+        _init_setup_model: bool = True,
+    ) -> None:
+        if not (0.0 <= gamma <= 1.0 and 0.0 <= epsilon <= 1.0 and learning_rate > 0.0):
+            raise ValueError(
+                f"gamma and epsilon must be in [0, 1] and learning_rate positive, got {gamma}, {epsilon} and "
+                f"{learning_rate}."
+            )
+        super().__init__(
+            policy,
+            env,
+            learning_rate,
+            tensorboard_log=tensorboard_log,
+            verbose=verbose,
+            device="cpu",
+            support_multi_env=True,
+            seed=seed,
+        )
+        self.gamma, self.epsilon, self.features = gamma, epsilon, features
+        if _init_setup_model:
+            self._setup_model()
+
+    def _setup_model(self) -> None:
+        if not isinstance(self.action_space, spaces.Discrete):
+            raise TypeError(f"MacroQ needs a Discrete action space, got {self.action_space}.")
+        self.set_random_seed(self.seed)
+        self._random = np.random.default_rng(self.seed)
+        if self.features is None:
+            self.features = default_features(self.observation_space)
+        self.policy = LinearPolicy(self.observation_space, self.action_space, self.features)
+        self._n_actions = int(self.action_space.n)
+        self._count_slots()
+
+    def set_env(self, env: GymEnv, force_reset: bool = True) -> None:
+        """As in SB3: learn in another environment from now on."""
+        super().set_env(env, force_reset)
+        self._count_slots()
+
+    def _count_slots(self) -> None:
+        self._n_primitive = self._n_actions
+        if self.env is not None and all(self.env.env_is_wrapped(OptionsWrapper)):
+            self._n_primitive = self.env.get_attr("n_primitive", [0])[0]
+            self.env.env_method("report_availability", True)
+        self._n_slots = self._n_actions - self._n_primitive
+        self._primitives = list(range(self._n_primitive))
+
+    def learn(
+        self,
+        total_timesteps: int,
+        callback: MaybeCallback = None,
+        log_interval: int | None = 100,
+        tb_log_name: str = "MacroQ",
+        reset_num_timesteps: bool = True,
+        progress_bar: bool = False,
+    ) -> Self:
+        """Learn for a number of timesteps.
+
+        Args:
+            total_timesteps: How many: primitive steps where a callback of this library is there to count them, and
+                decisions otherwise.
+            callback: Any SB3 callback or list of them.
+            log_interval: Log every so many episodes; None never does.
+            tb_log_name: Name of the run for TensorBoard.
+            reset_num_timesteps: Start counting from 0.
+            progress_bar: Show one.
+
+        Returns:
+            The model.
+        """
+        # Callbacks look for each other in the local `callback`, as with SB3's own algorithms.
+        total_timesteps, callback = self._setup_learn(
+            total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
+        )
+        assert self.env is not None  # _setup_learn has reset it
+        assert self.features is not None  # set up with the model
+        callback.on_training_start(locals(), globals())
+        callback.on_rollout_start()
+        self._begin_learning()
+        choices = self._choices()
+        active = self._active(self._last_obs)
+        goes_on = True
+        while goes_on and self.num_timesteps < total_timesteps:
+            actions = np.array([self._explore(self._values(a), c) for a, c in zip(active, choices, strict=True)])
+            new_obs, rewards, dones, infos = self.env.step(actions)
+            self.num_timesteps += self.env.num_envs
+            new_active = self._active(new_obs)
+            over: list[bool] = dones.tolist()
+            for i, info in enumerate(infos):
+                arrived = self._active(np.asarray(info["terminal_observation"])[None])[0] if over[i] else new_active[i]
+                ended = over[i] and not info["TimeLimit.truncated"]
+                self._learn_from(active[i], int(actions[i]), float(rewards[i]), arrived, ended, info.get("option"))
+            self._last_obs, active = new_obs, new_active  # type: ignore[assignment]  # SB3 annotates it as None
+            # After learning: a callback that stops training at the end of an episode loses nothing of it.
+            callback.update_locals(locals())
+            goes_on = callback.on_step()
+            self._update_current_progress_remaining(self.num_timesteps, total_timesteps)
+            if any(over):
+                self._update_info_buffer(infos, dones)  # infos say something of episodes only at their ends
+                self._episode_num += sum(over)
+                choices = self._choices()  # options may have come, and the environment was reset
+                if log_interval is not None and self._episode_num % log_interval == 0:
+                    self._log()
+            elif self._n_slots:
+                choices = [self._choices_after(info["option"]) for info in infos]
+        callback.on_rollout_end()
+        callback.on_training_end()
+        return self
+
+    def replay(
+        self,
+        began: Sequence[int],
+        actions: Sequence[int],
+        rewards: Sequence[float],
+        led: Sequence[int],
+        ended: Sequence[bool],
+    ) -> None:
+        """Q-learning from primitive steps lived through earlier, in the given order (experience replay, Lin 1992).
+
+        Only for features of which one is active, such as `OneHot`; the maximum is taken over primitive actions.
+
+        Args:
+            began: Active feature where each step began, shape (n,).
+            actions: Primitive actions, shape (n,).
+            rewards: Shape (n,).
+            led: Active feature where each step led, shape (n,).
+            ended: Whether nothing follows, shape (n,).
+        """
+        table = self.policy.table()
+        step_size, gamma, n_primitive = cast("float", self.learning_rate), self.gamma, self._n_primitive
+        rows: list[list[float]] = table.tolist()  # five times faster to write to than an array
+        for state, action, reward, next_state, over in zip(began, actions, rewards, led, ended, strict=True):
+            target = reward if over else reward + gamma * max(rows[next_state][:n_primitive])
+            rows[state][action] += step_size * (target - rows[state][action])
+        table[:] = rows
+
+    def _begin_learning(self) -> None:
+        self._table = self.policy.table()
+        self._step_size = cast("float", self.learning_rate)  # the constructor takes no schedule
+
+    def _learn_from(
+        self,
+        began: list[int],
+        action: int,
+        reward: float,
+        arrived: list[int],
+        ended: bool,
+        option: dict[str, Any] | None,
+    ) -> None:
+        """Learn from one call of ``step``, and from the primitive steps inside it.
+
+        Args:
+            began: Active features where it began.
+            action: The augmented action.
+            reward: Σ γⁱ rᵢ.
+            arrived: Active features where it led.
+            ended: Whether nothing follows.
+            option: ``info["option"]``; None where the environment has no options.
+        """
+        if option is None:
+            self._update(began, action, reward, self.gamma, arrived, ended, ())
+            return
+        k = option["duration"]
+        available = option["available"].tolist() if "available" in option else [()] * k
+        if option["index"] < 0:
+            if "actions" in option:
+                action = int(option["actions"][0])  # an empty slot ran this primitive
+            self._update(began, action, reward, self.gamma, arrived, ended, available[0])
+            return
+        states = [*self._active(option["observations"]), arrived]
+        inner_actions, inner_rewards = option["actions"].tolist(), option["rewards"].tolist()
+        for i in range(k):
+            last = ended and i == k - 1
+            self._update(states[i], inner_actions[i], inner_rewards[i], self.gamma, states[i + 1], last, available[i])
+        self._update(began, action, reward, option["discount"], arrived, ended, available[-1])
+
+    def _update(
+        self,
+        active: list[int],
+        action: int,
+        reward: float,
+        discount: float,
+        next_active: list[int],
+        ended: bool,
+        available: Sequence[bool],
+    ) -> None:
+        """Q ← Q + α [r + γᵏ max Q(s', ·) − Q], the maximum over primitives and the ``available`` slots."""
+        target = reward
+        if not ended:
+            values = self._values(next_active)
+            best = max(values[: self._n_primitive])
+            for value, may_start in zip(values[self._n_primitive :], available, strict=False):
+                if may_start and value > best:
+                    best = value
+            target += discount * best
+        table = self._table
+        if len(active) == 1:
+            index = active[0]
+            table[index, action] += self._step_size * (target - table[index, action])
+            return
+        step = self._step_size / len(active) * (target - self._values(active)[action])
+        for index in active:  # an index that hashing gave twice is updated twice
+            table[index, action] += step
+
+    def _active(self, observations: Any) -> list[list[int]]:
+        """Active features of a batch: lists, because numpy is slower than Python for a handful of numbers."""
+        assert self.features is not None  # set up with the model
+        indices: list[list[int]] = self.features.active(observations).tolist()
+        return indices
+
+    def _values(self, active: list[int]) -> list[float]:
+        """Q of every action where these features are active."""
+        row = self._table[active[0]] if len(active) == 1 else self._table[active].sum(axis=0)
+        values: list[float] = row.tolist()
+        return values
+
+    def _choices(self) -> list[list[int]]:
+        """Which actions may start now in each environment."""
+        assert self.env is not None  # only asked while learning
+        if self._n_slots:
+            return [mask.nonzero()[0].tolist() for mask in self.env.env_method("action_masks")]
+        return [list(range(self._n_actions))] * self.env.num_envs
+
+    def _choices_after(self, option: dict[str, Any]) -> list[int]:
+        """Which actions may start after the step that left this ``info["option"]``."""
+        if "available" not in option:
+            return self._primitives
+        slots: list[bool] = option["available"][-1].tolist()
+        return self._primitives + [self._n_primitive + slot for slot, may_start in enumerate(slots) if may_start]
+
+    def _explore(self, values: list[float], choices: list[int]) -> int:
+        """ε-greedy among ``choices``, ties broken at random."""
+        if self._random.random() >= self.epsilon:
+            best = max(values) if len(choices) == len(values) else max([values[a] for a in choices])
+            choices = [a for a in choices if values[a] == best]
+        return choices[0] if len(choices) == 1 else choices[int(self._random.random() * len(choices))]
+
+    def predict(
+        self,
+        observation: npt.NDArray[Any] | dict[str, npt.NDArray[Any]],
+        state: tuple[npt.NDArray[Any], ...] | None = None,
+        episode_start: npt.NDArray[Any] | None = None,
+        deterministic: bool = False,
+        action_masks: BoolArray | None = None,
+    ) -> tuple[npt.NDArray[Any], tuple[npt.NDArray[Any], ...] | None]:
+        """Greedy (or ε-greedy) among the available actions.
+
+        Args:
+            observation: One, or a batch.
+            state: Passed through.
+            episode_start: Unused.
+            deterministic: Greedy, without ε, the first of several best.
+            action_masks: Which actions may be taken; by default asked from the model's own environment, by initiation
+                sets alone.
+
+        Returns:
+            Actions and ``state``.
+        """
+        vectorized = self.policy.is_vectorized_observation(observation)
+        batch = np.asarray(observation) if vectorized else np.asarray(observation)[None]
+        if action_masks is None:
+            action_masks = np.ones((len(batch), self._n_actions), dtype=bool)
+            if self._n_slots and self.env is not None:
+                action_masks = self.env.env_method("available", batch, indices=[0])[0]
+        masks = np.asarray(action_masks, dtype=bool).reshape(len(batch), -1)
+        values = self.policy.values(batch)
+        if deterministic:
+            actions = np.where(masks, values, -np.inf).argmax(axis=1)
+        else:
+            choices = [mask.nonzero()[0].tolist() for mask in masks]
+            actions = np.array([self._explore(v, c) for v, c in zip(values.tolist(), choices, strict=True)])
+        return (actions if vectorized else actions[0]), state
+
+    def _log(self) -> None:
+        if self.ep_info_buffer:
+            self.logger.record("rollout/ep_rew_mean", safe_mean([e["r"] for e in self.ep_info_buffer]))
+            self.logger.record("rollout/ep_len_mean", safe_mean([e["l"] for e in self.ep_info_buffer]))
+        if self.ep_success_buffer:
+            self.logger.record("rollout/success_rate", safe_mean(self.ep_success_buffer))
+        self.logger.record("time/episodes", self._episode_num, exclude="tensorboard")
+        self.logger.record("time/total_timesteps", self.num_timesteps, exclude="tensorboard")
+        self.logger.dump(step=self.num_timesteps)
+
+    def _excluded_save_params(self) -> list[str]:
+        return [*super()._excluded_save_params(), "_table"]
+
+    def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
+        return ["policy"], []
+
+
+def default_features(space: spaces.Space[Any]) -> LinearFeatures:
+    """One feature per state.
+
+    Raises:
+        ValueError: The observations are neither ``Discrete`` nor a flat ``Box`` between 0 and 1.
+    """
+    if isinstance(space, spaces.Discrete):
+        return OneHot(int(space.n), coded=False)
+    if isinstance(space, spaces.Box) and len(space.shape) == 1 and (space.low == 0).all() and (space.high == 1).all():
+        return OneHot(space.shape[0], coded=True)
+    raise ValueError(
+        f"There are no default features for {space}: pass features=TileCoding(low, high, tiles) or "
+        "OneHot(n, coded=...)."
+    )

@@ -1,0 +1,144 @@
+"""The action values of a model as they are now, in a form that travels to the environment's process."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.preprocessing import is_image_space
+from stable_baselines3.common.torch_layers import FlattenExtractor
+from stable_baselines3.common.vec_env import (
+    VecEnv,
+    VecFrameStack,
+    VecNormalize,
+    VecTransposeImage,
+    is_vecenv_wrapped,
+)
+
+from sb3_options.execution.interruption import Interruption
+from sb3_options.experience.observations import FloatArray, batch_of_one, flatten
+from sb3_options.learning import heads
+from sb3_options.learning.dqn import OptionDQN
+
+
+class _Scale(NamedTuple):
+    """What ``VecNormalize`` does to an observation."""
+
+    mean: FloatArray
+    std: FloatArray
+    clip: float
+
+    def __call__(self, batch: Any) -> Any:
+        return np.clip((batch - self.mean) / self.std, -self.clip, self.clip).astype(np.float32)
+
+
+def _scales(normalizer: VecNormalize | None) -> dict[str, _Scale]:
+    """By key, the empty one where observations are no ``Dict``; of none that is left as it is."""
+    if normalizer is None or not normalizer.norm_obs:
+        return {}
+    statistics = normalizer.obs_rms if isinstance(normalizer.obs_rms, dict) else {"": normalizer.obs_rms}
+    return {
+        key: _Scale(np.array(rms.mean), np.sqrt(rms.var + normalizer.epsilon), normalizer.clip_obs)
+        for key, rms in statistics.items()
+    }
+
+
+class ValueSnapshot:
+    """Q(s, ·) of DQN, OptionDQN or QRDQN (the mean over quantiles) at the time the snapshot was taken.
+
+    A multilayer perceptron with ReLU over flat observations is evaluated by numpy, which for one observation is
+    several times faster than torch; any other network is copied.
+
+    Args:
+        model: Whose online network is copied, with the statistics of a ``VecNormalize`` around its environment.
+    """
+
+    def __init__(self, model: BaseAlgorithm) -> None:
+        network = heads.networks(model.policy)[0]
+        _, self._outputs = heads.option_outputs(model.policy)[0]
+        self._scales = _scales(model.get_vec_normalize_env())
+        self._transposed = _transposed_keys(model)
+        self._layers = _numpy_layers(network, self._outputs)
+        self._states = int(model.observation_space.n) if isinstance(model.observation_space, spaces.Discrete) else 0
+        self._network = None if self._layers else copy.deepcopy(network).cpu().eval()
+
+    def __call__(self, observation: Any) -> FloatArray:
+        """Q(s, ·) of one observation as `OptionsWrapper` sees it, (n_actions,)."""
+        batch: Any = batch_of_one(observation)
+        if "" in self._transposed:
+            batch = np.moveaxis(batch, -1, 1)
+        elif self._transposed:
+            batch = {k: np.moveaxis(v, -1, 1) if k in self._transposed else v for k, v in batch.items()}
+        if isinstance(batch, dict):
+            batch = {k: self._scales[k](v) if k in self._scales else v for k, v in batch.items()}
+        elif self._scales:
+            batch = self._scales[""](batch)
+        return self._by_numpy(batch) if self._layers else self._by_torch(batch)
+
+    def _by_numpy(self, batch: Any) -> FloatArray:
+        hidden = np.eye(self._states)[np.ravel(batch)] if self._states else flatten(batch)
+        for weight, bias in self._layers[:-1]:
+            hidden = np.maximum(hidden @ weight + bias, 0.0)
+        weight, bias = self._layers[-1]
+        values: FloatArray = (hidden @ weight + bias)[0]
+        return values
+
+    @torch.no_grad()
+    def _by_torch(self, batch: Any) -> FloatArray:
+        assert self._network is not None  # there are no layers
+        tensors = (
+            {k: torch.as_tensor(v) for k, v in batch.items()} if isinstance(batch, dict) else torch.as_tensor(batch)
+        )
+        values: FloatArray = self._network(tensors)[0].double().reshape(self._outputs, -1).mean(dim=0).numpy()
+        return values
+
+
+def interrupt_options(model: BaseAlgorithm, venv: VecEnv, *, margin: float = 0.0, every_choice: bool = True) -> bool:
+    """Let options end in an environment where the model, as it is now, values something else more.
+
+    Args:
+        model: Whose values count.
+        venv: Wrapped in `OptionsWrapper`.
+        margin: As for `Interruption`.
+        every_choice: Likewise; True where the model acts greedily.
+
+    Returns:
+        Whether it can be done: DQN, QRDQN and OptionDQN have values of options. Beneath a ``VecFrameStack`` nobody sees
+        the frames that the values are of, and options run to their ends.
+    """
+    if not heads.has_networks(model.policy) or is_vecenv_wrapped(venv, VecFrameStack):
+        return False
+    rule = Interruption(ValueSnapshot(model), isinstance(model, OptionDQN), margin, every_choice)
+    venv.env_method("set_interruption", rule)
+    return True
+
+
+def _numpy_layers(network: Any, outputs: int) -> list[tuple[FloatArray, FloatArray]]:
+    """Weights (inputs, outputs) and biases of a plain perceptron, quantiles averaged; none of any other network."""
+    space = network.observation_space
+    flat = isinstance(space, spaces.Discrete) or (isinstance(space, spaces.Box) and not is_image_space(space))
+    modules = [*heads.body_of(network), heads.last_layer_of(network)]
+    plain = all(isinstance(m, torch.nn.Linear if i % 2 == 0 else torch.nn.ReLU) for i, m in enumerate(modules))
+    if not (flat and plain and type(network.features_extractor) is FlattenExtractor):
+        return []
+    layers = [
+        (m.weight.detach().cpu().double().numpy().T.copy(), m.bias.detach().cpu().double().numpy().copy())
+        for m in modules[::2]
+    ]
+    weight, bias = layers[-1]
+    layers[-1] = weight.reshape(len(weight), outputs, -1).mean(axis=1), bias.reshape(outputs, -1).mean(axis=0)
+    return layers
+
+
+def _transposed_keys(model: BaseAlgorithm) -> frozenset[str]:
+    """The images whose channels SB3 moves to the front, by key; the empty key where observations are no ``Dict``."""
+    venv: Any = model.get_env()
+    while venv is not None and not isinstance(venv, VecTransposeImage):
+        venv = getattr(venv, "venv", None) if hasattr(type(venv), "step_wait") else None
+    if venv is None or venv.skip:
+        return frozenset()
+    return frozenset(getattr(venv, "image_space_keys", [""]))

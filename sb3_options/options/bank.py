@@ -1,0 +1,236 @@
+"""The slots behind the augmented actions."""
+
+from __future__ import annotations
+
+import os
+from typing import Any, cast
+
+import numpy as np
+
+from sb3_options.experience.observations import BoolArray, FeatureMap, Observations, batch_size
+from sb3_options.options import file as option_file
+from sb3_options.options.file import MadeFor
+from sb3_options.options.option import Option, SubgoalOption
+
+
+class OptionBank:
+    """Ordered slots: augmented action ``n_primitive + i`` is slot i, for ever.
+
+    The capacity never changes, so that the action space stays what it was under an algorithm, a worker process, a
+    replay buffer or a saved model while slots fill.
+
+    Args:
+        n_primitive: Number of primitive actions, at least 1.
+        max_options: Number of slots, at least 0.
+        feature_map: φ that discovered options are bound to when they are added.
+        observation_size: Numbers in one flat observation; None accepts options for any.
+        feature_size: Dimensions d of concept space; None accepts options for any.
+        made_for: What observations its options act on, which `save` writes and `load` compares; None accepts any.
+
+    Raises:
+        ValueError: ``n_primitive`` < 1 or ``max_options`` < 0.
+    """
+
+    def __init__(
+        self,
+        n_primitive: int,
+        max_options: int,
+        *,
+        feature_map: FeatureMap | None = None,
+        observation_size: int | None = None,
+        feature_size: int | None = None,
+        made_for: MadeFor | None = None,
+    ) -> None:
+        if n_primitive < 1:
+            raise ValueError(f"n_primitive must be at least 1, got {n_primitive}.")
+        if max_options < 0:
+            raise ValueError(f"max_options must be at least 0, got {max_options}.")
+        self.n_primitive = n_primitive
+        self.max_options = max_options
+        self.feature_map = feature_map
+        self.observation_size = observation_size
+        self.feature_size = feature_size
+        self.made_for = made_for
+        self._slots: list[Option | None] = [None] * max_options
+        self.filled: tuple[int, ...] = ()
+
+    @property
+    def slots(self) -> tuple[Option | None, ...]:
+        """Every slot in order; None where empty."""
+        return tuple(self._slots)
+
+    def __getitem__(self, slot: int) -> Option | None:
+        return self._slots[slot]
+
+    def __len__(self) -> int:
+        """Number of filled slots."""
+        return len(self.filled)
+
+    def add(self, option: Option, slot: int | None = None) -> int:
+        """Put an option into a slot.
+
+        Args:
+            option: Any option. A `SubgoalOption` is bound to the bank's feature map, if it has one.
+            slot: Which slot, replacing what is in it; by default the first empty one.
+
+        Returns:
+            The slot it went into.
+
+        Raises:
+            TypeError: ``option`` is no `Option`.
+            ValueError: No slot is empty, or there is no such slot.
+        """
+        if not isinstance(option, Option):
+            raise TypeError(f"option must be an Option, got {type(option).__name__}.")
+        if slot is None:
+            if len(self) == self.max_options:
+                raise ValueError(
+                    f"All {self.max_options} option slots are filled: remove one, or make the wrapper with a "
+                    "larger max_options."
+                )
+            slot = self._slots.index(None)
+        self._check_slot(slot)
+        self._put(slot, self._bound(option))
+        return slot
+
+    def remove(self, slot: int) -> Option:
+        """Empty a slot, and return what was in it.
+
+        Raises:
+            ValueError: There is no such slot, or it is empty.
+        """
+        self._check_slot(slot)
+        option = self._slots[slot]
+        if option is None:
+            raise ValueError(f"Slot {slot} is empty already.")
+        self._put(slot, None)
+        return option
+
+    def bind(self, feature_map: FeatureMap | None) -> None:
+        """Take ``feature_map`` for the discovered options there are and those to come."""
+        self.feature_map = feature_map
+        self._slots = [option and self._bound(option) for option in self._slots]
+
+    def available(self, observations: Observations) -> BoolArray:
+        """Which augmented actions may start in each observation.
+
+        Returns:
+            Shape (batch, n_primitive + max_options): primitives always, options within their initiation sets, empty
+            slots never.
+        """
+        mask = np.ones((batch_size(observations), self.n_primitive + self.max_options), dtype=bool)
+        mask[:, self.n_primitive :] = self.available_slots(observations)
+        return mask
+
+    def available_slots(self, observations: Observations) -> BoolArray:
+        """Which options may start in each observation, shape (batch, max_options)."""
+        mask = np.zeros((batch_size(observations), self.max_options), dtype=bool)
+        for slot in self.filled:
+            mask[:, slot] = cast("Option", self._slots[slot]).initiation(observations)
+        return mask
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the discovered options to a safetensors file: arrays and JSON, nothing that can run.
+
+        A hand-made option consists of code, so only its name is written. The file appears whole or not at all: a
+        full disk or a killed process leaves the old one as it was.
+
+        Raises:
+            OSError: The file cannot be written.
+        """
+        tensors: dict[str, np.ndarray[Any, Any]] = {}
+        slots: dict[str, Any] = {}
+        for slot in self.filled:
+            option = cast("Option", self._slots[slot])
+            if isinstance(option, SubgoalOption):
+                slots[str(slot)], arrays = option_file.taken_apart(option)
+                tensors |= {f"{slot}.{name}": array for name, array in arrays.items()}
+            else:
+                slots[str(slot)] = {"name": option.name, "hand_made": True}
+        about: dict[str, Any] = {"n_primitive": self.n_primitive, "max_options": self.max_options, "slots": slots}
+        if self.made_for is not None:
+            about["made_for"] = self.made_for._asdict()
+        option_file.write(path, about, tensors)
+
+    def load(self, path: str | os.PathLike[str]) -> None:
+        """Fill the slots with the options of a file that `save` wrote, in the slots they were in.
+
+        A hand-made option of the file must already be in its slot. Either everything is loaded or nothing is.
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            ValueError: The file is damaged, is something else, or holds options for other observations, other
+                features or other primitive actions.
+        """
+        about, tensors = option_file.read(path)
+        try:
+            loaded = self._read(about, tensors)
+        except (KeyError, TypeError, AttributeError, OverflowError) as error:
+            raise ValueError(f"{path} is damaged: {error!r}") from error
+        except ValueError as error:
+            raise ValueError(f"{path} does not fit: {error}.") from error
+        for slot, option in loaded.items():
+            self._put(slot, self._bound(option))
+
+    def _read(self, about: dict[str, Any], tensors: dict[str, Any]) -> dict[int, Option]:
+        if about["n_primitive"] != self.n_primitive:
+            raise ValueError(
+                f"its options choose among {about['n_primitive']} primitive actions, this task has {self.n_primitive}"
+            )
+        discovered: dict[int, dict[str, Any]] = {}
+        for key, entry in about["slots"].items():
+            slot = int(key)
+            if not 0 <= slot < self.max_options:
+                raise ValueError(
+                    f"it has an option in slot {slot}, this bank only has {self.max_options} slots; make the wrapper "
+                    f"with max_options={about['max_options']}"
+                )
+            if not entry.get("hand_made"):
+                discovered[slot] = entry
+                continue
+            present = self._slots[slot]
+            if present is None or present.name != entry["name"]:
+                raise ValueError(
+                    f"slot {slot} held the hand-made option {entry['name']!r}, which is code and not in the "
+                    "file; add it to the bank first"
+                )
+        if self.made_for is not None and "made_for" in about:
+            there = option_file.MadeFor(**about["made_for"])
+            inputs = {option_file.policy_input_of(entry) for entry in discovered.values()}
+            option_file.check_made_for(there, self.made_for, inputs)
+        return {
+            slot: option_file.put_together(
+                entry,
+                _arrays_of(slot, tensors),
+                n_primitive=self.n_primitive,
+                observation_size=self.observation_size,
+                feature_size=self.feature_size,
+            )
+            for slot, entry in discovered.items()
+        }
+
+    def _bound(self, option: Option) -> Option:
+        if isinstance(option, SubgoalOption) and self.feature_map is not None:
+            return option.bind(self.feature_map)
+        return option
+
+    def _put(self, slot: int, option: Option | None) -> None:
+        self._slots[slot] = option
+        self.filled = tuple(i for i, present in enumerate(self._slots) if present is not None)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Functions may not travel between processes; whoever receives the bank has a feature map of its own.
+        return {**self.__dict__, "feature_map": None}
+
+    def _check_slot(self, slot: int) -> None:
+        if not 0 <= slot < self.max_options:
+            raise ValueError(f"slot must be between 0 and {self.max_options - 1}, got {slot}.")
+
+
+def _arrays_of(slot: int, tensors: dict[str, Any]) -> dict[str, Any]:
+    """The arrays of one slot, without its number before their names."""
+    return {
+        name.removeprefix(f"{slot}."): np.asarray(tensor, dtype=np.float64)
+        for name, tensor in tensors.items()
+        if name.startswith(f"{slot}.")
+    }

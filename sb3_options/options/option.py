@@ -1,0 +1,249 @@
+"""Options ⟨I, π, β⟩ (Sutton, Precup & Singh 1999), hand-made or with a subgoal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from numbers import Real
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.distance import cdist
+
+from sb3_options.experience.observations import (
+    BoolArray,
+    FeatureMap,
+    FloatArray,
+    IntArray,
+    Observations,
+    batch_size,
+    key_of,
+)
+from sb3_options.options.policies import OptionPolicy, PolicyInput
+
+JUDGED_BYTES = 4 << 20
+"""A `SubgoalOption` remembers its answers for about this many bytes of observations and answers, ..."""
+
+JUDGED_OVERHEAD = 400
+"""... of which an answer takes this many."""
+
+
+class Option:
+    """A temporally extended action: where it may start, what it does, and where it ends.
+
+    All three are functions of a batch of the observations that `OptionsWrapper` sees. The wrapper ends an option in
+    the first state after at least one step where ``termination`` says so, or which lies outside the initiation set,
+    or after ``max_duration`` steps; so ``initiation`` must hold in every state where the option may go on. In worker
+    processes (``SubprocVecEnv``) all three must be functions of a module: lambdas and closures cannot travel.
+
+    Args:
+        initiation: I. Observations → bool, shape (batch,).
+        policy: π. Observations → primitive actions, shape (batch,).
+        termination: β inside I. Observations → probability of ending (or bool), shape (batch,).
+        max_duration: Longest run, in primitive steps, at least 1.
+        name: For people, in logs and figures.
+
+    Raises:
+        ValueError: ``max_duration`` < 1.
+        TypeError: One of the three is not callable.
+    """
+
+    def __init__(
+        self,
+        initiation: Callable[[Observations], npt.ArrayLike],
+        policy: Callable[[Observations], npt.ArrayLike],
+        termination: Callable[[Observations], npt.ArrayLike],
+        *,
+        max_duration: int = 100,
+        name: str = "option",
+    ) -> None:
+        for argument, value in (("initiation", initiation), ("policy", policy), ("termination", termination)):
+            if not callable(value):
+                raise TypeError(
+                    f"{argument} must be a function of a batch of observations, got {type(value).__name__}."
+                )
+        self._initiation = initiation
+        self._policy = policy
+        self._termination = termination
+        self.max_duration = checked_duration(max_duration)
+        self.name = name
+
+    def initiation(self, observations: Observations) -> BoolArray:
+        """Whether each observation lies in I, shape (batch,)."""
+        return self._checked("initiation", self._initiation(observations), observations).astype(bool)
+
+    def policy(self, observations: Observations) -> IntArray:
+        """The primitive action π takes in each observation, shape (batch,)."""
+        actions = self._checked("policy", self._policy(observations), observations)
+        if not np.array_equal(actions, np.round(actions)):
+            raise ValueError(f"policy of option {self.name!r} must return whole numbers, got {actions}.")
+        return actions.astype(np.int64)
+
+    def termination(self, observations: Observations) -> FloatArray:
+        """β inside I: the probability of ending in each observation, shape (batch,)."""
+        return self._checked("termination", self._termination(observations), observations).astype(np.float64)
+
+    def _checked(self, what: str, value: npt.ArrayLike, observations: Observations) -> npt.NDArray[Any]:
+        array, expected = np.asarray(value), (batch_size(observations),)
+        if array.shape != expected:
+            raise ValueError(
+                f"{what} of option {self.name!r} must return one value per observation, shape {expected}, "
+                f"got shape {array.shape}."
+            )
+        return array
+
+
+def checked_duration(max_duration: int) -> int:
+    """``max_duration`` itself, if it is a whole number of at least 1.
+
+    Raises:
+        ValueError: It is not.
+    """
+    number = isinstance(max_duration, Real) and not isinstance(max_duration, bool)
+    if not (number and max_duration >= 1 and max_duration % 1 == 0):
+        raise ValueError(f"max_duration must be a whole number of primitive steps, at least 1, got {max_duration!r}.")
+    return int(max_duration)
+
+
+@dataclass(frozen=True)
+class Region:
+    """A union of balls of one radius in concept space: a subgoal (one ball) or an initiation set (many).
+
+    Attributes:
+        points: Centres, shape (n, d).
+        scale: Factor for every feature before distances are taken, shape (d,).
+        radius: In scaled units, ≥ 0.
+    """
+
+    points: FloatArray
+    scale: FloatArray
+    radius: float
+
+    def contains(self, features: FloatArray) -> BoolArray:
+        """Whether min over centres of ‖scale · (feature − centre)‖ ≤ radius, shape (batch,)."""
+        if len(self.points) == 0:
+            return np.zeros(len(features), dtype=bool)
+        nearest: FloatArray = cdist(features * self.scale, self.points * self.scale).min(axis=1)
+        return nearest <= self.radius
+
+
+@dataclass(frozen=True)
+class HalfSpace(Region):
+    """One side of a plane in concept space, ``points`` being one point of the plane.
+
+    Attributes:
+        normal: (d,), at right angles to the plane, towards the side that is meant; 0 for features of no importance.
+    """
+
+    normal: FloatArray
+
+    def contains(self, features: FloatArray) -> BoolArray:
+        """Whether normal · (feature − point) ≥ 0, shape (batch,)."""
+        inside: BoolArray = (features - self.points[0]) @ self.normal >= 0
+        return inside
+
+
+class SubgoalOption(Option):
+    """An option made of data only: reach a region of concept space, from within an initiation set.
+
+    Args:
+        subgoal: β = 1 inside it.
+        initiation_set: I is this region without the subgoal: at the subgoal there is nothing left to reach.
+        option_policy: π.
+        policy_input: Whether π acts on the observation or on its features φ.
+        feature_map: φ; None until `bind` sets it, because functions do not travel in files or between processes.
+        max_duration: Longest run, in primitive steps, at least 1.
+        name: For people, in logs and figures.
+
+    Raises:
+        ValueError: ``max_duration`` < 1.
+    """
+
+    def __init__(
+        self,
+        subgoal: Region,
+        initiation_set: Region,
+        option_policy: OptionPolicy,
+        *,
+        policy_input: PolicyInput = "observation",
+        feature_map: FeatureMap | None = None,
+        max_duration: int = 100,
+        name: str = "subgoal",
+    ) -> None:
+        self.subgoal = subgoal
+        self.initiation_set = initiation_set
+        self.option_policy = option_policy
+        self.policy_input: PolicyInput = policy_input
+        self.max_duration = checked_duration(max_duration)
+        self.name = name
+        self._feature_map = feature_map
+        self._judged: dict[bytes, tuple[BoolArray, BoolArray]] = {}
+        self._judged_bytes = 0
+
+    def bind(self, feature_map: FeatureMap | None) -> SubgoalOption:
+        """The same option with φ set."""
+        return self._like(self.option_policy, feature_map)
+
+    def with_policy(self, option_policy: OptionPolicy) -> SubgoalOption:
+        """The same option with another π, not yet bound to φ."""
+        return self._like(option_policy, None)
+
+    def _like(self, option_policy: OptionPolicy, feature_map: FeatureMap | None) -> SubgoalOption:
+        return SubgoalOption(
+            self.subgoal,
+            self.initiation_set,
+            option_policy,
+            policy_input=self.policy_input,
+            feature_map=feature_map,
+            max_duration=self.max_duration,
+            name=self.name,
+        )
+
+    def initiation(self, observations: Observations) -> BoolArray:
+        """Whether each observation lies in I, shape (batch,)."""
+        return self._judge(observations)[0].copy()
+
+    def policy(self, observations: Observations) -> IntArray:
+        """The greedy action of the option's value function, shape (batch,)."""
+        sees = self._features(observations) if self.policy_input == "features" else observations
+        return self.option_policy.actions(sees)
+
+    def termination(self, observations: Observations) -> FloatArray:
+        """1 at the subgoal, else 0, shape (batch,)."""
+        return self._judge(observations)[1].astype(np.float64)
+
+    def _judge(self, observations: Observations) -> tuple[BoolArray, BoolArray]:
+        """Whether each observation lies in I, and whether it is the subgoal.
+
+        A single observation's answer is kept: a step of the wrapper asks for the same one up to three times, and a
+        small environment shows the same ones again and again.
+        """
+        if batch_size(observations) != 1:
+            return self._judge_anew(observations)
+        key = key_of(observations)
+        judged = self._judged.get(key)
+        if judged is None:
+            judged = self._judge_anew(observations)
+            if self._judged_bytes > JUDGED_BYTES:
+                self._judged.clear()
+                self._judged_bytes = 0
+            self._judged[key] = judged
+            self._judged_bytes += len(key) + JUDGED_OVERHEAD
+        return judged
+
+    def _judge_anew(self, observations: Observations) -> tuple[BoolArray, BoolArray]:
+        features = self._features(observations)
+        reached = self.subgoal.contains(features)
+        return self.initiation_set.contains(features) & ~reached, reached
+
+    def _features(self, observations: Observations) -> FloatArray:
+        if self._feature_map is None:
+            raise ValueError(
+                f"Option {self.name!r} has no feature map: add it to the bank of an OptionsWrapper that has one, "
+                "or call option.bind(feature_map)."
+            )
+        return self._feature_map(observations)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_feature_map": None, "_judged": {}, "_judged_bytes": 0}

@@ -1,0 +1,144 @@
+"""The policies π of discovered options: greedy in a value function, stored as plain arrays."""
+
+from __future__ import annotations
+
+from typing import Literal, Protocol, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.distance import cdist
+
+from sb3_options.experience.observations import FloatArray, IntArray, Observations, flatten
+
+PolicyInput: TypeAlias = Literal["observation", "features"]
+"""What a policy acts on: the observation, or its features φ in concept space."""
+
+
+class OptionPolicy(Protocol):
+    """What a `SubgoalOption` needs of its policy; "observations" are features where it acts on those."""
+
+    def actions(self, observations: Observations) -> IntArray:
+        """The greedy primitive action in each observation, shape (batch,)."""
+
+    def arrays(self) -> dict[str, npt.NDArray[np.float64]]:
+        """Everything the policy consists of, by name; `from_arrays` turns it back."""
+
+
+class TabularPolicy:
+    """Greedy in a table of action values, for observations that repeat.
+
+    An observation that is not in the table takes the action of the nearest one that is.
+
+    Args:
+        states: Known observations as flat rows, shape (m, size of an observation), m ≥ 1.
+        values: Action values, −∞ for actions never tried there, shape (m, n_primitive).
+    """
+
+    def __init__(self, states: FloatArray, values: FloatArray) -> None:
+        self.states = states + 0.0  # -0.0 and 0.0 are one state, but not one key
+        self.values = values
+        self._greedy: IntArray = values.argmax(axis=1)
+        self._row_of = {row.tobytes(): i for i, row in enumerate(self.states)}
+
+    def actions(self, observations: Observations) -> IntArray:
+        """The greedy primitive action in each observation, shape (batch,)."""
+        rows = flatten(observations) + 0.0
+        known = np.array([self._row_of.get(row.tobytes(), -1) for row in rows], dtype=np.int64)
+        new = np.flatnonzero(known < 0)
+        if len(new):
+            # The same observation comes many times when a replay buffer is judged.
+            distinct, which = np.unique(rows[new], axis=0, return_inverse=True)
+            nearest = np.array([self._nearest(row) for row in distinct])
+            known[new] = nearest[which.ravel()]
+        return self._greedy[known]
+
+    def rows_for(self, observations: Observations) -> tuple[IntArray, FloatArray, FloatArray]:
+        """The table made large enough for ``observations``.
+
+        Args:
+            observations: Distinct ones, batch of n.
+
+        Returns:
+            The row of each observation, shape (n,); states and values with rows of −∞ for new ones, as copies.
+        """
+        flat = flatten(observations) + 0.0
+        new = np.array([i for i, row in enumerate(flat) if row.tobytes() not in self._row_of], dtype=np.int64)
+        rows = np.array([self._row_of.get(row.tobytes(), -1) for row in flat])
+        rows[new] = len(self.states) + np.arange(len(new))
+        empty = np.full((len(new), self.values.shape[1]), -np.inf)
+        return rows, np.concatenate([self.states, flat[new]]), np.concatenate([self.values, empty])
+
+    def _nearest(self, row: FloatArray) -> int:
+        return int(cdist(row[None], self.states).argmin())
+
+    def arrays(self) -> dict[str, npt.NDArray[np.float64]]:
+        """Everything the policy consists of, by name."""
+        return {"table_states": self.states, "table_values": self.values}
+
+
+class NetworkPolicy:
+    """Greedy in a small network of action values, for observations that do not repeat.
+
+    The forward pass is numpy's: for one observation it is several times faster than torch's.
+
+    Args:
+        mean: Subtracted from the flat observation, shape (size,).
+        std: Divides the centred observation, > 0, shape (size,).
+        weights: Of the layers, each (inputs, outputs).
+        biases: Of the layers, each (outputs,); ReLU between layers.
+    """
+
+    def __init__(self, mean: FloatArray, std: FloatArray, weights: list[FloatArray], biases: list[FloatArray]) -> None:
+        self.mean, self.std, self.weights, self.biases = mean, std, weights, biases
+
+    def actions(self, observations: Observations) -> IntArray:
+        """The greedy primitive action in each observation, shape (batch,)."""
+        hidden = (flatten(observations) - self.mean) / self.std
+        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            hidden = np.maximum(hidden @ weight + bias, 0.0)
+        actions: IntArray = (hidden @ self.weights[-1] + self.biases[-1]).argmax(axis=1)
+        return actions
+
+    def arrays(self) -> dict[str, npt.NDArray[np.float64]]:
+        """Everything the policy consists of, by name."""
+        layers = {f"network_weight_{i}": w for i, w in enumerate(self.weights)}
+        layers |= {f"network_bias_{i}": b for i, b in enumerate(self.biases)}
+        return {"network_mean": self.mean, "network_std": self.std, **layers}
+
+
+def from_arrays(arrays: dict[str, npt.NDArray[np.float64]], observation_size: int, n_primitive: int) -> OptionPolicy:
+    """The policy that `OptionPolicy.arrays` took apart.
+
+    Args:
+        arrays: By name.
+        observation_size: Numbers in one flat observation, or features of it.
+        n_primitive: Number of primitive actions.
+
+    Raises:
+        ValueError: Arrays are missing, or do not fit each other, the observations or the actions.
+    """
+    if "table_states" in arrays and "table_values" in arrays:
+        states, values = arrays["table_states"], arrays["table_values"]
+        expected_states, expected_values = (len(states), observation_size), (len(states), n_primitive)
+        if len(states) == 0 or states.shape != expected_states or values.shape != expected_values:
+            raise ValueError(
+                f"its table has observations of shape {states.shape} and values of shape {values.shape}, "
+                f"expected {observation_size} numbers an observation and {n_primitive} primitive actions"
+            )
+        return TabularPolicy(states, values)
+    n_layers = sum(name.startswith("network_weight_") for name in arrays)
+    try:
+        weights = [arrays[f"network_weight_{i}"] for i in range(n_layers)]
+        biases = [arrays[f"network_bias_{i}"] for i in range(n_layers)]
+        mean, std = arrays["network_mean"], arrays["network_std"]
+    except KeyError as missing:
+        raise ValueError(f"its policy lacks the array {missing}") from None
+    sizes = [observation_size, *(b.shape[0] if b.ndim == 1 else -1 for b in biases)]
+    fits = n_layers > 0 and mean.shape == std.shape == (observation_size,) and sizes[-1] == n_primitive
+    fits = fits and all(w.shape == (sizes[i], sizes[i + 1]) for i, w in enumerate(weights))
+    if not fits:
+        raise ValueError(
+            f"its network maps {mean.size} numbers to {sizes[-1]} actions with layers {sizes}, "
+            f"expected {observation_size} numbers an observation and {n_primitive} primitive actions"
+        )
+    return NetworkPolicy(mean, std, weights, biases)

@@ -1,0 +1,177 @@
+"""Environments and models of a run, and the run folder."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
+
+from sb3_options.runs import algorithms
+
+from sb3_options.options import file as option_file
+from sb3_options.runs.config import TrainConfig
+from sb3_options.learning.replay_buffer import OptionReplayBuffer
+from sb3_options.execution.wrapper import OptionsWrapper
+
+CONFIG = "config.yml"
+MODEL = "model.zip"
+OPTIONS = "options.safetensors"
+MONITOR = "monitor"
+SUBGOALS = "subgoals.png"
+
+OWN_NAMESPACE = "sb3_options/"
+"""Of the environments that come with the library."""
+
+
+def new_run_folder(config: TrainConfig) -> Path:
+    """Make the next free folder ``ALGO/ENV_N`` below ``tensorboard_log``.
+
+    Raises:
+        OSError: It cannot be made.
+    """
+    parent = config.tensorboard_log / config.algo
+    parent.mkdir(parents=True, exist_ok=True)
+    name = config.env.replace("/", "-")
+    number = 1
+    while True:
+        folder = parent / f"{name}_{number}"
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            number += 1
+        else:
+            return folder
+
+
+def check_env_id(env_id: str) -> None:
+    """Refuse an id that Gymnasium does not know, and name the nearest one it does.
+
+    Raises:
+        ValueError: The id is not registered.
+    """
+    # An id may name the module that registers it, as in "module:Env-v0".
+    if env_id in gym.registry or ":" in env_id:
+        return
+    near = difflib.get_close_matches(env_id, gym.registry, n=1, cutoff=0.0)
+    raise ValueError(f"There is no environment {env_id!r}. Did you mean {near[0]!r}?")
+
+
+def options_file(config: TrainConfig) -> Path | None:
+    """The file behind ``--options``; None where there is none.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is damaged, or has more slots than ``--max-options``.
+    """
+    if config.options is None:
+        return None
+    path = config.options / OPTIONS if config.options.is_dir() else config.options
+    if not path.is_file():
+        raise FileNotFoundError(f"--options: there is no options file at {path}.")
+    needed = 1 + max(option_file.slots_of(path), default=-1)
+    if needed > config.max_options:
+        raise ValueError(
+            f"--options: {path} has an option in slot {needed - 1}, --max-options {config.max_options} is too few for "
+            f"it: pass --max-options {needed} or more."
+        )
+    return path
+
+
+def make_env(
+    config: TrainConfig,
+    n_envs: int,
+    seed: int,
+    *,
+    monitor_dir: Path | None = None,
+    beneath: Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]] | None = None,
+    render_mode: str | None = None,
+    subproc: bool = False,
+) -> VecEnv:
+    """Environments with option slots, and a ``Monitor`` beneath these, so that it counts primitive steps.
+
+    The slots start with the options of ``--options``.
+
+    Args:
+        config: Of the run.
+        n_envs: How many.
+        seed: Of the first; the others count on from it.
+        monitor_dir: Where each writes its episodes; None writes nothing.
+        beneath: A wrapper to put beneath the options as well.
+        render_mode: For the environment.
+        subproc: Whether each lives in a process of its own.
+
+    Returns:
+        A ``DummyVecEnv``, or a ``SubprocVecEnv``.
+
+    Raises:
+        FileNotFoundError: ``--options`` names no file.
+        ValueError: Its options do not fit.
+    """
+    keywords = config.env_keywords()
+    options = options_file(config)
+    if render_mode is not None:
+        keywords["render_mode"] = render_mode
+
+    def with_options(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+        if beneath is not None:
+            env = beneath(env)
+        return OptionsWrapper(
+            env, config.max_options, gamma=config.gamma, options_file=options, max_runs=config.max_runs
+        )
+
+    env_id = config.env
+    if subproc and env_id.startswith(OWN_NAMESPACE):
+        env_id = f"sb3_options.envs:{env_id}"  # nobody has registered it there
+
+    return make_vec_env(
+        env_id,
+        n_envs=n_envs,
+        seed=seed,
+        env_kwargs=keywords,
+        wrapper_class=with_options,
+        monitor_dir=None if monitor_dir is None else str(monitor_dir),
+        vec_env_cls=SubprocVecEnv if subproc else DummyVecEnv,
+    )
+
+
+def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> BaseAlgorithm:
+    """The untrained model of a run.
+
+    Args:
+        config: Of the run.
+        env: As `make_env` makes it.
+        playing: Whether it is to be loaded and played only, which needs no large buffer.
+
+    Returns:
+        An SB3 model.
+
+    Raises:
+        ModuleNotFoundError: The algorithm is one of sb3-contrib's, which is not installed.
+    """
+    image = len(env.observation_space.shape or ()) == 3
+    policy = "MultiInput" if isinstance(env.observation_space, gym.spaces.Dict) else "Cnn" if image else "Mlp"
+    settings = {name: getattr(config, name) for name in algorithms.SETTINGS[config.algo]}
+    if config.algo in algorithms.OFF_POLICY:
+        settings["replay_buffer_class"] = OptionReplayBuffer  # rollout buffers are the callback's affair
+        settings["replay_buffer_kwargs"] = {"intra_option": config.intra_option}
+    if playing and config.algo in algorithms.OFF_POLICY:
+        settings["buffer_size"] = 1
+    elif playing:
+        settings["n_steps"] = settings.get("batch_size", 1)
+    model: BaseAlgorithm = algorithms.class_of(config.algo)(
+        f"{policy}{'Lstm' if config.algo == 'recurrentppo' else ''}Policy",
+        env,
+        seed=config.seed,
+        device=config.device,
+        gamma=config.gamma,
+        learning_rate=config.learning_rate,
+        policy_kwargs={"net_arch": list(config.net_arch)},
+        **settings,
+    )
+    return model

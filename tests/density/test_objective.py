@@ -1,0 +1,257 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from torch import Tensor
+
+from sb3_options.density.bags import Bags
+from sb3_options.density.concepts import Array, Concept, Frame, Plane, Point
+from sb3_options.density.diverse_density import log_diverse_density
+from sb3_options.density.evidence import Evidence
+from sb3_options.density.objective import MAX_PAIRS
+from tests.density.test_diverse_density import oracle, random_bags
+
+
+def evidence_of(
+    bags: Bags, concept: Concept | None = None, eta: float = 1.0, width: float = 1.0, max_pairs: int = MAX_PAIRS
+) -> Evidence:
+    d = bags.n_features
+    frame = Frame(np.arange(d), np.zeros(d), np.ones(d), d)
+    return Evidence(
+        bags, concept or Point(prior=None), frame, negative_strength=eta, negative_width=width, max_pairs=max_pairs
+    )
+
+
+def theta_of(points: Array, scales: Array) -> Tensor:
+    """θ of `Point` with a scale per feature, (2 d, S)."""
+    return torch.from_numpy(np.concatenate([(points * scales).T, np.broadcast_to(scales, points.shape).T]))
+
+
+def densities(evidence: Evidence, points: Array, scales: Array, dtype: torch.dtype = torch.float64) -> Array:
+    return -evidence.loss(theta_of(points, scales).to(dtype))[0].double().numpy()
+
+
+# Relative and absolute error that each precision is held to. Single precision cancels near negative instances; what
+# a search returns is computed in double precision.
+PRECISIONS = [(torch.float64, 1e-9, 1e-12), (torch.float32, 2e-3, 2e-3)]
+
+
+@pytest.mark.parametrize(("dtype", "rel", "absolute"), PRECISIONS)
+def test_value_against_the_definition(dtype: torch.dtype, rel: float, absolute: float) -> None:
+    rng = np.random.default_rng(0)
+    for case in range(200):
+        d = int(rng.integers(1, 7))
+        spread = 10.0 ** rng.uniform(-1, 0.7)
+        positive = random_bags(rng, int(rng.integers(0, 4)), d, spread)
+        negative = random_bags(rng, int(rng.integers(0 if positive else 1, 3)), d, spread)
+        scale, eta = rng.uniform(0.3, 2.0, size=d), float(rng.choice([1.0, 0.5]))
+        point = rng.normal(scale=spread, size=d)
+        if positive and case % 5 == 0:
+            point = positive[0][0]
+        expected = float(oracle(point, scale, positive, negative, eta))
+        value = densities(evidence_of(Bags.pack(positive, negative), eta=eta), point[None], scale, dtype)[0]
+        assert value == pytest.approx(expected, rel=rel, abs=absolute), case
+
+
+@pytest.mark.parametrize(("dtype", "rel", "absolute"), PRECISIONS)
+@pytest.mark.parametrize("d", [2, 20])
+@pytest.mark.parametrize("distance", [0.0, 1e-3, 0.1, 1.0, 3.0, 4.3, 10.0, 27.0, 40.0, 100.0, 1e4])
+def test_value_at_any_distance(distance: float, d: int, dtype: torch.dtype, rel: float, absolute: float) -> None:
+    rng = np.random.default_rng(1)
+    positive = [rng.normal(scale=0.1, size=(n, d)) + np.eye(d)[0] * distance for n in (3, 5)]
+    positive[0][0] = np.eye(d)[0] * distance
+    expected = float(oracle(np.zeros(d), 1.0, positive))
+    value = densities(evidence_of(Bags.pack(positive)), np.zeros((1, d)), np.ones(d), dtype)[0]
+    assert value == pytest.approx(expected, rel=rel, abs=absolute)
+
+
+def by_autograd(theta: Tensor, bags: Bags) -> tuple[Tensor, Tensor]:
+    """The same concepts through `log_diverse_density`, whose gradient is checked against finite differences."""
+    theta = theta.clone().requires_grad_()
+    a, s = theta.chunk(2)
+    value = log_diverse_density((a / s).T, s.T, bags)
+    return value.detach(), torch.autograd.grad(value.sum(), theta)[0]
+
+
+@pytest.mark.parametrize("reach", [1.0, 4.0, 40.0, 1e4])
+@pytest.mark.parametrize(("n_positive", "n_negative"), [(3, 2), (3, 0), (0, 2), (1, 0)])
+@pytest.mark.parametrize("d", [1, 2, 6])
+def test_gradient(n_positive: int, n_negative: int, d: int, reach: float) -> None:
+    rng = np.random.default_rng(5)
+    bags = Bags.pack(random_bags(rng, n_positive, d, 1.5), random_bags(rng, n_negative, d, 1.5))
+    theta = theta_of(rng.normal(scale=reach, size=(4, d)), rng.uniform(0.5, 1.5, size=(4, d)))
+    loss, gradient = evidence_of(bags).loss(theta)
+    expected, slope = by_autograd(theta, bags)
+    torch.testing.assert_close(-loss, expected, rtol=1e-9, atol=1e-12)
+    torch.testing.assert_close(-gradient, slope, rtol=1e-7, atol=1e-8 * reach)
+    single = evidence_of(bags).loss(theta.float())[1]
+    torch.testing.assert_close(-single.double(), slope, rtol=2e-3, atol=2e-3 * reach)
+
+
+def check_gradient(evidence: Evidence, theta: Tensor) -> None:
+    """The gradient against central differences of the value."""
+    _, gradient = evidence.loss(theta)
+    for k in range(len(theta)):
+        step = torch.zeros_like(theta)
+        step[k] = 1e-6
+        slope = (evidence.loss(theta + step)[0] - evidence.loss(theta - step)[0]) / 2e-6
+        torch.testing.assert_close(gradient[k], slope, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "concept",
+    [
+        Point(),
+        Point("one"),
+        Point("fixed"),
+        Point(prior=None),
+        Point(prior="small", prior_width=0.5),
+        Point("one", prior="small"),
+        Plane(),
+    ],
+)
+@pytest.mark.parametrize(("eta", "width"), [(1.0, 1.0), (0.3, 1.0), (1.0, 0.5), (0.2, 2.0)])
+def test_gradient_of_every_concept(concept: Concept, eta: float, width: float) -> None:
+    rng = np.random.default_rng(6)
+    bags = Bags.pack(random_bags(rng, 4, 3, 1.5), random_bags(rng, 3, 3, 1.5), weights=rng.uniform(0, 2, size=7))
+    evidence = evidence_of(bags, concept, eta, width)
+    theta = concept.start(torch.from_numpy(rng.normal(size=(5, 3))), 0.7)
+    check_gradient(evidence, theta + torch.from_numpy(0.1 * rng.normal(size=theta.shape)))
+
+
+@pytest.mark.parametrize("reach", [1.0, 300.0])
+def test_a_plane_at_any_distance(reach: float) -> None:
+    rng = np.random.default_rng(7)
+    positive, negative = random_bags(rng, 3, 2, 1.0), random_bags(rng, 2, 2, 1.0)
+    theta = torch.from_numpy(np.array([[1.0], [2.0], [reach]]))
+    evidence = evidence_of(Bags.pack(positive, negative), Plane(offset=1e9, steepness=1e9))
+
+    def log_p(x: Array) -> Array:
+        return np.asarray(-np.logaddexp(0, reach - x @ [1.0, 2.0]))
+
+    expected = sum(
+        math.log(-math.expm1(np.log1p(-np.exp(log_p(b))).sum())) if reach < 100 else np.logaddexp.reduce(log_p(b))
+        for b in positive
+    ) + sum(float(np.log1p(-np.exp(log_p(b))).sum()) for b in negative)
+    assert -evidence.loss(theta)[0].item() == pytest.approx(expected, rel=1e-6)
+    check_gradient(evidence, theta)
+
+
+def test_weights_repeat_bags() -> None:
+    rng = np.random.default_rng(8)
+    positive, negative = random_bags(rng, 3, 2, 1.0), random_bags(rng, 2, 2, 1.0)
+    theta = theta_of(rng.normal(size=(4, 2)), np.ones(2))
+    weighted = evidence_of(Bags.pack(positive, negative, weights=[1, 3, 1, 2, 0]))
+    repeated = evidence_of(Bags.pack([*positive, positive[1], positive[1]], [negative[0]] * 2))
+    for once, thrice in zip(weighted.loss(theta), repeated.loss(theta), strict=True):
+        torch.testing.assert_close(once, thrice, rtol=1e-12, atol=1e-12)
+    points = rng.normal(size=(4, 2))
+    torch.testing.assert_close(
+        log_diverse_density(points, 1.0, Bags.pack(positive, negative, weights=[1, 3, 1, 2, 0])),
+        log_diverse_density(points, 1.0, Bags.pack([*positive, positive[1], positive[1]], [negative[0]] * 2)),
+    )
+
+
+def test_narrow_negatives() -> None:
+    positive, negative = [np.ones((1, 2))], [np.zeros((1, 2)), np.full((1, 2), 2.0)]
+    value = densities(evidence_of(Bags.pack(positive, negative), width=0.5), np.array([[1.0, 0.5]]), np.ones(2))
+    expected = -0.25 + math.log1p(-math.exp(-4 * 1.25)) + math.log1p(-math.exp(-4 * 3.25))
+    assert value[0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_saturation() -> None:
+    bag = np.full((100, 2), 3.0)
+    for dtype in (torch.float64, torch.float32):
+        hit = densities(evidence_of(Bags.pack([bag] * 4)), np.array([[3.0, 3.0]]), np.ones(2), dtype)
+        assert hit[0] == pytest.approx(0, abs=1e-12)
+        near = densities(evidence_of(Bags.pack([], [bag])), np.array([[3.0, 3.1]]), np.ones(2), dtype)
+        assert near[0] == pytest.approx(float(oracle([3.0, 3.1], 1.0, [], [bag])), rel=1e-3)
+        on_it = evidence_of(Bags.pack([], [bag])).loss(theta_of(np.array([[3.0, 3.0]]), np.ones(2)).to(dtype))
+        assert on_it[0].item() == np.inf if dtype == torch.float64 else on_it[0].item() > 1000
+        assert on_it[1].isfinite().all()
+
+
+@pytest.mark.parametrize(
+    "lengths", [[1], [1, 1, 1], [1, 400, 3], [60] * 3, [33, 31, 35, 1000], [1000] + [2] * 50, [20_000, 3, 9_000]]
+)
+def test_uneven_bags_waste_nothing(lengths: list[int]) -> None:
+    rng = np.random.default_rng(8)
+    bags = [rng.normal(scale=4, size=(n, 2)) for n in lengths]
+    points, scales = rng.normal(scale=3, size=(3, 2)), np.full(2, 0.7)
+    for positive, negative in ((bags, []), ([], bags)):
+        separate = sum(
+            densities(evidence_of(Bags.pack([b] if positive else [], [b] if negative else [])), points, scales)
+            for b in bags
+        )
+        evidence = evidence_of(Bags.pack(positive, negative))
+        np.testing.assert_allclose(densities(evidence, points, scales), separate, rtol=1e-10, atol=1e-12)
+        assert sum(len(s.powers) for s in evidence.segments(torch.float64)) == sum(lengths)
+
+
+FEATURE = st.floats(-30, 30, width=32)
+SOME_BAGS = st.lists(arrays(np.float64, st.tuples(st.integers(1, 5), st.just(2)), elements=FEATURE), max_size=4)
+
+
+@given(positive=SOME_BAGS, negative=SOME_BAGS, point=st.tuples(FEATURE, FEATURE), offset=FEATURE)
+@settings(max_examples=50, deadline=None)
+def test_order_and_origin_change_nothing(
+    positive: list[Array], negative: list[Array], point: tuple[float, float], offset: float
+) -> None:
+    assume(positive or negative)
+    at, ones = np.array([point]), np.ones(2)
+    before = densities(evidence_of(Bags.pack(positive, negative)), at, ones)
+    assume(np.isfinite(before).all())
+    reversed_bags = Bags.pack([bag[::-1] for bag in positive[::-1]], [bag[::-1] for bag in negative[::-1]])
+    np.testing.assert_allclose(densities(evidence_of(reversed_bags), at, ones), before, rtol=1e-9, atol=1e-9)
+    moved = Bags.pack([bag + offset for bag in positive], [bag + offset for bag in negative])
+    near = [b for b in negative if np.linalg.norm(b - at, axis=1).min() < 1e-3]
+    if not near:  # there 1 − p magnifies the rounding of the move
+        np.testing.assert_allclose(densities(evidence_of(moved), at + offset, ones), before, rtol=1e-6, atol=1e-6)
+    assert before[0] <= 0
+    more = densities(evidence_of(Bags.pack([*positive, np.vstack([*positive, at])], negative)), at, ones)
+    np.testing.assert_allclose(more, before, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("max_pairs", [1, 50, 333])
+def test_chunks_change_nothing(max_pairs: int) -> None:
+    rng = np.random.default_rng(9)
+    bags = Bags.pack(random_bags(rng, 6, 4, 1.0), random_bags(rng, 3, 4, 1.0))
+    theta = theta_of(rng.normal(size=(30, 4)), np.ones(4))
+    whole, parts = evidence_of(bags).loss(theta), evidence_of(bags, max_pairs=max_pairs).loss(theta)
+    for one, other in zip(whole, parts, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-12, atol=1e-12)
+
+
+def test_bags_added_one_by_one() -> None:
+    rng = np.random.default_rng(10)
+    positive, negative = random_bags(rng, 40, 3, 1.0), random_bags(rng, 20, 3, 1.0)
+    theta = theta_of(rng.normal(size=(5, 3)), np.ones(3))
+    grown = evidence_of(Bags.pack(positive[:1]))
+    grown.loss(theta)
+    for bag in positive[1:]:
+        grown.add(bag)
+    for bag in negative:
+        grown.add(bag, positive=False)
+    assert grown.n_bags == 60
+    for one, other in zip(grown.loss(theta), evidence_of(Bags.pack(positive, negative)).loss(theta), strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-12, atol=1e-12)
+    with pytest.raises(ValueError, match=r"bag must have shape \(n >= 1, 3\), got \(2, 2\)"):
+        grown.add(np.zeros((2, 2)))
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+def test_cuda_agrees(dtype: torch.dtype) -> None:
+    rng = np.random.default_rng(11)
+    positive, negative = random_bags(rng, 6, 4, 1.0), random_bags(rng, 3, 4, 1.0)
+    theta = theta_of(rng.normal(size=(30, 4)), np.ones(4)).to(dtype)
+    here = evidence_of(Bags.pack(positive, negative)).loss(theta)
+    there = evidence_of(Bags.pack(positive, negative, device="cuda")).loss(theta.cuda())
+    for one, other in zip(here, there, strict=True):
+        torch.testing.assert_close(one, other.cpu(), rtol=1e-3 if dtype == torch.float32 else 1e-9, atol=1e-4)

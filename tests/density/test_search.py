@@ -1,0 +1,381 @@
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+import torch
+
+from sb3_options.density.bags import Bags
+from sb3_options.density.concepts import Array, Concept, Plane, Point
+from sb3_options.density.evidence import Evidence
+from sb3_options.density.lbfgs import Descent
+from sb3_options.density.search import ConceptSearch
+from sb3_options.experience.observations import flatten
+from sb3_options.options.bank import OptionBank
+from sb3_options.options.option import HalfSpace, Region, SubgoalOption
+from sb3_options.options.policies import TabularPolicy
+from tests.density.test_diverse_density import planted, two_rooms
+
+FREE = (torch.tensor(-torch.inf), torch.tensor(torch.inf))
+
+
+def rosenbrock(theta: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    x, y = theta
+    value = (1 - x) ** 2 + 100 * (y - x * x) ** 2
+    return value, torch.stack([-2 * (1 - x) - 400 * x * (y - x * x), 200 * (y - x * x)])
+
+
+class TestDescent:
+    def test_every_start_reaches_the_valley_floor(self) -> None:
+        start = torch.tensor([[-1.2, 0.0, 2.0, -3.0], [1.0, 0.0, -2.0, 5.0]], dtype=torch.float64)
+        descent = Descent(rosenbrock, start, FREE, tolerance=1e-14)
+        descent.run(300)
+        assert descent.converged.all()
+        torch.testing.assert_close(descent.theta, torch.ones_like(start), atol=1e-5, rtol=0)
+        assert descent.evaluations < 120
+
+    def test_bounds_hold_and_the_rest_is_minimised(self) -> None:
+        low, high = torch.tensor([[-torch.inf], [-1.0]]), torch.tensor([[0.5], [torch.inf]])
+        descent = Descent(rosenbrock, torch.zeros(2, 1, dtype=torch.float64), (low, high), tolerance=1e-12)
+        descent.run(300)
+        torch.testing.assert_close(descent.theta[:, 0], torch.tensor([0.5, 0.25]).double(), atol=1e-6, rtol=0)
+
+    def test_narrowing_forgets_nothing(self) -> None:
+        start = torch.tensor([[-1.2, 0.0, 2.0], [1.0, 0.0, -2.0]], dtype=torch.float64)
+        whole, part = (Descent(rosenbrock, start, FREE, tolerance=1e-14) for _ in range(2))
+        part.run(10)
+        part.keep([2, 0], torch.float64)
+        part.run(10)
+        whole.run(20)
+        torch.testing.assert_close(part.theta, whole.theta[:, [2, 0]], rtol=1e-9, atol=1e-9)
+
+    def test_too_few_steps_are_reported(self) -> None:
+        descent = Descent(rosenbrock, torch.tensor([[-1.2], [1.0]]).double(), FREE, tolerance=1e-12)
+        descent.run(5)
+        assert not descent.converged.any()
+
+    def test_an_infinite_start_takes_any_step_down(self) -> None:
+        def objective(x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+            value = torch.where(x[0] > 1, torch.inf, x[0] ** 2)
+            return value, 2 * x
+
+        descent = Descent(objective, torch.tensor([[1.5]]).double(), FREE, tolerance=1e-12)
+        descent.run(50)
+        assert descent.value.item() < 1e-12
+
+
+def slab(seed: int, n_negative: int = 0) -> Bags:
+    """Bags that share their first coordinate, near 0, and nothing else."""
+    rng = np.random.default_rng(seed)
+    positive = [np.column_stack([rng.normal(0, 0.1, 8), rng.uniform(-20, 20, 8)]) for _ in range(10)]
+    for bag in positive:
+        bag[1:, 0] = rng.uniform(-20, 20, 7)
+    away = [rng.uniform(2, 20, 30) * rng.choice([-1, 1], 30) for _ in range(n_negative)]
+    return Bags.pack(positive, [np.column_stack([x, rng.uniform(-20, 20, 30)]) for x in away])
+
+
+def test_a_planted_point_with_its_scale() -> None:
+    for concept in (Point("fixed"), Point("one"), Point("each")):
+        peaks = ConceptSearch(concept=concept).search(planted(0, 5))
+        values = [
+            peak.log_density + concept.log_prior(torch.from_numpy(peak.theta[:, None]))[0].item() for peak in peaks
+        ]
+        assert values == sorted(values, reverse=True)
+        assert all(peak.converged for peak in peaks)
+        region = peaks[0].region()
+        assert np.linalg.norm(region.points[0] - [3, -2]) < 0.5
+        assert region.contains(np.array([[3.0, -2.0], [9.0, 9.0]])).tolist() == [True, False]
+        np.testing.assert_allclose(peaks[0].probability([[3.0, -2.0]]), 1, atol=0.3)
+        for i, peak in enumerate(peaks):
+            assert all(np.linalg.norm(peak.theta - other.theta) > 0.5 for other in peaks[:i])
+
+
+def test_a_learned_scale_finds_the_feature_that_matters() -> None:
+    best = ConceptSearch(concept=Point(prior=None), start_scales=(0.3, 1.0)).search(slab(0, 4))[0]
+    region = best.region()
+    assert region.scale[0] > 5 * region.scale[1]
+    inside = region.contains(np.array([[0.0, -4.0], [0.0, 4.0], [4.0, 0.0]]))
+    assert inside.tolist() == [True, True, False]
+
+
+@pytest.mark.parametrize("scales", ["one", "each"])
+def test_without_negative_bags_the_widest_concept_explains_everything(scales: Literal["one", "each"]) -> None:
+    free, bounded, default = (
+        ConceptSearch(concept=concept).search(slab(1))[0]
+        for concept in (
+            Point(scales, scale_bounds=(0, np.inf), prior=None),
+            Point(scales, scale_bounds=(0.5, 2.0), prior=None),
+            Point(scales),
+        )
+    )
+    assert free.log_density == pytest.approx(0, abs=1e-6)
+    assert free.region().scale[1] < 0.05
+    assert bounded.region().scale[1] == pytest.approx(0.5)
+    assert default.region().scale[1] > 0.1
+
+
+def test_two_rooms_do_not_become_a_slab() -> None:
+    # Every crossing passes every column, so that a slab, narrow along x and endless along y, explains all bags.
+    unbounded = ConceptSearch(concept=Point(scale_bounds=(0, np.inf), prior=None)).search(two_rooms(0))
+    assert unbounded[0].log_density == pytest.approx(0, abs=1e-6)
+    assert unbounded[0].region().scale.min() < 0.3
+    for seed in range(5):
+        best = ConceptSearch().search(two_rooms(seed))[0].region()
+        assert np.abs(best.points[0] - [10, 5]).max() <= 1.5
+        assert np.all(best.scale > 0.3)
+        assert np.all(best.scale < 3)
+
+
+def test_two_rooms_with_a_fixed_scale_is_the_doorway() -> None:
+    for seed in range(5):
+        best = ConceptSearch(concept=Point("fixed")).search(two_rooms(seed))[0]
+        assert np.abs(best.region().points[0] - [10, 5]).max() <= 1.5
+
+
+def test_given_features() -> None:
+    rng = np.random.default_rng(1)
+    positive = [np.column_stack([rng.uniform(-9, 9, (6, 2)), np.append(rng.uniform(-9, 9, 5), 4.0)]) for _ in range(12)]
+    best = ConceptSearch(concept=Point("fixed"), features=[2]).search(Bags.pack(positive))[0]
+    region = best.region()
+    assert region.scale.tolist() == [0, 0, 1]
+    assert region.points[0, 2] == pytest.approx(4, abs=0.3)
+    assert region.contains(np.array([[50.0, -50.0, 4.0], [0.0, 0.0, 6.0]])).tolist() == [True, False]
+
+
+def test_a_half_space() -> None:
+    rng = np.random.default_rng(2)
+    normal, scale = np.array([3.0, 4.0]) / 5, np.array([1.0, 0.1])
+
+    def side(n: int, low: float, high: float) -> Array:
+        along, across = rng.uniform(low, high, n), rng.uniform(-5, 5, n)
+        x, y = along * normal[0] - across * normal[1], along * normal[1] + across * normal[0]
+        return np.asarray(np.column_stack([x, y]) / scale)
+
+    positive = [np.vstack([side(4, -4, 1), side(1, 2.5, 5)]) for _ in range(20)]
+    negative = [side(5, -4, 1) for _ in range(20)]
+    best = ConceptSearch(concept=Plane(), scale=scale).search(Bags.pack(positive, negative))[0]
+    region = best.region()
+    assert isinstance(region, HalfSpace)
+    assert best.converged
+    direction = region.normal / scale
+    assert direction @ normal / np.linalg.norm(direction) > 0.98
+    assert region.contains(side(500, 2.6, 5)).mean() > 0.98
+    assert region.contains(side(500, -4, 0.9)).mean() < 0.02
+    assert best.probability(region.points)[0] == pytest.approx(0.5)
+    stricter = best.region(0.9)
+    assert best.probability(stricter.points)[0] == pytest.approx(0.9)
+
+
+def test_regions_are_level_sets() -> None:
+    best = ConceptSearch().search(planted(1, 5))[0]
+    points = np.random.default_rng(0).uniform(-10, 10, size=(2000, 2))
+    for level in (0.2, 0.8):
+        np.testing.assert_array_equal(best.region(level).contains(points), best.probability(points) >= level)
+    with pytest.raises(ValueError, match=re.escape("level must lie between 0 and 1, got 1")):
+        best.region(1)
+
+
+@pytest.mark.parametrize(
+    "search",
+    [
+        ConceptSearch(concept=Point("one")),
+        ConceptSearch(concept=Point("each")),
+        ConceptSearch(concept=Point("fixed"), features=[1]),
+        ConceptSearch(concept=Plane()),
+    ],
+)
+def test_beta_tests_every_concept_before_and_after_a_file(search: ConceptSearch, tmp_path: Path) -> None:
+    best = search.search(planted(2, 5))[0]
+    nothing = TabularPolicy(np.zeros((1, 2)), np.zeros((1, 4)))
+    everywhere = Region(np.zeros((1, 2)), np.zeros(2), 1.0)
+    bank, again = (OptionBank(4, 2, feature_map=flatten, observation_size=2, feature_size=2) for _ in range(2))
+    bank.add(SubgoalOption(best.region(), everywhere, nothing))
+    bank.save(tmp_path / "options")
+    again.load(tmp_path / "options")
+    near = np.random.default_rng(0).uniform(-10, 10, size=(500, 2))
+    points = np.concatenate([near, 50 * near])  # no half-space explains these bags well; one far out explains them best
+    for option in (bank[0], again[0]):
+        assert isinstance(option, SubgoalOption)
+        np.testing.assert_array_equal(option.termination(points), best.probability(points) >= 0.5)
+        assert 0 < option.termination(points).mean() < 1
+
+
+def test_weak_and_narrow_negatives_tolerate_a_visit() -> None:
+    rng = np.random.default_rng(3)
+    positive = [np.vstack([rng.uniform(-10, 10, (10, 2)), [[3.0, -2.0]]]) for _ in range(15)]
+    bags = Bags.pack(positive, [np.vstack([rng.uniform(-10, 10, (10, 2)), [[3.05, -2.0]]])])
+    strict, weak, narrow = (
+        ConceptSearch(concept=Point("fixed"), **how).search(bags)[0]  # type: ignore[arg-type]
+        for how in ({}, {"negative_strength": 0.1}, {"negative_width": 0.1})
+    )
+    assert np.linalg.norm(weak.region().points[0] - [3, -2]) < 0.05
+    assert np.linalg.norm(narrow.region().points[0] - [3, -2]) < 0.15
+    assert np.linalg.norm(strict.region().points[0] - [3, -2]) > 0.2
+
+
+def test_update_follows_added_bags() -> None:
+    rng = np.random.default_rng(4)
+
+    def bag() -> Array:
+        return np.vstack([rng.uniform(-10, 10, size=(20, 2)), rng.normal([3, -2], 0.3)])
+
+    search = ConceptSearch(concept=Point("fixed"))
+    evidence = search.evidence(Bags.pack([bag() for _ in range(10)]))
+    peaks = search.search(evidence)
+    for _ in range(5):
+        new = bag()
+        evidence.add(new)
+        peaks = search.update(evidence, peaks, new)
+    again = search.search(evidence, warm=peaks)
+    assert peaks[0].log_density == pytest.approx(again[0].log_density, abs=1e-4)
+    assert np.linalg.norm(peaks[0].region().points[0] - [3, -2]) < 0.5
+
+
+def bags_of(rng: np.random.Generator, n: int) -> list[Array]:
+    return [np.vstack([rng.uniform(-10, 10, (int(rng.integers(1, 40)), 2)), [[3.0, -2.0]]]) for _ in range(n)]
+
+
+def values_at(evidence: Evidence, points: Array, dtype: torch.dtype) -> Array:
+    loss = evidence.loss(torch.from_numpy(evidence.scaled(points).T.copy()).to(dtype))[0]
+    return np.asarray(-loss.double().numpy())
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_adding_and_removing_one_by_one_equals_building_at_once(
+    monkeypatch: pytest.MonkeyPatch, dtype: torch.dtype
+) -> None:
+    monkeypatch.setattr("sb3_options.density.evidence.GROWING_INSTANCES", 100)  # so that there are several segments
+    rng = np.random.default_rng(6)
+    bags, points = bags_of(rng, 30), rng.uniform(-10, 10, (20, 2))
+    is_positive = [bool(i % 3) for i in range(30)]
+    search = ConceptSearch(concept=Point("fixed"), negative_strength=0.5)
+    grown = search.evidence(Bags.pack([bags[1]], [bags[0]]))
+    order = [1, 0]
+    for i in range(2, 30):
+        values_at(grown, points, dtype)  # packs segments, which must follow
+        grown.add(bags[i], positive=is_positive[i])
+        order.append(i)
+    for number in (29, 0, 0, 13, 5, 5, 0):
+        grown.remove(number)
+        del order[number]
+    left = [[bags[i] for i in order if is_positive[i] == sign] for sign in (True, False)]
+    whole = search.evidence(Bags.pack(*left))
+    assert (grown.n_bags, grown.n_instances) == (23, sum(len(bags[i]) for i in order))
+    assert grown.positive_weight == len(left[0])
+    np.testing.assert_allclose(
+        values_at(grown, points, dtype), values_at(whole, points, dtype), rtol=1e-4 if dtype == torch.float32 else 1e-11
+    )
+    with pytest.raises(ValueError, match=re.escape("number must be that of one of 23 bags, from 0, got 23")):
+        grown.remove(23)
+
+
+def test_removing_divides_a_large_segment(monkeypatch: pytest.MonkeyPatch) -> None:
+    bags, points = bags_of(np.random.default_rng(7), 30), np.array([[3.0, -2.0], [0.0, 0.0]])
+    search = ConceptSearch(concept=Point("fixed"))
+    evidence = search.evidence(Bags.pack(bags))
+    assert len(evidence.segments(torch.float64)) == 1
+    monkeypatch.setattr("sb3_options.density.evidence.GROWING_INSTANCES", 100)
+    evidence.remove(17)
+    assert len(evidence.segments(torch.float64)) > 3
+    whole = search.evidence(Bags.pack(bags[:17] + bags[18:]))
+    np.testing.assert_allclose(
+        values_at(evidence, points, torch.float64), values_at(whole, points, torch.float64), rtol=1e-11, atol=1e-12
+    )
+
+
+def test_update_climbs_from_a_peak_that_a_bag_moved() -> None:
+    """With many bags the step that one more bag asks for is far shorter than 1."""
+    rng = np.random.default_rng(8)
+    bags = [rng.normal([3, -2], 0.3, size=(1, 2)) for _ in range(301)]
+    search = ConceptSearch(concept=Point("fixed"))
+    evidence = search.evidence(Bags.pack(bags[:-1]))
+    peaks = search.search(evidence)
+    evidence.add(bags[-1])
+    moved = search.update(evidence, peaks, np.zeros((0, 2)))[0]
+    np.testing.assert_allclose(moved.region().points[0], np.concatenate(bags).mean(0), atol=1e-4)
+
+
+def test_several_start_scales_are_no_worse() -> None:
+    bags = planted(5, 5)
+    one = ConceptSearch(start_scales=(1.0,)).search(bags)[0].log_density
+    assert ConceptSearch(start_scales=(1.0, 0.3, 3.0)).search(bags)[0].log_density >= one - 1e-3
+
+
+def test_too_few_steps_are_reported() -> None:
+    search = ConceptSearch(first_steps=1, final_steps=1)
+    assert not search.search(planted(0, 5))[0].converged
+
+
+def test_search_is_deterministic() -> None:
+    first, second = (ConceptSearch().search(planted(1, 2)) for _ in range(2))
+    assert [p.theta.tobytes() for p in first] == [p.theta.tobytes() for p in second]
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
+@pytest.mark.parametrize("concept", [Point(), Plane()])
+def test_cuda_finds_the_same(concept: Concept) -> None:
+    bags = planted(0, 5)
+    n = bags.n_positive
+    parts = [part.numpy() for part in torch.split(bags.instances, list(bags.lengths))]
+    there = Bags.pack(parts[:n], parts[n:], device="cuda")
+    search = ConceptSearch(concept=concept)
+    best, other = search.search(bags)[0], search.search(there)[0]
+    assert other.log_density == pytest.approx(best.log_density, abs=1e-4)
+    evidence = search.evidence(there)
+    peaks = search.search(evidence)
+    evidence.add(parts[0])
+    assert search.update(evidence, peaks, parts[0])
+    assert search.search(evidence, warm=peaks)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"scale": -1.0}, "scale must be positive, finite, a number or (d,), got -1.0"),
+        ({"features": []}, "features must be distinct numbers of features, from 0, at least one, got []"),
+        ({"start_scales": ()}, "start_scales must be positive and finite, at least one, got ()"),
+        ({"finalists": 0}, "finalists must be at least 1, got 0"),
+        ({"negative_width": 0.0}, "negative_width must be positive and finite, got 0.0"),
+        ({"tolerance": 0.0}, "tolerance must be above 0, got 0.0"),
+    ],
+)
+def test_bad_settings(arguments: dict[str, object], text: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(text)):
+        ConceptSearch(**arguments)  # type: ignore[arg-type]  # wrong on purpose
+
+
+def test_bad_searches() -> None:
+    bags = planted(0)
+    search = ConceptSearch()
+    with pytest.raises(ValueError, match="nothing to search from: without positive bags pass starts or warm"):
+        search.search(Bags.pack([], [np.zeros((1, 2))]))
+    with pytest.raises(ValueError, match=re.escape("starts must be finite, of shape (m, 2), got (1, 3)")):
+        search.search(bags, starts=np.zeros((1, 3)))
+    with pytest.raises(ValueError, match="features names feature 2, the bags have 2 features"):
+        ConceptSearch(features=[2]).search(bags)
+    with pytest.raises(ValueError, match=re.escape("scale has shape (3,), the bags have 2 features")):
+        ConceptSearch(scale=[1.0, 1.0, 1.0]).search(bags)
+    with pytest.raises(ValueError, match="nothing to search from: pass starts or warm"):
+        search.update(search.evidence(bags), [], np.zeros((0, 2)))
+    warm = search.search(bags)
+    with pytest.raises(ValueError, match="keep the evidence of the first search"):
+        search.search(planted(1), warm=warm)
+    with pytest.raises(ValueError, match="this search is for a Point"):
+        ConceptSearch(concept=Point("one")).search(bags, warm=warm)
+
+
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (lambda: Point("two"), 'scales must be "each", "one" or "fixed"'),  # type: ignore[arg-type]  # wrong on purpose
+        (lambda: Point(scale_bounds=(1.0, 0.5)), "scale_bounds must be factors 0 <= low < high, got (1.0, 0.5)"),
+        (lambda: Point(prior_width=0.0), "prior_width must be positive and finite, got 0.0"),
+        (lambda: Plane(steepness=0.0), "steepness must be positive and finite, got 0.0"),
+    ],
+)
+def test_bad_concepts(make: object, text: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(text)):
+        make()  # type: ignore[operator]

@@ -1,0 +1,192 @@
+import functools
+import io
+from collections.abc import Callable
+from typing import Any
+
+import imageio.v3 as iio
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+from matplotlib.collections import PatchCollection
+from matplotlib.figure import Figure
+from matplotlib.quiver import Quiver
+
+from sb3_options.discovery.figures import discovery_figures, subgoals_figure
+from sb3_options.discovery.subgoals import DiscoverySettings, SubgoalDiscovery
+from sb3_options.experience.trajectories import Trajectory
+from sb3_options.options.bank import OptionBank
+from sb3_options.options.creation import OptionLearningSettings, learn_option
+from tests.support.helpers import steady_option, trajectory_of
+from tests.support.sb3_helpers import small_rooms
+
+NAMES = ["diverse_density", "first_visits", "initiation_set", "option_policy"]
+
+
+def walks(n: int) -> list[Trajectory]:
+    """Random walks through the small rooms, as observed."""
+    env, rng = small_rooms(observation="xy"), np.random.default_rng(0)
+    found = []
+    for i in range(n):
+        observation, _ = env.reset(seed=i)
+        seen, actions, over, success = [observation], [], False, False
+        while not over:
+            actions.append(int(rng.integers(4)))
+            observation, _, terminated, truncated, _ = env.step(actions[-1])
+            seen.append(observation)
+            over, success = terminated or truncated, terminated
+        found.append(trajectory_of(seen, actions, terminated=success, is_success=success))
+    return found
+
+
+@functools.cache
+def discovered(
+    kind: str | None, features: Callable[[Any], npt.NDArray[np.float64]], n: int = 30
+) -> tuple[SubgoalDiscovery, OptionBank]:
+    """Discovery over random walks, up to its first option."""
+    discovery = SubgoalDiscovery(
+        DiscoverySettings(min_positive=3, start_radius=0.5, goal_radius=1.5, decay=0.5), kind=kind
+    )
+    bank = OptionBank(4, 2)
+    for trajectory in walks(n):
+        discovery.add(trajectory, features(np.asarray(trajectory.states, dtype=np.float64)))
+        if bank.filled:
+            continue
+        subgoal = discovery.search()
+        if subgoal is not None:
+            option = learn_option(subgoal, discovery.database, 4, OptionLearningSettings(), torch.Generator())
+            assert option is not None
+            bank.add(option)
+    assert len(bank) == 1
+    return discovery, bank
+
+
+def xy(states: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    return states
+
+
+def one_hot(states: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    cells: npt.NDArray[np.float64] = np.eye(45)[(states[:, 0] + 9 * states[:, 1]).astype(int)]
+    return cells
+
+
+def drawn(figure: Figure) -> npt.NDArray[np.uint8]:
+    file = io.BytesIO()
+    figure.savefig(file, format="png")
+    return np.asarray(iio.imread(file.getvalue()))
+
+
+def colours(figure: Figure) -> int:
+    picture = drawn(figure)
+    return len(np.unique(picture.reshape(-1, picture.shape[-1]), axis=0))
+
+
+def patches(figure: Figure) -> PatchCollection:
+    return next(c for c in figure.axes[0].collections if isinstance(c, PatchCollection))
+
+
+class TestMaps:
+    def test_there_are_four(self) -> None:
+        figures = discovery_figures(*discovered("environment", xy))
+        assert list(figures) == NAMES
+        assert all(colours(figure) > 20 for figure in figures.values())
+
+    def test_diverse_density_is_the_engines_in_every_cell_seen(self) -> None:
+        discovery, bank = discovered("environment", xy)
+        squares = patches(discovery_figures(discovery, bank)["diverse_density"])
+        seen = np.unique(np.concatenate([t.features for t in discovery.database]), axis=0)
+        values = np.asarray(discovery.engine().log_density(seen, discovery.found[0].bags))
+        np.testing.assert_allclose(squares.get_array(), np.maximum(values, values.max() - 60))  # type: ignore[arg-type]  # set above
+        centres = np.array([path.get_extents().get_points().mean(axis=0) for path in squares.get_paths()])
+        np.testing.assert_allclose(centres, seen, atol=1e-9)
+
+    def test_first_visits_count_successful_trajectories(self) -> None:
+        discovery, bank = discovered("environment", xy)
+        seen = np.unique(np.concatenate([t.features for t in discovery.database]), axis=0)
+        expected = [
+            sum(t.success and bool((t.features == cell).all(axis=1).any()) for t in discovery.database) for cell in seen
+        ]
+        counts = patches(discovery_figures(discovery, bank)["first_visits"]).get_array()
+        assert np.asarray(counts).tolist() == expected
+        assert max(expected) == sum(t.success for t in discovery.database)
+
+    def test_a_star_marks_the_subgoal(self) -> None:
+        discovery, bank = discovered("environment", xy)
+        for figure in discovery_figures(discovery, bank).values():
+            (star,) = [line for line in figure.axes[0].lines if line.get_marker() == "*"]
+            assert [np.ravel(c)[0] for c in star.get_data()] == discovery.found[0].subgoal.points[0].tolist()
+
+    def test_arrows_lead_to_the_subgoal(self) -> None:
+        discovery, bank = discovered("environment", xy)
+        axes = discovery_figures(discovery, bank)["option_policy"].axes[0]
+        (arrows,) = [c for c in axes.collections if isinstance(c, Quiver)]
+        moves = np.column_stack([arrows.U, arrows.V])
+        starts = np.asarray(arrows.get_offsets()) + moves / 2
+        cells = np.asarray(bank[0].initiation_set.points)  # type: ignore[union-attr]  # discovered
+        assert {tuple(s) for s in starts.round(6)} <= {tuple(c) for c in cells}
+        assert len(starts) > 0.7 * len(cells)
+        subgoal = discovery.found[0].subgoal.points[0]
+        nearer = np.linalg.norm(starts + 0.1 * moves - subgoal, axis=1) < np.linalg.norm(starts - subgoal, axis=1)
+        assert nearer.mean() > 0.7
+
+    def test_rows_are_counted_downwards_and_cells_are_squares(self) -> None:
+        axes = discovery_figures(*discovered("environment", xy))["diverse_density"].axes[0]
+        bottom, top = axes.get_ylim()
+        assert bottom > top
+        assert axes.get_aspect() == 1.0
+
+    def test_one_picture_of_all(self) -> None:
+        figure = subgoals_figure(*discovered("environment", xy))
+        titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
+        assert len(titles) == 4
+        assert colours(figure) > 50
+
+
+@pytest.mark.parametrize(
+    ("kind", "features"),
+    [
+        ("identity", lambda s: s[:, :1]),
+        ("identity", lambda s: np.column_stack([s, s[:, 0] * s[:, 1]])),
+        ("given", lambda s: 2.0 * s),
+    ],
+    ids=["one", "three", "scaled"],
+)
+def test_spaces_of_other_sizes(kind: str, features: Callable[[Any], npt.NDArray[np.float64]]) -> None:
+    discovery, bank = discovered(kind, features)
+    figures = discovery_figures(discovery, bank)
+    assert list(figures) == NAMES
+    assert all(colours(figure) > 20 for figure in figures.values())
+    assert colours(subgoals_figure(discovery, bank)) > 50
+
+
+def test_numbered_states_are_bars() -> None:
+    discovery, bank = discovered("categorical", one_hot)
+    figures = discovery_figures(discovery, bank)
+    assert list(figures) == NAMES[:2]
+    for figure in figures.values():
+        states = np.asarray(figure.axes[0].lines[0].get_xdata())
+        assert len(states) == len(np.unique(states)) > 30
+        (mark,) = figure.axes[0].lines[1:]
+        assert np.asarray(mark.get_xdata())[0] == discovery.found[0].subgoal.points[0].argmax()
+
+
+def test_before_any_search_there_is_nothing_to_draw() -> None:
+    empty = SubgoalDiscovery()
+    assert discovery_figures(empty, OptionBank(4, 2)) == {}
+    (text,) = subgoals_figure(empty, OptionBank(4, 2)).axes[0].texts
+    assert "No search yet: too few successful trajectories" in text.get_text()
+
+
+def test_before_any_option_there_are_two_maps() -> None:
+    discovery = SubgoalDiscovery(DiscoverySettings(min_positive=3, goal_radius=1.5, decay=0.9), kind="environment")
+    for trajectory in walks(12):
+        discovery.add(trajectory, xy(np.asarray(trajectory.states, dtype=np.float64)))
+    discovery.search()
+    assert list(discovery_figures(discovery, OptionBank(4, 2))) == NAMES[:2]
+
+
+def test_hand_made_options_are_left_out() -> None:
+    discovery, _ = discovered("environment", xy)
+    bank = OptionBank(4, 2)
+    bank.add(steady_option())
+    assert list(discovery_figures(discovery, bank)) == NAMES[:2]

@@ -1,0 +1,175 @@
+import math
+
+import numpy as np
+import pytest
+
+from sb3_options.discovery.peaks import PeakTracker, plateau_centres
+
+A, B = [0.0, 0.0], [5.0, 0.0]
+ONES = np.ones(2)
+
+
+def peaks(*points: list[float]) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    return np.array(points, dtype=np.float64).reshape(-1, 2)
+
+
+@pytest.mark.parametrize(
+    ("points", "radius", "centres"),
+    [
+        ([3], 1.0, [3]),
+        ([9, 10, 11], 1.0, [10]),  # the doorway and both its neighbours
+        ([11, 9, 10], 1.0, [10]),
+        ([9, 10, 11], 0.5, [9, 10, 11]),
+        ([9, 10, 11], 0.0, [9, 10, 11]),
+        ([1, 2, 3, 20, 21, 22], 1.0, [2, 21]),
+        ([20, 1, 21, 2, 22, 3], 1.0, [21, 2]),  # in the order of their first peaks
+        ([0, 1, 2, 3, 4], 1.0, [2]),  # touching goes from one to the next
+        ([0, 1], 1.0, [0]),  # equally central: the first
+        ([1, 0], 1.0, [1]),
+        ([0, 1, 5], 4.0, [1]),
+    ],
+)
+def test_plateau_centres(points: list[float], radius: float, centres: list[float]) -> None:
+    result, _ = plateau_centres(np.array(points, dtype=np.float64)[:, None], np.ones(1), radius)
+    assert result.ravel().tolist() == centres
+
+
+def test_plateaus_are_made_in_scaled_units() -> None:
+    points = peaks([0, 0], [0, 1], [0, 2], [1, 0])
+    assert plateau_centres(points, np.array([10.0, 1.0]), 1.0)[0].tolist() == [[0, 1], [1, 0]]
+    assert len(plateau_centres(points, np.array([10.0, 10.0]), 1.0)[0]) == 4
+
+
+@pytest.mark.parametrize(
+    ("points", "extent"),
+    [([3], 0), ([9, 10, 11], 1), ([0, 1, 2, 3, 4], 2), ([9, 10, 20, 21, 22, 23], 2), ([0, 5, 10], 0)],
+)
+def test_how_far_plateaus_reach(points: list[float], extent: float) -> None:
+    assert plateau_centres(np.array(points, dtype=np.float64)[:, None], np.ones(1), 1.0)[1] == extent
+    assert plateau_centres(np.array(points, dtype=np.float64)[:, None], np.full(1, 3.0), 3.0)[1] == 3 * extent
+
+
+class TestAverages:
+    def test_by_hand(self) -> None:
+        """λ = 1/2: found, found, missed, found gives 1/2, 3/4, 3/8, 11/16."""
+        tracker = PeakTracker(decay=0.5, threshold=0.5, radius=1.0)
+        averages = []
+        for found in (True, True, False, True):
+            tracker.update(peaks(A) if found else peaks(B), ONES)
+            averages.append(tracker.concepts[0].average)
+        assert averages == [0.5, 0.75, 0.375, 0.6875]
+        # B was found in the third search only: 1/2, then 1/4.
+        assert [c.average for c in tracker.concepts] == [0.6875, 0.25]
+        assert [c.found for c in tracker.concepts] == [True, False]
+
+    @pytest.mark.parametrize("decay", [0.1, 0.5, 0.75, 0.9])
+    def test_rises_to_the_limit(self, decay: float) -> None:
+        tracker = PeakTracker(decay=decay)
+        assert tracker.limit == pytest.approx(decay / (1 - decay))
+        before = 0.0
+        for n in range(1, 400):
+            tracker.update(peaks(A), ONES)
+            average = tracker.concepts[0].average
+            # The sum of λ + λ² + … + λⁿ
+            assert average == pytest.approx(tracker.limit * (1 - decay**n))
+            assert before <= average <= tracker.limit * (1 + 1e-12)
+            before = average
+        assert average == pytest.approx(tracker.limit)
+
+    @pytest.mark.parametrize(("decay", "threshold", "searches"), [(0.9, 0.6, 9), (0.75, 0.6, 4), (0.5, 0.9, 4)])
+    def test_persistent_after_as_many_searches_as_1_minus_decay_to_the_n_exceeds_the_threshold(
+        self, decay: float, threshold: float, searches: int
+    ) -> None:
+        tracker = PeakTracker(decay=decay, threshold=threshold)
+        for _ in range(searches - 1):
+            tracker.update(peaks(A), ONES)
+            assert tracker.persistent() == []
+        tracker.update(peaks(A), ONES)
+        assert [c.point.tolist() for c in tracker.persistent()] == [A]
+
+    def test_persistent_are_those_of_the_last_search_largest_first(self) -> None:
+        tracker = PeakTracker(decay=0.5, threshold=0.1, radius=1.0)
+        tracker.update(peaks(B), ONES)
+        tracker.update(peaks(A, B), ONES)
+        assert [c.point.tolist() for c in tracker.persistent()] == [B, A]
+        tracker.update(peaks(A), ONES)
+        assert [c.point.tolist() for c in tracker.persistent()] == [A]
+
+    def test_leading(self) -> None:
+        tracker = PeakTracker(decay=0.5, radius=1.0)
+        assert tracker.leading() is None
+        tracker.update(peaks(A), ONES)
+        tracker.update(peaks(B), ONES)
+        tracker.update(peaks(), ONES)
+        leading = tracker.leading()
+        assert leading is not None
+        assert (leading.point.tolist(), leading.average) == (B, 0.25)
+
+    def test_forgotten_concepts_are_dropped(self) -> None:
+        tracker = PeakTracker(decay=0.5)
+        tracker.update(peaks(A), ONES)
+        for _ in range(8):
+            tracker.update(peaks(), ONES)
+        assert [c.average for c in tracker.concepts] == [0.5**9]
+        tracker.update(peaks(), ONES)
+        assert tracker.concepts == []
+
+    def test_a_small_decay_still_finds(self) -> None:
+        tracker = PeakTracker(decay=1e-4, threshold=0.6)
+        tracker.update(peaks(A), ONES)
+        assert [c.point.tolist() for c in tracker.persistent()] == [A]
+
+
+class TestAssignment:
+    def test_a_peak_belongs_to_the_nearest_concept_within_the_radius(self) -> None:
+        tracker = PeakTracker(decay=0.5, radius=2.0)
+        tracker.update(peaks([0, 0], [3, 0]), ONES)
+        tracker.update(peaks([1.75, 0]), ONES)  # within 2 of both, nearer to the second
+        assert [(c.point.tolist(), c.average) for c in tracker.concepts] == [([0, 0], 0.25), ([1.75, 0], 0.75)]
+
+    def test_at_the_radius_and_beyond(self) -> None:
+        tracker = PeakTracker(decay=0.5, radius=2.0)
+        tracker.update(peaks([0, 0]), ONES)
+        tracker.update(peaks([0, 2]), ONES)
+        assert len(tracker.concepts) == 1
+        tracker.update(peaks([0, 4.01]), ONES)
+        assert [c.point.tolist() for c in tracker.concepts] == [[0, 2], [0, 4.01]]
+
+    def test_two_peaks_of_one_concept_count_once_and_the_better_one_places_it(self) -> None:
+        tracker = PeakTracker(decay=0.5, radius=2.0)
+        tracker.update(peaks([0, 0], [1, 0], [0, 0]), ONES)
+        assert [(c.point.tolist(), c.average) for c in tracker.concepts] == [([0, 0], 0.5)]
+
+    def test_distances_are_scaled(self) -> None:
+        tracker = PeakTracker(decay=0.5, radius=1.0)
+        scale = np.array([0.1, 10.0])
+        tracker.update(peaks([0, 0]), scale)
+        tracker.update(peaks([9, 0]), scale)
+        assert len(tracker.concepts) == 1
+        tracker.update(peaks([9, 0.2]), scale)
+        assert len(tracker.concepts) == 2
+
+    def test_concepts_do_not_change_with_the_callers_array(self) -> None:
+        tracker = PeakTracker()
+        found = peaks(A)
+        tracker.update(found, ONES)
+        found += 7.0
+        assert tracker.concepts[0].point.tolist() == A
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        ({"decay": 1.0}, r"^decay \(λ\) must be in \(0, 1\), got 1\.0\.$"),
+        ({"decay": 0.0}, r"^decay \(λ\) must be in \(0, 1\), got 0\.0\.$"),
+        ({"decay": math.nan}, r"^decay \(λ\) must be in \(0, 1\), got nan\.$"),
+        ({"threshold": 1.0}, r"^threshold must be a share of the limit λ/\(1−λ\), in \[0, 1\), got 1\.0\.$"),
+        ({"threshold": -0.1}, r"^threshold must be a share of the limit"),
+        ({"threshold": math.nan}, r"^threshold must be a share of the limit"),
+        ({"radius": -0.1}, r"^radius must be at least 0, got -0\.1\.$"),
+        ({"radius": math.nan}, r"^radius must be at least 0, got nan\.$"),
+    ],
+)
+def test_out_of_range(kwargs: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        PeakTracker(**kwargs)

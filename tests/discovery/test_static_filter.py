@@ -1,0 +1,112 @@
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sb3_options.discovery.static_filter import (
+    bag_of,
+    near_start_and_goal,
+    reported_success,
+    success_by_return,
+    success_by_steps,
+)
+from sb3_options.experience.trajectories import Trajectory
+from tests.support.helpers import trajectory_of
+
+
+def episode(rewards: list[float], *, terminated: bool = True, is_success: bool | None = None) -> Trajectory:
+    return trajectory_of(range(len(rewards) + 1), rewards=rewards, terminated=terminated, is_success=is_success)
+
+
+@pytest.mark.parametrize(
+    ("trajectory", "success"),
+    [
+        (episode([-1.0], is_success=True), True),
+        (episode([1.0], is_success=False), False),
+        (episode([0.0, 1.0]), True),
+        (episode([1.0, 0.0]), False),
+        (episode([0.0, -1.0]), False),
+        (episode([0.0, 1.0], terminated=False), False),
+        (episode([0.0, 1.0], terminated=False, is_success=True), True),
+        (episode([], terminated=False), False),
+        (episode([]), False),
+        (episode([1.0, 1.0]), False),
+    ],
+)
+def test_reported_success(trajectory: Trajectory, success: bool) -> None:
+    assert reported_success(trajectory) is success
+
+
+@pytest.mark.parametrize(("threshold", "success"), [(2.5, True), (2.51, False), (-1.0, True)])
+def test_success_by_return_is_not_discounted(threshold: float, success: bool) -> None:
+    assert success_by_return(threshold)(episode([1.0, 2.0, -0.5], is_success=False)) is success
+
+
+@pytest.mark.parametrize(("limit", "is_success", "success"), [(3, True, True), (2, True, False), (3, False, False)])
+def test_success_by_steps(limit: int, is_success: bool, success: bool) -> None:
+    assert success_by_steps(limit)(episode([0.0] * 3, is_success=is_success)) is success
+
+
+def test_success_by_steps_out_of_range() -> None:
+    with pytest.raises(ValueError, match=r"^limit must be at least 1 primitive step, got 0\.$"):
+        success_by_steps(0)
+
+
+class TestStaticFilter:
+    line = np.arange(21.0)[:, None]
+
+    def test_default_keeps_what_is_farther_than_2_from_the_start_and_5_from_the_goal(self) -> None:
+        kept = near_start_and_goal()(self.line, self.line[0], self.line[20])
+        assert np.flatnonzero(kept).tolist() == list(range(3, 15))
+
+    def test_distances_are_euclidean(self) -> None:
+        features = np.array([[3.0, 4.0], [3.0, 4.1], [0.0, 5.1]])
+        kept = near_start_and_goal(5.0, 0.0)(features, np.zeros(2), np.array([99.0, 0.0]))
+        assert kept.tolist() == [False, True, True]
+
+    def test_radius_0_drops_the_place_itself_only(self) -> None:
+        kept = near_start_and_goal(0.0, 0.0)(self.line, self.line[4], self.line[7])
+        assert np.flatnonzero(~kept).tolist() == [4, 7]
+
+    @pytest.mark.parametrize(("start", "goal"), [(-1.0, 5.0), (2.0, -0.5), (math.nan, 1.0), (1.0, math.nan)])
+    def test_out_of_range(self, start: float, goal: float) -> None:
+        message = rf"^start_radius and goal_radius must be at least 0, got {start} and {goal}\.$"
+        with pytest.raises(ValueError, match=message):
+            near_start_and_goal(start, goal)
+
+
+def keep_all(features: Any, start: Any, end: Any) -> Any:
+    return np.ones(len(features), dtype=bool)
+
+
+class TestBag:
+    def test_first_visits_only(self) -> None:
+        """Different observations may have the same features: their first visit counts."""
+        features = np.array([[5.0, 0.0], [1.0, 1.0], [5.0, 0.0], [0.0, 3.0], [1.0, 1.0]])
+        assert bag_of(features, 4, np.ones(2), keep_all).tolist() == [[5, 0], [1, 1], [0, 3]]
+
+    def test_the_filter_sees_scaled_features_of_the_start_and_the_last_state(self) -> None:
+        seen: list[Any] = []
+
+        def spy(features: Any, start: Any, end: Any) -> Any:
+            seen.extend([features.tolist(), start.tolist(), end.tolist()])
+            return keep_all(features, start, end)
+
+        # The last state is where the trajectory ended, not the one that was new last.
+        bag = bag_of(np.array([[1.0], [2.0], [3.0]]), 1, np.array([10.0]), spy)
+        assert seen == [[[10], [20], [30]], [10], [20]]
+        assert bag.tolist() == [[1], [2], [3]]
+
+    def test_filtered_and_in_order(self) -> None:
+        features = np.array([9.0, 3.0, 7.0, 1.0, 20.0])[:, None]
+        assert bag_of(features, 4, np.ones(1), near_start_and_goal(2.0, 5.0)).ravel().tolist() == [3, 1]
+
+    def test_nothing_may_be_left(self) -> None:
+        assert bag_of(np.zeros((3, 2)), 0, np.ones(2), near_start_and_goal()).shape == (0, 2)
+
+    def test_a_filter_may_return_numbers(self) -> None:
+        assert bag_of(np.arange(3.0)[:, None], 2, np.ones(1), lambda f, s, e: np.array([1, 0, 1])).tolist() == [
+            [0],
+            [2],
+        ]

@@ -1,0 +1,130 @@
+from typing import Any
+
+import pytest
+
+from sb3_options.envs import FOUR_ROOMS, KEY_DOOR, TWO_ROOMS, Direction
+from sb3_options.envs.gridworld.grid_map import Cell, GridMap
+
+
+def test_directions_are_the_actions_in_order() -> None:
+    assert [(direction.name, int(direction)) for direction in Direction] == [
+        ("UP", 0),
+        ("DOWN", 1),
+        ("LEFT", 2),
+        ("RIGHT", 3),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "direction", "expected"),
+    [
+        # States  0 # 2
+        #         3 4 5
+        ("S#.\n..G", Direction.UP, {0: 0, 2: 2, 3: 0, 4: 4, 5: 2}),
+        ("S#.\n..G", Direction.DOWN, {0: 3, 2: 5, 3: 3, 4: 4, 5: 5}),
+        ("S#.\n..G", Direction.LEFT, {0: 0, 2: 2, 3: 3, 4: 3, 5: 4}),
+        ("S#.\n..G", Direction.RIGHT, {0: 0, 2: 2, 3: 4, 4: 5, 5: 5}),
+        # States 0..4 without the key, 5..9 with it. Without it nobody stands on the key; 3 is the door.
+        ("SK.DG", Direction.UP, {0: 0, 2: 2, 5: 5, 6: 6, 7: 7, 8: 8, 9: 9}),
+        ("SK.DG", Direction.LEFT, {0: 0, 2: 6, 5: 5, 6: 5, 7: 6, 8: 7, 9: 8}),
+        ("SK.DG", Direction.RIGHT, {0: 6, 2: 2, 5: 6, 6: 7, 7: 8, 8: 9, 9: 9}),
+    ],
+)
+def test_successors(text: str, direction: Direction, expected: dict[int, int]) -> None:
+    successor = GridMap.parse(text).successors[direction]
+    assert {state: successor[state] for state in expected} == expected
+
+
+def test_parse_reads_the_marks() -> None:
+    grid = GridMap.parse("""
+        S.#.
+        KSDG
+    """)
+    assert (grid.width, grid.height, grid.n_cells, grid.n_states) == (4, 2, 8, 16)
+    assert grid.walls.tolist() == [[False, False, True, False], [False] * 4]
+    assert (grid.goal, set(grid.keys), set(grid.doors)) == ((3, 1), {(0, 1)}, {(2, 1)})
+    assert grid.starts == ((0, 0), (1, 1))
+
+
+def test_arguments_replace_the_marks() -> None:
+    grid = GridMap.parse("SG.", goal=(2, 0), starts=[(1, 0)])
+    assert (grid.goal, grid.starts, grid.rows()) == ((2, 0), ((1, 0),), ["..G"])
+
+
+def test_goal_argument_takes_a_start_of_the_map() -> None:
+    assert GridMap.parse("SSS", goal=(1, 0)).starts == ((0, 0), (2, 0))
+
+
+def test_walls_are_read_only() -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        GridMap.parse(TWO_ROOMS).walls[0, 0] = True
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (TWO_ROOMS, [(10, 5)]),
+        (FOUR_ROOMS, [(6, 3), (2, 6), (9, 7), (6, 10)]),
+        (KEY_DOOR, [(6, 3)]),
+        ("S..G", [(1, 0), (2, 0)]),
+        ("S.#.G\n.....\n..#..", [(2, 1)]),
+        ("S...G\n..#..", [(2, 0)]),
+        ("S..\n...\n..G", []),
+        ("#S#\n...\n#G#", []),
+    ],
+)
+def test_doorways(text: str, expected: list[Cell]) -> None:
+    assert list(GridMap.parse(text).doorways) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "kwargs", "error", "message"),
+    [
+        (7, {}, TypeError, r"map must be a string with one line a row, got int"),
+        ("", {}, ValueError, r"map is empty: give it at least a start 'S' and a goal 'G'"),
+        (" \n ", {}, ValueError, r"map is empty"),
+        ("SG\n...", {}, ValueError, r"rows must be equally long, got 3 characters in row 1 and 2 in row 0"),
+        ("SG\nx.", {}, ValueError, r"unknown character 'x' in row 1: use # wall, \. floor, S start"),
+        ("S.", {}, ValueError, r"exactly one goal 'G', got 0: \[\]; mark one cell, or pass goal=\(x, y\)"),
+        ("SGG", {}, ValueError, r"exactly one goal 'G', got 2: \[\(1, 0\), \(2, 0\)\]"),
+        (".G", {}, ValueError, r"map has no start 'S' and starts names none: mark cells, or pass starts="),
+        ("SG", {"starts": []}, ValueError, r"map has no start 'S' and starts names none"),
+        ("SKG", {}, ValueError, r"map has a 'K' but no 'D': keys and doors need each other"),
+        ("SDG", {}, ValueError, r"map has a 'D' but no 'K'"),
+        ("S#.", {"goal": (1, 0)}, ValueError, r"goal \(1, 0\) is a wall: choose a floor cell"),
+        ("S#.", {"goal": (3, 0)}, ValueError, r"goal \(3, 0\) is outside the map: x must be in 0\.\.2 and y"),
+        ("S#.", {"goal": (0, -1)}, ValueError, r"goal \(0, -1\) is outside the map: .* y in 0\.\.0"),
+        ("SKD", {"goal": (1, 0)}, ValueError, r"goal \(1, 0\) is a key: choose a floor cell"),
+        ("SKD", {"goal": (2, 0)}, ValueError, r"goal \(2, 0\) is a door: choose a floor cell"),
+        ("SG", {"goal": 3}, TypeError, r"goal must be a cell \(x, y\) of two integers, got 3"),
+        (
+            "SG",
+            {"goal": (0.5, 0)},
+            TypeError,
+            r"goal must be a cell \(x, y\) of two integers, got \(0\.5, 0\)",
+        ),
+        ("SG", {"goal": (1, 0, 0)}, TypeError, r"goal must be a cell"),
+        ("SG", {"starts": 3}, TypeError, r"starts must be a sequence of cells \(x, y\), got 3"),
+        ("SG", {"starts": (0, 0)}, TypeError, r"starts\[0\] must be a cell \(x, y\) of two integers, got 0"),
+        ("S#G", {"starts": [(1, 0)]}, ValueError, r"starts\[0\] \(1, 0\) is a wall"),
+        ("S.G", {"starts": [(0, 0), (9, 0)]}, ValueError, r"starts\[1\] \(9, 0\) is outside the map"),
+        ("S.G", {"starts": [(2, 0)]}, ValueError, r"starts\[0\] \(2, 0\) is the goal: choose another cell"),
+        ("SKDG", {"starts": [(2, 0)]}, ValueError, r"starts\[0\] \(2, 0\) is a door"),
+        ("S.#G", {}, ValueError, r"starts\[0\] \(0, 0\) cannot reach the goal \(3, 0\): open the walls"),
+        ("SDKG", {}, ValueError, r"starts\[0\] \(0, 0\) cannot reach the goal \(3, 0\): .*put the key where"),
+    ],
+)
+def test_bad_maps(text: Any, kwargs: dict[str, Any], error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        GridMap.parse(text, **kwargs)
+
+
+def test_door_counts_as_passable_for_who_can_get_the_key() -> None:
+    assert GridMap.parse("KSDG").starts == ((1, 0),)
+
+
+def test_state_and_cell_are_inverse() -> None:
+    grid = GridMap.parse(KEY_DOOR)
+    for state in range(grid.n_states):
+        cell = grid.cell(state)
+        assert grid.state(cell, has_key=state >= grid.n_cells) == state or cell in grid.keys

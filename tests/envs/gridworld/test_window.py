@@ -1,0 +1,43 @@
+from collections.abc import Iterator
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from sb3_options.envs.gridworld.window import Window
+
+pytestmark = pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interactive")
+
+
+@pytest.fixture(autouse=True)
+def no_display() -> Iterator[None]:
+    plt.switch_backend("agg")
+    yield
+    plt.close("all")
+
+
+def test_shows_the_last_picture_in_one_figure() -> None:
+    window = Window("title")
+    black, white = np.zeros((8, 16, 3), np.uint8), np.full((8, 16, 3), 255, np.uint8)
+    window.show(black, seconds=0.001)
+    window.show(white, seconds=0.001)
+    assert len(plt.get_fignums()) == 1
+    (image,) = plt.gcf().axes[0].images
+    np.testing.assert_array_equal(np.asarray(image.get_array()), white)
+
+
+def test_close_can_be_called_at_any_time() -> None:
+    window = Window("title")
+    window.close()
+    window.show(np.zeros((8, 16, 3), np.uint8), seconds=0.001)
+    window.close()
+    window.close()
+    assert plt.get_fignums() == []
+
+
+def test_opens_again_after_the_user_closed_it() -> None:
+    window = Window("title")
+    window.show(np.zeros((8, 16, 3), np.uint8), seconds=0.001)
+    plt.close("all")
+    window.show(np.zeros((8, 16, 3), np.uint8), seconds=0.001)
+    assert len(plt.get_fignums()) == 1

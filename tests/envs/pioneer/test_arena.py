@@ -1,0 +1,72 @@
+"""Where things stand in the Pioneer's arena."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sb3_options.envs.pioneer.arena import (
+    BALL_CLEARANCE,
+    CORNER_SIZE,
+    OBSTACLE_RADIUS,
+    PASSAGE,
+    ROBOT_CLEARANCE,
+    START_DISTANCE,
+    Arena,
+)
+
+
+def test_layouts_keep_their_distances(rng: np.random.Generator) -> None:
+    arena = Arena(4.0, n_obstacles=3, n_balls=2)
+    for _ in range(200):
+        layout = arena.sample(rng)
+        robot = layout.robot[:2]
+        assert len(layout.obstacles) == 3
+        assert len(layout.balls) == 2
+        assert -math.pi <= layout.robot[2] <= math.pi
+        assert arena.wall_gap(*robot) >= ROBOT_CLEARANCE
+        assert math.dist(*layout.balls) >= START_DISTANCE
+        for ball in layout.balls:
+            assert arena.wall_gap(*ball) >= BALL_CLEARANCE
+            assert math.dist(ball, robot) >= START_DISTANCE
+        for i, obstacle in enumerate(layout.obstacles):
+            assert arena.wall_gap(*obstacle) >= OBSTACLE_RADIUS + PASSAGE
+            assert math.dist(obstacle, robot) >= OBSTACLE_RADIUS + ROBOT_CLEARANCE
+            for ball in layout.balls:
+                assert math.dist(obstacle, ball) >= OBSTACLE_RADIUS + BALL_CLEARANCE
+            for other in layout.obstacles[:i]:
+                assert math.dist(obstacle, other) >= 2 * OBSTACLE_RADIUS + PASSAGE
+
+
+def test_layouts_fill_the_arena(rng: np.random.Generator) -> None:
+    arena = Arena(4.0, n_obstacles=0, n_balls=1)
+    robots = np.array([arena.sample(rng).robot for _ in range(500)])
+    reach = 2 - ROBOT_CLEARANCE
+    assert (np.abs(robots[:, :2]).max(axis=0) > 0.95 * reach).all()
+    assert np.abs(robots[:, :2].mean(axis=0)).max() < 0.15
+    assert np.histogram(robots[:, 2], bins=4, range=(-math.pi, math.pi))[0].min() > 80
+
+
+def test_what_is_given_stays(rng: np.random.Generator) -> None:
+    arena = Arena(4.0, n_obstacles=1, n_balls=1)
+    layout = arena.sample(rng, robot=(0.1, 0.2, 0.3))
+    assert layout.robot == (0.1, 0.2, 0.3)
+    assert arena.sample(rng, robot=(0.1, 0.2, 0.3)).balls != layout.balls
+
+
+def test_places() -> None:
+    arena = Arena(4.0, n_obstacles=0, n_balls=1)
+    assert arena.wall_gap(0, 0) == 2
+    assert arena.wall_gap(-1.5, 0.3) == 0.5
+    assert arena.wall_gap(0, 2.5) == -0.5
+    inside = 2 - CORNER_SIZE + 0.01
+    assert arena.in_marked_corner(inside, inside)
+    assert not arena.in_marked_corner(-inside, inside)
+    assert not arena.in_marked_corner(inside, 2 - CORNER_SIZE - 0.01)
+
+
+def test_to_ask_for_room_uses_up_no_random_numbers(rng: np.random.Generator) -> None:
+    state = rng.bit_generator.state
+    with pytest.raises(ValueError, match=r"arena_size 1 m has no room"):
+        Arena(1.0, n_obstacles=0, n_balls=1)
+    assert rng.bit_generator.state == state

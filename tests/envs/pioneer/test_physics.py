@@ -1,0 +1,230 @@
+"""Whether the simulated robot moves as a robot does, and what simulating it costs."""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from sb3_options.envs.pioneer.arena import BALL_RADIUS
+from sb3_options.envs.pioneer.body import BODY_RADIUS, MIDDLE_HEIGHT, PADDLE_TIP, WHEEL_RADIUS
+from sb3_options.envs.pioneer.bullet import GRAVITY
+from sb3_options.envs.pioneer.env import ACTIONS, Pioneer
+from sb3_options.envs.pioneer.robot import CONTROL_RATE, GRIP_AHEAD
+
+LONG, LEFT_45, RIGHT_45 = 2, 4, 6
+PAGE = 4096 / 2**20
+"""MiB."""
+
+
+@pytest.fixture
+def env() -> Iterator[Pioneer]:
+    env = Pioneer(max_steps=None)
+    yield env
+    env.close()
+
+
+def start(env: Pioneer, x: float, y: float, heading: float, ball: tuple[float, float] = (-1.5, -1.5)) -> None:
+    env.reset(seed=0, options={"robot": (x, y, heading), "balls": [ball]})
+
+
+def bodies(env: Pioneer) -> dict[int, float]:
+    """Numbers of what can move, the robot first, and the height of their middles at rest, m."""
+    p, client = env.bullet.p, env.bullet.client
+    masses = {body: p.getDynamicsInfo(body, -1, physicsClientId=client)[0] for body in range(p.getNumBodies(client))}
+    heaviest = sorted((body for body, mass in masses.items() if mass > 0), key=lambda body: -masses[body])
+    return {body: BALL_RADIUS if i else MIDDLE_HEIGHT for i, body in enumerate(heaviest)}
+
+
+def resident() -> float:
+    """Memory of this process, MiB."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * PAGE
+
+
+@pytest.mark.parametrize("action", range(len(ACTIONS)))
+def test_distances_within_2_cm_and_angles_within_2_degrees(env: Pioneer, action: int) -> None:
+    """From many headings, and twice in a row: what the first action leaves behind must not spoil the second."""
+    distance, turn = ACTIONS[action]
+    for heading in np.linspace(-math.pi, math.pi, 9):
+        start(env, 0.7 - 0.5 * math.cos(heading), 0.7 - 0.5 * math.sin(heading), heading)
+        for _ in range(2):
+            x0, y0, heading0 = env.robot_pose
+            touched = env.step(action)[4]["touched_wall"]
+            x, y, after = env.robot_pose
+            assert not touched
+            assert math.hypot(x - x0 - distance * math.cos(heading0), y - y0 - distance * math.sin(heading0)) < 0.02
+            assert abs(math.remainder(after - heading0 - turn, math.tau)) < math.radians(2)
+
+
+@pytest.mark.parametrize("heading", np.linspace(0, math.tau, 12, endpoint=False).tolist())
+def test_no_action_passes_through_a_wall(env: Pioneer, heading: float) -> None:
+    start(env, 0.5, 0.5, heading)
+    touches = 0
+    for _ in range(10):
+        reward, info = env.step(LONG)[1::3]
+        x, y, _ = env.robot_pose
+        touches += info["touched_wall"]
+        assert reward == pytest.approx(-1.1 if info["touched_wall"] else -0.1)
+        assert max(abs(x), abs(y)) < 2 - BODY_RADIUS
+    assert touches >= 5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_paddles_and_a_held_ball_stay_inside_whatever_is_done(env: Pioneer, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    start(env, 1.2, 0, 0, ball=(1.75, 0))
+    env.step(1)
+    for _ in range(150):
+        _, _, terminated, _, _ = env.step(int(rng.choice([0, 1, 2, 2, 2, 3, 4, 5, 6])))
+        x, y, heading = env.robot_pose
+        tip = (x + PADDLE_TIP * math.cos(heading), y + PADDLE_TIP * math.sin(heading))
+        assert max(map(abs, tip)) < 2.01
+        for ball in env.ball_positions.values():
+            assert max(map(abs, ball)) + BALL_RADIUS < 2.01
+        if terminated:
+            start(env, 1.2, 0, 0, ball=(1.75, 0))
+
+
+def test_a_forward_action_stops_at_the_wall_and_backs_off(env: Pioneer) -> None:
+    start(env, 1.4, 0, 0)
+    assert env.step(LONG)[4]["touched_wall"]
+    x, _, heading = env.robot_pose
+    # The paddles touch; then 5 cm back.
+    assert x == pytest.approx(2 - PADDLE_TIP - 0.05, abs=0.02)
+    assert heading == pytest.approx(0, abs=math.radians(2))
+
+
+def test_a_turn_into_a_wall_is_undone(env: Pioneer) -> None:
+    start(env, 0, 2 - 0.27, 0)
+    _, reward, _, _, info = env.step(LEFT_45)
+    assert info["touched_wall"]
+    assert reward == pytest.approx(-1.1)
+    assert env.robot_pose[2] == pytest.approx(0, abs=math.radians(2))
+    assert not env.step(RIGHT_45)[4]["touched_wall"]
+
+
+def test_no_pose_is_a_trap(env: Pioneer) -> None:
+    """Wherever the robot is driven into a wall or a corner, a few turns and one action ahead get it away."""
+    for heading in np.linspace(0, math.pi / 2, 10):
+        start(env, 1.2, 1.2, heading)
+        for action in (LONG, LONG, LONG, 1, 0, 0):
+            env.step(action)
+        for action in (LEFT_45, LEFT_45, LEFT_45, LEFT_45, LONG, LONG):
+            env.step(action)
+        if env.step(LONG)[4]["touched_wall"]:
+            for action in (LEFT_45, LEFT_45, LONG):
+                env.step(action)
+        x, y, _ = env.robot_pose
+        assert math.hypot(x - 2, y - 2) > 1.0
+
+
+def test_an_obstacle_stops_the_robot_like_a_wall() -> None:
+    env = Pioneer(n_obstacles=1)
+    options = {"robot": (-1, 0, 0), "balls": [(-1.5, -1.5)], "obstacles": [(0.2, 0)]}
+    env.reset(seed=0, options=options)
+    touched = [env.step(LONG)[4]["touched_wall"] for _ in range(3)]
+    assert touched == [False, True, True]
+    assert env.robot_pose[0] < 0.2 - 0.15 - BODY_RADIUS
+    env.close()
+
+
+@pytest.mark.parametrize(("off", "gripped"), [(0, True), (0.03, True), (0.10, True), (0.16, False), (0.30, False)])
+def test_paddles_take_a_ball_or_push_it_aside(env: Pioneer, off: float, gripped: bool) -> None:
+    """A paddle is 12 to 14 cm off the middle: it sends a ball to the side on which its centre is."""
+    for side in (1, -1):
+        start(env, -1.01, 0, 0, ball=(-0.5, side * off))
+        assert env.step(LONG)[4]["gripping"] == gripped
+        x, y = env.ball_positions[0]
+        if gripped:
+            robot_x, robot_y, _ = env.robot_pose
+            assert (x - robot_x, y - robot_y) == pytest.approx((GRIP_AHEAD, 0), abs=0.02)
+        elif off < 0.2:
+            assert side * y > off + 0.02
+        else:
+            assert (x, y) == pytest.approx((-0.5, side * off), abs=0.002)
+
+
+def test_a_rolling_ball_comes_to_rest(env: Pioneer) -> None:
+    start(env, -1, 0, math.pi, ball=(-0.5, 0))
+    ball = list(bodies(env))[1]
+    p, client = env.bullet.p, env.bullet.client
+    p.resetBaseVelocity(ball, (1, 0, 0), (0, 1 / BALL_RADIUS, 0), physicsClientId=client)
+    for _ in range(3 * CONTROL_RATE):
+        p.stepSimulation(client)
+    assert 0.2 < env.bullet.position(ball)[0] + 0.5 < 0.8
+    assert np.linalg.norm(p.getBaseVelocity(ball, physicsClientId=client)[0]) < 0.001
+
+
+def random_walk(n: int, seed: int, **kwargs: Any) -> None:
+    """Random actions; everything stays finite, upright, in the arena, and without energy from nowhere."""
+    env = Pioneer(max_steps=200, **kwargs)
+    rng = np.random.default_rng(seed)
+    env.reset(seed=seed)
+    for _ in range(n):
+        observation, _, terminated, truncated, _ = env.step(int(rng.integers(7)))
+        assert env.observation_space.contains(observation)
+        for body, height in bodies(env).items():
+            (x, y, z), rotation = env.bullet.p.getBasePositionAndOrientation(body, physicsClientId=env.bullet.client)
+            velocity, spin = env.bullet.p.getBaseVelocity(body, physicsClientId=env.bullet.client)
+            assert np.isfinite([x, y, z, *rotation, *velocity, *spin]).all()
+            assert abs(z - height) < 0.05
+            if max(abs(x), abs(y)) < 50:  # not taken away
+                assert max(abs(x), abs(y)) < 2
+            # Kinetic energy per mass is far below that of a fall from 1 m.
+            assert np.dot(velocity, velocity) / 2 < GRAVITY
+            assert np.linalg.norm(spin) < 60
+        if terminated or truncated:
+            env.reset()
+    env.close()
+
+
+@pytest.mark.parametrize("kwargs", [{}, {"n_obstacles": 4, "n_balls": 2}])
+def test_random_actions_stay_finite(kwargs: dict[str, Any]) -> None:
+    random_walk(1500, 0, **kwargs)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_100_000_random_actions_stay_finite(seed: int) -> None:
+    random_walk(25_000, seed, n_obstacles=2 * (seed % 2), n_balls=1 + seed // 2)
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads memory from /proc")
+@pytest.mark.parametrize("n", [1500, pytest.param(10_000, marks=pytest.mark.slow)])
+def test_resets_do_not_grow_memory(env: Pioneer, n: int) -> None:
+    for seed in range(300):
+        env.reset(seed=seed)
+    before = resident()
+    for seed in range(n):
+        env.reset(seed=seed)
+    assert resident() - before < 5
+
+
+def test_make_and_close_leak_no_client() -> None:
+    numbers = set()
+    for seed in range(200):
+        env = gymnasium.make("sb3_options/Pioneer-v0").unwrapped
+        assert isinstance(env, Pioneer)
+        env.reset(seed=seed)
+        numbers.add(env.bullet.client)
+        env.close()
+        env.close()
+    assert len(numbers) == 1
+
+
+def test_the_robot_stands_still_by_itself() -> None:
+    """At rest the robot rests: it neither creeps nor sinks."""
+    env = Pioneer()
+    env.reset(seed=0, options={"robot": (0, 0, 0), "balls": [(1.5, 1.5)]})
+    body = next(iter(bodies(env)))
+    for _ in range(2 * CONTROL_RATE):
+        env.bullet.p.stepSimulation(physicsClientId=env.bullet.client)
+    (x, y, z), _ = env.bullet.p.getBasePositionAndOrientation(body, physicsClientId=env.bullet.client)
+    assert math.hypot(x, y) < 0.003
+    assert z == pytest.approx(MIDDLE_HEIGHT, abs=0.002)
+    wheel = env.bullet.p.getLinkState(body, 0, physicsClientId=env.bullet.client)[0]
+    assert wheel[2] == pytest.approx(WHEEL_RADIUS, abs=0.002)
+    env.close()

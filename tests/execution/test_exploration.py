@@ -1,0 +1,100 @@
+"""What share of exploratory choices are options."""
+
+import pickle
+from collections import Counter
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+from sb3_contrib import QRDQN
+from stable_baselines3 import DQN, PPO
+
+from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper
+from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.execution.exploration import CappedActions, cap_option_exploration
+from tests.support.helpers import CountingEnv, steady_option
+from tests.support.sb3_helpers import RANDOM, TINY, ActionLog
+
+N_DRAWS = 6000
+
+
+def capped(share: float, n_primitive: int = 2, max_options: int = 6, filled: int = 6) -> CappedActions:
+    actions = CappedActions(spaces.Discrete(n_primitive + max_options, seed=0), n_primitive, share)
+    actions.filled = tuple(range(filled))
+    return actions
+
+
+def assert_share(chosen: Any, expected: float, n_primitive: int = 2) -> None:
+    n = len(chosen)
+    share = float(np.mean(np.asarray(chosen) >= n_primitive))
+    assert abs(share - expected) < 4 * (expected * (1 - expected) / n) ** 0.5 + 1e-12
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.5])
+def test_samples_keep_to_the_share(share: float) -> None:
+    space = capped(share)
+    draws = [int(space.sample()) for _ in range(N_DRAWS)]
+    assert_share(draws, share)
+    counts = Counter(draws)
+    assert all(abs(counts[a] - N_DRAWS * (1 - share) / 2) < 200 for a in (0, 1))
+    assert all(abs(counts[a] - N_DRAWS * share / 6) < 150 for a in range(2, 8))
+
+
+@pytest.mark.parametrize(("share", "filled"), [(0.5, 0), (0.5, 4), (1.0, 6)])
+def test_where_the_share_is_kept_anyway_the_draws_are_those_of_a_plain_space(share: float, filled: int) -> None:
+    plain, space = spaces.Discrete(8, seed=0), capped(share, filled=filled)
+    assert [space.sample() for _ in range(100)] == [plain.sample() for _ in range(100)]
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5])
+def test_choices_among_what_is_allowed_keep_to_the_share(share: float) -> None:
+    space = capped(share)
+    allowed = np.array([True, True, True, False, True, True, False, False])
+    draws = [space.choose(allowed) for _ in range(N_DRAWS)]
+    assert_share(draws, min(share, 3 / 5))
+    assert set(draws) == {0, 1, 2, 4, 5}
+
+
+def test_a_choice_without_primitives_is_an_option() -> None:
+    assert capped(0.1).choose(np.arange(8) == 3) == 3
+
+
+def test_a_mask_works_as_for_a_plain_space() -> None:
+    assert capped(0.0).sample(mask=(np.arange(8) == 5).astype(np.int8)) == 5
+
+
+def test_equals_the_space_whose_place_it_takes() -> None:
+    space = capped(0.5)
+    assert space == spaces.Discrete(8)
+    assert spaces.Discrete(8) == space
+    assert space != spaces.Discrete(9)
+    assert space != spaces.Box(0, 1)
+    again = pickle.loads(pickle.dumps(space))
+    assert again == space
+    assert (again.share, again.filled) == (0.5, tuple(range(6)))
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.5, float("nan")])
+def test_refuses_what_is_no_share(share: float) -> None:
+    with pytest.raises(ValueError, match=r"max_option_exploration must be a share in \[0, 1\], got"):
+        SubgoalDiscoveryCallback(max_option_exploration=share)
+
+
+@pytest.mark.parametrize("algorithm", [DQN, QRDQN, OptionDQN])
+def test_a_model_explores_with_the_share(algorithm: Any) -> None:
+    wrapped = OptionsWrapper(CountingEnv(truncate_at=50), 6, gamma=0.9)
+    for _ in range(5):
+        wrapped.bank.add(steady_option(max_duration=2))
+    env = ActionLog(wrapped)
+    settings = TINY | RANDOM | {"learning_starts": 300}  # warm-up and ε
+    model = algorithm("MlpPolicy", env, gamma=0.9, replay_buffer_class=OptionReplayBuffer, **settings)
+    model.learn(1200, callback=SubgoalDiscoveryCallback(max_new_options=0, max_option_exploration=0.25))
+    assert_share(env.chosen, 0.25)
+    assert cast("Any", model.action_space).filled == tuple(range(5))
+
+
+def test_an_algorithm_that_explores_otherwise_keeps_its_space() -> None:
+    model = PPO("MlpPolicy", OptionsWrapper(CountingEnv(), 2), device="cpu")
+    assert cap_option_exploration(model, 2, 0.5) is None
+    assert type(model.action_space) is spaces.Discrete

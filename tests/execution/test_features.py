@@ -1,0 +1,137 @@
+import copy
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+import sb3_options.envs  # noqa: F401  # registers them
+from sb3_options import OptionsWrapper
+from sb3_options.execution.features import MAX_FEATURES, flat_size, resolve
+from tests.support.helpers import CountingEnv, DictEnv, place_of
+
+
+def env_with(space: Any) -> gym.Env[Any, Any]:
+    env = CountingEnv()
+    env.observation_space = space
+    return env
+
+
+@pytest.mark.parametrize(
+    ("space", "kind", "observations", "expected"),
+    [
+        (spaces.Discrete(3), "categorical", [2, 0], [[0, 0, 1], [1, 0, 0]]),
+        (spaces.Discrete(3, start=-1), "categorical", [1, -1], [[0, 0, 1], [1, 0, 0]]),
+        (spaces.Box(0, 9, (2,), np.float32), "identity", [[3, 4]], [[3, 4]]),
+        (spaces.Box(0, 255, (1, 2, 2), np.uint8), "identity", [[[[1, 2], [3, 4]]]], [[1, 2, 3, 4]]),
+        (spaces.Box(-np.inf, np.inf, (1,)), "identity", [[5.0]], [[5.0]]),
+        (spaces.MultiDiscrete([3, 4]), "identity", [[1, 3]], [[1, 3]]),
+        (spaces.MultiBinary(3), "identity", [[1, 0, 1]], [[1, 0, 1]]),
+    ],
+)
+def test_defaults(space: Any, kind: str, observations: Any, expected: Any) -> None:
+    features = resolve(env_with(space), None)
+    assert features is not None
+    assert features.kind == kind
+    result = features.map(np.array(observations))
+    assert result.dtype == np.float64
+    assert result.tolist() == expected
+    assert features.size == len(expected[0])
+
+
+@pytest.mark.parametrize(
+    "space",
+    [
+        spaces.Discrete(MAX_FEATURES + 1),
+        spaces.Box(0, 255, (64, 64, 3), np.uint8),
+        spaces.Dict({"a": spaces.Discrete(2)}),
+    ],
+)
+def test_spaces_without_a_default(space: Any) -> None:
+    assert resolve(env_with(space), None) is None
+
+
+@pytest.mark.parametrize("space", [spaces.Discrete(MAX_FEATURES), spaces.Box(0, 1, (MAX_FEATURES,))])
+def test_the_largest_default(space: Any) -> None:
+    features = resolve(env_with(space), None)
+    assert features is not None
+    assert features.size == MAX_FEATURES
+
+
+def test_the_environments_own() -> None:
+    env = gym.make("sb3_options/TwoRooms-v0")
+    features = resolve(env, None)
+    assert features is not None
+    assert (features.kind, features.size) == ("environment", 2)
+    assert features.map(np.eye(210)[[0, 22]]).tolist() == [[0, 0], [1, 1]]
+
+
+def test_the_given_one_goes_first() -> None:
+    features = resolve(gym.make("sb3_options/TwoRooms-v0"), lambda obs: np.zeros((len(obs), 7)))
+    assert features is not None
+    assert (features.kind, features.size) == ("given", 7)
+
+
+def test_dict_observations() -> None:
+    features = resolve(DictEnv(), place_of)
+    assert features is not None
+    assert (features.kind, features.size) == ("given", 1)
+
+
+@pytest.mark.parametrize("feature_map", [3, "xy", np.zeros(2)])
+def test_not_a_function(feature_map: Any) -> None:
+    message = r"^feature_map must be a function from a batch of observations to features \(batch, d\), got \w+\.$"
+    with pytest.raises(TypeError, match=message):
+        resolve(CountingEnv(), feature_map)
+
+
+@pytest.mark.parametrize(
+    ("result", "shape"), [(np.zeros(2), r"\(2,\)"), (np.zeros((2, 1)), r"\(2, 1\)"), (0.5, r"\(\)")]
+)
+def test_wrong_shape(result: Any, shape: str) -> None:
+    message = rf"must return features of shape \(batch, d\); for a batch of one it gave shape {shape}\.$"
+    with pytest.raises(ValueError, match="^feature_map " + message):
+        resolve(CountingEnv(), lambda obs: result)
+    env: Any = CountingEnv()
+    env.concept_features = lambda obs: result
+    with pytest.raises(ValueError, match="^the environment's concept_features " + message):
+        resolve(env, None)
+
+
+def test_a_map_that_refuses_made_up_observations_is_measured_at_the_first_real_one() -> None:
+    env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0", observation="image"))
+    assert env.features is not None
+    assert env.features.size is None
+    env.reset(seed=0)
+    assert env.bank.feature_size == 2
+
+
+def test_a_map_that_refuses_real_observations() -> None:
+    def refuse(observations: Any) -> Any:
+        raise ValueError("no agent to be seen")
+
+    env = OptionsWrapper(CountingEnv(), feature_map=refuse)
+    with pytest.raises(ValueError, match="no agent to be seen"):
+        env.reset(seed=0)
+
+
+def test_resolving_draws_nothing_from_the_environment() -> None:
+    env = CountingEnv()
+    env.observation_space.seed(3)
+    untouched = copy.deepcopy(env.observation_space)
+    resolve(env, lambda obs: np.zeros((len(obs), 1)))
+    flat_size(env.observation_space)
+    assert env.observation_space.sample() == untouched.sample()
+
+
+@pytest.mark.parametrize(
+    ("space", "size"),
+    [
+        (spaces.Discrete(5), 1),
+        (spaces.Box(0, 1, (2, 3)), 6),
+        (spaces.Dict({"a": spaces.Box(0, 1, (2, 3)), "b": spaces.Discrete(9)}), 7),
+    ],
+)
+def test_flat_size(space: Any, size: int) -> None:
+    assert flat_size(space) == size

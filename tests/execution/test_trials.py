@@ -1,0 +1,144 @@
+"""The statistics of an option's trial, and what is closed over many of them."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import mannwhitneyu
+
+from sb3_options.execution.trials import OptionTrial, TrialSettings, harm
+from sb3_options.execution.withholding import Withholding
+
+
+def closed_after(rng: np.random.Generator, effect: float, *, episodes: int = 1200, drift: float = 0.0) -> int | None:
+    """Trial of an option that adds ``effect`` to normal returns of standard deviation 1; the episode that closed it."""
+    trial = OptionTrial(TrialSettings())
+    for episode in range(episodes):
+        withheld = bool(rng.random() < trial.settings.withhold)
+        outcome = rng.normal() + drift * episode + (0.0 if withheld else effect)
+        if trial.add(withheld=withheld, outcome=outcome, used=True) is not None:
+            return episode
+    return None
+
+
+def rate(effect: float, *, n: int = 40, drift: float = 0.0) -> tuple[float, float]:
+    """Share of trials that closed the option, and the mean episode in which they did."""
+    rng = np.random.default_rng(0)
+    closed = [closed_after(rng, effect, drift=drift) for _ in range(n)]
+    when = [c for c in closed if c is not None]
+    return len(when) / n, float(np.mean(when)) if when else np.inf
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.01])
+def test_an_option_without_effect_stays(drift: float) -> None:
+    """Whatever the returns do meanwhile: at most α = 5 % are closed over 1,200 episodes."""
+    share, _ = rate(0.0, n=80, drift=drift)
+    assert share <= 0.05 + 3 * (0.05 * 0.95 / 80) ** 0.5
+
+
+def test_a_helpful_option_stays() -> None:
+    assert rate(0.5)[0] <= 0.02
+
+
+@pytest.mark.parametrize(("effect", "most"), [(-2.0, 300.0), (-1.0, 500.0)])
+def test_a_harmful_option_goes(effect: float, most: float) -> None:
+    share, when = rate(effect)
+    assert share == 1.0
+    assert when < most
+
+
+def test_harm_is_the_one_sided_mann_whitney_test() -> None:
+    rng = np.random.default_rng(1)
+    with_it, without_it = rng.normal(size=50), rng.normal(size=20) + 0.4
+    expected = mannwhitneyu(without_it, with_it, alternative="greater").pvalue
+    assert harm(with_it, without_it) == expected < 0.5
+    assert harm(without_it, with_it) > 0.5
+
+
+def test_where_there_is_nothing_to_compare_there_is_no_harm() -> None:
+    assert harm(np.zeros(0), np.ones(5)) == 1.0
+    assert harm(np.ones(5), np.ones(5)) == 1.0
+
+
+def test_alpha_is_spent_over_the_looks() -> None:
+    """The criterion as it stands in the docs, look by look."""
+    settings = TrialSettings(look_every=5, window=50)
+    trial, rng = OptionTrial(settings), np.random.default_rng(2)
+    seen: list[tuple[bool, float]] = []
+    looks = 0
+    for _ in range(400):
+        withheld, outcome = bool(rng.random() < 0.5), float(rng.normal())
+        outcome += 1.0 * withheld
+        seen.append((withheld, outcome))
+        verdict = trial.add(withheld=withheld, outcome=outcome, used=True)
+        if withheld and sum(w for w, _ in seen) % 5 == 0:
+            looks += 1
+            last = seen[-50:]
+            p = harm(np.array([g for w, g in last if not w]), np.array([g for w, g in last if w]))
+            assert trial.p_value == p
+            assert (verdict == "harmful") == (p <= 0.05 / (looks * (looks + 1)))
+        else:
+            assert verdict is None
+        if verdict:
+            return
+    pytest.fail("no look found harm")
+
+
+@pytest.mark.parametrize(("close_useless", "verdict"), [(True, "useless"), (False, None)])
+def test_an_option_that_is_hardly_run_is_useless_if_asked(close_useless: bool, verdict: str | None) -> None:
+    trial = OptionTrial(TrialSettings(close_useless=close_useless, window=100))
+    for episode in range(99):
+        assert trial.add(withheld=episode % 10 == 0, outcome=0.0, used=episode == 50) is None
+    assert trial.add(withheld=False, outcome=0.0, used=False) == verdict
+
+
+def test_an_option_that_is_run_is_not_useless() -> None:
+    trial = OptionTrial(TrialSettings(close_useless=True, window=100))
+    verdicts = {trial.add(withheld=e % 10 == 0, outcome=0.0, used=e % 20 == 1) for e in range(300)}
+    assert verdicts == {None}
+
+
+@pytest.mark.parametrize(
+    ("settings", "match"),
+    [
+        ({"withhold": 0.0}, r"withhold must be in \(0, 1\), got 0.0"),
+        ({"alpha": 1.0}, r"alpha must be in \(0, 1\), got 1.0"),
+        ({"look_every": 0}, "look_every must be a whole number of episodes, at least 1, got 0"),
+        ({"window": 2.5}, "window must be a whole number of episodes, at least 1, got 2.5"),
+        ({"success_window": 0}, "success_window must be a whole number"),
+        ({"patience": -1}, "patience must be a whole number"),
+        ({"useless_share": 2.0}, r"useless_share must be in \[0, 1\], got 2.0"),
+    ],
+)
+def test_settings_out_of_range_are_refused(settings: dict[str, Any], match: str) -> None:
+    with pytest.raises(ValueError, match=match):
+        TrialSettings(**settings)
+
+
+class TestWithholding:
+    def test_draws_each_slot_with_its_share_and_apart_from_the_others(self) -> None:
+        withholding = Withholding([0])
+        withholding.shares = {0: 0.1, 2: 0.5}
+        drawn = []
+        for _ in range(4000):
+            withholding.begin([0, 1, 2])
+            drawn.append([withholding.holds(slot) for slot in range(3)])
+        shares = np.mean(drawn, axis=0)
+        np.testing.assert_allclose(shares, [0.1, 0.0, 0.5], atol=0.03)
+        both = np.mean([d[0] and d[2] for d in drawn])
+        assert abs(both - 0.05) < 0.015
+
+    def test_reports_the_discounted_return(self) -> None:
+        withholding = Withholding([0])
+        withholding.begin([0])
+        assert withholding.report() is None  # nothing is tried
+        withholding.shares = {0: 0.5}
+        withholding.begin([0])
+        for reward in (1.0, 2.0, 3.0):
+            withholding.note_reward(reward, 0.5)
+        withholding.note_use(0)
+        report = withholding.report()
+        assert report is not None
+        assert report["outcome"] == 1 + 1 + 0.75
+        assert report["used"] == {0}
+        assert set(report["withheld"]) == {0}

@@ -1,0 +1,78 @@
+from collections import OrderedDict
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sb3_options.experience.observations import (
+    Observations,
+    batch_of_one,
+    batch_size,
+    concatenate,
+    copy_of,
+    flatten,
+    key_of,
+    stack,
+    take,
+)
+
+ARRAYS = [np.array([[1.0, 2.0]]), np.array([[3.0, 4.0]]), np.array([[5.0, 6.0]])]
+DICTS = [{"b": np.array([i, i + 1]), "a": np.array(10 * i)} for i in range(3)]
+
+
+def same(left: Observations, right: Observations) -> bool:
+    if isinstance(left, np.ndarray):
+        return isinstance(right, np.ndarray) and np.array_equal(left, right) and left.dtype == right.dtype
+    assert not isinstance(right, np.ndarray)
+    return left.keys() == right.keys() and all(same(left[k], right[k]) for k in left)
+
+
+@pytest.mark.parametrize("observations", [[0, 1, 2], ARRAYS, DICTS])
+def test_stack_take_concatenate_and_batch_of_one_agree(observations: list[Any]) -> None:
+    batch = stack(observations)
+    assert batch_size(batch) == 3
+    assert same(concatenate([batch_of_one(o) for o in observations]), batch)
+    assert same(take(batch, np.array([2, 0])), stack([observations[2], observations[0]]))
+    assert same(take(batch, slice(1, 2)), batch_of_one(observations[1]))
+
+
+def test_shapes() -> None:
+    assert np.asarray(batch_of_one(3)).shape == (1,)
+    assert np.asarray(batch_of_one(np.zeros((4, 5)))).shape == (1, 4, 5)
+
+
+@pytest.mark.parametrize(
+    ("observations", "expected"),
+    [
+        (np.array([3, 4]), [[3.0], [4.0]]),
+        (np.array([[[1, 2], [3, 4]]], dtype=np.uint8), [[1.0, 2.0, 3.0, 4.0]]),
+        ({"b": np.array([[1, 2]]), "a": np.array([[[7], [8]]])}, [[7.0, 8.0, 1.0, 2.0]]),
+        (np.zeros((0, 3)), np.zeros((0, 3))),
+    ],
+)
+def test_flatten(observations: Observations, expected: list[list[float]]) -> None:
+    flat = flatten(observations)
+    assert flat.dtype == np.float64
+    np.testing.assert_array_equal(flat, expected)
+
+
+def test_flatten_of_an_empty_batch_keeps_the_size() -> None:
+    assert flatten(np.zeros((0, 2, 3))).shape == (0, 6)
+
+
+def test_keys_are_equal_exactly_if_observations_are() -> None:
+    distinct: list[Any] = [0, 1, -1]
+    assert len({key_of(o) for o in distinct}) == 3
+    assert key_of(np.int64(3)) == key_of(3)
+    assert key_of({"a": 1, "b": 2}) == key_of({"b": 2, "a": 1})
+    assert key_of({"a": 1, "b": 2}) != key_of({"a": 2, "b": 1})
+    assert key_of(np.array([0.1 + 0.2])) != key_of(np.array([0.3]))
+
+
+@pytest.mark.parametrize("kind", [dict, OrderedDict, MappingProxyType])
+def test_a_copy_does_not_change_with_the_original(kind: Any) -> None:
+    array = np.array([1.0, 2.0])
+    copied, copied_dict = copy_of(array), copy_of(kind({"a": array}))
+    array[:] = 0.0
+    assert copied.tolist() == copied_dict["a"].tolist() == [1.0, 2.0]

@@ -1,0 +1,474 @@
+import csv
+import dataclasses
+import json
+import os
+import re
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+from typing import Any, NamedTuple, get_args
+
+import gymnasium as gym
+import imageio.v3 as iio
+import numpy as np
+import pytest
+import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator  # type: ignore[import-untyped]  # no stubs
+
+from sb3_options import OptionBank, cli
+from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.execution.trials import TrialSettings
+from sb3_options.runs import config as configs
+from sb3_options.runs import folder as runs
+from sb3_options.runs.algorithms import AlgorithmName
+from sb3_options.runs.config import TrainConfig
+from tests.support.sb3_helpers import DOORWAY, SMALL_ROOMS, TAXI, read_video
+
+ROOT = Path(__file__).parents[2]
+CONFIG = """
+env_kwargs:
+  map: |
+    SSSS#....
+    SSSS#....
+    SSSS.....
+    SSSS#....
+    SSSS#...G
+  max_steps: 150
+n_timesteps: 4000
+progress: false
+learning_starts: 200
+gamma: 0.9
+net_arch: [32]
+device: cpu
+discovery:
+  start_radius: 0.5
+  goal_radius: 4.0
+  decay: 0.75
+"""
+
+
+class Run(NamedTuple):
+    """A run folder, and what was printed while it was made."""
+
+    folder: Path
+    printed: str
+
+
+def shell(*args: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """``python train.py ARGS`` in a new process."""
+    environment = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1", "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, str(ROOT / "train.py"), *args]
+    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """One training from the shell, with evaluation and a configuration file."""
+    folder = tmp_path_factory.mktemp("cli")
+    (folder / "config.yml").write_text(CONFIG)
+    done = shell(
+        "--config",
+        "config.yml",
+        "--eval-freq",
+        "700",
+        "--eval-episodes",
+        "2",
+        "--seed",
+        "1",
+        "--n-timesteps",
+        "8000",
+        cwd=folder,
+    )
+    assert done.returncode == 0, done.stderr
+    return Run(folder / "runs" / "dqn" / "sb3_options-TwoRooms-v0_1", done.stdout)
+
+
+class TestTrain:
+    def test_leaves_a_run_folder(self, run: Run) -> None:
+        names = {str(p.relative_to(run.folder)) for p in run.folder.rglob("*") if p.is_file()}
+        events = {name for name in names if "events.out.tfevents" in name}
+        assert len(events) == 1
+        assert names - events == {
+            "config.yml", "model.zip", "options.safetensors", "subgoals.png", "evaluations.npz",
+            "monitor/0.monitor.csv",
+        }  # fmt: skip
+
+    def test_with_the_resolved_configuration(self, run: Run) -> None:
+        config = configs.load(run.folder / "config.yml")
+        assert (config.seed, config.eval_freq, config.n_timesteps, config.net_arch) == (1, 700, 8000, (32,))
+        assert config.discovery.goal_radius == 4.0
+        assert str(config.env_keywords()["map"]).strip() == SMALL_ROOMS.strip()
+
+    def test_with_options_and_a_picture(self, run: Run) -> None:
+        bank = OptionBank(4, 4)
+        bank.load(run.folder / "options.safetensors")
+        assert bank.filled == (0,)
+        picture = iio.imread(run.folder / "subgoals.png")
+        assert picture.shape[0] > 400
+        assert len(np.unique(picture.reshape(-1, picture.shape[-1]), axis=0)) > 50
+
+    def test_with_a_monitor_that_counts_primitive_steps(self, run: Run) -> None:
+        with (run.folder / "monitor" / "0.monitor.csv").open() as file:
+            file.readline()
+            rows = list(csv.DictReader(file))
+        taken = int(re.search(r"after ([\d,]+) primitive steps", run.printed)[1].replace(",", ""))  # type: ignore[index]  # it is there
+        lengths = [int(row["l"]) for row in rows]
+        assert taken - 150 < sum(lengths) <= taken
+        assert max(lengths) <= 150
+        assert {float(row["r"]) for row in rows} <= {0.0, 1.0}
+
+    def test_evaluates_by_primitive_steps(self, run: Run) -> None:
+        steps = np.load(run.folder / "evaluations.npz")["timesteps"]
+        assert 10 <= len(steps) <= 11
+        assert (np.diff([0, *steps]) >= 700).all()
+        assert (np.diff([0, *steps]) < 800).all()
+
+    def test_says_what_it_found_and_what_to_do_next(self, run: Run) -> None:
+        assert "Training DQN on sb3_options/TwoRooms-v0 for 8,000 primitive steps." in run.printed
+        assert re.search(r"Finished after 8,\d\d\d primitive steps, \d+ episodes\.", run.printed)
+        row = re.search(r"0 +│ \((\d), (\d)\) +│ (\d+) +│ ([\d,]+) +│ (\d+)", run.printed)
+        assert row is not None
+        bank = OptionBank(4, 4)
+        bank.load(run.folder / "options.safetensors")
+        assert bank[0].subgoal.points.tolist() == [[int(row[1]), int(row[2])]]  # type: ignore[union-attr]  # discovered
+        assert abs(int(row[1]) - 4) + abs(int(row[2]) - 2) <= 1
+        shown = run.folder.relative_to(run.folder.parents[2])
+        assert f"Run folder:   {shown}\n" in run.printed
+        board = re.search(rf"TensorBoard:  (\S+) -m tensorboard.main --logdir {shown}\n", run.printed)
+        assert board is not None
+        assert f"{board[1]} train.py evaluate {shown} --video {shown}/video.mp4" in run.printed
+
+    def test_makes_a_new_folder_each_time(self, tmp_path: Path) -> None:
+        config = TrainConfig(tensorboard_log=tmp_path, env="a/B-v0")
+        names = [runs.new_run_folder(config).relative_to(tmp_path).as_posix() for _ in range(3)]
+        assert names == ["dqn/a-B-v0_1", "dqn/a-B-v0_2", "dqn/a-B-v0_3"]
+
+    @pytest.mark.parametrize("algo", [name for name in get_args(AlgorithmName) if name != "dqn"])
+    @pytest.mark.filterwarnings("ignore:You have specified a mini-batch size")  # 2 environments, not 8
+    def test_other_algorithms_and_several_environments(self, algo: str, tmp_path: Path) -> None:
+        args = ["--algo", algo, "--n-envs", "2", "--n-timesteps", "400", "--tensorboard-log", str(tmp_path)]
+        args += ["--no-progress", "--no-discover", "--eval-freq", "200", "--eval-episodes", "1", "--num-threads", "1"]
+        args += ["--learning-starts", "300"] if "dqn" in algo else ["--n-steps", "64"]
+        args += ["--n-epochs", "1"] if "ppo" in algo else []
+        cli.main([*args, "--env-kwargs", "max_steps:30"])
+        folder = tmp_path / algo / "sb3_options-TwoRooms-v0_1"
+        assert (folder / "model.zip").is_file()
+        assert len(list((folder / "monitor").iterdir())) == 2
+        assert len(np.load(folder / "evaluations.npz")["timesteps"]) >= 1
+        cli.main(["evaluate", str(folder), "--episodes", "1"])
+
+    @pytest.mark.parametrize("algo", ["ppo", "maskableppo"])
+    def test_on_policy_discovery(self, algo: str, tmp_path: Path) -> None:
+        text = CONFIG.replace("learning_starts: 200\n", "n_envs: 4\nn_steps: 64\n").replace("4000", "7000")
+        (tmp_path / "config.yml").write_text(text)
+        args = ["--config", str(tmp_path / "config.yml"), "--algo", algo, "--tensorboard-log", str(tmp_path)]
+        folder = cli.train(configs.parse([*args, "--discovery.min-positive", "5", "--discovery.decay", "0.5"]))
+        bank = OptionBank(4, 4)
+        bank.load(folder / "options.safetensors")
+        assert bank.filled == (0,)
+        subgoal = bank[0].subgoal.points[0]  # type: ignore[union-attr]  # discovered
+        assert np.abs(subgoal - DOORWAY).sum() <= 1
+        result = cli.evaluate(cli.EvaluateConfig(folder, episodes=2))
+        assert result.episodes == 2
+
+    def test_switches_reach_the_callback_and_the_buffer(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        made: list[SubgoalDiscoveryCallback] = []
+
+        class Remembered(SubgoalDiscoveryCallback):
+            def _init_callback(self) -> None:
+                super()._init_callback()
+                made.append(self)
+
+        monkeypatch.setattr(cli, "SubgoalDiscoveryCallback", Remembered)
+        args = ["--n-timesteps", "600", "--no-progress", "--tensorboard-log", str(tmp_path), "--eval-episodes", "1"]
+        cli.main([*args, "--no-interruption", "--teach-head", "--intra-option", "--close-harmful"])
+        cli.main([*args, "--max-option-exploration", "0.25"])
+        switched, usual = made
+        assert switched.interruption_margin is None
+        assert switched.teach_head
+        assert switched.trial == TrialSettings()
+        assert switched.model.replay_buffer.intra_option  # type: ignore[attr-defined]  # of DQN
+        assert usual.interruption_margin == 0.0
+        assert not usual.teach_head
+        assert usual.trial is None
+        assert usual.max_option_exploration == 0.25
+        assert not usual.model.replay_buffer.intra_option  # type: ignore[attr-defined]  # of DQN
+
+    def test_an_interrupt_keeps_what_was_learned(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        from stable_baselines3 import DQN
+
+        def train(self: Any, *args: Any, **kwargs: Any) -> None:
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(DQN, "train", train)
+        cli.main(["--tensorboard-log", str(tmp_path), "--no-progress", "--device", "cpu"])
+        assert "Interrupted after 50" in capsys.readouterr().out
+        folder = tmp_path / "dqn" / "sb3_options-TwoRooms-v0_1"
+        assert all((folder / name).is_file() for name in ("model.zip", "options.safetensors", "config.yml"))
+
+
+class TestOptions:
+    """A run that starts with the options of another."""
+
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def second(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Run:
+        """A new process, and the goal moved to the upper corner."""
+        folder = tmp_path_factory.mktemp("transfer")
+        (folder / "config.yml").write_text(CONFIG.replace("  max_steps: 150", "  max_steps: 150\n  goal: [8, 0]"))
+        args = ["--options", str(run.folder), "--max-new-options", "0", "--n-timesteps", "1500", "--eval-freq", "1000"]
+        done = shell("--config", "config.yml", *args, "--eval-episodes", "1", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        return Run(folder / "runs" / "dqn" / "sb3_options-TwoRooms-v0_1", done.stdout)
+
+    def test_uses_them(self, second: Run) -> None:
+        (events,) = (second.folder / "tensorboard_1").glob("events*")
+        scalars = EventAccumulator(str(events))
+        scalars.Reload()
+        assert scalars.Scalars("options/slot_0/uses")[-1].value > 10
+        assert scalars.Scalars("options/slot_0/mean_duration")[-1].value > 1
+        assert scalars.Scalars("options/count")[0].value == 1
+
+    def test_keeps_them(self, run: Run, second: Run) -> None:
+        first, again = OptionBank(4, 4), OptionBank(4, 4)
+        first.load(run.folder / "options.safetensors")
+        again.load(second.folder / "options.safetensors")
+        assert again.filled == (0,)
+        assert again[0].subgoal.points.tolist() == first[0].subgoal.points.tolist()  # type: ignore[union-attr]  # discovered
+
+    def test_says_so(self, run: Run, second: Run) -> None:
+        assert re.search(
+            rf"Finished after .+\nStarted with the options of {run.folder}: 0 \(reach \d, \d\)\.\n", second.printed
+        )
+
+    def test_evaluates_without_the_first_run(
+        self, second: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        for name in ("config.yml", "model.zip", "options.safetensors"):
+            (tmp_path / name).write_bytes((second.folder / name).read_bytes())
+        config = configs.load(tmp_path / "config.yml")
+        configs.save(dataclasses.replace(config, options=tmp_path / "gone"), tmp_path / "config.yml")
+        cli.main(["evaluate", str(tmp_path), "--episodes", "2"])
+        assert "2 episodes" in capsys.readouterr().out
+
+    def test_discovery_goes_on_elsewhere(self, run: Run, tmp_path: Path) -> None:
+        (tmp_path / "config.yml").write_text(CONFIG)
+        args = ["--config", str(tmp_path / "config.yml"), "--options", str(run.folder / "options.safetensors")]
+        folder = cli.train(
+            configs.parse([*args, "--tensorboard-log", str(tmp_path), "--discovery.min-density", "0", "--seed", "1"])
+        )
+        bank = OptionBank(4, 4)
+        bank.load(folder / "options.safetensors")
+        assert bank.filled == (0, 1)
+        old, new = (bank[slot].subgoal.points[0] for slot in (0, 1))  # type: ignore[union-attr]  # discovered
+        assert np.linalg.norm(old - new) > configs.load(folder / "config.yml").discovery.spacing
+
+
+class TestEvaluate:
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def evaluated(run: Run) -> subprocess.CompletedProcess[str]:
+        """The run, evaluated from the shell with a video."""
+        return shell("evaluate", str(run.folder), "--episodes", "5", "--video", "film/f.mp4", cwd=run.folder)
+
+    def test_prints_means_with_intervals(self, run: Run, evaluated: subprocess.CompletedProcess[str]) -> None:
+        assert evaluated.returncode == 0, evaluated.stderr
+        for name in ("return", "success rate", "primitive steps"):
+            row = re.search(rf"{name} +│ ([\d.]+) +│ ([\d.]+) to ([\d.]+)", evaluated.stdout)
+            assert row is not None, evaluated.stdout
+            mean, low, high = map(float, row.groups())
+            assert low <= mean <= high
+        assert "5 episodes" in evaluated.stdout
+        assert "Video: film/f.mp4" in evaluated.stdout
+
+    def test_keeps_them(self, run: Run, evaluated: subprocess.CompletedProcess[str]) -> None:
+        kept = json.loads((run.folder / "evaluation.json").read_text())
+        assert (kept["episodes"], kept["seed"]) == (5, cli.EVAL_SEED)
+        assert f"{kept['primitive_steps']['mean']:.3f}" in evaluated.stdout
+        assert set(kept["return"]) == {"mean", "low", "high"}
+
+    def test_films_every_primitive_step(self, run: Run, evaluated: subprocess.CompletedProcess[str]) -> None:
+        assert evaluated.returncode == 0
+        frames = read_video(run.folder / "film" / "f.mp4", 5 * 32, 9 * 32)
+        kept = json.loads((run.folder / "evaluation.json").read_text())
+        assert len(frames) == round(5 * kept["primitive_steps"]["mean"]) + 5  # and the first picture of each episode
+        assert all(len(np.unique(frame // 32)) > 2 for frame in frames)
+        assert any(not np.array_equal(frames[0], frame) for frame in frames[1:])
+
+    def test_the_same_seed_gives_the_same_result_and_another_does_not(self, run: Run) -> None:
+        def play(seed: int) -> Any:
+            return cli.evaluate(cli.EvaluateConfig(run.folder, episodes=4, seed=seed))
+
+        assert play(3) == play(3)
+        assert len({play(seed).steps.mean for seed in range(3, 7)}) > 1
+
+
+class TestErrors:
+    def stopped(self, capsys: pytest.CaptureFixture[str], *args: str) -> str:
+        with pytest.raises(SystemExit) as stopped:
+            cli.main(list(args))
+        assert stopped.value.code == 1
+        captured = capsys.readouterr()
+        return " ".join(captured.err.split())
+
+    @pytest.mark.parametrize(
+        ("wrong", "right"),
+        [
+            ("sb3_options/TwoRoms-v0", "sb3_options/TwoRooms-v0"),
+            ("TwoRooms-v0", "sb3_options/TwoRooms-v0"),
+            ("CartPol-v1", "CartPole-v1"),
+            ("Taxi-v9", TAXI),
+        ],
+    )
+    def test_a_mistyped_environment(
+        self, wrong: str, right: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        text = self.stopped(capsys, "--env", wrong, "--tensorboard-log", str(tmp_path / "runs"))
+        assert f"There is no environment {wrong!r}. Did you mean {right!r}?" in text
+        assert not (tmp_path / "runs").exists()
+
+    @pytest.mark.parametrize(
+        ("args", "expected"),
+        [
+            (["--env", "Pendulum-v1"], "OptionsWrapper needs a Discrete action space, got Box"),
+            (["--env-kwargs", "mapp:1"], "mapp"),
+            (["--env-kwargs", "success_probability:2"], "success_probability must be in 0..1, got 2"),
+            (["--env-kwargs", "observation:smell"], "observation"),
+            (["--env", "no_such_module:Env-v0"], "no_such_module"),
+        ],
+    )
+    def test_an_environment_that_cannot_be_made_leaves_no_folder(
+        self, args: list[str], expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert expected in self.stopped(capsys, *args, "--tensorboard-log", str(tmp_path / "runs"))
+        assert not (tmp_path / "runs").exists()
+
+    def test_options_that_do_not_fit_leave_no_folder(
+        self, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        def text(options: Path, *args: str) -> str:
+            logs = ["--tensorboard-log", str(tmp_path / "runs")]
+            return self.stopped(capsys, "--options", str(options), *args, *logs)
+
+        file = run.folder / "options.safetensors"
+        assert f"--options: there is no options file at {tmp_path / 'no'}." in text(tmp_path / "no")
+        assert f"there is no options file at {tmp_path / 'options.safetensors'}." in text(tmp_path)
+        assert "model.zip is no options file" in text(run.folder / "model.zip")
+        assert (
+            f"--options: {file} has an option in slot 0, --max-options 0 is too few for it: pass --max-options 1 or "
+            "more."
+        ) in text(run.folder, "--max-options", "0")
+        assert f"{file} does not fit: its options were made for observations Box(0.0, 1.0, (45,), float32)" in text(
+            run.folder
+        )
+        assert not (tmp_path / "runs").exists()
+
+    def test_gymnasiums_own_errors(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def broken(*args: Any, **kwargs: Any) -> None:
+            raise gym.error.DependencyNotInstalled("pip install 'gymnasium[box2d]'")
+
+        monkeypatch.setattr(runs, "make_env", broken)
+        # The brackets must not be taken for markup.
+        assert "pip install 'gymnasium[box2d]'" in self.stopped(capsys, "--tensorboard-log", str(tmp_path))
+
+    @pytest.mark.parametrize("missing", ["config.yml", "model.zip", "options.safetensors"])
+    def test_a_run_without_its_files(
+        self, missing: str, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        for name in {"config.yml", "model.zip", "options.safetensors"} - {missing}:
+            (tmp_path / name).write_bytes((run.folder / name).read_bytes())
+        text = self.stopped(capsys, "evaluate", str(tmp_path))
+        assert f"{tmp_path} is no run folder: it lacks {missing}." in text
+
+    @pytest.mark.parametrize(
+        ("name", "spoil", "expected"),
+        [
+            ("model.zip", lambda content: b"no zip", "model.zip is damaged"),
+            ("model.zip", lambda content: content[: len(content) // 2], "model.zip is damaged"),
+            ("options.safetensors", lambda content: content[:99], "options.safetensors is no options file"),
+            ("config.yml", lambda content: content.replace(b"- 32", b"- 33"), "does not fit"),
+            ("config.yml", lambda content: content + b"\nseed: !!python/object:os.system {}\n", "be read safely"),
+        ],
+    )  # fmt: skip
+    def test_a_run_with_spoilt_files(
+        self, name: str, spoil: Any, expected: str, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        for kept in ("config.yml", "model.zip", "options.safetensors"):
+            (tmp_path / kept).write_bytes((run.folder / kept).read_bytes())
+        (tmp_path / name).write_bytes(spoil((tmp_path / name).read_bytes()))
+        assert expected in self.stopped(capsys, "evaluate", str(tmp_path), "--episodes", "1")
+
+    def test_a_stranger_s_model_runs_nothing(
+        self, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        """A pickle in the place of the weights is refused; SB3's own ``load`` would unpickle the data beside them."""
+        import pickle
+
+        class Evil:
+            def __reduce__(self) -> Any:
+                return os.mkdir, (str(tmp_path / "ran"),)
+
+        for kept in ("config.yml", "model.zip", "options.safetensors"):
+            (tmp_path / kept).write_bytes((run.folder / kept).read_bytes())
+        with zipfile.ZipFile(tmp_path / "model.zip", "w") as archive:
+            archive.writestr("data", json.dumps({"policy_class": {":serialized:": ""}}))
+            archive.writestr("policy.pth", pickle.dumps(Evil(), protocol=2))
+        text = self.stopped(capsys, "evaluate", str(tmp_path), "--episodes", "1")
+        assert "model.zip is damaged" in text
+        assert not (tmp_path / "ran").exists()
+
+    def test_no_episodes(self, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+        assert "--episodes must be at least 1, got 0" in self.stopped(
+            capsys, "evaluate", str(run.folder), "--episodes", "0"
+        )
+
+    def test_from_the_shell(self, tmp_path: Path) -> None:
+        done = shell("--env", "sb3_options/TwoRoms-v0", cwd=tmp_path)
+        assert done.returncode == 1
+        assert "Did you mean 'sb3_options/TwoRooms-v0'?" in done.stderr
+        assert "Traceback" not in done.stderr + done.stdout
+
+
+class TestHelp:
+    def text(self, capsys: pytest.CaptureFixture[str], *args: str) -> str:
+        with pytest.raises(SystemExit) as stopped:
+            cli.main([*args, "--help"])
+        assert stopped.value.code == 0
+        return " ".join(capsys.readouterr().out.replace("│", " ").split())
+
+    def test_of_training(self, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("COLUMNS", "200")
+        text = self.text(capsys)
+        for flag, description in {
+            "--algo": '"optiondqn" is DQN that keeps to the options\' initiation sets',
+            "--env": "Gymnasium environment id, with Discrete actions",
+            "--n-timesteps": "Length of training, primitive steps over all environments",
+            "--seed": "Of everything random",
+            "--tensorboard-log": "Folder in which the run folder is made",
+            "--n-envs": "Number of parallel environments",
+            "--eval-freq": "Evaluate every so many primitive steps; 0 never does",
+            "--progress": "Show a progress bar",
+            "--max-options": "Number of option slots",
+            "--discovery.capacity": "How many trajectories are kept",
+            "--option.max-duration": "Longest run of the option, primitive steps",
+        }.items():
+            assert flag in text
+            assert description in text
+        assert "evaluate RUN" in text
+        assert "--config FILE" in text
+
+    def test_of_evaluation(self, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("COLUMNS", "200")
+        text = self.text(capsys, "evaluate")
+        assert "The run folder that training named" in text
+        assert "to this file, MP4 or GIF" in text
+
+
+def test_torch_keeps_one_thread() -> None:
+    """What the command line sets is what the test suite has set already."""
+    assert torch.get_num_threads() == 1

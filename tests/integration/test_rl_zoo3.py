@@ -1,0 +1,118 @@
+"""Train, play and record with rl-zoo3 itself, by the YAML files in examples/rl_zoo3."""
+
+import csv
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from sb3_options import OptionBank
+from sb3_options.zoo import OPTIONS, loaded_run
+from tests.support.sb3_helpers import FAST_DISCOVERY, SMALL_ROOMS
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "examples" / "rl_zoo3"
+ENV = "sb3_options/TwoRooms-v0"
+RUN = "sb3_options-TwoRooms-v0_1"
+# So that the option is chosen now and then in play, whatever these few steps have taught.
+EXPLORING = {"dqn": ["exploration_final_eps:0.5"], "qrdqn": ["exploration_final_eps:0.5"]}
+# Eight environments at once end fewer episodes each, and options move in between rollouts.
+N_TIMESTEPS = {"dqn": 2500, "qrdqn": 2500, "ppo": 8000}
+FILES = sorted(EXAMPLES.glob("*.yml"))
+
+needs_zoo = pytest.mark.skipif(
+    subprocess.run([sys.executable, "-c", "import rl_zoo3"], capture_output=True, check=False).returncode != 0,
+    reason="rl-zoo3 is not installed: pip install '.[zoo]'",
+)
+
+
+def zoo(program: str, folder: Path, *arguments: str) -> str:
+    """Run a program of rl-zoo3 as a user does, and return what it printed."""
+    result = subprocess.run(
+        [sys.executable, "-m", f"rl_zoo3.{program}", "--env", ENV, *arguments],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{EXAMPLES}", "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert result.returncode == 0, result.stdout[-2000:] + result.stderr[-4000:]
+    return result.stdout
+
+
+def train(folder: Path, algo: str, n_timesteps: int, *arguments: str) -> str:
+    """Train with the file that ships, in the small rooms and with a discovery that finds their doorway soon."""
+    callback = {"sb3_options.callbacks.ZooDiscoveryCallback": {"settings": FAST_DISCOVERY, "max_new_options": 1}}
+    return zoo(
+        "train", folder, "--algo", algo, "--conf-file", str(EXAMPLES / f"{algo}.yml"), "--num-threads", "1",
+        "--n-timesteps", str(n_timesteps), "--seed", "0", "--eval-freq", "1000", "--eval-episodes", "2",
+        "--env-kwargs", f"map:{SMALL_ROOMS.strip()!r}", "max_steps:150", "--hyperparams", f"callback:[{callback}]",
+        *EXPLORING.get(algo, []), *arguments,
+    )  # fmt: skip
+
+
+def filled_slots(path: Path) -> tuple[int, ...]:
+    bank = OptionBank(4, 4)
+    bank.load(path)
+    return bank.filled
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_files_name_classes_that_are_there_and_one_gamma(path: Path) -> None:
+    tasks: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
+    for hyperparameters in tasks.values():
+        ((wrapper, arguments),) = hyperparameters["env_wrapper"][0].items()
+        assert wrapper == "sb3_options.zoo.ZooOptionsWrapper"
+        assert arguments["gamma"] == hyperparameters["gamma"]
+        assert list(hyperparameters["callback"][0]) == ["sb3_options.callbacks.ZooDiscoveryCallback"]
+
+
+@needs_zoo
+@pytest.mark.slow
+@pytest.mark.parametrize("algo", [path.stem for path in FILES])
+def test_train_enjoy_and_record(tmp_path: Path, algo: str) -> None:
+    train(tmp_path, algo, N_TIMESTEPS[algo])
+    run = tmp_path / "logs" / algo / RUN
+    assert (run / f"{ENV.replace('/', '-')}.zip").is_file()
+    assert filled_slots(run / OPTIONS) == (0,)
+
+    where = ("--algo", algo, "-f", "logs")
+    printed = zoo("enjoy", tmp_path, *where, "--no-render", "--stochastic", "-n", "300", "--reward-log", "played")
+    decisions = [int(length) for length in re.findall(r"Episode Length (\d+)", printed)]
+    with (tmp_path / "played" / "0.monitor.csv").open(encoding="utf-8") as file:
+        file.readline()
+        primitive_steps = [int(row["l"]) for row in csv.DictReader(file)]
+    assert decisions
+    # Everything but the option takes one primitive step a decision.
+    assert sum(decisions) < sum(primitive_steps[: len(decisions)])
+
+    zoo("record_video", tmp_path, *where, "-n", "20")
+    (video,) = (run / "videos").glob("*.mp4")
+    assert video.stat().st_size > 1000
+
+
+@needs_zoo
+@pytest.mark.slow
+def test_training_goes_on_from_a_run_with_its_options(tmp_path: Path) -> None:
+    train(tmp_path, "dqn", 1500)
+    first = tmp_path / "logs" / "dqn" / RUN
+    agent = first / f"{ENV.replace('/', '-')}.zip"
+    train(tmp_path, "dqn", 300, "--trained-agent", str(agent))
+    assert filled_slots(first.with_name(RUN[:-1] + "2") / OPTIONS)[0] == 0
+
+
+@needs_zoo
+def test_which_run_is_played(tmp_path: Path) -> None:
+    for name in ("Rooms-v0_1", "Rooms-v0_2", "a-Rooms-v0_1"):
+        (tmp_path / "dqn" / name).mkdir(parents=True)
+    arguments = ["--algo", "dqn", "-f", str(tmp_path), "--no-render", "-n", "10"]
+    assert loaded_run("enjoy", [*arguments, "--env", "Rooms-v0"]) == tmp_path / "dqn" / "Rooms-v0_2"
+    assert loaded_run("enjoy", [*arguments, "--env", "a/Rooms-v0"]) == tmp_path / "dqn" / "a-Rooms-v0_1"
+    assert loaded_run("enjoy", [*arguments, "--env", "Rooms-v0", "--exp-id", "1"]) == tmp_path / "dqn" / "Rooms-v0_1"
+    assert loaded_run("record_video", [*arguments, "--env", "Rooms-v0", "--exp-id", "-1"]) == tmp_path / "dqn"

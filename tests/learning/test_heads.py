@@ -1,0 +1,146 @@
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from sb3_contrib import QRDQN
+from stable_baselines3 import DQN, SAC
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+
+from sb3_options import OptionDQN, OptionReplayBuffer
+from sb3_options.learning import heads
+from tests.support.helpers import steady_option
+from tests.support.sb3_helpers import RANDOM, env_of, optioned_rooms
+
+N_PRIMITIVE, MAX_OPTIONS = 4, 3
+N_ACTIONS = N_PRIMITIVE + MAX_OPTIONS
+
+algorithms = pytest.mark.parametrize("algorithm", [DQN, OptionDQN, QRDQN])
+
+
+def model_of(algorithm: Any, **kwargs: Any) -> Any:
+    quantiles = {"n_quantiles": 7} if algorithm is QRDQN else {}
+    return algorithm(
+        "MlpPolicy", optioned_rooms(MAX_OPTIONS), gamma=0.9, seed=1, learning_starts=50, train_freq=4, batch_size=16,
+        buffer_size=2000, target_update_interval=40, replay_buffer_class=OptionReplayBuffer,
+        policy_kwargs={"net_arch": [32], **quantiles}, **kwargs,
+    )  # fmt: skip
+
+
+def observations(n: int = 1000) -> torch.Tensor:
+    return torch.from_numpy(np.random.default_rng(0).normal(size=(n, 45))).float()
+
+
+@torch.no_grad()
+def outputs(model: Any) -> tuple[torch.Tensor, torch.Tensor]:
+    """Of the online and the target network, (batch, outputs an action, actions)."""
+    seen = observations()
+    policy = model.policy
+    networks = (
+        (policy.quantile_net, policy.quantile_net_target)
+        if isinstance(model, QRDQN)
+        else (policy.q_net, policy.q_net_target)
+    )
+    both = [network(seen).reshape(len(seen), -1, N_ACTIONS) for network in networks]
+    return both[0], both[1]
+
+
+def close_all(model: Any) -> None:
+    for slot in range(MAX_OPTIONS):
+        heads.close_head(model.policy, N_PRIMITIVE + slot)
+
+
+@algorithms
+def test_a_closed_head_never_wins(algorithm: type[OffPolicyAlgorithm]) -> None:
+    model = model_of(algorithm)
+    with torch.no_grad():
+        for layer, _ in heads.option_outputs(model.policy):
+            layer.weight *= 100  # values far below and above 0
+            layer.bias.sub_(500)
+    close_all(model)
+    for values in outputs(model):
+        assert (values.mean(dim=1).argmax(dim=1) < N_PRIMITIVE).all()
+        assert (values[:, :, N_PRIMITIVE:] == heads.CLOSED_VALUE).all()
+    assert (model.predict(observations().numpy(), deterministic=True)[0] < N_PRIMITIVE).all()
+
+
+@algorithms
+def test_closing_and_opening_leave_all_other_actions_bit_identical(algorithm: type[OffPolicyAlgorithm]) -> None:
+    model = model_of(algorithm)
+    others = [a for a in range(N_ACTIONS) if a != N_PRIMITIVE + 1]
+    before = outputs(model)
+    heads.close_head(model.policy, N_PRIMITIVE + 1)
+    closed = outputs(model)
+    heads.open_head(model.policy, N_PRIMITIVE + 1, N_PRIMITIVE)
+    for a, b, c in zip(before, closed, outputs(model), strict=True):
+        assert torch.equal(a[:, :, others], b[:, :, others])
+        assert torch.equal(a[:, :, others], c[:, :, others])
+        assert not torch.equal(b, c)
+
+
+@algorithms
+def test_an_injection_leaves_old_actions_and_optimizer_moments_alone(algorithm: type[OffPolicyAlgorithm]) -> None:
+    """After real training, as when an option moves in."""
+    model = model_of(algorithm, **RANDOM)
+    close_all(model)
+    model.learn(300)
+    before, chosen = outputs(model), model.predict(observations().numpy(), deterministic=True)[0]
+    moments = {
+        name: {k: v.clone() for k, v in model.policy.optimizer.state[p].items()}
+        for name, p in model.policy.named_parameters()
+        if p in model.policy.optimizer.state
+    }
+    heads.open_head(model.policy, N_PRIMITIVE, N_PRIMITIVE)
+    env_of(model).env_method("set_option", 0, steady_option())
+    for a, b in zip(before, outputs(model), strict=True):
+        assert torch.equal(a[:, :, :N_PRIMITIVE], b[:, :, :N_PRIMITIVE])
+        assert torch.equal(a[:, :, N_PRIMITIVE + 1 :], b[:, :, N_PRIMITIVE + 1 :])
+    assert np.array_equal(chosen, model.predict(observations().numpy(), deterministic=True)[0])
+    assert moments
+    for name, parameter in model.policy.named_parameters():
+        for key, value in moments.get(name, {}).items():
+            assert torch.equal(value, model.policy.optimizer.state[parameter][key]), (name, key)
+
+
+@algorithms
+def test_an_opened_head_is_the_mean_of_the_primitives(algorithm: type[OffPolicyAlgorithm]) -> None:
+    model = model_of(algorithm)
+    close_all(model)
+    heads.open_head(model.policy, N_PRIMITIVE + 2, N_PRIMITIVE)
+    for values in outputs(model):
+        mean = values[:, :, :N_PRIMITIVE].mean(dim=2)
+        torch.testing.assert_close(values[:, :, N_PRIMITIVE + 2], mean, rtol=0, atol=1e-6)
+    assert [heads.is_closed(model.policy, N_PRIMITIVE + i) for i in range(3)] == [True, True, False]
+    assert not any(heads.is_closed(model.policy, a) for a in range(N_PRIMITIVE))
+
+
+@algorithms
+def test_training_leaves_closed_heads_closed(algorithm: type[OffPolicyAlgorithm]) -> None:
+    model = model_of(algorithm, **RANDOM)
+    close_all(model)
+    rows = [(layer, heads.rows_of(layer, n, N_PRIMITIVE + 1)) for layer, n in heads.option_outputs(model.policy)]
+    primitive_rows = heads.rows_of(rows[0][0], heads.option_outputs(model.policy)[0][1], 0)
+    learned = rows[0][0].weight[primitive_rows].clone()
+    model.learn(1300)
+    assert model._n_updates > 300
+    for layer, row in rows:
+        assert (layer.weight[row] == 0).all()
+        assert (layer.bias[row] == heads.CLOSED_VALUE).all()
+    assert not torch.equal(learned, rows[0][0].weight[primitive_rows])
+    assert all(torch.isfinite(p).all() for p in model.policy.parameters())
+    stored = model.replay_buffer.actions[: model.replay_buffer.size()]
+    assert set(stored[:, 0]) == set(range(N_PRIMITIVE))
+
+
+def test_an_unknown_policy_is_refused() -> None:
+    model = SAC("MlpPolicy", gym.make("Pendulum-v1"), buffer_size=10)
+    with pytest.raises(TypeError, match=r"heads of SACPolicy are not known: options can be .* for DQN, QRDQN"):
+        heads.close_head(model.policy, 4)
+
+
+def test_a_last_layer_that_is_not_linear_is_refused() -> None:
+    model = model_of(DQN)
+    model.policy.q_net.q_net.append(torch.nn.Tanh())
+    with pytest.raises(TypeError, match="Expected a linear last layer, got Tanh"):
+        heads.close_head(model.policy, 4)

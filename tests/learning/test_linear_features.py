@@ -1,0 +1,89 @@
+"""Features against tiles worked out by hand."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sb3_options.learning.linear_features import HASH_MULTIPLIER, Concatenated, OneHot, TileCoding
+
+
+def test_one_hot_names_the_state() -> None:
+    assert OneHot(4, coded=False).active(np.array([2, 0])).tolist() == [[2], [0]]
+    assert OneHot(3, coded=True).active(np.eye(3)[[1, 2]]).tolist() == [[1], [2]]
+
+
+def test_one_tiling_is_a_grid() -> None:
+    # Two by three tiles and one more along each dimension: tile (column, row) is 4 · column + row.
+    tiles = TileCoding([0.0, 0.0], [2.0, 3.0], [2, 3], n_tilings=1)
+    points = np.array([[0.0, 0.0], [0.9, 0.9], [1.0, 0.0], [1.5, 2.5], [2.0, 3.0]])
+    assert tiles.active(points).tolist() == [[0], [0], [4], [6], [11]]
+    assert tiles.n_features == 12
+
+
+def test_tilings_are_shifted_by_the_first_odd_integers() -> None:
+    # Four tilings, unit tiles: along x by 0, 1/4, 2/4, 3/4 and along y by 0, 3/4, 2/4 (6 mod 4), 1/4 (9 mod 4).
+    tiles = TileCoding([0.0, 0.0], [4.0, 4.0], [4, 4], n_tilings=4)
+    shift_x, shift_y = [0.0, 0.25, 0.5, 0.75], [0.0, 0.75, 0.5, 0.25]
+    for x, y in [(0.0, 0.0), (0.3, 0.3), (1.3, 2.6), (3.9, 0.1), (4.0, 4.0)]:
+        by_hand = [25 * i + 5 * int(x + shift_x[i]) + int(y + shift_y[i]) for i in range(4)]
+        assert tiles.active(np.array([[x, y]])).tolist() == [by_hand]
+    assert tiles.active(np.array([[0.3, 0.3]])).tolist() == [[0, 25 + 1, 50, 75 + 5]]
+    assert tiles.n_features == 100
+
+
+def test_neighbours_share_tiles_in_proportion_to_their_nearness() -> None:
+    tiles = TileCoding([0.0], [8.0], [8], n_tilings=8)
+    here, *others = tiles.active(np.array([[3.0], [3.25], [3.5], [3.75], [4.0]]))
+    assert [int((here == other).sum()) for other in others] == [6, 4, 2, 0]
+
+
+def test_what_lies_beyond_a_bound_falls_into_the_tile_at_the_bound() -> None:
+    tiles = TileCoding([0.0], [1.0], [4])
+    inside, outside = tiles.active(np.array([[0.0], [1.0]])), tiles.active(np.array([[-5.0], [7.0]]))
+    assert inside.tolist() == outside.tolist()
+
+
+def test_hashing_is_multiplicative_and_spreads_tiles_evenly() -> None:
+    dense = TileCoding([0.0, 0.0], [1.0, 1.0], [30, 30], n_tilings=8)
+    hashed = TileCoding([0.0, 0.0], [1.0, 1.0], [30, 30], n_tilings=8, hash_size=512)
+    points = np.random.default_rng(0).random((2000, 2))
+    for index, place in zip(dense.active(points[0]).ravel(), hashed.active(points[0]).ravel(), strict=True):
+        mixed = (int(index) + 1) * int(HASH_MULTIPLIER) % 2**64
+        assert place == (mixed >> 32) % 512
+    pairs = np.unique(np.stack([dense.active(points), hashed.active(points)], axis=2).reshape(-1, 2), axis=0)
+    tiles_sharing = np.bincount(pairs[:, 1], minlength=hashed.n_features)
+    assert len(tiles_sharing) == hashed.n_features == 512
+    assert len(pairs) == len(np.unique(pairs[:, 0])) > 5000  # a tile has one place
+    assert tiles_sharing.min() > 0
+    assert tiles_sharing.max() < 2 * tiles_sharing.mean()
+
+
+def test_parts_see_their_own_numbers_and_have_features_of_their_own() -> None:
+    column, row = TileCoding([0.0], [2.0], [2], n_tilings=1), TileCoding([0.0], [3.0], [3], n_tilings=1)
+    both = Concatenated([([2], column), ([0], row)])
+    assert (both.n_features, both.n_active) == (3 + 4, 2)
+    observations = np.array([[2.5, 99.0, 1.5], [0.0, 99.0, 0.0]])
+    assert both.active(observations).tolist() == [[1, 3 + 2], [0, 3 + 0]]
+    assert both.active(observations.reshape(2, 3, 1)).tolist() == [[1, 5], [0, 3]]
+    with pytest.raises(ValueError, match="parts must not be empty"):
+        Concatenated([])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (([0.0], [1.0, 2.0], [4]), r"one entry per dimension, got shapes \(1,\), \(2,\) and \(1,\)"),
+        (([0.0], [0.0], [4]), "low must be below high, both finite"),
+        (([0.0], [np.inf], [4]), "low must be below high, both finite"),
+        (([0.0], [1.0], [0]), "tiles, n_tilings and hash_size must be at least 1"),
+    ],
+)
+def test_refuses_bad_tilings(arguments: tuple[Any, Any, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        TileCoding(*arguments)
+
+
+def test_refuses_no_states() -> None:
+    with pytest.raises(ValueError, match="n_features must be at least 1, got 0"):
+        OneHot(0, coded=False)

@@ -1,0 +1,331 @@
+"""MacroQ against episodes computed by hand, against value iteration, and against itself elsewhere."""
+
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+import pytest
+from gymnasium import spaces
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from sb3_options import MacroQ, OptionsWrapper
+from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
+from sb3_options.envs import GridWorld
+from sb3_options.learning.linear_features import OneHot, TileCoding
+from tests.support.helpers import CountingEnv, steady_option, table_option
+from tests.support.sb3_helpers import (
+    DOORWAY,
+    FAST_DISCOVERY,
+    SMALL_ROOMS,
+    env_of,
+    fast_callback,
+    optioned_rooms,
+    small_rooms,
+)
+
+ALPHA, GAMMA = 0.5, 0.9
+
+
+class Script(gym.Env[int, int]):
+    """States 0, 1, 2, … of a line of 6, one step on whatever the action; rewards are the numbers of the steps.
+
+    Args:
+        terminate_at: The state that ends an episode.
+        truncate_at: The step that cuts one off.
+    """
+
+    def __init__(self, *, terminate_at: int = -1, truncate_at: int = -1) -> None:
+        self.action_space: Any = spaces.Discrete(2)
+        self.observation_space: Any = spaces.Discrete(6)
+        self.terminate_at, self.truncate_at, self.state = terminate_at, truncate_at, 0
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[int, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.state = 0
+        return 0, {}
+
+    def step(self, action: int) -> tuple[int, float, bool, bool, dict[str, Any]]:
+        self.state += 1
+        return self.state, float(self.state), self.state == self.terminate_at, self.state == self.truncate_at, {}
+
+
+class Recorder(BaseCallback):
+    """Keeps the table as it is after every call of ``step``."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tables: list[npt.NDArray[np.float64]] = []
+        self.lengths: list[int] = []
+
+    def _on_step(self) -> bool:
+        self.tables.append(table_of(self.model).copy())
+        self.lengths += [info["episode"]["l"] for info in self.locals["infos"] if "episode" in info]
+        return True
+
+
+def table_of(model: Any) -> npt.NDArray[np.float64]:
+    table: npt.NDArray[np.float64] = model.policy.table()
+    return table
+
+
+def scripted(env: gym.Env[Any, Any], actions: Sequence[int], monkeypatch: pytest.MonkeyPatch) -> tuple[MacroQ, Any]:
+    """A model that takes these actions, from a table of Q(s, a) = s + a/10; and its table after every call."""
+    model = MacroQ(env, learning_rate=ALPHA, gamma=GAMMA, seed=0)
+    table = table_of(model)
+    table[:] = np.arange(len(table))[:, None] + np.arange(table.shape[1]) / 10
+    script = iter(actions)
+
+    def scripted_choice(values: list[float], choices: list[int]) -> int:
+        action = next(script)
+        assert action in choices
+        return action
+
+    monkeypatch.setattr(model, "_explore", scripted_choice)
+    recorder = Recorder()
+    model.learn(len(actions), callback=recorder)
+    return model, recorder.tables
+
+
+def test_one_step_of_q_learning(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, tables = scripted(Script(terminate_at=2), [1, 0], monkeypatch)
+    # Q(0, 1) = 0.1 → halfway to 1 + 0.9 · max(1.0, 1.1) = 1.99.
+    assert tables[0][0].tolist() == pytest.approx([0.0, (0.1 + 1.99) / 2])
+    # Nothing follows the end: Q(1, 0) = 1.0 → halfway to 2.
+    assert tables[1][1].tolist() == pytest.approx([1.5, 1.1])
+
+
+def test_a_time_limit_is_no_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, tables = scripted(Script(truncate_at=1), [0], monkeypatch)
+    assert tables[0][0, 0] == pytest.approx(0.5 * (1 + GAMMA * 1.1))
+
+
+def optioned(initiation: Sequence[bool], *, duration: int, **script: int) -> OptionsWrapper:
+    """`Script` with two slots; the second holds an option that takes action 1."""
+    env = OptionsWrapper(Script(**script), 2, gamma=GAMMA)
+    env.bank.add(table_option(initiation, [1] * 6, [0.0] * 6, max_duration=duration), 1)
+    return env
+
+
+def test_an_option_teaches_its_steps_in_order_and_then_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two steps 0 → 1 → 2; action 3 is the option; it may start everywhere but in 2, where only 2.1 counts."""
+    env = optioned([True, True, False, True, True, True], duration=2)
+    _, tables = scripted(env, [3], monkeypatch)
+    q01 = (0.1 + 1 + GAMMA * 1.3) / 2  # in state 1 the option is worth 1.3; the empty slot's 1.2 never counts
+    q11 = (1.1 + 2 + GAMMA * 2.1) / 2  # in state 2 it may not start, so that its 2.3 does not count
+    q03 = (0.3 + 1 + GAMMA * 2 + GAMMA**2 * 2.1) / 2  # γ² at the end of two steps
+    assert tables[0][0].tolist() == pytest.approx([0.0, q01, 0.2, q03])
+    assert tables[0][1].tolist() == pytest.approx([1.0, q11, 1.2, 1.3])
+
+
+def test_an_option_sees_what_its_own_steps_have_just_taught(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Order: a self-loop is updated before the option that ended there is."""
+    env = OptionsWrapper(CountingEnv(1, step=lambda env, _: (np.zeros(1), 10.0, False, False, {})), 1, gamma=GAMMA)
+    env.bank.add(steady_option(0, max_duration=2))
+    features = OneHot(2, coded=False)
+    model = MacroQ(env, features=features, learning_rate=ALPHA, gamma=GAMMA, epsilon=0.0, seed=0)
+    monkeypatch.setattr(model, "_explore", lambda values, choices: 1)
+    model.learn(1)
+    first = 0.5 * 10
+    second = first + 0.5 * (10 + GAMMA * first - first)
+    option = 0.5 * (10 + GAMMA * 10 + GAMMA**2 * second)
+    assert table_of(model)[0].tolist() == pytest.approx([second, option])
+
+
+@pytest.mark.parametrize(("script", "follows"), [({"terminate_at": 2}, 0.0), ({"truncate_at": 2}, 2.3)])
+def test_an_episode_that_ends_inside_an_option(
+    script: dict[str, int], follows: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, tables = scripted(optioned([True] * 6, duration=5, **script), [3], monkeypatch)
+    assert tables[0][0, 3] == pytest.approx((0.3 + 1 + GAMMA * 2 + GAMMA**2 * follows) / 2)
+    assert tables[0][1, 1] == pytest.approx((1.1 + 2 + GAMMA * follows) / 2)
+    assert tables[0][2:].tolist() == pytest.approx(np.arange(2, 6)[:, None] + np.arange(4) / 10)
+
+
+def test_what_may_start_is_chosen_among_step_by_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = MacroQ(optioned([False, True, False, True, False, False], duration=1, terminate_at=5), gamma=GAMMA, seed=0)
+    offered: list[list[int]] = []
+
+    def first_of(values: list[float], choices: list[int]) -> int:
+        offered.append(choices)
+        return 0
+
+    monkeypatch.setattr(model, "_explore", first_of)
+    model.learn(6)
+    assert offered == [[0, 1], [0, 1, 3], [0, 1], [0, 1, 3], [0, 1], [0, 1]]
+
+
+def test_a_slot_that_has_run_out_is_not_chosen() -> None:
+    env = OptionsWrapper(small_rooms(), 1, gamma=GAMMA, max_runs=1)
+    env.bank.add(steady_option(1))
+    model = MacroQ(env, gamma=GAMMA, epsilon=0.5, seed=0)
+    chosen: list[tuple[int, int]] = []
+
+    class Watch(BaseCallback):
+        def _on_step(self) -> bool:
+            chosen.append((int(self.locals["actions"][0]), self.locals["infos"][0]["option"]["index"]))
+            return True
+
+    model.learn(2000, callback=Watch())
+    slots = [slot for action, slot in chosen if action >= env.n_primitive]
+    assert len(slots) >= 5
+    assert set(slots) == {0}
+
+
+def test_greedy_ties_are_broken_evenly_and_epsilon_explores_all() -> None:
+    model = MacroQ(Script(), epsilon=0.0, seed=1)
+    chosen = [model._explore([1.0, 2.0, 2.0, 5.0], [0, 1, 2]) for _ in range(4000)]
+    assert np.bincount(chosen).tolist() == pytest.approx([0, 2000, 2000], abs=150)
+    model.epsilon = 0.5
+    chosen = [model._explore([1.0, 2.0, 0.0, 5.0], [0, 1, 2]) for _ in range(6000)]
+    assert np.bincount(chosen).tolist() == pytest.approx([1000, 4000, 1000], abs=150)
+
+
+def test_without_options_the_wrapper_changes_nothing() -> None:
+    plain = MacroQ(small_rooms(), seed=4).learn(3000)
+    wrapped = MacroQ(optioned_rooms(2), seed=4).learn(3000)
+    assert (table_of(plain) == table_of(wrapped)[:, :4]).all()
+    assert (table_of(wrapped)[:, 4:] == 0).all()
+
+
+def test_replay_is_q_learning_from_the_same_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    lived, _ = scripted(Script(terminate_at=3), [0, 1, 1], monkeypatch)
+    replayed, _ = scripted(Script(), [], monkeypatch)
+    replayed.replay([0, 1, 2], [0, 1, 1], [1.0, 2.0, 3.0], [1, 2, 3], [False, False, True])
+    assert (table_of(replayed) == table_of(lived)).all()
+
+
+def value_iteration(world: GridWorld) -> npt.NDArray[np.float64]:
+    """Q* of a gridworld whose moves always succeed, shape (cells, 4)."""
+    n = world.walls.size
+    goal = world.goal[1] * world.width + world.goal[0]
+    q = np.zeros((n, 4))
+    led, free = np.zeros((n, 4), dtype=np.int64), ~world.walls
+    for y, x in np.argwhere(free):
+        for a, (dx, dy) in enumerate([(0, -1), (0, 1), (-1, 0), (1, 0)]):
+            inside = 0 <= x + dx < world.width and 0 <= y + dy < world.height and free[y + dy, x + dx]
+            led[y * world.width + x, a] = (y + dy) * world.width + x + dx if inside else y * world.width + x
+    for _ in range(100):
+        value = q.max(axis=1)
+        q = np.where(led == goal, 1.0, GAMMA * value[led])
+    return q
+
+
+@pytest.mark.parametrize("features", [None, TileCoding([0, 0], [4, 3], [5, 4], n_tilings=2)])
+def test_q_learning_converges_to_the_policy_of_value_iteration(features: TileCoding | None) -> None:
+    world = GridWorld("SSSS.\nSS#S.\nSS#S.\nSSSSG", success_probability=1.0)
+    seen = GridWorld("SSSS.\nSS#S.\nSS#S.\nSSSSG", success_probability=1.0, observation="xy")
+    best = value_iteration(world)
+    model = MacroQ(world if features is None else seen, features=features, learning_rate=0.5, epsilon=0.5, seed=0)
+    model.learn(40_000)
+    for x, y in world.start_cells:
+        observation = np.eye(20, dtype=np.float32)[5 * y + x] if features is None else np.array([x, y], np.float32)
+        action = int(model.predict(observation, deterministic=True)[0])
+        row = best[5 * y + x]
+        assert row[action] == row.max()
+    if features is None:
+        acted = [5 * y + x for x, y in world.start_cells]
+        assert table_of(model)[acted] == pytest.approx(best[acted], abs=1e-3)
+
+
+def test_discovers_an_option_and_goes_on_with_it() -> None:
+    settings = {**FAST_DISCOVERY, "min_positive": 8, "decay": 0.9}
+    options = {"keep_learning": True, "gamma": GAMMA}
+    callback = SubgoalDiscoveryCallback(settings, options, max_new_options=1)
+    model = MacroQ(optioned_rooms(max_steps=None), seed=0)
+    model.learn(15_000, callback=callback)
+    (found,) = callback.discoveries
+    assert np.abs(found.subgoal - DOORWAY).sum() <= 1
+    assert table_of(model)[:, 4].any()  # the option was run and its value learned
+    assert not table_of(model)[:, 5:].any()  # the empty slots never were
+
+
+def test_primitive_steps_are_counted() -> None:
+    model = MacroQ(optioned([True] * 6, duration=2, terminate_at=5), epsilon=1.0, gamma=GAMMA, seed=0)
+    recorder = Recorder()
+    model.learn(500, callback=[PrimitiveStepsCallback(), recorder])
+    assert len(recorder.tables) < 400
+    assert sum(recorder.lengths) <= model.num_timesteps <= sum(recorder.lengths) + 5
+    assert model.num_timesteps >= 500
+
+
+def test_save_and_load(tmp_path: Path) -> None:
+    env = optioned_rooms(1)
+    model = MacroQ(env, seed=0, epsilon=0.2).learn(4000)
+    model.save(tmp_path / "model")
+    loaded = MacroQ.load(tmp_path / "model", env=optioned_rooms(1))
+    assert (table_of(loaded) == table_of(model)).all()
+    assert (loaded.epsilon, loaded.gamma, loaded._n_slots) == (0.2, 0.9, 1)
+    loaded.learn(500, reset_num_timesteps=False)
+    assert loaded.num_timesteps == 4500
+
+    bare = MacroQ.load(tmp_path / "model")
+    observations = np.eye(45, dtype=np.float32)
+    expected = model.predict(observations, deterministic=True)[0]
+    masks = np.ones((45, 5), dtype=bool)
+    masks[:, 4] = False
+    assert (bare.predict(observations, deterministic=True, action_masks=masks)[0] == expected).all()
+    bare.set_env(DummyVecEnv([lambda: optioned_rooms(1)]))
+    assert (bare.predict(observations, deterministic=True)[0] == expected).all()
+
+
+def test_predict_respects_initiation_sets_and_epsilon() -> None:
+    env = optioned([False, True, True, True, True, True], duration=2)
+    model = MacroQ(env, epsilon=1.0, gamma=GAMMA, seed=0)
+    table_of(model)[:, 2:] = 5.0
+    assert model.predict(np.array([0, 1]), deterministic=True)[0].tolist() == [0, 3]
+    single, state = model.predict(np.array(1), deterministic=True)
+    assert int(single) == 3
+    assert state is None
+    drawn = model.predict(np.zeros(200, dtype=np.int64))[0]
+    assert set(drawn.tolist()) == {0, 1}
+
+
+def curve(seed: int) -> tuple[list[int], list[float]]:
+    """Lengths of the trials, and the table, of a run with discovery."""
+    recorder, callback = Recorder(), fast_callback(option_settings={"keep_learning": True, "gamma": GAMMA})
+    model = MacroQ(optioned_rooms(1, max_steps=None), seed=seed)
+    model.learn(3000, callback=[callback, recorder])
+    return recorder.lengths, table_of(model).ravel().tolist()
+
+
+def test_a_seed_gives_one_curve_alone_among_others_and_in_another_process() -> None:
+    alone = curve(3)
+    among = [curve(seed) for seed in (2, 3)]
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        elsewhere = list(pool.map(curve, [2, 3]))
+    assert among == elsewhere
+    assert among[1] == alone
+    assert among[0] != alone
+
+
+def test_several_environments_learn_one_table() -> None:
+    model = MacroQ(DummyVecEnv([lambda: small_rooms(max_steps=60) for _ in range(3)]), seed=0)
+    model.learn(3000)
+    assert model.num_timesteps == 3000
+    assert table_of(model).any()
+    assert env_of(model).num_envs == 3
+
+
+@pytest.mark.parametrize("name", ["gamma", "epsilon", "learning_rate"])
+def test_refuses_values_out_of_range(name: str) -> None:
+    with pytest.raises(ValueError, match=r"gamma and epsilon must be in \[0, 1\] and learning_rate positive, got"):
+        MacroQ(Script(), **{name: -0.1})  # type: ignore[arg-type]  # mypy does not know which argument it is
+
+
+def test_refuses_what_it_cannot_learn() -> None:
+    with pytest.raises(ValueError, match="There are no default features for Box"):
+        MacroQ(CountingEnv())
+    env = CountingEnv()
+    env.action_space = spaces.Box(-1.0, 1.0, (1,))
+    with pytest.raises(TypeError, match="MacroQ needs a Discrete action space, got Box"):
+        MacroQ(env)
+
+
+def test_the_map_is_the_one_that_the_helpers_name() -> None:
+    assert GridWorld(SMALL_ROOMS).doorways == [DOORWAY]

@@ -1,0 +1,340 @@
+import copy
+import io
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+from stable_baselines3 import DQN
+from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.running_mean_std import RunningMeanStd
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecFrameStack, VecNormalize, VecTransposeImage
+
+from sb3_options import Option, OptionReplayBuffer, OptionsWrapper
+from sb3_options.learning.replay_buffer import OptionReplayBufferSamples
+from tests.support.sb3_helpers import (
+    ActionLog,
+    Corridor,
+    Row,
+    StepLog,
+    TableOption,
+    expected_rows,
+    place_condition,
+    places,
+)
+
+GAMMA = 0.9
+KINDS = ["box", "discrete", "dict", "dict_discrete", "image"]
+INSIDE = [2 <= p < 8 for p in range(12)]
+RIGHT = TableOption(INSIDE, [1] * 12, [p == 8 for p in range(12)], max_duration=4)
+
+
+def option() -> Option:
+    """`RIGHT` over any kind of observation: from places 2 to 7 to the right until place 8."""
+    return Option(
+        place_condition(lambda p: (p >= 2) & (p < 8)),
+        place_condition(lambda p: np.ones(len(p), dtype=int)),
+        place_condition(lambda p: p == 8),
+        max_duration=RIGHT.max_duration,
+    )
+
+
+def optioned(kind: str, *, limit: int = 25) -> ActionLog:
+    """A corridor whose slot 0 is `RIGHT` and whose slot 1 is empty."""
+    wrapped = OptionsWrapper(StepLog(Corridor(kind, limit)), 2, gamma=GAMMA, feature_map=places)
+    wrapped.report_availability(True)
+    wrapped.bank.add(option(), 0)
+    return ActionLog(wrapped)
+
+
+def corridors(kind: str, n_envs: int = 1, *, limit: int = 25) -> VecEnv:
+    venv: VecEnv = DummyVecEnv([lambda: optioned(kind, limit=limit)] * n_envs)
+    venv.seed(0)
+    return VecTransposeImage(venv) if kind in ("image", "dict") else venv
+
+
+def fill(venv: VecEnv, buffer: OptionReplayBuffer, n_steps: int, rng: np.random.Generator) -> list[list[Row]]:
+    """Step and add as SB3's ``_store_transition`` does; per step of the VecEnv, which rows that must have written."""
+    logs = cast("list[list[Any]]", venv.get_attr("log"))
+    obs = venv.reset()
+    written: list[list[Row]] = []
+    for _ in range(n_steps):
+        actions = rng.integers(4, size=venv.num_envs)
+        done_before = [len(log) for log in logs]
+        next_obs, rewards, dones, infos = venv.step(actions)
+        stored: Any = copy.deepcopy(next_obs)
+        for i in np.flatnonzero(dones):
+            final = infos[i]["terminal_observation"]
+            if isinstance(stored, dict):
+                for key in stored:
+                    stored[key][i] = final[key]
+            else:
+                stored[i] = final
+        buffer.add(obs, stored, actions, rewards, dones, infos)
+        written.append(
+            [
+                row
+                for i, action in enumerate(actions)
+                for row in rows_of(logs[i][done_before[i] :], int(action), macro_q=buffer.macro_q)
+            ]
+        )
+        obs = next_obs
+    return written
+
+
+def rows_of(steps: list[Any], action: int, *, macro_q: bool) -> list[Row]:
+    in_places = [s._replace(state=place_in(s.state), next_state=place_in(s.next_state)) for s in steps]
+    return expected_rows(in_places, [action], {0: RIGHT}, 2, GAMMA, macro_q=macro_q)
+
+
+def place_in(observation: Any) -> int:
+    place = observation["place"] if isinstance(observation, dict) else observation
+    return int(np.ravel(place)[0])
+
+
+def place_of_tensors(observations: Any) -> list[int]:
+    batch = observations["place"] if isinstance(observations, dict) else observations
+    return [int(row.reshape(-1)[0]) for row in batch]
+
+
+def all_samples(buffer: OptionReplayBuffer, env: VecNormalize | None = None) -> OptionReplayBufferSamples:
+    return cast("OptionReplayBufferSamples", buffer._get_samples(np.arange(buffer.size()), env))
+
+
+def assert_holds(samples: OptionReplayBufferSamples, rows: list[Row]) -> None:
+    assert place_of_tensors(samples.observations) == [r.state for r in rows]
+    assert samples.actions[:, 0].tolist() == [r.action for r in rows]
+    np.testing.assert_allclose(samples.rewards[:, 0], [r.reward for r in rows], atol=1e-6)
+    np.testing.assert_allclose(samples.discounts[:, 0], [r.discount for r in rows], atol=1e-7)
+    assert place_of_tensors(samples.next_observations) == [r.next_state for r in rows]
+    assert samples.dones[:, 0].tolist() == [float(r.terminal) for r in rows]
+
+
+@pytest.mark.parametrize("macro_q", [True, False])
+@pytest.mark.parametrize("n_envs", [1, 4])
+@pytest.mark.parametrize("kind", KINDS)
+def test_holds_what_the_primitive_steps_were(kind: str, n_envs: int, macro_q: bool, rng: np.random.Generator) -> None:
+    venv = corridors(kind, n_envs)
+    buffer = OptionReplayBuffer(2000, venv.observation_space, venv.action_space, "cpu", n_envs=n_envs, macro_q=macro_q)
+    rows = [row for step in fill(venv, buffer, 400 // n_envs, rng) for row in step]
+    discounts = {round(r.discount, 6) for r in rows}
+    assert len(discounts) >= 4  # options of several durations ran
+    assert any(r.terminal for r in rows)
+    assert len(rows) == buffer.size()
+    assert_holds(all_samples(buffer), rows)
+
+
+@pytest.mark.parametrize("n_envs", [1, 4])
+def test_wraps_around_in_the_middle_of_an_option(n_envs: int, rng: np.random.Generator) -> None:
+    venv = corridors("box", n_envs)
+    buffer = OptionReplayBuffer(37, venv.observation_space, venv.action_space, "cpu", n_envs=n_envs)
+    buffer.track_availability(2)
+    rows: list[Row] = []
+    crossed = 0
+    for _ in range(60):
+        before = buffer.pos
+        written = fill(venv, buffer, 3, rng)
+        rows += [row for step in written for row in step]
+        crossed += buffer.pos < before
+        size = min(len(rows), 37)
+        assert (buffer.size(), buffer.pos, buffer.full) == (size, len(rows) % 37, len(rows) >= 37)
+        newest = range(len(rows) - size, len(rows))
+        in_order = [row for _, row in sorted((i % 37, rows[i]) for i in newest)]
+        samples = all_samples(buffer)
+        assert_holds(samples, in_order)
+        assert samples.next_available is not None
+        assert samples.next_available.tolist() == [[INSIDE[r.next_state], False] for r in in_order]
+    assert crossed > 5
+
+
+def test_is_full_as_soon_as_the_last_row_is_written(rng: np.random.Generator) -> None:
+    venv = corridors("box")
+    for size in range(1, 12):
+        buffer = OptionReplayBuffer(size, venv.observation_space, venv.action_space, "cpu")
+        written = 0
+        while written < size:
+            assert buffer.size() == written
+            written += sum(len(rows) for rows in fill(venv, buffer, 1, rng))
+        assert buffer.size() == size
+
+
+def test_a_run_longer_than_the_buffer_leaves_its_last_rows(rng: np.random.Generator) -> None:
+    venv = corridors("box")
+    buffer = OptionReplayBuffer(3, venv.observation_space, venv.action_space, "cpu")
+    rows = [row for step in fill(venv, buffer, 100, rng) for row in step]
+    assert_holds(all_samples(buffer), [r for _, r in sorted((i % 3, rows[i]) for i in range(len(rows) - 3, len(rows)))])
+
+
+@pytest.mark.parametrize("handle", [True, False])
+def test_timeouts_inside_options_bootstrap_unless_told_otherwise(handle: bool, rng: np.random.Generator) -> None:
+    venv = corridors("box", limit=5)
+    buffer = OptionReplayBuffer(
+        2000, venv.observation_space, venv.action_space, "cpu", handle_timeout_termination=handle
+    )
+    fill(venv, buffer, 300, rng)
+    samples = all_samples(buffer)
+    cut_off_in_option = (samples.actions[:, 0] == 2).numpy() & (buffer.dones[: buffer.size()] == 1)
+    assert cut_off_in_option.sum() > 5
+    terminal = np.array(place_of_tensors(samples.next_observations)) == Corridor.LAST
+    assert not (cut_off_in_option & terminal).any()
+    assert samples.dones.numpy()[cut_off_in_option].tolist() == [[0.0 if handle else 1.0]] * cut_off_in_option.sum()
+    macro_rows = np.flatnonzero(cut_off_in_option)
+    ends = [int(np.flatnonzero(buffer.dones[i + 1 :])[0]) + i + 1 for i in macro_rows]
+    assert samples.dones.numpy()[ends].tolist() == [[0.0 if handle else 1.0]] * len(ends)
+
+
+def test_samples_have_the_shapes_and_types_of_the_stock_buffer(rng: np.random.Generator) -> None:
+    venv = corridors("box", 4)
+    ours = OptionReplayBuffer(2000, venv.observation_space, venv.action_space, "cpu", n_envs=4)
+    stock = ReplayBuffer(2000, venv.observation_space, venv.action_space, "cpu", n_envs=4)
+    fill(venv, ours, 50, rng)
+    obs = venv.reset()
+    for _ in range(20):
+        actions = rng.integers(2, size=4)
+        next_obs, rewards, dones, infos = venv.step(actions)
+        stock.add(cast("Any", obs), cast("Any", next_obs), actions, rewards, dones, infos)
+        obs = next_obs
+    mine, theirs = ours.sample(32), stock.sample(32)
+    for name in ("observations", "actions", "next_observations", "dones", "rewards"):
+        a, b = getattr(mine, name), getattr(theirs, name)
+        assert (a.shape, a.dtype) == (b.shape, b.dtype), name
+    assert mine.discounts is not None
+    assert (mine.discounts.shape, mine.discounts.dtype) == ((32, 1), torch.float32)
+    assert cast("OptionReplayBufferSamples", mine).next_available is None
+
+
+def test_samples_every_row_and_only_stored_ones(rng: np.random.Generator) -> None:
+    venv = corridors("box", 4)
+    buffer = OptionReplayBuffer(500, venv.observation_space, venv.action_space, "cpu", n_envs=4)
+    fill(venv, buffer, 10, rng)
+    buffer.rewards[:] = np.arange(500)
+    drawn = buffer.sample(5000).rewards[:, 0].tolist()
+    assert set(drawn) == set(range(buffer.size()))
+
+
+def test_memory_is_that_of_the_stock_buffer_and_never_grows(rng: np.random.Generator) -> None:
+    venv = corridors("image")
+
+    def size(buffer: ReplayBuffer) -> int:
+        return sum(
+            a.nbytes
+            for v in vars(buffer).values()
+            for a in (v.values() if isinstance(v, dict) else [v])
+            if isinstance(a, np.ndarray)
+        )
+
+    ours = OptionReplayBuffer(50, venv.observation_space, venv.action_space, "cpu")
+    stock = ReplayBuffer(50, venv.observation_space, venv.action_space, "cpu")
+    before = size(ours)
+    fill(venv, ours, 100, rng)
+    assert before == size(ours) <= 1.01 * size(stock)
+
+
+def test_normalizes_with_vec_normalize_as_the_stock_buffer_does(rng: np.random.Generator) -> None:
+    venv = corridors("box")
+    buffer = OptionReplayBuffer(2000, venv.observation_space, venv.action_space, "cpu")
+    fill(venv, buffer, 200, rng)
+    normalize = VecNormalize(venv, gamma=GAMMA)
+    statistics = cast("RunningMeanStd", normalize.obs_rms)
+    statistics.mean, statistics.var = np.array([1.0, 3.0]), np.array([4.0, 9.0])
+    normalize.ret_rms.var = np.array(4.0)
+    raw, normal = all_samples(buffer), all_samples(buffer, normalize)
+    for name in ("observations", "next_observations"):
+        expected = np.clip((getattr(raw, name).numpy() - [1.0, 3.0]) / np.sqrt(np.array([4.0, 9.0]) + 1e-8), -10, 10)
+        np.testing.assert_allclose(getattr(normal, name), expected, atol=1e-6)
+    np.testing.assert_allclose(normal.rewards, raw.rewards / 2.0, rtol=1e-6)
+    assert torch.equal(normal.discounts, raw.discounts)
+
+
+def test_trains_with_vec_normalize_on_what_happened() -> None:
+    venv = VecNormalize(corridors("box"), gamma=GAMMA)
+    model = DQN(
+        "MlpPolicy", venv, gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, learning_starts=50, seed=0,
+        buffer_size=2000,
+    )  # fmt: skip
+    model.learn(300)
+    buffer = cast("OptionReplayBuffer", model.replay_buffer)
+    steps, chosen = cast("list[Any]", venv.get_attr("log")[0]), venv.get_attr("chosen")[0]
+    in_places = [s._replace(state=place_in(s.state), next_state=place_in(s.next_state)) for s in steps]
+    assert_holds(all_samples(buffer), expected_rows(in_places, chosen, {0: RIGHT}, 2, GAMMA))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_gives_back_stored_observations_as_the_environment_made_them(kind: str, rng: np.random.Generator) -> None:
+    venv = corridors(kind, 2)
+    buffer = OptionReplayBuffer(2000, venv.observation_space, venv.action_space, "cpu", n_envs=2)
+    rows = [row for step in fill(venv, buffer, 50, rng) for row in step]
+    stored = buffer.next_observations_stored()
+    shapes = {k: v.shape for k, v in stored.items()} if isinstance(stored, dict) else stored.shape  # type: ignore[union-attr]  # an array otherwise
+    space = venv.observation_space
+    if isinstance(space, spaces.Dict):
+        assert shapes == {k: (len(rows), *cast("tuple[int, ...]", s.shape)) for k, s in space.spaces.items()}
+    else:
+        assert shapes == (len(rows), *cast("tuple[int, ...]", space.shape))
+    assert places(stored)[:, 0].tolist() == [float(r.next_state) for r in rows]
+
+
+def test_survives_saving_and_loading(rng: np.random.Generator) -> None:
+    model = DQN(
+        "MlpPolicy", corridors("box"), gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, buffer_size=300, seed=0
+    )
+    model.learn(200)
+    file = io.BytesIO()
+    model.save_replay_buffer(file)
+    file.seek(0)
+    other = DQN("MlpPolicy", corridors("box"), gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, buffer_size=300)
+    other.load_replay_buffer(file)
+    kept, loaded = model.replay_buffer, other.replay_buffer
+    assert isinstance(kept, OptionReplayBuffer)
+    assert isinstance(loaded, OptionReplayBuffer)
+    assert (loaded.pos, loaded.full, loaded.macro_q) == (kept.pos, kept.full, kept.macro_q)
+    for a, b in zip(all_samples(kept), all_samples(loaded), strict=True):
+        assert (a is None and b is None) or torch.equal(a, b)
+    fill(corridors("box"), loaded, 10, rng)
+
+
+class TestErrors:
+    def test_optimize_memory_usage(self) -> None:
+        with pytest.raises(ValueError, match=r"OptionReplayBuffer needs optimize_memory_usage=False"):
+            OptionReplayBuffer(10, spaces.Discrete(3), spaces.Discrete(2), optimize_memory_usage=True)
+
+    def test_no_wrapper(self) -> None:
+        model = DQN("MlpPolicy", gym.make("CartPole-v1"), replay_buffer_class=OptionReplayBuffer, buffer_size=100)
+        with pytest.raises(ValueError, match=r'found no info\["option"\]: wrap the environment in OptionsWrapper'):
+            model.learn(10)
+
+    def test_a_vec_env_wrapper_that_changes_observations(self) -> None:
+        venv = VecFrameStack(corridors("image"), 2)
+        model = DQN("CnnPolicy", venv, gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, buffer_size=100, seed=0)
+        with pytest.raises(ValueError, match=r"a VecEnv wrapper changes them\. Pass replay_buffer_kwargs="):
+            model.learn(200)
+
+    def test_which_goes_away_as_the_text_says(self) -> None:
+        venv = VecFrameStack(corridors("image"), 2)
+        DQN(
+            "CnnPolicy", venv, gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, buffer_size=100, seed=0,
+            replay_buffer_kwargs={"macro_q": False}, learning_starts=1000,
+        ).learn(100)  # fmt: skip
+
+
+@pytest.mark.parametrize("macro_q", [True, False])
+def test_a_removed_option_is_named_no_more(macro_q: bool, rng: np.random.Generator) -> None:
+    """Each of its runs becomes the transition that was stored after it; all others stay."""
+    venv = corridors("box")
+    buffer = OptionReplayBuffer(500, venv.observation_space, venv.action_space, macro_q=macro_q)
+    rows = [row for step in fill(venv, buffer, 80, rng) for row in step]
+    assert sum(row.action == 2 for row in rows) > 5
+    buffer.forget_action(2)
+    following = rows + rows  # after the last comes the first
+    expected = [next(r for r in following[i:] if r.action != 2) for i in range(len(rows))]
+    assert_holds(all_samples(buffer), expected)
+
+
+def test_a_buffer_that_named_nothing_else_is_empty() -> None:
+    buffer = OptionReplayBuffer(10, spaces.Box(0.0, 1.0, (1,)), spaces.Discrete(3), macro_q=False)
+    info = {"option": {"index": 0, "duration": 2, "discount": 0.81, "termination": "subgoal"}}
+    buffer.add(np.zeros((1, 1)), np.ones((1, 1)), np.array([2]), np.zeros(1), np.zeros(1), [info])
+    buffer.forget_action(2)
+    assert buffer.size() == 0

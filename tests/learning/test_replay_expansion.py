@@ -1,0 +1,131 @@
+"""Transitions of SB3's replay buffers, found again in an `OptionReplayBuffer`."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+from stable_baselines3.common.buffers import DictReplayBuffer, ReplayBuffer
+from stable_baselines3.common.utils import set_random_seed
+
+from sb3_options import OptionReplayBuffer
+from sb3_options.learning.replay_expansion import check_buffer, option_replay_buffer
+
+GAMMA = 0.9
+BOX = spaces.Box(0.0, 1000.0, (2,), np.float32)
+SPACES: dict[str, Any] = {
+    "box": BOX,
+    "discrete": spaces.Discrete(1000),
+    "image": spaces.Box(0, 255, (3, 4, 5), np.uint8),
+    "dict": spaces.Dict({"a": BOX, "b": spaces.Discrete(1000)}),
+}
+
+
+def see(kind: str, values: Any) -> Any:
+    """A batch of observations that show ``values``."""
+    values = np.asarray(values)
+    box = np.stack([values, 2 * values], axis=1).astype(np.float32)
+    image = np.broadcast_to(values[:, None, None, None], (len(values), 3, 4, 5)).astype(np.uint8)
+    return {"box": box, "discrete": values, "image": image, "dict": {"a": box, "b": values.copy()}}[kind]
+
+
+def stock_buffer(kind: str, n_envs: int, n_steps: int, size: int, **kwargs: Any) -> Any:
+    """Step t of environment e goes from 10 t + e to 10 t + e + 10; every third is a timeout, every fifth an end."""
+    cls = DictReplayBuffer if kind == "dict" else ReplayBuffer
+    buffer = cls(size, SPACES[kind], spaces.Discrete(4), device="cpu", n_envs=n_envs, **kwargs)
+    for t in range(n_steps):
+        here = 10 * t + np.arange(n_envs)
+        infos = [{"TimeLimit.truncated": t % 3 == 2} for _ in range(n_envs)]
+        done = np.full(n_envs, t % 3 == 2 or t % 5 == 4)
+        buffer.add(see(kind, here), see(kind, here + 10), here % 4, here * 0.5, done, infos)
+    return buffer
+
+
+def values_of(rows: dict[str, Any]) -> list[int]:
+    """What `see` showed, oldest row first."""
+    first = next(iter(rows.values()))
+    return [int(v) for v in first.reshape(len(first), -1)[:, 0]]
+
+
+@pytest.mark.parametrize("kind", list(SPACES))
+@pytest.mark.parametrize("n_envs", [1, 3])
+@pytest.mark.parametrize("n_steps", [4, 8, 11])
+def test_every_transition_is_kept(kind: str, n_envs: int, n_steps: int) -> None:
+    """8 steps find room: some, all, and more."""
+    stock = stock_buffer(kind, n_envs, n_steps, 8 * n_envs)
+    buffer = option_replay_buffer(stock, spaces.Discrete(7), GAMMA)
+    assert buffer.buffer_size == 8 * n_envs
+    assert buffer.size() == min(n_steps, 8) * n_envs
+    assert buffer.full == (n_steps >= 8)
+    assert buffer.action_space == spaces.Discrete(7)
+    oldest = buffer.pos if buffer.full else 0
+    rows = (oldest + np.arange(buffer.size())) % buffer.buffer_size
+    expected = [10 * t + e for t in range(max(n_steps - 8, 0), n_steps) for e in range(n_envs)]
+    times = np.array(expected) // 10
+    assert values_of({k: v[rows] for k, v in buffer._observations.items()}) == expected
+    assert values_of({k: v[rows] for k, v in buffer._next_observations.items()}) == [v + 10 for v in expected]
+    assert np.array_equal(buffer.actions[rows, 0], np.array(expected) % 4)
+    assert np.array_equal(buffer.rewards[rows], np.array(expected) * 0.5)
+    assert np.array_equal(buffer.timeouts[rows], times % 3 == 2)
+    assert np.array_equal(buffer.dones[rows], (times % 3 == 2) | (times % 5 == 4))
+    assert (buffer.discounts[rows] == np.float32(GAMMA)).all()
+
+
+@pytest.mark.parametrize("n_steps", [4, 8, 11])
+def test_the_oldest_are_overwritten_first(n_steps: int) -> None:
+    buffer = option_replay_buffer(stock_buffer("box", 2, n_steps, 16), spaces.Discrete(7), GAMMA)
+    before = set(values_of(buffer._observations))
+    info = {"option": {"index": -1, "duration": 1, "discount": GAMMA, "termination": "primitive"}}
+    new = np.array([900, 901])
+    buffer.add(see("box", new), see("box", new), np.zeros(2), np.zeros(2), np.zeros(2, bool), [info, info])
+    lost = before - set(values_of(buffer._observations))
+    first = 10 * (n_steps - 8)
+    assert lost == ({first, first + 1} if n_steps >= 8 else set())
+    assert {900, 901} <= set(values_of(buffer._observations))
+
+
+def test_nothing_is_copied() -> None:
+    stock = stock_buffer("image", 2, 4, 16)
+    buffer = option_replay_buffer(stock, spaces.Discrete(7), GAMMA)
+    assert np.shares_memory(stock.observations, buffer._observations[""])
+    assert np.shares_memory(stock.next_observations, buffer._next_observations[""])
+
+
+def test_samples_are_those_of_the_stock_buffer() -> None:
+    stock = stock_buffer("box", 1, 11, 8)
+    set_random_seed(0)
+    expected = stock.sample(64)
+    buffer = option_replay_buffer(stock, spaces.Discrete(7), GAMMA)
+    set_random_seed(0)
+    samples: Any = buffer.sample(64)
+    for name in ("observations", "actions", "next_observations", "dones", "rewards"):
+        assert getattr(expected, name).equal(getattr(samples, name)), name
+    assert (samples.discounts == GAMMA).all()
+
+
+@pytest.mark.parametrize("n_steps", [4, 8, 11])
+def test_a_buffer_that_saves_memory(n_steps: int) -> None:
+    """It keeps no next observations; when it is full, the oldest step has lost its observation to the newest."""
+    stock = stock_buffer(
+        "box", 2, n_steps, 16, optimize_memory_usage=True, handle_timeout_termination=False
+    )  # fmt: skip
+    buffer = option_replay_buffer(stock, spaces.Discrete(7), GAMMA)
+    n_kept = min(n_steps, 7) if n_steps >= 8 else n_steps
+    expected = [10 * t + e for t in range(n_steps - n_kept, n_steps) for e in range(2)]
+    size = buffer.size()
+    assert values_of({k: v[:size] for k, v in buffer._observations.items()}) == expected
+    assert values_of({k: v[:size] for k, v in buffer._next_observations.items()}) == [v + 10 for v in expected]
+    assert np.array_equal(buffer.rewards[:size], np.array(expected) * 0.5)
+    assert np.array_equal(buffer.actions[:size, 0], np.array(expected) % 4)
+    assert not buffer.handle_timeout_termination
+    assert buffer.buffer_size == 16
+
+
+def test_a_buffer_of_unknown_rows_is_refused() -> None:
+    class Own(ReplayBuffer):
+        pass
+
+    with pytest.raises(TypeError, match=r"transitions of a Own cannot be taken over.*model.replay_buffer = None"):
+        check_buffer(Own(8, BOX, spaces.Discrete(4)))
+    check_buffer(OptionReplayBuffer(8, BOX, spaces.Discrete(4)))
+    check_buffer(None)

@@ -1,0 +1,341 @@
+"""Advantages over options against an oracle that works them out from the primitive steps, one env at a time."""
+
+from fractions import Fraction
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from sb3_contrib import TRPO, MaskablePPO, RecurrentPPO
+from stable_baselines3 import A2C, PPO
+from stable_baselines3.common.buffers import RolloutBuffer
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+from sb3_options import Option, OptionDictRolloutBuffer, OptionRolloutBuffer, OptionsWrapper
+from sb3_options.callbacks import PrimitiveStepsCallback
+from sb3_options.callbacks.serving import OptionServer
+from sb3_options.experience.observations import batch_size
+from sb3_options.learning.contrib_buffers import OptionMaskableRolloutBuffer, OptionRecurrentRolloutBuffer
+from sb3_options.learning.rollout_buffer import Passage, SMDPAdvantages, smdp_advantages
+from tests.support.helpers import DictEnv, place_of, steady_option
+from tests.support.sb3_helpers import Corridor, StepLog, env_of
+
+GAMMA, LAMBDA = 0.9, 0.8
+
+
+class Rollouts(BaseCallback):
+    """Keeps everything that the last rollout was computed from, as the environments and the policy gave it."""
+
+    def __init__(self, lambda_per: Any = "decision") -> None:
+        super().__init__()
+        self.lambda_per = lambda_per
+        self.steps: list[dict[str, Any]] = []
+
+    def _on_training_start(self) -> None:
+        self.buffer: Any = self.model.rollout_buffer  # type: ignore[attr-defined]  # of on-policy algorithms
+        self.buffer.lambda_per = self.lambda_per
+        compute = self.buffer.compute_returns_and_advantage
+
+        def spy(last_values: torch.Tensor, dones: Any) -> None:
+            self.last_values = last_values.numpy().reshape(-1).copy()
+            compute(last_values, dones)
+            self.advantages, self.returns = self.buffer.advantages.copy(), self.buffer.returns.copy()
+
+        self.buffer.compute_returns_and_advantage = spy
+
+    def _on_step(self) -> bool:
+        infos = self.locals["infos"]
+        kept = {
+            "rewards": self.locals["rewards"].copy(),
+            "values": self.locals["values"].numpy().reshape(-1),
+            "dones": self.locals["dones"].copy(),
+            "durations": [info["option"]["duration"] for info in infos],
+            "timeout_values": [self._value_after_timeout(i, info) for i, info in enumerate(infos)],
+        }
+        self.steps.append(kept)
+        return True
+
+    def _value_after_timeout(self, i: int, info: dict[str, Any]) -> float:
+        if not (self.locals["dones"][i] and info.get("TimeLimit.truncated", False)):
+            return 0.0
+        policy: Any = self.model.policy
+        observation = policy.obs_to_tensor(info["terminal_observation"])[0]
+        with torch.no_grad():
+            if "lstm_states" not in self.locals:
+                return float(policy.predict_values(observation))
+            state = tuple(part[:, i : i + 1].contiguous() for part in self.locals["lstm_states"].vf)
+            return float(policy.predict_values(observation, state, torch.zeros(1)))
+
+
+def oracle(steps: list[dict[str, Any]], last_values: Any, env: int, per_step: bool) -> list[Fraction]:
+    """A = Σⱼ (Π discounts and traces) δⱼ, summed forward in exact fractions, without a recursion."""
+    gamma, lam = Fraction(GAMMA), Fraction(LAMBDA)
+    values = [Fraction(float(s["values"][env])) for s in steps] + [Fraction(float(last_values[env]))]
+    advantages = []
+    for t in range(len(steps)):
+        total, weight = Fraction(0), Fraction(1)
+        for j in range(t, len(steps)):
+            step = steps[j]
+            k, done = step["durations"][env], bool(step["dones"][env])
+            after = Fraction(step["timeout_values"][env]) if done else values[j + 1]
+            total += weight * (Fraction(float(step["rewards"][env])) + gamma**k * after - values[j])
+            if done:
+                break
+            weight *= gamma**k * (lam**k if per_step else lam)
+        advantages.append(total)
+    return advantages
+
+
+def optioned_corridor(limit: int) -> gym.Env[Any, Any]:
+    env = OptionsWrapper(Corridor(limit=limit), 2, gamma=GAMMA)
+    env.bank.add(steady_option(1, max_duration=7))
+    env.bank.add(steady_option(0, max_duration=3))
+    return env
+
+
+def make(algorithm: type[OnPolicyAlgorithm], env: Any, **kwargs: Any) -> OnPolicyAlgorithm:
+    policy = "MlpLstmPolicy" if algorithm is RecurrentPPO else "MlpPolicy"
+    policy_kwargs = {"net_arch": [16]} | ({"lstm_hidden_size": 8} if algorithm is RecurrentPPO else {})
+    settings: dict[str, Any] = {
+        "n_steps": 64,
+        "gamma": GAMMA,
+        "gae_lambda": LAMBDA,
+        "seed": 0,
+        "policy_kwargs": policy_kwargs,
+    } | kwargs
+    if algorithm not in (A2C, TRPO):
+        settings["n_epochs"] = 1
+    if algorithm is not A2C:
+        settings["batch_size"] = settings["n_steps"]
+    return algorithm(policy, env, **settings)
+
+
+@pytest.mark.parametrize("algorithm", [PPO, A2C, TRPO, MaskablePPO, RecurrentPPO])
+@pytest.mark.parametrize("lambda_per", ["decision", "primitive_step"])
+def test_advantages_and_returns_are_exact_with_timeouts_inside_options(algorithm: Any, lambda_per: Any) -> None:
+    # 13 steps: the option of 7 steps is cut off by the limit again and again.
+    venv = DummyVecEnv([lambda: optioned_corridor(13), lambda: optioned_corridor(17)])
+    model = make(algorithm, venv)
+    kept = Rollouts(lambda_per)
+    model.learn(64, callback=CallbackList([PrimitiveStepsCallback(), kept]))
+    assert isinstance(kept.buffer, SMDPAdvantages)
+    durations = np.array([s["durations"] for s in kept.steps])
+    timeouts = np.array([s["timeout_values"] for s in kept.steps]) != 0
+    assert (timeouts & (durations > 1)).sum() >= 3, "no timeout inside an option: the case is not tested"
+    for env in range(2):
+        expected = oracle(kept.steps, kept.last_values, env, lambda_per == "primitive_step")
+        values = np.array([s["values"][env] for s in kept.steps], dtype=np.float64)
+        np.testing.assert_allclose(kept.advantages[:, env], [float(a) for a in expected], rtol=0, atol=1e-6)
+        np.testing.assert_allclose(kept.returns[:, env], [float(a) for a in expected] + values, rtol=0, atol=1e-6)
+
+
+def test_one_option_by_hand() -> None:
+    # R = 2 over 3 steps, then a primitive with reward 1 that ends the episode; V = 0.5, 0.25.
+    rewards, values = np.array([[2.0], [1.0]]), np.array([[0.5], [0.25]])
+    next_values, goes_on = np.array([[0.25], [9.0]]), np.array([[1.0], [0.0]])
+    discounts = np.array([[0.9**3], [0.9]])
+    last = 1.0 - 0.25
+    first = 2.0 + 0.729 * 0.25 - 0.5
+    per_decision = smdp_advantages(rewards, values, next_values, discounts, np.full((2, 1), 0.8), goes_on)
+    np.testing.assert_allclose(per_decision[:, 0], [first + 0.729 * 0.8 * last, last])
+    per_step = smdp_advantages(rewards, values, next_values, discounts, np.array([[0.8**3], [0.8]]), goes_on)
+    np.testing.assert_allclose(per_step[:, 0], [first + 0.729 * 0.512 * last, last])
+
+
+@pytest.mark.parametrize("lambda_per", ["decision", "primitive_step"])
+def test_without_options_it_is_the_stock_buffer(lambda_per: Any) -> None:
+    rng = np.random.default_rng(0)
+    spaces = Corridor().observation_space, Corridor().action_space
+    kwargs: dict[str, Any] = {"device": "cpu", "gae_lambda": LAMBDA, "gamma": GAMMA, "n_envs": 3}
+    stock = RolloutBuffer(50, *spaces, **kwargs)
+    ours = OptionRolloutBuffer(50, *spaces, lambda_per=lambda_per, **kwargs)
+    callback_like = np.full(3, 1.0), np.full(3, GAMMA)
+    for _ in range(50):
+        reward = rng.normal(size=3).astype(np.float32)
+        step = (
+            rng.normal(size=(3, 2)), rng.integers(2, size=(3, 1)), reward, rng.random(3) < 0.1,
+            torch.as_tensor(rng.normal(size=3), dtype=torch.float32), torch.zeros(3),
+        )  # fmt: skip
+        stock.add(*step)
+        ours.expect(Passage(reward.astype(np.float64), *callback_like))
+        ours.add(*step)
+    last, dones = torch.as_tensor(rng.normal(size=(3, 1)), dtype=torch.float32), np.array([True, False, False])
+    stock.compute_returns_and_advantage(last, dones)
+    ours.compute_returns_and_advantage(last, dones)
+    np.testing.assert_allclose(ours.advantages, stock.advantages, rtol=0, atol=2e-6)
+    np.testing.assert_allclose(ours.returns, stock.returns, rtol=0, atol=2e-6)
+
+
+class Journey(gym.Env[Any, int]):
+    """A user's own environment whose actions take times of their own: 1 or 4 steps along a line of 8."""
+
+    def __init__(self) -> None:
+        self.observation_space: Any = gym.spaces.Box(0.0, 8.0, (1,), np.float32)
+        self.action_space: Any = gym.spaces.Discrete(2)
+        self.place = 0
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.place = 0
+        return np.array([0.0], np.float32), {}
+
+    def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        k = (1, 4)[action]
+        self.place = min(self.place + k, 8)
+        option = {"index": -1, "duration": k, "discount": GAMMA**k}
+        reward = -sum(GAMMA**i for i in range(k))
+        return np.array([self.place], np.float32), reward, self.place == 8, False, {"option": option}
+
+
+@pytest.mark.parametrize("algorithm", [PPO, A2C])
+def test_a_users_own_environment_of_variable_durations(algorithm: Any) -> None:
+    model = make(algorithm, Journey(), n_steps=32)
+    model.learn(32, callback=PrimitiveStepsCallback())
+    buffer: Any = model.rollout_buffer
+    assert isinstance(buffer, OptionRolloutBuffer)
+    actions = buffer.actions.reshape(-1)
+    np.testing.assert_array_equal(buffer.durations.reshape(-1), np.where(actions == 1, 4, 1))
+    np.testing.assert_allclose(buffer.discounts.reshape(-1), np.where(actions == 1, GAMMA**4, GAMMA))
+    assert model.num_timesteps == buffer.durations.sum()
+
+
+def test_the_buffer_can_be_passed_with_its_meaning_of_lambda() -> None:
+    model = PPO(
+        "MlpPolicy",
+        Journey(),
+        n_steps=16,
+        batch_size=16,
+        rollout_buffer_class=OptionRolloutBuffer,
+        rollout_buffer_kwargs={"lambda_per": "primitive_step"},
+    )
+    model.learn(16, callback=PrimitiveStepsCallback())
+    buffer = model.rollout_buffer
+    assert isinstance(buffer, OptionRolloutBuffer)
+    assert buffer.lambda_per == "primitive_step"
+
+
+def test_dict_observations() -> None:
+    env = OptionsWrapper(DictEnv(), 1, gamma=GAMMA, feature_map=place_of)
+    env.bank.add(
+        Option(
+            lambda obs: np.ones(batch_size(obs), dtype=bool),
+            lambda obs: np.ones(batch_size(obs)),
+            lambda obs: np.zeros(batch_size(obs)),
+            max_duration=3,
+        )
+    )
+    model = PPO("MultiInputPolicy", env, n_steps=32, batch_size=32, n_epochs=1, gamma=GAMMA)
+    model.learn(32, callback=PrimitiveStepsCallback())
+    assert isinstance(model.rollout_buffer, OptionDictRolloutBuffer)
+    assert (model.rollout_buffer.durations > 1).any()
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "expected"),
+    [
+        (MaskablePPO, OptionMaskableRolloutBuffer),
+        (RecurrentPPO, OptionRecurrentRolloutBuffer),
+        (TRPO, OptionRolloutBuffer),
+    ],
+)
+def test_contrib_algorithms_get_their_sibling(algorithm: Any, expected: type) -> None:
+    model = make(algorithm, DummyVecEnv([lambda: optioned_corridor(20)]))
+    model.learn(64, callback=PrimitiveStepsCallback())
+    assert type(model.rollout_buffer) is expected
+
+
+def test_normalised_rewards_keep_the_bootstrap() -> None:
+    venv = VecNormalize(DummyVecEnv([lambda: optioned_corridor(13)]), gamma=GAMMA)
+    model = make(PPO, venv)
+    kept = Rollouts()
+    model.learn(64, callback=CallbackList([PrimitiveStepsCallback(), kept]))
+    buffer: Any = model.rollout_buffer
+    timeouts = np.array([s["timeout_values"] for s in kept.steps]).reshape(-1)
+    plain = np.array([s["rewards"] for s in kept.steps]).reshape(-1)
+    k = np.array([s["durations"] for s in kept.steps]).reshape(-1)
+    np.testing.assert_allclose(buffer.rewards.reshape(-1), plain + GAMMA**k * timeouts, atol=1e-6)
+    assert (timeouts != 0).any()
+
+
+def test_an_option_moves_in_between_rollouts_only() -> None:
+    """Otherwise the log-probabilities of the rollout would be of another policy than it was collected with."""
+    env = OptionsWrapper(Corridor(), 1, gamma=GAMMA)
+    stock, masked = make(PPO, env), make(MaskablePPO, OptionsWrapper(Corridor(), 1, gamma=GAMMA))
+    for model, at_once in ((stock, False), (masked, True)):
+        server = OptionServer(model, env_of(model), None)
+        server.put(0, steady_option(1))
+        banks = env_of(model).get_attr("bank")
+        assert (len(banks[0]) == 1) is at_once
+        assert len(server.bank) == 1
+        server.rollout_starts()
+        assert len(env_of(model).get_attr("bank")[0]) == 1
+
+
+def test_a_closed_head_is_never_chosen_and_changes_nothing() -> None:
+    model = make(PPO, OptionsWrapper(Corridor(), 3, gamma=GAMMA), n_epochs=3)
+    policy: Any = model.policy
+    model.learn(640, callback=PrimitiveStepsCallback())
+    assert model.rollout_buffer.actions.max() < 2
+    assert (policy.action_net.bias[2:] == -1e6).all()
+    assert (policy.action_net.weight[2:] == 0).all()
+    assert torch.isfinite(policy.action_net.weight).all()
+
+
+def test_without_a_callback_it_says_what_to_pass() -> None:
+    model = PPO("MlpPolicy", optioned_corridor(20), n_steps=16, rollout_buffer_class=OptionRolloutBuffer, batch_size=16)
+    with pytest.raises(ValueError, match=r"was not told how long the actions took: pass PrimitiveStepsCallback\(\) or"):
+        model.learn(16)
+
+
+def test_an_environment_that_reports_no_durations() -> None:
+    with pytest.raises(ValueError, match=r"no info\[\"option\"\]: wrap the environment in OptionsWrapper, or, if its"):
+        make(PPO, StepLog(Corridor())).learn(64, callback=PrimitiveStepsCallback())
+
+
+def test_refuses_another_meaning_of_lambda() -> None:
+    spaces = Corridor().observation_space, Corridor().action_space
+    with pytest.raises(ValueError, match="lambda_per must be 'decision' or 'primitive_step', got 'option'"):
+        OptionRolloutBuffer(8, *spaces, lambda_per="option")
+
+
+def test_refuses_dict_observations() -> None:
+    with pytest.raises(ValueError, match="For Dict observations pass rollout_buffer_class=OptionDictRolloutBuffer"):
+        OptionRolloutBuffer(8, DictEnv().observation_space, DictEnv().action_space)
+
+
+@pytest.mark.parametrize(("share", "n_present"), [(0.5, 1), (0.8, 1), (0.5, 2)])
+def test_an_option_opens_with_its_share_of_the_probability_where_masks_keep_it_in_its_place(
+    share: float, n_present: int
+) -> None:
+    env = OptionsWrapper(Corridor(), 3, gamma=GAMMA)
+    for _ in range(n_present):
+        env.bank.add(steady_option(1))
+    model: Any = make(MaskablePPO, env)
+    with torch.no_grad():
+        model.policy.action_net.weight.zero_()
+        model.policy.action_net.bias.zero_()
+    OptionServer(model, env_of(model), None, max_option_exploration=share)
+    observation = torch.zeros((1, 2))
+    masks = np.array([[True, True, *[True] * n_present, *[False] * (3 - n_present)]])
+    probabilities = model.policy.get_distribution(observation, action_masks=masks).distribution.probs[0].detach()
+    last = share / (1.0 - share) / n_present  # odds of the option that came last against the primitives together
+    assert float(probabilities[1 + n_present] / probabilities[:2].sum()) == pytest.approx(last, rel=1e-5)
+    assert float(probabilities[0]) == pytest.approx(float(probabilities[1]))
+
+
+def test_an_untrained_model_opens_the_heads_of_options_that_are_there_a_trained_one_keeps_them() -> None:
+    env = OptionsWrapper(Corridor(), 2, gamma=GAMMA)
+    env.bank.add(steady_option(1))
+    model: Any = make(PPO, env)
+    head = model.policy.action_net
+    OptionServer(model, env_of(model), None)
+    assert torch.equal(head.weight[2], head.weight[:2].mean(dim=0))
+    assert torch.equal(head.bias[2], head.bias[:2].mean(dim=0))
+    model.learn(64, callback=PrimitiveStepsCallback())
+    learned = head.weight[2].clone()
+    OptionServer(model, env_of(model), None)
+    assert torch.equal(head.weight[2], learned)
+    assert not torch.equal(learned, head.weight[:2].mean(dim=0))

@@ -1,0 +1,216 @@
+"""What an options file says of the observations it was made for, and where it is taken at its word."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+from sb3_options import OptionBank, OptionsWrapper
+from sb3_options.envs import FOUR_ROOMS
+from sb3_options.execution.features import made_for
+from sb3_options.experience.observations import flatten
+from sb3_options.options.file import digest, read, slots_of, write
+from sb3_options.options.option import SubgoalOption
+from sb3_options.options.policies import PolicyInput, TabularPolicy
+from tests.support.helpers import ball, steady_option
+
+
+def grid(env_id: str = "TwoRooms", *, feature_map: Any = None, **kwargs: Any) -> OptionsWrapper:
+    """A gridworld with coordinates for observations, and slots."""
+    env = gym.make(f"sb3_options/{env_id}-v0", **{"observation": "xy", **kwargs})
+    return OptionsWrapper(env, feature_map=feature_map)
+
+
+def option(policy_input: PolicyInput = "observation", size: int = 2) -> SubgoalOption:
+    policy = TabularPolicy(np.zeros((1, size)), np.eye(4)[3:])
+    return SubgoalOption(ball(10.0, 5.0), ball(2.0, 5.0, radius=8.0), policy, policy_input=policy_input)
+
+
+def saved(env: OptionsWrapper, path: Path, policy_input: PolicyInput = "observation") -> Path:
+    """The file of ``env`` with one option."""
+    size = 2 if policy_input == "features" else flatten(env.observation_space.sample()[None]).shape[1]
+    env.bank.add(option(policy_input, size))
+    env.bank.save(path)
+    return path
+
+
+class TestMadeFor:
+    SPACES: tuple[spaces.Space[Any], ...] = (
+        spaces.Box(0.0, 1.0, (3,)),
+        spaces.Box(0.0, 1.0, (3, 1)),
+        spaces.Box(0.0, 1.0, (3,), np.float64),
+        spaces.Box(np.zeros(3, np.float32), np.array([1, 1, 2], np.float32)),
+        spaces.Box(0.0, 1.0, (2000,)),
+        spaces.Box(np.zeros(2000, np.float32), 1 + (np.arange(2000) == 1000).astype(np.float32)),
+        spaces.Discrete(3),
+        spaces.Discrete(3, start=1),
+        spaces.MultiDiscrete([3, 4]),
+        spaces.MultiDiscrete([3] * 2000),
+        spaces.MultiDiscrete([3] * 1000 + [4] + [3] * 999),
+        spaces.MultiBinary(3),
+        spaces.Dict(a=spaces.Discrete(3)),
+        spaces.Dict(b=spaces.Discrete(3)),
+        spaces.Dict(a=spaces.Discrete(3), b=spaces.Box(0.0, 1.0, (3,))),
+        spaces.Dict(a=spaces.Dict(a=spaces.Discrete(3))),
+        spaces.Tuple((spaces.Discrete(3), spaces.Discrete(4))),
+    )
+
+    def test_spaces_that_differ_have_different_digests(self) -> None:
+        assert len({made_for(space, None).digest for space in self.SPACES}) == len(self.SPACES)
+
+    def test_equal_spaces_have_the_same(self) -> None:
+        seeded = spaces.Box(0.0, 1.0, (3,), seed=3)
+        assert made_for(seeded, None) == made_for(self.SPACES[0], None)
+        swapped = spaces.Dict([("b", spaces.Box(0.0, 1.0, (3,))), ("a", spaces.Discrete(3))])
+        assert made_for(swapped, None).digest == made_for(self.SPACES[14], None).digest
+
+    def test_the_description_can_be_read(self) -> None:
+        assert made_for(spaces.Discrete(3), None).space == "Discrete(3)"
+        for space in self.SPACES:
+            assert len(made_for(space, None).space) <= 201
+            assert "\n" not in made_for(space, None).space
+
+
+class TestOtherObservations:
+    def test_coordinates_of_other_rooms(self, tmp_path: Path) -> None:
+        path, other = saved(grid(), tmp_path / "options"), grid("FourRooms")
+        with pytest.raises(
+            ValueError,
+            match=r"^.+options does not fit: its options were made for observations Box\(0.0, \[20\.  ?9\.\], \(2,\), "
+            r"float32\), this task's are Box\(0.0, 12.0, \(2,\), float32\); only options whose policies act on "
+            r"features \(policy_input='features'\) move between tasks that are observed differently: learn them so, "
+            r"or make both environments give the same observations\.$",
+        ):
+            other.bank.load(path)
+        assert len(other.bank) == 0
+
+    def test_bounds_too_long_to_be_shown(self, tmp_path: Path) -> None:
+        class Wide(gym.ObservationWrapper[Any, Any, Any]):
+            def __init__(self, env: gym.Env[Any, Any], place: int) -> None:
+                super().__init__(env)
+                high = np.ones(2000, np.float32)
+                high[place] = 2.0
+                self.observation_space = spaces.Box(np.zeros_like(high), high)
+
+            def observation(self, observation: Any) -> Any:
+                return np.zeros(2000, np.float32)
+
+        def wide(place: int) -> OptionsWrapper:
+            return OptionsWrapper(Wide(gym.make("CartPole-v1"), place), feature_map=lambda obs: flatten(obs)[:, :2])
+
+        bank = wide(1000).bank
+        bank.add(SubgoalOption(ball(0.0, 0.0), ball(0.0, 0.0), TabularPolicy(np.zeros((1, 2000)), np.eye(2)[:1])))
+        bank.save(tmp_path / "options")
+        with pytest.raises(ValueError, match=r"float32\), whose bounds differ; only options"):
+            wide(999).bank.load(tmp_path / "options")
+        wide(1000).bank.load(tmp_path / "options")
+
+    @pytest.mark.parametrize("observation", ["xy", "onehot"])
+    def test_a_moved_goal_is_no_other_observation(self, observation: str, tmp_path: Path) -> None:
+        path = saved(grid(observation=observation), tmp_path / "options")
+        moved = grid(observation=observation, goal=(18, 1), success_probability=0.8)
+        moved.bank.load(path)
+        assert moved.bank.filled == (0,)
+
+    def test_policies_of_features_do_not_mind(self, tmp_path: Path) -> None:
+        path = saved(grid(), tmp_path / "options", "features")
+        other = grid(map=FOUR_ROOMS, observation="onehot")
+        other.bank.load(path)
+        assert other.bank.filled == (0,)
+
+    def test_several_robot_tasks_see_alike(self, tmp_path: Path) -> None:
+        pytest.importorskip("pybullet")
+        env = OptionsWrapper(gym.make("sb3_options/Pioneer-v0"))
+        env.bank.save(tmp_path / "options")
+        there = made_for(env.observation_space, env.features)
+        other = OptionsWrapper(gym.make("sb3_options/PioneerClutter-v0"))
+        assert made_for(other.observation_space, other.features) == there
+
+    def test_a_bank_made_by_hand_accepts_any(self, tmp_path: Path) -> None:
+        bank = OptionBank(4, 4)
+        bank.load(saved(grid(), tmp_path / "options"))
+        assert bank.filled == (0,)
+        bank.save(tmp_path / "again")
+        other = grid("FourRooms")
+        other.bank.load(tmp_path / "again")
+        assert other.bank.filled == (0,)
+
+    def test_a_file_of_an_earlier_version_is_read_as_before(self, tmp_path: Path) -> None:
+        about, tensors = read(saved(grid(), tmp_path / "options"))
+        del about["made_for"]
+        write(tmp_path / "old", about, tensors)
+        other = grid("FourRooms")
+        other.bank.load(tmp_path / "old")
+        assert other.bank.filled == (0,)
+
+
+class TestOtherFeatures:
+    def test_of_another_kind(self, tmp_path: Path) -> None:
+        path = saved(grid(feature_map=lambda obs: obs[:, ::-1]), tmp_path / "options", "features")
+        other = grid()
+        with pytest.raises(
+            ValueError,
+            match=r"does not fit: its subgoals lie in the features of a feature_map that was passed, this task's in "
+            r"the environment's own concept_features; pass the feature map they were made with, "
+            r"OptionsWrapper\(env, feature_map=\.\.\.\)\.$",
+        ):
+            other.bank.load(path)
+
+    def test_a_map_that_was_given_is_meant(self, tmp_path: Path) -> None:
+        path = saved(grid(), tmp_path / "options")
+        other = grid(feature_map=flatten)
+        other.bank.load(path)
+        assert other.bank.filled == (0,)
+
+    def test_a_file_without_discovered_options_fits_everywhere(self, tmp_path: Path) -> None:
+        bank = grid().bank
+        bank.add(steady_option())
+        bank.save(tmp_path / "hand_made")
+        other = grid("FourRooms", feature_map=None, observation="image")
+        other.bank.add(steady_option())
+        other.bank.load(tmp_path / "hand_made")
+        assert other.bank.filled == (0,)
+
+
+class TestSlotsOf:
+    def test_filled_slots(self, tmp_path: Path) -> None:
+        env = grid()
+        env.bank.add(option(), 3)
+        env.bank.add(steady_option(), 1)
+        env.bank.save(tmp_path / "options")
+        assert sorted(slots_of(tmp_path / "options")) == [1, 3]
+
+    @pytest.mark.parametrize("about", [{}, {"slots": 3}, {"slots": ["a"]}])
+    def test_a_strangers(self, about: Any, tmp_path: Path) -> None:
+        write(tmp_path / "stranger", about, {})
+        with pytest.raises(ValueError, match="stranger is damaged: "):
+            slots_of(tmp_path / "stranger")
+
+
+@pytest.mark.parametrize(
+    "there",
+    [
+        None,
+        {},
+        {"space": "Box", "digest": "0", "features": "smell"},
+        {"space": "Box", "digest": "0", "features": []},
+        {"space": "Box", "digest": "0", "features": "environment", "more": 1},
+    ],
+)
+def test_a_strangers_description_that_makes_no_sense(there: Any, tmp_path: Path) -> None:
+    about, tensors = read(saved(grid(), tmp_path / "options", "features"))
+    about["made_for"] = there
+    write(tmp_path / "stranger", about, tensors)
+    with pytest.raises(ValueError, match="stranger is damaged: "):
+        grid().bank.load(tmp_path / "stranger")
+
+
+def test_the_description_is_part_of_what_the_digest_covers(tmp_path: Path) -> None:
+    about, tensors = read(saved(grid(), tmp_path / "options"))
+    assert about["made_for"]["features"] == "environment"
+    other = {**about, "made_for": {**about["made_for"], "digest": "0"}}
+    assert digest(json.dumps(about), tensors) != digest(json.dumps(other), tensors)

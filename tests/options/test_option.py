@@ -1,0 +1,178 @@
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sb3_options.experience.observations import Observations
+from sb3_options.options.option import Option, Region, SubgoalOption
+from sb3_options.options.policies import TabularPolicy
+from tests.support.helpers import ball, place_of, steady_option, table_option
+
+
+def subgoal_option(**kwargs: Any) -> SubgoalOption:
+    """Reach 3 from {1, 2, 3} on a line, by action 1 everywhere but in 2."""
+    initiation = Region(np.array([[1.0], [2.0], [3.0]]), np.ones(1), 0.25)
+    policy = TabularPolicy(np.array([[1.0], [2.0]]), np.array([[0.0, 1.0], [1.0, 0.0]]))
+    return SubgoalOption(ball(3.0, radius=0.5), initiation, policy, **kwargs)
+
+
+def flat(observations: Observations) -> Any:
+    return np.asarray(observations, dtype=np.float64).reshape(len(observations), -1)
+
+
+def test_the_three_functions_of_a_hand_made_option() -> None:
+    option = table_option([0, 1, 1], [2, 0, 1], [0.0, 0.25, 1.0])
+    observations = np.array([2, 0, 1, 1])
+    assert option.initiation(observations).tolist() == [True, False, True, True]
+    assert option.policy(observations).tolist() == [1, 2, 0, 0]
+    assert option.termination(observations).tolist() == [1.0, 0.0, 0.25, 0.25]
+    assert option.initiation(observations).dtype == bool
+    assert option.policy(observations).dtype == np.int64
+    assert option.termination(observations).dtype == np.float64
+
+
+@pytest.mark.parametrize(("duration", "kept"), [(1, 1), (7.0, 7), (np.int64(3), 3)])
+def test_max_duration(duration: Any, kept: int) -> None:
+    option = steady_option(max_duration=duration)
+    assert (option.max_duration, type(option.max_duration)) == (kept, int)
+
+
+@pytest.mark.parametrize(
+    "duration", [0, -3, 1.5, 0.5, True, None, "7", float("nan"), float("inf"), np.float64("-inf"), [1]]
+)
+@pytest.mark.parametrize("make", [steady_option, subgoal_option])
+def test_max_duration_out_of_range(make: Any, duration: Any) -> None:
+    with pytest.raises(
+        ValueError, match=r"^max_duration must be a whole number of primitive steps, at least 1, got .+\.$"
+    ):
+        make(max_duration=duration)
+
+
+@pytest.mark.parametrize("position", range(3))
+def test_not_callable(position: int) -> None:
+    arguments: list[Any] = [lambda obs: np.zeros(len(obs))] * 3
+    arguments[position] = 5
+    name = ["initiation", "policy", "termination"][position]
+    with pytest.raises(TypeError, match=rf"^{name} must be a function of a batch of observations, got int\.$"):
+        Option(*arguments)
+
+
+@pytest.mark.parametrize("name", ["initiation", "policy", "termination"])
+@pytest.mark.parametrize(("returned", "shape"), [(1, r"\(\)"), ([1, 1, 1], r"\(3,\)"), ([[1], [1]], r"\(2, 1\)")])
+def test_one_value_per_observation(name: str, returned: Any, shape: str) -> None:
+    functions: dict[str, Any] = {k: lambda obs: np.zeros(len(obs)) for k in ("initiation", "policy", "termination")}
+    functions[name] = lambda obs: returned
+    option = Option(**functions, name="mine")
+    message = rf"^{name} of option 'mine' must return one value per observation, shape \(2,\), got shape {shape}\.$"
+    with pytest.raises(ValueError, match=message):
+        getattr(option, name)(np.zeros((2, 3)))
+
+
+class TestRegion:
+    def test_union_of_balls_with_a_border_that_belongs_to_it(self) -> None:
+        region = Region(np.array([[0.0, 0.0], [10.0, 0.0]]), np.ones(2), 5.0)
+        inside = {
+            (0, 0): True,
+            (3, 4): True,
+            (3, 4.01): False,
+            (5, 0): True,
+            (5, 1): False,
+            (15, 0): True,
+            (0, -6): False,
+        }
+        assert region.contains(np.array(list(inside), dtype=np.float64)).tolist() == list(inside.values())
+
+    def test_scale_multiplies_each_feature(self) -> None:
+        region = Region(np.array([[1.0, 1.0]]), np.array([2.0, 0.5]), 1.0)
+        features = np.array([[1.5, 1.0], [1.6, 1.0], [1.0, 3.0], [1.0, 3.1]])
+        assert region.contains(features).tolist() == [True, False, True, False]
+
+    def test_radius_0_is_equality(self) -> None:
+        points = np.random.default_rng(0).normal(size=(50, 3)) * 1e3
+        region = Region(points[:25], np.array([0.1, 3.0, 7.0]), 0.0)
+        assert region.contains(points).tolist() == [True] * 25 + [False] * 25
+
+    def test_no_points_no_features(self) -> None:
+        assert Region(np.zeros((0, 2)), np.ones(2), 1e9).contains(np.zeros((3, 2))).tolist() == [False] * 3
+        assert ball(0.0, 0.0).contains(np.zeros((0, 2))).shape == (0,)
+
+
+class TestSubgoalOption:
+    observations = np.array([[0.0], [1.0], [1.2], [2.0], [2.5], [3.0], [3.5], [3.6]])
+
+    def test_functions(self) -> None:
+        option = subgoal_option(feature_map=flat)
+        # 2.5, 3 and 3.5 are the subgoal; 3.2 would be in I but for that.
+        assert option.termination(self.observations).tolist() == [0, 0, 0, 0, 1, 1, 1, 0]
+        assert option.initiation(self.observations).tolist() == [False, True, True, True, False, False, False, False]
+        assert option.policy(self.observations).tolist() == [1, 1, 1, 0, 0, 0, 0, 0]
+
+    def test_the_subgoal_is_never_in_the_initiation_set(self) -> None:
+        option = subgoal_option(feature_map=flat)
+        places = np.linspace(-1.0, 5.0, 601)[:, None]
+        assert not np.any(option.initiation(places) & (option.termination(places) == 1.0))
+
+    def test_one_at_a_time_and_again_is_the_same(self) -> None:
+        asked: list[int] = []
+
+        def counting(observations: Observations) -> Any:
+            asked.append(len(observations))
+            return flat(observations)
+
+        together, option = subgoal_option(feature_map=flat), subgoal_option(feature_map=counting)
+        for _ in range(3):
+            for i in range(len(self.observations)):
+                one = self.observations[i : i + 1]
+                assert option.termination(one) == together.termination(self.observations)[i]
+                inside = option.initiation(one)
+                assert inside == together.initiation(self.observations)[i]
+                inside[:] = ~inside  # what a caller does with an answer changes no later one
+        assert asked == [1] * len(self.observations)
+        assert pickle.loads(pickle.dumps(option))._judged == {}
+
+    def test_what_is_remembered_is_bounded(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("sb3_options.options.option.JUDGED_BYTES", 100)
+        option = subgoal_option(feature_map=flat)
+        for place in np.linspace(0.0, 5.0, 1000):
+            assert option.termination(np.array([[place]])) == (2.5 <= place <= 3.5)
+            assert len(option._judged) <= 14
+
+    def test_without_a_feature_map(self) -> None:
+        option = subgoal_option(name="door")
+        message = r"^Option 'door' has no feature map: add it to the bank of an OptionsWrapper that has one"
+        with pytest.raises(ValueError, match=message):
+            option.initiation(self.observations)
+        with pytest.raises(ValueError, match=message):
+            option.termination(self.observations)
+
+    def test_bind_makes_another_option_and_leaves_this_one(self) -> None:
+        option = subgoal_option(name="door", max_duration=7)
+        bound = option.bind(flat)
+        assert (bound.name, bound.max_duration) == ("door", 7)
+        assert bound.initiation(self.observations).any()
+        with pytest.raises(ValueError, match="no feature map"):
+            option.initiation(self.observations)
+
+    def test_dict_observations(self) -> None:
+        option = SubgoalOption(
+            ball(3.0),
+            Region(np.array([[1.0], [2.0]]), np.ones(1), 0.0),
+            TabularPolicy(np.array([[0, 1.0], [0, 2.0]]), np.array([[0.0, 1.0], [1.0, 0.0]])),
+            feature_map=place_of,
+        )
+        observations = {"place": np.array([[1.0], [2.0], [3.0]]), "colour": np.zeros((3, 1))}
+        assert option.initiation(observations).tolist() == [True, True, False]
+        assert option.policy(observations).tolist()[:2] == [1, 0]
+
+    def test_pickle_leaves_the_feature_map_behind(self) -> None:
+        option = subgoal_option(feature_map=lambda obs: flat(obs), name="door")
+        copied = pickle.loads(pickle.dumps(option))
+        with pytest.raises(ValueError, match="no feature map"):
+            copied.initiation(self.observations)
+        again = copied.bind(flat)
+        for function in ("initiation", "policy", "termination"):
+            np.testing.assert_array_equal(
+                getattr(again, function)(self.observations), getattr(option, function)(self.observations)
+            )
+        assert option.initiation(self.observations).any()
