@@ -1,0 +1,55 @@
+"""Settings that check themselves: the one idiom for ranges.
+
+A field says its range in its type, as in ``capacity: Annotated[int, Field(ge=1)] = 100``, and `settings` makes a
+frozen dataclass that refuses anything else by name. pydantic does the checking, here and where a file is loaded into
+the same class.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, TypeVar, dataclass_transform
+
+from pydantic import ConfigDict, Field, ValidationError
+from pydantic.dataclasses import dataclass
+
+__all__ = ["Field", "readable", "settings"]
+
+T = TypeVar("T")
+
+
+@dataclass_transform(frozen_default=True)
+def settings(cls: type[T]) -> type[T]:
+    """A frozen dataclass whose constructor refuses what its fields' types and ranges exclude.
+
+    The constructor raises `TypeError` for a name that is no field, and `ValueError` for a value of another type or
+    outside its range. What several fields must fulfil together stands in the class's ``__post_init__``.
+    """
+    made = dataclass(frozen=True, config=ConfigDict(extra="forbid"))(cls)
+    check: Callable[..., None] = made.__init__
+
+    @functools.wraps(check)
+    def __init__(self: Any, *args: Any, **kwargs: Any) -> None:  # noqa: N807  # it replaces the generated one
+        try:
+            check(self, *args, **kwargs)
+        except ValidationError as error:
+            unknown = any(e["type"] == "unexpected_keyword_argument" for e in error.errors())
+            raise (TypeError if unknown else ValueError)(f"{cls.__name__}: {readable(error)}") from None
+
+    made.__init__ = __init__  # type: ignore[method-assign]  # it takes what the generated one takes
+    return made  # type: ignore[return-value]  # pydantic types it as a class of its own, and it is ``cls`` itself
+
+
+def readable(error: ValidationError) -> str:
+    """One line that says of every wrong field its name, what was expected and what came."""
+    return "; ".join(_readable(e) for e in error.errors(include_url=False))
+
+
+def _readable(error: Any) -> str:
+    name, message = ".".join(map(str, error["loc"])), str(error["msg"])
+    if error["type"] == "unexpected_keyword_argument":
+        return f"there is no setting {name!r}"
+    if error["type"] == "value_error":  # of a __post_init__, which has its own words
+        return str(error["ctx"]["error"])
+    return f"{name} {message.removeprefix('Input ')}, got {error['input']!r}"
