@@ -15,10 +15,10 @@ from typing import Any, Literal
 import tyro
 import yaml
 
-from sb3_options.runs import algorithms
-from sb3_options.runs.algorithms import AlgorithmName
 from sb3_options.discovery.subgoals import DiscoverySettings
 from sb3_options.options.creation import OptionLearningSettings
+from sb3_options.runs import algorithms
+from sb3_options.runs.algorithms import AlgorithmName
 
 TUNED_FOLDER = Path(__file__).parent / "tuned"
 

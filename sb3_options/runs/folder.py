@@ -12,12 +12,11 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
-from sb3_options.runs import algorithms
-
-from sb3_options.options import file as option_file
-from sb3_options.runs.config import TrainConfig
-from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.execution.wrapper import OptionsWrapper
+from sb3_options.learning.replay_buffer import OptionReplayBuffer
+from sb3_options.options import file as option_file
+from sb3_options.runs import algorithms
+from sb3_options.runs.config import TrainConfig
 
 CONFIG = "config.yml"
 MODEL = "model.zip"

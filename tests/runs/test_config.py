@@ -6,11 +6,11 @@ import gymnasium as gym
 import pytest
 
 import sb3_options.envs  # noqa: F401  # registers them
+from sb3_options.discovery.subgoals import DiscoverySettings
+from sb3_options.options.creation import OptionLearningSettings
 from sb3_options.runs import config as configs
 from sb3_options.runs.algorithms import AlgorithmName
 from sb3_options.runs.config import TrainConfig
-from sb3_options.discovery.subgoals import DiscoverySettings
-from sb3_options.options.creation import OptionLearningSettings
 
 EVERY_FIELD_CHANGED = TrainConfig(
     algo="optiondqn", env="Taxi-v3", env_kwargs=("is_rainy:true", 'map:"S#\\nSG"', "max_steps:7"), n_timesteps=123,
