@@ -1,6 +1,4 @@
 import logging
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
@@ -28,6 +26,7 @@ from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.callbacks.statistics import WINDOW, OptionStatistics
 from sb3_options.learning import heads
 from sb3_options.options.option import SubgoalOption
+from tests.support import processes
 from tests.support.helpers import DictEnv, place_of, steady_option
 from tests.support.sb3_helpers import (
     DOORWAY,
@@ -427,6 +426,7 @@ def test_saved_and_loaded_in_a_new_process_acts_the_same(tmp_path: Path) -> None
             [actions, cast("SubgoalOption", bank[0]).policy(observations), bank.available(observations)[:, N_PRIMITIVE]]
         )
     script = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[2])!r})\n{ACT_AGAIN}"
-    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, check=True)
+    result = processes.python("-c", script, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
     for name, values in expected.items():
         np.testing.assert_array_equal(np.load(tmp_path / f"{name}.npy"), values)

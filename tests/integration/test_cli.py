@@ -4,7 +4,6 @@ import json
 import os
 import re
 import subprocess
-import sys
 import zipfile
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
@@ -23,6 +22,7 @@ from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import AlgorithmName
 from sb3_options.runs.config import TrainConfig
+from tests.support import processes
 from tests.support.sb3_helpers import DOORWAY, SMALL_ROOMS, TAXI, read_video
 
 ROOT = Path(__file__).parents[2]
@@ -57,9 +57,8 @@ class Run(NamedTuple):
 
 def shell(*args: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     """``python train.py ARGS`` in a new process."""
-    environment = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1", "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, str(ROOT / "train.py"), *args]
-    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False)
+    environment = {"COLUMNS": "200", "NO_COLOR": "1", "OMP_NUM_THREADS": "1"}
+    return processes.python(str(ROOT / "train.py"), *args, cwd=cwd, env=environment)
 
 
 @pytest.fixture(scope="module")

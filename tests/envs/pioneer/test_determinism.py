@@ -1,8 +1,6 @@
 """One seed, one trajectory: bit for bit, whatever was simulated before, in one process or several."""
 
 import hashlib
-import subprocess
-import sys
 from typing import Any
 
 import gymnasium
@@ -11,6 +9,7 @@ import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
 from sb3_options.envs.pioneer.env import Pioneer
+from tests.support import processes
 
 IDS = [f"sb3_options/{name}-v0" for name in ("Pioneer", "PioneerCorner", "PioneerClutter", "PioneerTwoBalls")]
 N_STEPS = 150
@@ -60,7 +59,8 @@ def test_any_history(env_id: str) -> None:
 
 
 def test_fresh_process() -> None:
-    result = subprocess.run([sys.executable, "-c", FRESH], capture_output=True, text=True, check=True)
+    result = processes.python("-c", FRESH)
+    assert result.returncode == 0, result.stderr
     assert result.stdout.split()[-len(IDS) :] == [digest(make(env_id), SEED) for env_id in IDS]
 
 
