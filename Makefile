@@ -4,7 +4,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 ARGS ?=
 
-.PHONY: train paper test lint check format upgrade clean
+.PHONY: train paper test test-slow lint check format upgrade clean
 
 train: $(READY)  ## Train DQN on the two-room gridworld; pass flags as ARGS="--seed 1"
 	$(BIN)/python train.py $(ARGS)
@@ -12,15 +12,18 @@ train: $(READY)  ## Train DQN on the two-room gridworld; pass flags as ARGS="--s
 paper: $(READY)  ## The paper's gridworld figures, 30 runs each, into out/paper
 	$(BIN)/python -m experiments.paper all --runs 30 --out out/paper $(ARGS)
 
-test: $(READY)  ## All tests
-	$(BIN)/python -m pytest -n 2 --dist loadscope $(ARGS)
+test: $(READY)  ## The fast tests
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow" $(ARGS)
+
+test-slow: $(READY)  ## Those that train or simulate for minutes
+	$(BIN)/python -m pytest -n 2 --dist load -m slow $(ARGS)
 
 lint: $(READY)  ## Style and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-check: lint test  ## What CI and pre-commit run
+check: lint test  ## What pre-commit runs; CI runs `test-slow` too
 
 format: $(READY)
 	$(BIN)/ruff check --fix .

@@ -12,7 +12,7 @@ from sb3_options.envs.pioneer.env import Pioneer
 from tests.support import processes
 
 IDS = [f"sb3_options/{name}-v0" for name in ("Pioneer", "PioneerCorner", "PioneerClutter", "PioneerTwoBalls")]
-N_STEPS = 150
+N_STEPS = 100
 SEED = 3
 
 FRESH = f"""
@@ -23,7 +23,7 @@ print(*[digest(make(env_id), {SEED}) for env_id in IDS])
 
 def make(env_id: str) -> gymnasium.Env[Any, Any]:
     # Truncating early, so that several resets are part of the trajectory.
-    return gymnasium.make(env_id, max_steps=60, observation="retina")
+    return gymnasium.make(env_id, max_steps=40, observation="retina")
 
 
 def digest(env: gymnasium.Env[Any, Any], seed: int) -> str:

@@ -196,8 +196,8 @@ class TestTask:
     def test_an_expert_solves_it(self, name: str) -> None:
         env = make(name)
         expert = Expert(corner=name == "PioneerCorner")
-        outcomes = [play(env, expert, seed)[0] for seed in range(20)]
-        assert sum(outcomes) >= 19
+        outcomes = [play(env, expert, seed)[0] for seed in range(10)]
+        assert sum(outcomes) >= 9
         env.close()
 
     @pytest.mark.slow
