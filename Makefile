@@ -4,7 +4,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 ARGS ?=
 
-.PHONY: train paper test test-slow lint check format upgrade clean
+.PHONY: train paper test test-slow lint check format architecture upgrade clean
 
 train: $(READY)  ## Train DQN on the two-room gridworld; pass flags as ARGS="--seed 1"
 	$(BIN)/python train.py $(ARGS)
@@ -18,9 +18,10 @@ test: $(READY)  ## The fast tests
 test-slow: $(READY)  ## Those that train or simulate for minutes
 	$(BIN)/python -m pytest -n 2 --dist load -m slow $(ARGS)
 
-lint: $(READY)  ## Style and types
+lint: $(READY)  ## Style, types, and which folder may import which
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports --no-logo --no-cache
 	$(BIN)/mypy
 
 check: lint test  ## What pre-commit runs; CI runs `test-slow` too
@@ -28,6 +29,9 @@ check: lint test  ## What pre-commit runs; CI runs `test-slow` too
 format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+architecture: $(READY)  ## The folders and their imports, drawn into docs/images
+	$(BIN)/python -m docs.architecture
 
 $(READY): pyproject.toml constraints.txt
 	test -d .venv || $(PYTHON) -m venv .venv
