@@ -3,29 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import bootstrap
 
 from sb3_options.experience.observations import FloatArray
-from sb3_options.runs.evaluation import CONFIDENCE, N_RESAMPLES, Interval, mean_interval
+from sb3_options.runs.intervals import CONFIDENCE, mean_interval
 
 N_CURVE_RESAMPLES = 2000
-
-
-def ratio_interval(ours: FloatArray, theirs: FloatArray) -> Interval:
-    """Ratio of the means of paired values, with a 95 % bootstrap interval over the pairs (bias-corrected)."""
-    ratio = float(ours.mean() / theirs.mean())
-    if len(ours) < 2 or np.ptp(ours / theirs) == 0:
-        return Interval(ratio, ratio, ratio)
-    result = bootstrap(
-        (ours, theirs),
-        lambda a, b, axis: a.mean(axis=axis) / b.mean(axis=axis),
-        paired=True,
-        vectorized=True,
-        confidence_level=CONFIDENCE,
-        n_resamples=N_RESAMPLES,
-        rng=np.random.default_rng(0),
-    )
-    return Interval(ratio, float(result.confidence_interval.low), float(result.confidence_interval.high))
 
 
 def window(curves: FloatArray, first: int, last: int) -> FloatArray:

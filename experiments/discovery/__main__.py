@@ -24,8 +24,9 @@ import sb3_options.envs
 from experiments.common.seeds import Result, run_seeds, write_json
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.runs import folder as runs
-from sb3_options.runs.config import TrainConfig
-from sb3_options.runs.evaluation import mean_interval, share_interval
+from sb3_options.runs.algorithms import make_model
+from sb3_options.runs.config import DQNConfig
+from sb3_options.runs.intervals import mean_interval, share_interval
 
 NEAR = 1
 """A subgoal this many steps from the doorway still is at the doorway: every crossing visits it."""
@@ -51,13 +52,13 @@ class Study:
     out: Annotated[Path, tyro.conf.arg(name="out")]
     runs: int = 20
     first_seed: int = 1000
-    n_timesteps: int = TrainConfig.n_timesteps
+    n_timesteps: int = DQNConfig.n_timesteps
     jobs: int | None = None
 
 
 def main(study: Study) -> None:
     """Run the study, and write and print what it found."""
-    config = TrainConfig(n_timesteps=study.n_timesteps)
+    config = DQNConfig(n_timesteps=study.n_timesteps)
     results = run_seeds(
         partial(run, config),
         range(study.first_seed, study.first_seed + study.runs),
@@ -73,7 +74,7 @@ def main(study: Study) -> None:
     _print(results, summary, study.out)
 
 
-def run(config: TrainConfig, seed: int) -> Result:
+def run(config: DQNConfig, seed: int) -> Result:
     """Train once.
 
     Args:
@@ -86,7 +87,7 @@ def run(config: TrainConfig, seed: int) -> Result:
     """
     config = dataclasses.replace(config, seed=seed)
     env = runs.make_env(config, config.n_envs, seed)
-    model = runs.make_model(config, env)
+    model = make_model(config, env)
     discovery = SubgoalDiscoveryCallback(
         config.discovery, config.option, max_new_options=config.max_new_options, seed=seed
     )

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common.curves import by_ten, ratio_interval, window
+from experiments.common.curves import by_ten, window
 from experiments.common.seeds import Result
 from experiments.paper.measures import NEAR
 from experiments.paper.plots import CURVES, Groups, curves_of
 from sb3_options.envs import GridWorld
 from sb3_options.experience.observations import FloatArray
-from sb3_options.runs.evaluation import mean_interval, share_interval
+from sb3_options.runs.intervals import mean_interval, ratio_interval, share_interval
 
 Numbers = dict[str, Any]
 

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import tyro
 from rich.console import Console
@@ -24,7 +24,7 @@ from experiments.pioneer import conditions
 from experiments.pioneer.plots import draw
 from experiments.pioneer.settings import MAIN_TASK, PioneerSettings
 from experiments.pioneer.summary import numbers_of
-from sb3_options.runs.config import TrainConfig, tuned
+from sb3_options.runs.config import DQNConfig, tuned
 
 FigureName = Literal["figure7", "figure8", "learning", "transfer", "dqn"]
 
@@ -64,7 +64,7 @@ class Study:
     dqn_runs: int = 5
     jobs: int | None = None
     settings: PioneerSettings = field(default_factory=PioneerSettings)
-    dqn: TrainConfig = field(default_factory=partial(tuned, MAIN_TASK))
+    dqn: DQNConfig = field(default_factory=lambda: cast("DQNConfig", tuned(MAIN_TASK)))
 
 
 def main(study: Study) -> None:
