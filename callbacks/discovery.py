@@ -29,9 +29,9 @@ from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.learning.on_policy import option_rollout_buffer
 from sb3_options.learning.rollout_buffer import LambdaPer, SMDPAdvantages, passage_of
 from sb3_options.options.bank import OptionBank
-from sb3_options.options.creation import OptionLearningSettings, learn_further, learn_option
-from sb3_options.options.growth import OptionGrowth
+from sb3_options.options.creation import OptionGrowth, learn_further, learn_option
 from sb3_options.options.option import Region, SubgoalOption
+from sb3_options.options.settings import OptionLearningSettings
 
 logger = logging.getLogger("sb3_options")
 

@@ -18,7 +18,7 @@ import yaml
 from sb3_options.runs import algorithms
 from sb3_options.runs.algorithms import AlgorithmName
 from sb3_options.discovery.subgoals import DiscoverySettings
-from sb3_options.options.creation import OptionLearningSettings
+from sb3_options.options.settings import OptionLearningSettings
 
 TUNED_FOLDER = Path(__file__).parent / "tuned"
 
