@@ -21,7 +21,7 @@ from stable_baselines3.common.callbacks import BaseCallback, EvalCallback, Every
 from stable_baselines3.common.vec_env import VecEnv
 
 import sb3_options.envs  # noqa: F401  # registers them
-from sb3_options.atomic import whole_file
+from sb3_options.atomic import atomic_write
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.execution.trials import TrialSettings
@@ -139,7 +139,7 @@ def train(config: TrainConfig) -> Path:
         raise WorkerLostError(f"{error} What was learned until then is kept in {folder}.") from error
     finally:
         # Whatever ended it, what was learned until then is kept.
-        with whole_file(folder / runs.MODEL) as temporary:
+        with atomic_write(folder / runs.MODEL) as temporary:
             model.save(temporary)
         discovery.bank.save(folder / runs.OPTIONS)
     _close(envs, finished=finished)
@@ -147,7 +147,7 @@ def train(config: TrainConfig) -> Path:
         if subproc:  # φ was in a process that has ended
             env = runs.make_env(config, 1, config.seed)
             discovery.bank.bind(lambda observations: env.env_method("concept_features", observations)[0])
-        with whole_file(folder / runs.SUBGOALS) as temporary:
+        with atomic_write(folder / runs.SUBGOALS) as temporary:
             subgoals_figure(discovery.discovery, discovery.bank).savefig(temporary, dpi=FIGURE_DPI)
     unit = "episode" if config.discovery.segmentation == "episodes" else "segment"
     took = f"{discovery.num_timesteps:,} primitive steps, {discovery.episodes:,} {unit}s"
@@ -235,7 +235,7 @@ def evaluate(config: EvaluateConfig) -> evaluation.Evaluation:
     console.print(table)
     content = {"episodes": result.episodes, "seed": config.seed}
     content |= {name.replace(" ", "_"): interval._asdict() for name, interval in rows.items()}  # type: ignore[misc]  # values of two kinds
-    with whole_file(config.run / "evaluation.json") as temporary:
+    with atomic_write(config.run / "evaluation.json") as temporary:
         temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
     if config.video is not None:
         console.print(f"Video: {escape(str(config.video))}")

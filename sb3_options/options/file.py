@@ -12,7 +12,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save as to_safetensors
 
-from sb3_options.atomic import whole_file
+from sb3_options.atomic import atomic_write
 from sb3_options.options import policies as option_policy
 from sb3_options.options.option import HalfSpace, Region, SubgoalOption
 from sb3_options.options.policies import PolicyInput
@@ -97,7 +97,7 @@ def write(path: str | os.PathLike[str], about: dict[str, Any], tensors: dict[str
         "digest": digest(text, tensors),
     }
     content = to_safetensors(tensors, metadata=metadata)
-    with whole_file(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_bytes(content)
 
 

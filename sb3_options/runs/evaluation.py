@@ -18,7 +18,7 @@ from scipy.stats import binomtest, bootstrap
 
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
-from sb3_options.atomic import whole_file
+from sb3_options.atomic import atomic_write
 from sb3_options.discovery.static_filter import reported_success
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import LONGEST_EPISODE
@@ -200,7 +200,7 @@ def _film(run: Path, episodes: int, seed: int, video: Path) -> None:
     if kind not in (".mp4", ".gif"):
         raise ValueError(f"--video must end in .mp4 or .gif, got {video}.")
     mode, fps = _pictures_of(run)
-    with whole_file(video) as temporary:
+    with atomic_write(video) as temporary:
         film = Video(temporary, fps, gif=kind == ".gif")
         try:
             _play(run, episodes, seed, film, mode)
