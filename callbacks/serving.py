@@ -72,7 +72,7 @@ class OptionServer:
         present: OptionBank = venv.get_attr("bank", [0])[0]
         self.n_primitive = present.n_primitive
         self.bank = OptionBank(
-            present.n_primitive, present.max_options, feature_map=self.features_of, made_for=present.made_for
+            present.n_primitive, present.max_options, feature_map=self.features_of, signature=present.signature
         )
         self.explored = cap_option_exploration(model, self.n_primitive, max_option_exploration)
         self.teach_head = teach_head

@@ -122,7 +122,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             feature_map=self.features.map if self.features else None,
             observation_size=feature_maps.flat_size(env.observation_space),
             feature_size=self.features.size if self.features else None,
-            made_for=feature_maps.made_for(env.observation_space, self.features),
+            signature=feature_maps.signature(env.observation_space, self.features),
         )
         if options_file is not None:
             self.bank.load(options_file)

@@ -9,7 +9,7 @@ import numpy as np
 
 from sb3_options.experience.observations import BoolArray, FeatureMap, Observations, batch_size
 from sb3_options.options import file as option_file
-from sb3_options.options.file import MadeFor
+from sb3_options.options.file import SpaceSignature
 from sb3_options.options.option import Option, SubgoalOption
 
 
@@ -25,7 +25,7 @@ class OptionBank:
         feature_map: φ that discovered options are bound to when they are added.
         observation_size: Numbers in one flat observation; None accepts options for any.
         feature_size: Dimensions d of concept space; None accepts options for any.
-        made_for: What observations its options act on, which `save` writes and `load` compares; None accepts any.
+        signature: What observations its options act on, which `save` writes and `load` compares; None accepts any.
 
     Raises:
         ValueError: ``n_primitive`` < 1 or ``max_options`` < 0.
@@ -39,7 +39,7 @@ class OptionBank:
         feature_map: FeatureMap | None = None,
         observation_size: int | None = None,
         feature_size: int | None = None,
-        made_for: MadeFor | None = None,
+        signature: SpaceSignature | None = None,
     ) -> None:
         if n_primitive < 1:
             raise ValueError(f"n_primitive must be at least 1, got {n_primitive}.")
@@ -50,7 +50,7 @@ class OptionBank:
         self.feature_map = feature_map
         self.observation_size = observation_size
         self.feature_size = feature_size
-        self.made_for = made_for
+        self.signature = signature
         self._slots: list[Option | None] = [None] * max_options
         self.filled: tuple[int, ...] = ()
 
@@ -148,8 +148,8 @@ class OptionBank:
             else:
                 slots[str(slot)] = {"name": option.name, "hand_made": True}
         about: dict[str, Any] = {"n_primitive": self.n_primitive, "max_options": self.max_options, "slots": slots}
-        if self.made_for is not None:
-            about["made_for"] = self.made_for._asdict()
+        if self.signature is not None:
+            about["made_for"] = self.signature._asdict()
         option_file.write(path, about, tensors)
 
     def load(self, path: str | os.PathLike[str]) -> None:
@@ -194,10 +194,10 @@ class OptionBank:
                     f"slot {slot} held the hand-made option {entry['name']!r}, which is code and not in the "
                     "file; add it to the bank first"
                 )
-        if self.made_for is not None and "made_for" in about:
-            there = option_file.MadeFor(**about["made_for"])
+        if self.signature is not None and "made_for" in about:
+            there = option_file.SpaceSignature(**about["made_for"])
             inputs = {option_file.policy_input_of(entry) for entry in discovered.values()}
-            option_file.check_made_for(there, self.made_for, inputs)
+            option_file.check_signature(there, self.signature, inputs)
         return {
             slot: option_file.put_together(
                 entry,

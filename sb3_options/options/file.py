@@ -26,7 +26,7 @@ everything else as before.
 """
 
 
-class MadeFor(NamedTuple):
+class SpaceSignature(NamedTuple):
     """The observations that options act on.
 
     Attributes:
@@ -40,7 +40,7 @@ class MadeFor(NamedTuple):
     features: str | None
 
 
-def check_made_for(there: MadeFor, here: MadeFor, policy_inputs: set[PolicyInput]) -> None:
+def check_signature(there: SpaceSignature, here: SpaceSignature, policy_inputs: set[PolicyInput]) -> None:
     """Refuse options that were made for other observations.
 
     A policy that acts on the observation needs the same space. One that acts on features does not: what its features
