@@ -289,7 +289,7 @@ class MacroQ(BaseAlgorithm):
             table[index, action] += self._step_size * (target - table[index, action])
             return
         step = self._step_size / len(active) * (target - self._values(active)[action])
-        for index in active:  # an index that hashing gave twice is updated twice
+        for index in active:  # faster than an array of so few indices
             table[index, action] += step
 
     def _active(self, observations: Any) -> list[list[int]]:
