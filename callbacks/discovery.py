@@ -59,8 +59,6 @@ class SubgoalDiscoveryCallback(BaseCallback):
             above all earlier ones in a terminal state where the environment does not say.
         static_filter: What may be a subgoal; by default not near the start and end of a trajectory.
         max_new_options: Most options to make, not counting closed ones; by default as many as there are slots.
-        teach_head: Whether what the replay buffer holds teaches the head of a new option at once (`head_teaching`).
-            Algorithms without a replay buffer have no values of options, and nothing to teach.
         max_option_exploration: Largest share of options among the exploratory choices of DQN, QRDQN and OptionDQN; the
             share of the probability that options open with under MaskablePPO, where primitives are equally likely.
         interruption: Whether options end where going on is worth less than the best alternative (`interruption`), for
@@ -86,7 +84,6 @@ class SubgoalDiscoveryCallback(BaseCallback):
         success: SuccessRule = reported_success,
         static_filter: StaticFilter | None = None,
         max_new_options: int | None = None,
-        teach_head: bool = False,
         max_option_exploration: float = 0.5,
         interruption: bool = True,
         interruption_margin: float = 0.0,
@@ -110,7 +107,6 @@ class SubgoalDiscoveryCallback(BaseCallback):
         self.success = success
         self.static_filter = static_filter
         self.max_new_options = max_new_options
-        self.teach_head = teach_head
         self.interruption_margin = checked_margin(interruption_margin) if interruption else None
         self.trial = TrialSettings(**trial) if isinstance(trial, Mapping) else trial
         if self.trial is not None and self.settings.segmentation == "peaks":
@@ -146,7 +142,6 @@ class SubgoalDiscoveryCallback(BaseCallback):
             self.model,
             venv,
             self.locals.get("callback"),
-            teach_head=self.teach_head,
             max_option_exploration=self.max_option_exploration,
             interruption_margin=self.interruption_margin,
         )

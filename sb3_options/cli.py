@@ -108,7 +108,6 @@ def train(config: TrainConfig) -> Path:
         config.discovery,
         config.option,
         max_new_options=config.max_new_options if config.discover else 0,
-        teach_head=config.teach_head,
         max_option_exploration=config.max_option_exploration,
         interruption=config.interruption,
         trial=TrialSettings() if config.close_harmful else None,

@@ -37,7 +37,7 @@ ON_POLICY = tuple(name for name in get_args(AlgorithmName) if name not in OFF_PO
 
 _OPTION_SETTINGS: dict[str, frozenset[str]] = {
     "maskableppo": frozenset({"max_option_exploration", "max_runs"}),
-    **dict.fromkeys(OFF_POLICY, frozenset({"max_option_exploration", "interruption", "teach_head", "intra_option"})),
+    **dict.fromkeys(OFF_POLICY, frozenset({"max_option_exploration", "interruption", "intra_option"})),
 }
 """Fields that say how an algorithm handles options, beyond what all of them do."""
 

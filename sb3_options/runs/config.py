@@ -83,7 +83,6 @@ class TrainConfig:
         max_option_exploration: DQN: largest share of options among exploratory choices. MaskablePPO: of the
             probability they open with.
         interruption: DQN: end an option where going on is worth less than the best alternative.
-        teach_head: DQN: fit the head of a new option to what is stored, at once.
         intra_option: DQN: let every primitive step teach the options that would have taken it.
         close_harmful: Try options in a randomised trial, and close those that do harm.
         discovery: How subgoals are found.
@@ -125,7 +124,6 @@ class TrainConfig:
     net_arch: tuple[int, ...] = (64, 64)
     max_option_exploration: float = 0.5
     interruption: bool = True
-    teach_head: bool = False
     intra_option: bool = False
     close_harmful: bool = False
     discovery: DiscoverySettings = field(default_factory=DiscoverySettings)
@@ -273,6 +271,8 @@ def read_yaml(path: Path) -> Mapping[str, Any]:
         return {}
     if not isinstance(content, dict):
         raise ValueError(f"{path} must hold `name: value` lines, got a {type(content).__name__}.")
+    if content.pop("teach_head", False):  # a setting of 0.1
+        raise ValueError(f"{path}: there is no setting teach_head any more: leave it out.")
     return content
 
 

@@ -165,13 +165,12 @@ def dragged() -> OptionsWrapper:
 def test_a_harmful_option_leaves_nothing_behind(algorithm: Any) -> None:
     """Closed in every environment, in the network, its optimizer and the buffer; and the slot is free for another."""
     off_policy = algorithm in (DQN, QRDQN, OptionDQN)
-    replay = TINY | RANDOM | {"replay_buffer_class": OptionReplayBuffer}
+    intra_option = {"replay_buffer_class": OptionReplayBuffer, "replay_buffer_kwargs": {"intra_option": True}}
+    replay = TINY | RANDOM | intra_option
     # A policy that learns would leave the option alone by itself.
     kwargs = replay if off_policy else {"n_steps": 64, "seed": 0, "device": "cpu", "learning_rate": 1e-9}
     model = algorithm("MlpPolicy", DummyVecEnv([dragged, dragged]), gamma=GAMMA, **kwargs)
-    callback = SubgoalDiscoveryCallback(
-        FAST_DISCOVERY, max_new_options=0, teach_head=True, interruption=False, trial=QUICK
-    )
+    callback = SubgoalDiscoveryCallback(FAST_DISCOVERY, max_new_options=0, interruption=False, trial=QUICK)
     model.learn(200, callback=callback)
     assert callback.bank.filled == (0,)
     model.learn(5000, callback=callback)

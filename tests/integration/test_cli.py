@@ -182,15 +182,13 @@ class TestTrain:
 
         monkeypatch.setattr(cli, "SubgoalDiscoveryCallback", Remembered)
         args = ["--n-timesteps", "600", "--no-progress", "--tensorboard-log", str(tmp_path), "--eval-episodes", "1"]
-        cli.main([*args, "--no-interruption", "--teach-head", "--intra-option", "--close-harmful"])
+        cli.main([*args, "--no-interruption", "--intra-option", "--close-harmful"])
         cli.main([*args, "--max-option-exploration", "0.25"])
         switched, usual = made
         assert switched.interruption_margin is None
-        assert switched.teach_head
         assert switched.trial == TrialSettings()
         assert switched.model.replay_buffer.intra_option  # type: ignore[attr-defined]  # of DQN
         assert usual.interruption_margin == 0.0
-        assert not usual.teach_head
         assert usual.trial is None
         assert usual.max_option_exploration == 0.25
         assert not usual.model.replay_buffer.intra_option  # type: ignore[attr-defined]  # of DQN

@@ -19,7 +19,7 @@ EVERY_FIELD_CHANGED = TrainConfig(
     max_options=2, max_new_options=None, discover=False, gamma=0.5, learning_rate=3e-05,
     buffer_size=77, learning_starts=11, batch_size=5, train_freq=6, target_update_interval=8,
     exploration_fraction=0.25, exploration_final_eps=0.125, net_arch=(3,),
-    max_option_exploration=0.25, interruption=False, teach_head=True, intra_option=True,
+    max_option_exploration=0.25, interruption=False, intra_option=True,
     discovery=DiscoverySettings(
         segmentation="peaks", peak_reward=0.75, max_segment=70,
         capacity=7, min_positive=2, negative_bags=False, negative_strength=0.5, leak=0.125, search="exhaustive",
