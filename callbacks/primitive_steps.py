@@ -21,7 +21,7 @@ from sb3_options.execution.workers import watch_workers
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.learning import heads
 from sb3_options.learning.on_policy import option_rollout_buffer
-from sb3_options.learning.rollout_buffer import LambdaPer, passage_of
+from sb3_options.learning.rollout_buffer import passage_of
 from sb3_options.options.bank import OptionBank
 
 logger = logging.getLogger("sb3_options")
@@ -36,19 +36,12 @@ class PrimitiveStepsCallback(BaseCallback):
     (it leaves ``info["option"] = {"index": -1, "duration": k, "discount": gamma**k}``); `SubgoalDiscoveryCallback`
     does the same.
 
-    Args:
-        lambda_per: What λ of PPO and its kin means across an option (`SMDPAdvantages`); None leaves the buffer's own.
-
     Raises:
         ValueError: When training starts: the environment reports no durations, or buffer or discount do not fit.
     """
 
-    def __init__(self, lambda_per: LambdaPer | None = None) -> None:
-        super().__init__()
-        self.lambda_per = lambda_per
-
     def _on_training_start(self) -> None:
-        self._rollout_buffer = option_rollout_buffer(self.model, self.lambda_per)
+        self._rollout_buffer = option_rollout_buffer(self.model)
         check_replay_buffer(self.model)
         watch_workers(self.training_env)
         if not any(self.training_env.env_is_wrapped(OptionsWrapper)):

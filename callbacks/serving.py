@@ -42,7 +42,7 @@ class OptionServer:
         venv: Its environment.
         callbacks: The tree that ``learn`` was given: the environment of an ``EvalCallback`` in it is served as well.
         max_option_exploration: Largest share of options among exploratory choices.
-        interruption_margin: As for `Interruption`; None lets every option run to its end.
+        interruption: Whether options end where going on is worth less than the best alternative (`Interruption`).
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class OptionServer:
         callbacks: BaseCallback | None,
         *,
         max_option_exploration: float = 1.0,
-        interruption_margin: float | None = None,
+        interruption: bool = False,
     ) -> None:
         self.model, self.venv = model, venv
         self.eval_envs = [c.eval_env for c in all_callbacks(callbacks) if isinstance(c, EvalCallback)]
@@ -77,8 +77,8 @@ class OptionServer:
         if IntraOptionTeacher.teaches(model):
             self.teacher = IntraOptionTeacher(model, venv, self.bank)
         self.interrupter: Interrupter | None = None
-        if interruption_margin is not None and heads.has_networks(model.policy):
-            self.interrupter = Interrupter(model, venv, self.eval_envs, interruption_margin)
+        if interruption and heads.has_networks(model.policy):
+            self.interrupter = Interrupter(model, venv, self.eval_envs)
         else:
             for each in [venv, *self.eval_envs]:
                 each.env_method("set_interruption", None)  # an earlier training may have left its own
