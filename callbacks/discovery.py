@@ -24,6 +24,7 @@ from sb3_options.execution.exploration import checked_share
 from sb3_options.execution.trials import TrialSettings, Verdict
 from sb3_options.execution.withholding import TrialReport
 from sb3_options.execution.workers import watch_workers
+from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.learning.on_policy import option_rollout_buffer
 from sb3_options.learning.rollout_buffer import SMDPAdvantages, passage_of
@@ -163,12 +164,13 @@ class SubgoalDiscoveryCallback(BaseCallback):
 
     def _on_step(self) -> bool:
         infos: list[dict[str, Any]] = self.locals["infos"]
-        count_inner_steps(self, infos)
+        runs = [OptionRun.from_info(info) for info in infos]
+        count_inner_steps(self, runs)
         if self._rollout_buffer is not None:
-            self._rollout_buffer.expect(passage_of(self.locals["rewards"], infos))
-        for info in infos:
-            if info["option"]["index"] >= 0:
-                self._statistics.add(info["option"])
+            self._rollout_buffer.expect(passage_of(self.locals["rewards"], runs))
+        for info, run in zip(infos, runs, strict=True):
+            if run.index >= 0:
+                self._statistics.add(run)
             if "trajectory" in info:
                 self._episode_ended(info.pop("trajectory"), info.pop("option_trial", None))
             for segment in info.pop("segments", ()):

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 from stable_baselines3.common.callbacks import (
     BaseCallback,
@@ -19,6 +18,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, is
 from sb3_options.callbacks.checks import check_gamma, check_replay_buffer, check_wrapped
 from sb3_options.execution.workers import watch_workers
 from sb3_options.execution.wrapper import OptionsWrapper
+from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning import heads
 from sb3_options.learning.on_policy import option_rollout_buffer
 from sb3_options.learning.rollout_buffer import passage_of
@@ -56,17 +56,16 @@ class PrimitiveStepsCallback(BaseCallback):
                     heads.close_head(self.model.policy, bank.n_primitive + slot)
 
     def _on_step(self) -> bool:
-        if self._rollout_buffer is not None or self.n_calls == 1:
-            passage = passage_of(self.locals["rewards"], self.locals["infos"])
-            if self._rollout_buffer is not None:
-                self._rollout_buffer.expect(passage)
-        count_inner_steps(self, self.locals["infos"])
+        runs = [OptionRun.from_info(info) for info in self.locals["infos"]]
+        if self._rollout_buffer is not None:
+            self._rollout_buffer.expect(passage_of(self.locals["rewards"], runs))
+        count_inner_steps(self, runs)
         return True
 
 
-def count_inner_steps(callback: BaseCallback, infos: list[dict[str, Any]]) -> None:
+def count_inner_steps(callback: BaseCallback, runs: Sequence[OptionRun]) -> None:
     """Add to the model's ``num_timesteps`` what one call of ``step`` left out."""
-    extra = sum(info["option"]["duration"] for info in infos) - len(infos)
+    extra = sum(run.duration for run in runs) - len(runs)
     if extra == 0:
         return
     callback.model.num_timesteps += extra

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import Any, Literal, SupportsFloat, TypeAlias
+from typing import Any, SupportsFloat, TypeAlias
 
 import gymnasium as gym
 import numpy as np
@@ -18,19 +18,17 @@ from sb3_options.experience.observations import (
     BoolArray,
     FeatureMap,
     FloatArray,
+    IntArray,
     Observations,
     batch_of_one,
     copy_of,
     stack,
 )
+from sb3_options.experience.option_run import OptionRun, Termination
 from sb3_options.experience.recording import RewardPeaks, SegmentRecorder
 from sb3_options.experience.trajectories import EpisodeRecorder, TrajectoryRecorder
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option
-
-Termination: TypeAlias = Literal[
-    "primitive", "subgoal", "left_initiation", "max_duration", "interrupted", "terminated", "truncated"
-]
 
 EMPTY_SLOT_SEED = 0x0971055
 """Mixed into the seed of ``reset``, so that empty slots draw from a stream apart from the environment's."""
@@ -42,9 +40,10 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
     """Adds ``max_options`` option slots to the actions of an environment with discrete actions.
 
     ``step(a)`` runs a primitive once, or an option to its end, and returns the last observation, the discounted sum
-    Σ γⁱ rᵢ over the k primitive steps taken, the last flags and the last inner info, to which it adds::
+    Σ γⁱ rᵢ over the k primitive steps taken, the last flags and the last inner info, to which it adds an `OptionRun` as
+    a dict::
 
-        info["option"] = {"index": slot or -1, "duration": k, "discount": γᵏ, "termination": why it ended}
+        info["option"] = {"index": slot or -1, "duration": k, "discount": γᵏ, "gamma": γ, "termination": why it ended}
 
     where why is one of ``primitive``, ``subgoal``, ``left_initiation``, ``max_duration``, ``interrupted`` (by what
     `set_interruption` said), ``terminated`` and ``truncated``. An option also leaves there what Macro-Q learning needs:
@@ -128,6 +127,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self.bank.load(options_file)
         self.action_space: Any = spaces.Discrete(self.n_primitive + max_options)
         self._random = np.random.default_rng()
+        self._primitive_run = OptionRun(-1, 1, self.gamma, self.gamma, "primitive")
+        self._primitive_info = self._primitive_run.as_info()
         self._observation: Any = None
         self._runs = np.zeros(max_options, dtype=np.int64)
         self._recorder: TrajectoryRecorder | None = None
@@ -193,9 +194,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
 
     def _run_instead(self, primitive: int) -> StepReturn:
         """Run a primitive in the place of a slot, and name it."""
-        result = self._run_primitive(primitive)
-        result[4]["option"]["actions"] = np.array([primitive])
-        return result
+        return self._run_primitive(primitive, actions=np.array([primitive]))
 
     def _instead_of(self, option: Option, slot: int) -> int:
         """What the agent would do without an option that is withheld.
@@ -211,11 +210,14 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         values = np.where(self.action_masks(), self._interruption.values(observation), -np.inf)
         return int(values[: self.n_primitive].argmax())
 
-    def _run_primitive(self, action: int) -> StepReturn:
+    def _run_primitive(self, action: int, actions: IntArray | None = None) -> StepReturn:
         observation, reward, terminated, truncated, info = self._primitive_step(action)
-        info["option"] = {"index": -1, "duration": 1, "discount": self.gamma, "termination": "primitive"}
-        if self._reports_availability and self.bank.filled:
-            info["option"]["available"] = self._available_slots(batch_of_one(observation))
+        reports = self._reports_availability and self.bank.filled
+        if reports or actions is not None:
+            available = self._available_slots(batch_of_one(observation)) if reports else None
+            info["option"] = self._primitive_run._replace(actions=actions, available=available).as_info()
+        else:
+            info["option"] = self._primitive_info.copy()
         return observation, reward, terminated, truncated, info
 
     def _run_option(self, option: Option, slot: int) -> StepReturn:
@@ -244,17 +246,17 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
                 termination = self._why_ended(option, observation, len(actions), may_go_on=began_inside)
                 if termination is None and interruptible and self._falls_behind(slot):
                     termination = "interrupted"
-        info["option"] = {
-            "index": slot,
-            "duration": len(actions),
-            "discount": discount,
-            "termination": termination,
-            "observations": stack(observations[:-1]),
-            "actions": np.array(actions),
-            "rewards": np.array(rewards),
-        }
-        if self._reports_availability:
-            info["option"]["available"] = self._available_slots(stack(observations[1:]))
+        info["option"] = OptionRun(
+            slot,
+            len(actions),
+            discount,
+            self.gamma,
+            termination,
+            stack(observations[:-1]),
+            np.array(actions),
+            np.array(rewards),
+            self._available_slots(stack(observations[1:])) if self._reports_availability else None,
+        ).as_info()
         return observation, total, terminated, truncated, info
 
     def _available_slots(self, arrived_in: Observations) -> BoolArray:

@@ -12,6 +12,7 @@ from gymnasium import spaces
 from stable_baselines3.common.buffers import DictRolloutBuffer, RolloutBuffer
 
 from sb3_options.experience.observations import FloatArray
+from sb3_options.experience.option_run import OptionRun
 
 
 class Passage(NamedTuple):
@@ -28,26 +29,17 @@ class Passage(NamedTuple):
     discounts: FloatArray
 
 
-def passage_of(rewards: npt.NDArray[Any], infos: Sequence[dict[str, Any]]) -> Passage:
+def passage_of(rewards: npt.NDArray[Any], runs: Sequence[OptionRun]) -> Passage:
     """What one step took, from what the environments reported.
 
     Args:
         rewards: As the VecEnv gave them, (n_envs,).
-        infos: With ``info["option"]``, which needs ``duration`` and ``discount`` only.
-
-    Raises:
-        ValueError: There is no ``info["option"]``.
+        runs: Of each environment.
     """
-    options = [info.get("option") for info in infos]
-    if None in options:
-        raise ValueError(
-            'There is no info["option"]: wrap the environment in OptionsWrapper, or, if its actions take times of '
-            'their own, let its step leave info["option"] = {"index": -1, "duration": k, "discount": gamma**k}.'
-        )
     return Passage(
         np.array(rewards, dtype=np.float64),
-        np.array([option["duration"] for option in options if option], dtype=np.float64),
-        np.array([option["discount"] for option in options if option], dtype=np.float64),
+        np.array([run.duration for run in runs], dtype=np.float64),
+        np.array([run.discount for run in runs], dtype=np.float64),
     )
 
 

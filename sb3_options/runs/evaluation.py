@@ -21,6 +21,7 @@ from sb3_options.runs import folder as runs
 from sb3_options.atomic import atomic_write
 from sb3_options.discovery.static_filter import reported_success
 from sb3_options.experience.observations import FloatArray
+from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.trajectories import LONGEST_EPISODE
 from sb3_options.learning.value_snapshot import interrupt_options
 
@@ -242,7 +243,7 @@ def _play(run: Path, episodes: int, seed: int, film: Video | None = None, mode: 
             action, memory = model.predict(observation, memory, starts, deterministic=True, **masked)  # type: ignore[arg-type]  # a batch, as reset gives it
             observation, _, dones, infos = venv.step(action)
             done = bool(dones[0])
-            played += infos[0]["option"]["duration"]
+            played += OptionRun.from_info(infos[0]).duration
             if played >= LONGEST_EPISODE:
                 raise ValueError(
                     f"An episode has not ended after {played:,} primitive steps: only episodes that end can be "

@@ -62,7 +62,7 @@ class TestWithoutOptions:
             *expected, info = bare.step(action)
             *got, wrapped_info = wrapped.step(action)
             option = wrapped_info.pop("option")
-            assert option == {"index": -1, "duration": 1, "discount": 0.99, "termination": "primitive"}
+            assert option == {"index": -1, "duration": 1, "discount": 0.99, "gamma": 0.99, "termination": "primitive"}
             assert all(equal(a, b) for a, b in zip(expected, got, strict=True))
             assert equal(info, wrapped_info)
             if expected[2] or expected[3]:
@@ -217,7 +217,7 @@ class TestOption:
     def test_a_primitive_by_hand(self) -> None:
         env = OptionsWrapper(CountingEnv(terminate_at=2), max_options=1, gamma=0.5)
         env.reset(seed=0)
-        primitive = {"index": -1, "duration": 1, "discount": 0.5, "termination": "primitive"}
+        primitive = {"index": -1, "duration": 1, "discount": 0.5, "gamma": 0.5, "termination": "primitive"}
         assert env.step(1)[1:] == (1.0, False, False, {"time": 1, "option": primitive})
         assert env.step(1)[1:] == (2.0, True, False, {"time": 2, "option": primitive})
 
