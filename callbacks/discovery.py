@@ -21,8 +21,7 @@ from sb3_options.discovery.figures import discovery_figures
 from sb3_options.discovery.static_filter import StaticFilter, SuccessRule, reported_success
 from sb3_options.discovery.subgoals import DiscoverySettings, SubgoalDiscovery
 from sb3_options.execution.exploration import checked_share
-from sb3_options.execution.trials import TrialSettings, Verdict
-from sb3_options.execution.withholding import TrialReport
+from sb3_options.execution.trials import TrialReport, TrialSettings, Verdict
 from sb3_options.execution.workers import watch_workers
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory

@@ -22,7 +22,7 @@ from sb3_options.atomic import atomic_write
 from sb3_options.discovery.static_filter import reported_success
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.option_run import OptionRun
-from sb3_options.experience.trajectories import LONGEST_EPISODE
+from sb3_options.experience.recording import LONGEST_EPISODE
 from sb3_options.learning.value_snapshot import interrupt_options
 
 CONFIDENCE = 0.95

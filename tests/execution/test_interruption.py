@@ -133,8 +133,8 @@ def test_with_interruption_a_policy_is_as_good_everywhere_and_better_somewhere(s
 class TestRule:
     values = np.array([[0.0, 3.0, 2.0, 2.5], [0.0, 1.0, 1.5, 2.0]])
 
-    def falls_behind(self, state: int, action: int, mask: list[bool] | None = None, margin: float = 0.0) -> bool:
-        rule = Interruption(lambda s: self.values[s], mask is not None, margin)
+    def falls_behind(self, state: int, action: int, mask: list[bool] | None = None) -> bool:
+        rule = Interruption(lambda s: self.values[s], mask is not None)
         return rule.falls_behind(action, state, lambda: np.array(mask))
 
     def test_compares_with_the_best(self) -> None:
@@ -144,10 +144,6 @@ class TestRule:
     def test_compares_with_what_is_available(self) -> None:
         assert self.falls_behind(0, 2, [True, False, True, True])
         assert not self.falls_behind(0, 2, [True, False, True, False])
-
-    def test_leaves_a_margin(self) -> None:
-        assert not self.falls_behind(0, 2, margin=1.0)
-        assert self.falls_behind(0, 2, margin=0.9)
 
 
 def line_of(n: int, option_values: list[float], rule: dict[str, Any]) -> tuple[int, str]:
