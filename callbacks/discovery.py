@@ -21,17 +21,16 @@ from sb3_options.discovery.figures import discovery_figures
 from sb3_options.discovery.static_filter import StaticFilter, SuccessRule, reported_success
 from sb3_options.discovery.subgoals import DiscoverySettings, SubgoalDiscovery
 from sb3_options.execution.exploration import checked_share
-from sb3_options.execution.interruption import checked_margin
-from sb3_options.execution.trials import TrialSettings, Verdict
-from sb3_options.execution.withholding import TrialReport
+from sb3_options.execution.trials import TrialReport, TrialSettings, Verdict
 from sb3_options.execution.workers import watch_workers
+from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.learning.on_policy import option_rollout_buffer
-from sb3_options.learning.rollout_buffer import LambdaPer, SMDPAdvantages, passage_of
+from sb3_options.learning.rollout_buffer import SMDPAdvantages, passage_of
 from sb3_options.options.bank import OptionBank
-from sb3_options.options.creation import OptionLearningSettings, learn_further, learn_option
-from sb3_options.options.growth import OptionGrowth
+from sb3_options.options.creation import OptionGrowth, learn_further, learn_option
 from sb3_options.options.option import Region, SubgoalOption
+from sb3_options.options.settings import OptionLearningSettings
 
 logger = logging.getLogger("sb3_options")
 
@@ -59,17 +58,13 @@ class SubgoalDiscoveryCallback(BaseCallback):
             above all earlier ones in a terminal state where the environment does not say.
         static_filter: What may be a subgoal; by default not near the start and end of a trajectory.
         max_new_options: Most options to make, not counting closed ones; by default as many as there are slots.
-        teach_head: Whether what the replay buffer holds teaches the head of a new option at once (`head_teaching`).
-            Algorithms without a replay buffer have no values of options, and nothing to teach.
         max_option_exploration: Largest share of options among the exploratory choices of DQN, QRDQN and OptionDQN; the
             share of the probability that options open with under MaskablePPO, where primitives are equally likely.
         interruption: Whether options end where going on is worth less than the best alternative (`interruption`), for
             algorithms that know the values of options: DQN, QRDQN and OptionDQN.
-        interruption_margin: By how much less, in units of return.
-        trial: Whether and how options are tried, and closed where they prove harmful or useless (`option_trial`); by
-            default they are not.
+        trial: Whether and how options are tried, and closed where they prove harmful (`execution.trials`); by default
+            they are not.
         save_path: Where to write the options each time one is made; None writes nothing.
-        lambda_per: What λ of PPO and its kin means across an option (`SMDPAdvantages`); None leaves the buffer's own.
         seed: For option policies that are networks.
         verbose: 1 prints each new option.
 
@@ -86,13 +81,10 @@ class SubgoalDiscoveryCallback(BaseCallback):
         success: SuccessRule = reported_success,
         static_filter: StaticFilter | None = None,
         max_new_options: int | None = None,
-        teach_head: bool = False,
         max_option_exploration: float = 0.5,
         interruption: bool = True,
-        interruption_margin: float = 0.0,
         trial: TrialSettings | Mapping[str, Any] | None = None,
         save_path: str | os.PathLike[str] | None = None,
-        lambda_per: LambdaPer | None = None,
         seed: int = 0,
         verbose: int = 0,
     ) -> None:
@@ -110,8 +102,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
         self.success = success
         self.static_filter = static_filter
         self.max_new_options = max_new_options
-        self.teach_head = teach_head
-        self.interruption_margin = checked_margin(interruption_margin) if interruption else None
+        self.interruption = interruption
         self.trial = TrialSettings(**trial) if isinstance(trial, Mapping) else trial
         if self.trial is not None and self.settings.segmentation == "peaks":
             raise ValueError("A trial compares episodes, and a continuing task has none: pass trial=None with peaks.")
@@ -122,7 +113,6 @@ class SubgoalDiscoveryCallback(BaseCallback):
         self.discovery: SubgoalDiscovery | None = None
         self.closed: list[ClosedOption] = []
         self._made_here: set[int] = set()
-        self.lambda_per = lambda_per
         self.seed = seed
         self._trials: OptionTrials | None = None
         self._generator = torch.Generator().manual_seed(seed)
@@ -140,15 +130,14 @@ class SubgoalDiscoveryCallback(BaseCallback):
         venv = self.training_env
         watch_workers(venv)
         check_model(self.model, venv)
-        self._rollout_buffer = option_rollout_buffer(self.model, self.lambda_per)
+        self._rollout_buffer = option_rollout_buffer(self.model)
         monitor_primitive_steps(venv)
         self._server = OptionServer(
             self.model,
             venv,
             self.locals.get("callback"),
-            teach_head=self.teach_head,
             max_option_exploration=self.max_option_exploration,
-            interruption_margin=self.interruption_margin,
+            interruption=self.interruption,
         )
         if self.discovery is None:
             self.discovery = SubgoalDiscovery(
@@ -174,12 +163,13 @@ class SubgoalDiscoveryCallback(BaseCallback):
 
     def _on_step(self) -> bool:
         infos: list[dict[str, Any]] = self.locals["infos"]
-        count_inner_steps(self, infos)
+        runs = [OptionRun.from_info(info) for info in infos]
+        count_inner_steps(self, runs)
         if self._rollout_buffer is not None:
-            self._rollout_buffer.expect(passage_of(self.locals["rewards"], infos))
-        for info in infos:
-            if info["option"]["index"] >= 0:
-                self._statistics.add(info["option"])
+            self._rollout_buffer.expect(passage_of(self.locals["rewards"], runs))
+        for info, run in zip(infos, runs, strict=True):
+            if run.index >= 0:
+                self._statistics.add(run)
             if "trajectory" in info:
                 self._episode_ended(info.pop("trajectory"), info.pop("option_trial", None))
             for segment in info.pop("segments", ()):

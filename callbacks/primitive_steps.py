@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 from stable_baselines3.common.callbacks import (
     BaseCallback,
@@ -19,9 +18,10 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, is
 from sb3_options.callbacks.checks import check_gamma, check_replay_buffer, check_wrapped
 from sb3_options.execution.workers import watch_workers
 from sb3_options.execution.wrapper import OptionsWrapper
+from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning import heads
 from sb3_options.learning.on_policy import option_rollout_buffer
-from sb3_options.learning.rollout_buffer import LambdaPer, passage_of
+from sb3_options.learning.rollout_buffer import passage_of
 from sb3_options.options.bank import OptionBank
 
 logger = logging.getLogger("sb3_options")
@@ -36,19 +36,12 @@ class PrimitiveStepsCallback(BaseCallback):
     (it leaves ``info["option"] = {"index": -1, "duration": k, "discount": gamma**k}``); `SubgoalDiscoveryCallback`
     does the same.
 
-    Args:
-        lambda_per: What λ of PPO and its kin means across an option (`SMDPAdvantages`); None leaves the buffer's own.
-
     Raises:
         ValueError: When training starts: the environment reports no durations, or buffer or discount do not fit.
     """
 
-    def __init__(self, lambda_per: LambdaPer | None = None) -> None:
-        super().__init__()
-        self.lambda_per = lambda_per
-
     def _on_training_start(self) -> None:
-        self._rollout_buffer = option_rollout_buffer(self.model, self.lambda_per)
+        self._rollout_buffer = option_rollout_buffer(self.model)
         check_replay_buffer(self.model)
         watch_workers(self.training_env)
         if not any(self.training_env.env_is_wrapped(OptionsWrapper)):
@@ -63,17 +56,16 @@ class PrimitiveStepsCallback(BaseCallback):
                     heads.close_head(self.model.policy, bank.n_primitive + slot)
 
     def _on_step(self) -> bool:
-        if self._rollout_buffer is not None or self.n_calls == 1:
-            passage = passage_of(self.locals["rewards"], self.locals["infos"])
-            if self._rollout_buffer is not None:
-                self._rollout_buffer.expect(passage)
-        count_inner_steps(self, self.locals["infos"])
+        runs = [OptionRun.from_info(info) for info in self.locals["infos"]]
+        if self._rollout_buffer is not None:
+            self._rollout_buffer.expect(passage_of(self.locals["rewards"], runs))
+        count_inner_steps(self, runs)
         return True
 
 
-def count_inner_steps(callback: BaseCallback, infos: list[dict[str, Any]]) -> None:
+def count_inner_steps(callback: BaseCallback, runs: Sequence[OptionRun]) -> None:
     """Add to the model's ``num_timesteps`` what one call of ``step`` left out."""
-    extra = sum(info["option"]["duration"] for info in infos) - len(infos)
+    extra = sum(run.duration for run in runs) - len(runs)
     if extra == 0:
         return
     callback.model.num_timesteps += extra

@@ -37,7 +37,7 @@ class ClosedOption:
         slot: Its slot, which another may fill.
         episode: Number of episodes that had ended.
         timestep: Primitive steps taken.
-        why: It proved harmful, or useless.
+        why: What its trial showed.
     """
 
     slot: int

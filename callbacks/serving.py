@@ -41,9 +41,8 @@ class OptionServer:
         model: Being trained.
         venv: Its environment.
         callbacks: The tree that ``learn`` was given: the environment of an ``EvalCallback`` in it is served as well.
-        teach_head: Whether stored transitions teach the head of an option as it moves in.
         max_option_exploration: Largest share of options among exploratory choices.
-        interruption_margin: As for `Interruption`; None lets every option run to its end.
+        interruption: Whether options end where going on is worth less than the best alternative (`Interruption`).
     """
 
     def __init__(
@@ -52,9 +51,8 @@ class OptionServer:
         venv: VecEnv,
         callbacks: BaseCallback | None,
         *,
-        teach_head: bool = True,
         max_option_exploration: float = 1.0,
-        interruption_margin: float | None = None,
+        interruption: bool = False,
     ) -> None:
         self.model, self.venv = model, venv
         self.eval_envs = [c.eval_env for c in all_callbacks(callbacks) if isinstance(c, EvalCallback)]
@@ -67,22 +65,20 @@ class OptionServer:
         self.waits_for_rollout = hasattr(model, "rollout_buffer") and not masks
         self._waiting: dict[int, Option] = {}
         self._moved_in: list[int] = []
-        self._untaught: set[int] = set()
         self._leaving: set[int] = set()
         present: OptionBank = venv.get_attr("bank", [0])[0]
         self.n_primitive = present.n_primitive
         self.bank = OptionBank(
-            present.n_primitive, present.max_options, feature_map=self.features_of, made_for=present.made_for
+            present.n_primitive, present.max_options, feature_map=self.features_of, signature=present.signature
         )
         self.explored = cap_option_exploration(model, self.n_primitive, max_option_exploration)
-        self.teach_head = teach_head
         self.max_option_exploration = max_option_exploration
         self.teacher: IntraOptionTeacher | None = None
-        if IntraOptionTeacher.teaches(model) and (teach_head or model.replay_buffer.intra_option):  # type: ignore[attr-defined]  # teaches() has looked
+        if IntraOptionTeacher.teaches(model):
             self.teacher = IntraOptionTeacher(model, venv, self.bank)
         self.interrupter: Interrupter | None = None
-        if interruption_margin is not None and heads.has_networks(model.policy):
-            self.interrupter = Interrupter(model, venv, self.eval_envs, interruption_margin)
+        if interruption and heads.has_networks(model.policy):
+            self.interrupter = Interrupter(model, venv, self.eval_envs)
         else:
             for each in [venv, *self.eval_envs]:
                 each.env_method("set_interruption", None)  # an earlier training may have left its own
@@ -165,13 +161,10 @@ class OptionServer:
         if self.teacher is not None:
             for slot in self._moved_in:
                 self.teacher.judge_all(slot)
-                if slot in self._untaught:
-                    self.teacher.teach_new_head(slot)
             self.teacher.judge_new()
         if self.interrupter is not None and len(self.bank):
             self.interrupter.refresh(at_once=bool(self._moved_in))
         self._moved_in.clear()
-        self._untaught.clear()
 
     def training_ends(self) -> None:
         """Leave no option waiting, and the environments with the values that were learned."""
@@ -187,8 +180,6 @@ class OptionServer:
         action = self.n_primitive + slot
         if heads.is_closed(self.model.policy, action):
             heads.open_head(self.model.policy, action, self.n_primitive, odds=self._odds())
-            if self.teach_head:
-                self._untaught.add(slot)
         self._moved_in.append(slot)
 
     def _odds(self) -> float | None:

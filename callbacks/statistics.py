@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from typing import Any
 
 import numpy as np
+
+from sb3_options.experience.option_run import OptionRun
 
 WINDOW = 100
 """Durations and endings are averaged over this many last uses of a slot."""
@@ -19,12 +20,11 @@ class OptionStatistics:
         self._last: dict[int, deque[tuple[int, str]]] = {}
         self._endings: dict[int, set[str]] = {}
 
-    def add(self, option: dict[str, Any]) -> None:
-        """Count one ``info["option"]`` that ran a filled slot."""
-        slot = option["index"]
-        self._uses[slot] += 1
-        self._last.setdefault(slot, deque(maxlen=WINDOW)).append((option["duration"], option["termination"]))
-        self._endings.setdefault(slot, set()).add(option["termination"])
+    def add(self, run: OptionRun) -> None:
+        """Count one run of an option."""
+        self._uses[run.index] += 1
+        self._last.setdefault(run.index, deque(maxlen=WINDOW)).append((run.duration, run.termination))
+        self._endings.setdefault(run.index, set()).add(run.termination)
 
     def values(self) -> dict[str, float]:
         """By TensorBoard tag: uses so far; mean duration and the share of each ending over the last uses."""

@@ -13,7 +13,6 @@ from stable_baselines3.common.vec_env import VecEnv
 from sb3_options.execution.vec_env import as_wrapper_sees
 from sb3_options.learning import heads
 from sb3_options.learning.dqn import OptionDQN
-from sb3_options.learning.head_teaching import HeadLessons, teach_head
 from sb3_options.learning.intra_option import IntraOptionMemory, judge
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.options.bank import OptionBank
@@ -25,15 +24,12 @@ CHUNK = 4096
 JUDGED_AT_ONCE = 256
 """New transitions wait until there are this many: to judge one takes as long as to judge a hundred."""
 
-HEAD_LESSONS = 10_000
-"""Most steps inside, and as many outside, an initiation set that teach a new head."""
-
 REJUDGE_SHARE = 16
 """A changed option is judged anew once the buffer has grown by one part in this many."""
 
 
 class IntraOptionTeacher:
-    """Judges every stored primitive step for every option, and teaches new heads.
+    """Judges every stored primitive step for every option.
 
     Args:
         model: Being trained; its buffer is an `OptionReplayBuffer` with ``intra_option``.
@@ -46,25 +42,25 @@ class IntraOptionTeacher:
         self.buffer: OptionReplayBuffer = model.replay_buffer  # type: ignore[attr-defined]  # teaches() has looked
         masked = isinstance(model, OptionDQN)
         quantiles = hasattr(model.policy, "quantile_net")
-        memory = IntraOptionMemory(
-            self.buffer.buffer_size, bank.n_primitive, bank.max_options, outside=not masked, quantiles=quantiles
+        self.memory = self.buffer.memory = IntraOptionMemory(
+            self.buffer.buffer_size,
+            bank.n_primitive,
+            bank.max_options,
+            self._values,
+            outside=not masked,
+            quantiles=quantiles,
         )
-        self.memory = self.buffer.memory = memory
-        if self.buffer.intra_option:
-            memory.values = self._values
         self._judged = self.buffer.written
         self._changed: dict[int, int] = {}
 
     @staticmethod
     def teaches(model: BaseAlgorithm) -> bool:
-        """Whether there is something to teach: a replay buffer that knows options, and values of actions."""
+        """Whether there is something to teach: a replay buffer that asks for it, and values of actions."""
         buffer = getattr(model, "replay_buffer", None)
-        return isinstance(buffer, OptionReplayBuffer) and heads.has_networks(model.policy)
+        return isinstance(buffer, OptionReplayBuffer) and buffer.intra_option and heads.has_networks(model.policy)
 
     def judge_new(self) -> None:
         """Judge what was stored since the last time, and anew what changed options have judged."""
-        if self.memory.values is None:
-            return  # only new heads are taught
         new = self.buffer.written - self._judged
         if new >= JUDGED_AT_ONCE:
             rows = (self.buffer.pos - 1 - np.arange(min(new, self.buffer.size()))) % self.buffer.buffer_size
@@ -107,41 +103,3 @@ class IntraOptionTeacher:
         if values.ndim == 2:
             return torch.as_tensor(values.gather(1, options[:, None]))
         return torch.as_tensor(values[torch.arange(len(values)), :, options])
-
-    def teach_new_head(self, slot: int) -> bool:
-        """Fit the head of an option that has just moved in, and been judged.
-
-        Returns:
-            Whether anything stored could teach it.
-        """
-        memory, buffer = self.memory, self.buffer
-        takes = memory.takes[: buffer.size(), slot]
-        inside = _evenly(np.flatnonzero(takes & memory.inside[: buffer.size(), slot]), HEAD_LESSONS)
-        outside = _evenly(np.flatnonzero(takes & ~memory.inside[: buffer.size(), slot]), HEAD_LESSONS)
-        if len(inside) == 0:
-            return False
-        rows = np.concatenate([inside, outside])
-        samples = buffer.rows_as_samples(rows, self.model.get_vec_normalize_env())
-        # There is far more outside than inside, and inside is where it will be chosen.
-        weights = np.concatenate([np.full(len(s), 1.0 / len(s)) for s in (inside, outside) if len(s)]) * len(rows)
-        n_actions = self.bank.n_primitive + self.bank.max_options
-        allowed = torch.ones((len(rows), n_actions), dtype=torch.bool, device=samples.rewards.device)
-        if samples.next_available is not None:
-            allowed[:, self.bank.n_primitive :] = samples.next_available
-        lessons = HeadLessons(
-            samples.observations,
-            samples.next_observations,
-            samples.rewards,
-            samples.discounts * (1 - samples.dones),
-            buffer.to_torch(memory.goes_on[rows, slot])[:, None],
-            buffer.to_torch(weights)[:, None],
-            allowed,
-        )
-        self.model.policy.set_training_mode(False)
-        teach_head(self.model.policy, self.bank.n_primitive + slot, self.bank.n_primitive, lessons)
-        return True
-
-
-def _evenly(rows: npt.NDArray[np.int64], most: int) -> npt.NDArray[np.int64]:
-    """At most ``most`` of the rows, evenly spaced."""
-    return rows if len(rows) <= most else rows[np.linspace(0, len(rows) - 1, most).astype(np.int64)]

@@ -7,8 +7,7 @@ from collections.abc import Iterable
 
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_options.execution.trials import OptionTrial, TrialSettings, Verdict
-from sb3_options.execution.withholding import TrialReport
+from sb3_options.execution.trials import OptionTrial, TrialReport, TrialSettings, Verdict
 
 TRIAL_SEED = 0x7121A1
 """Mixed into the seed, so that trials draw from streams of their own."""
@@ -53,9 +52,7 @@ class OptionTrials:
             if report is None or slot not in report["withheld"]:
                 continue
             trial = self.trials.setdefault(slot, OptionTrial(self.settings))
-            verdict = trial.add(
-                withheld=report["withheld"][slot], outcome=report["outcome"], used=slot in report["used"]
-            )
+            verdict = trial.add(withheld=report["withheld"][slot], outcome=report["outcome"])
             if verdict is not None:
                 closing.append((slot, verdict))
         self._send({slot: self.settings.withhold for slot in filled if self._is_on(slot)})

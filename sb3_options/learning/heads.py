@@ -114,17 +114,6 @@ def forget_moments(policy: Any, action: int) -> None:
 
 
 @torch.no_grad()
-def mean_of_heads(policy: Any, n_primitive: int) -> list[torch.Tensor]:
-    """The mean of the primitive actions' heads of each layer, float64, (inputs + 1, outputs per action), bias last."""
-    means = []
-    for layer, outputs in option_outputs(policy):
-        primitive = torch.stack([rows_of(layer, outputs, a) for a in range(n_primitive)])
-        both = torch.cat([layer.weight[primitive], layer.bias[primitive][..., None]], dim=-1)
-        means.append(both.double().mean(dim=0).T)
-    return means
-
-
-@torch.no_grad()
 def open_head(policy: Any, action: int, n_primitive: int, *, odds: float | None = None) -> None:
     """Start ``action`` at the mean of the primitive actions' values, or of their logits.
 

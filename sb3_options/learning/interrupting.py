@@ -20,11 +20,10 @@ class Interrupter:
         model: Being trained.
         venv: Its environment, where an option is interrupted if it was the best choice where it began.
         eval_envs: Where choices are greedy, and every option is interrupted.
-        margin: As for `Interruption`.
     """
 
-    def __init__(self, model: BaseAlgorithm, venv: VecEnv, eval_envs: Sequence[VecEnv], margin: float) -> None:
-        self.model, self.venv, self.eval_envs, self.margin = model, venv, eval_envs, margin
+    def __init__(self, model: BaseAlgorithm, venv: VecEnv, eval_envs: Sequence[VecEnv]) -> None:
+        self.model, self.venv, self.eval_envs = model, venv, eval_envs
         self._refreshed: int | None = None
 
     def refresh(self, *, at_once: bool = False) -> None:
@@ -33,6 +32,6 @@ class Interrupter:
         if not at_once and self._refreshed is not None and now - self._refreshed < REFRESH:
             return
         self._refreshed = now
-        interrupt_options(self.model, self.venv, margin=self.margin, every_choice=False)
+        interrupt_options(self.model, self.venv, every_choice=False)
         for eval_env in self.eval_envs:
-            interrupt_options(self.model, eval_env, margin=self.margin)
+            interrupt_options(self.model, eval_env)

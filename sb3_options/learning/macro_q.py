@@ -16,6 +16,7 @@ from stable_baselines3.common.utils import safe_mean
 
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.observations import BoolArray, FloatArray
+from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.linear_features import LinearFeatures, OneHot
 
 
@@ -176,10 +177,11 @@ class MacroQ(BaseAlgorithm):
             self.num_timesteps += self.env.num_envs
             new_active = self._active(new_obs)
             over: list[bool] = dones.tolist()
-            for i, info in enumerate(infos):
+            runs = [OptionRun.from_info(info) if "option" in info else None for info in infos]
+            for i, (info, run) in enumerate(zip(infos, runs, strict=True)):
                 arrived = self._active(np.asarray(info["terminal_observation"])[None])[0] if over[i] else new_active[i]
                 ended = over[i] and not info["TimeLimit.truncated"]
-                self._learn_from(active[i], int(actions[i]), float(rewards[i]), arrived, ended, info.get("option"))
+                self._learn_from(active[i], int(actions[i]), float(rewards[i]), arrived, ended, run)
             self._last_obs, active = new_obs, new_active  # type: ignore[assignment]  # SB3 annotates it as None
             # After learning: a callback that stops training at the end of an episode loses nothing of it.
             callback.update_locals(locals())
@@ -192,7 +194,7 @@ class MacroQ(BaseAlgorithm):
                 if log_interval is not None and self._episode_num % log_interval == 0:
                     self._log()
             elif self._n_slots:
-                choices = [self._choices_after(info["option"]) for info in infos]
+                choices = [self._choices_after(run) for run in runs]
         callback.on_rollout_end()
         callback.on_training_end()
         return self
@@ -235,7 +237,7 @@ class MacroQ(BaseAlgorithm):
         reward: float,
         arrived: list[int],
         ended: bool,
-        option: dict[str, Any] | None,
+        run: OptionRun | None,
     ) -> None:
         """Learn from one call of ``step``, and from the primitive steps inside it.
 
@@ -245,24 +247,25 @@ class MacroQ(BaseAlgorithm):
             reward: Σ γⁱ rᵢ.
             arrived: Active features where it led.
             ended: Whether nothing follows.
-            option: ``info["option"]``; None where the environment has no options.
+            run: What ran; None where the environment has no options.
         """
-        if option is None:
+        if run is None:
             self._update(began, action, reward, self.gamma, arrived, ended, ())
             return
-        k = option["duration"]
-        available = option["available"].tolist() if "available" in option else [()] * k
-        if option["index"] < 0:
-            if "actions" in option:
-                action = int(option["actions"][0])  # an empty slot ran this primitive
+        available = [()] * int(run.duration) if run.available is None else run.available.tolist()
+        if run.index < 0:
+            if run.actions is not None:
+                action = int(run.actions[0])  # an empty slot ran this primitive
             self._update(began, action, reward, self.gamma, arrived, ended, available[0])
             return
-        states = [*self._active(option["observations"]), arrived]
-        inner_actions, inner_rewards = option["actions"].tolist(), option["rewards"].tolist()
-        for i in range(k):
-            last = ended and i == k - 1
-            self._update(states[i], inner_actions[i], inner_rewards[i], self.gamma, states[i + 1], last, available[i])
-        self._update(began, action, reward, option["discount"], arrived, ended, available[-1])
+        assert run.actions is not None  # an option reports its steps
+        assert run.rewards is not None
+        states = [*self._active(run.observations), arrived]
+        steps = zip(run.actions.tolist(), run.rewards.tolist(), strict=True)
+        for i, (inner_action, inner_reward) in enumerate(steps):
+            last = ended and i == run.duration - 1
+            self._update(states[i], inner_action, inner_reward, self.gamma, states[i + 1], last, available[i])
+        self._update(began, action, reward, run.discount, arrived, ended, available[-1])
 
     def _update(
         self,
@@ -289,7 +292,7 @@ class MacroQ(BaseAlgorithm):
             table[index, action] += self._step_size * (target - table[index, action])
             return
         step = self._step_size / len(active) * (target - self._values(active)[action])
-        for index in active:  # an index that hashing gave twice is updated twice
+        for index in active:  # faster than an array of so few indices
             table[index, action] += step
 
     def _active(self, observations: Any) -> list[list[int]]:
@@ -311,11 +314,11 @@ class MacroQ(BaseAlgorithm):
             return [mask.nonzero()[0].tolist() for mask in self.env.env_method("action_masks")]
         return [list(range(self._n_actions))] * self.env.num_envs
 
-    def _choices_after(self, option: dict[str, Any]) -> list[int]:
-        """Which actions may start after the step that left this ``info["option"]``."""
-        if "available" not in option:
+    def _choices_after(self, run: OptionRun | None) -> list[int]:
+        """Which actions may start after the step that ran this."""
+        if run is None or run.available is None:
             return self._primitives
-        slots: list[bool] = option["available"][-1].tolist()
+        slots: list[bool] = run.available[-1].tolist()
         return self._primitives + [self._n_primitive + slot for slot, may_start in enumerate(slots) if may_start]
 
     def _explore(self, values: list[float], choices: list[int]) -> int:

@@ -8,20 +8,17 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import DictRolloutBuffer, RolloutBuffer
 
 from sb3_options.learning.rollout_buffer import (
-    LambdaPer,
     OptionDictRolloutBuffer,
     OptionRolloutBuffer,
     SMDPAdvantages,
-    checked_lambda,
 )
 
 
-def option_rollout_buffer(model: BaseAlgorithm, lambda_per: LambdaPer | None = None) -> SMDPAdvantages | None:
+def option_rollout_buffer(model: BaseAlgorithm) -> SMDPAdvantages | None:
     """The model's rollout buffer, made into one that discounts with γᵏ where it was a stock one.
 
     Args:
         model: Any; before training starts.
-        lambda_per: As for `SMDPAdvantages`; None leaves what the buffer has.
 
     Returns:
         The buffer that is the model's from now on; None for an algorithm without rollouts.
@@ -32,10 +29,7 @@ def option_rollout_buffer(model: BaseAlgorithm, lambda_per: LambdaPer | None = N
     buffer = getattr(model, "rollout_buffer", None)
     if buffer is None:
         return None
-    made = buffer if isinstance(buffer, SMDPAdvantages) else _made_anew(model, buffer)
-    if lambda_per is not None:
-        made.lambda_per = checked_lambda(lambda_per)
-    return made
+    return buffer if isinstance(buffer, SMDPAdvantages) else _made_anew(model, buffer)
 
 
 def _made_anew(model: BaseAlgorithm, buffer: Any) -> SMDPAdvantages:

@@ -14,6 +14,7 @@ from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.common.vec_env import VecNormalize
 
 from sb3_options.experience.observations import BoolArray, Observations, take
+from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.intra_option import IntraOptionMemory
 
 Rows = dict[str, npt.NDArray[Any]]
@@ -181,23 +182,18 @@ class OptionReplayBuffer(ReplayBuffer):
             infos: With ``info["option"]``, as `OptionsWrapper` leaves it.
 
         Raises:
-            ValueError: There is no ``info["option"]``.
+            ValueError: An info has no record of what ran (`OptionRun.from_info`).
         """
         obs, next_obs = self._split(obs), self._split(next_obs)
         actions = np.asarray(action).reshape(self.n_envs, self.action_dim)
         for i, info in enumerate(infos):
-            option = info.get("option")
-            if option is None:
-                raise ValueError('OptionReplayBuffer found no info["option"]: wrap the environment in OptionsWrapper.')
+            run = OptionRun.from_info(info)
             here = {k: v[i][None] for k, v in obs.items()}
             there = {k: v[i][None] for k, v in next_obs.items()}
             timeout = bool(info.get("TimeLimit.truncated", False))
-            available = option.get("available")
-            inner = option.get("actions")
-            chosen = actions[i]
-            if inner is not None and option["index"] < 0:
-                chosen = inner[:1]  # an empty slot ran this primitive
-            last = None if available is None else available[-1:]
+            # A slot that ran a primitive instead is stored as that primitive.
+            chosen = actions[i] if run.actions is None or run.index >= 0 else run.actions
+            last = None if run.available is None else run.available[-1:]
             self._write(
                 here,
                 there,
@@ -205,31 +201,22 @@ class OptionReplayBuffer(ReplayBuffer):
                 reward[i : i + 1],
                 done[i : i + 1],
                 timeout,
-                option["discount"],
+                run.discount,
                 last,
             )
-            if self.macro_q and inner is not None and option["index"] >= 0:
-                self._write_inner(option, there, bool(done[i]), timeout)
+            if self.macro_q and run.index >= 0 and run.actions is not None:
+                self._write_inner(run, there, bool(done[i]), timeout)
 
-    def _write_inner(self, option: dict[str, Any], there: Rows, done: bool, timeout: bool) -> None:
-        k = len(option["actions"])
-        began = {key: self._as_stored(key, rows) for key, rows in self._split(option["observations"]).items()}
+    def _write_inner(self, run: OptionRun, there: Rows, done: bool, timeout: bool) -> None:
+        began = {key: self._as_stored(key, rows) for key, rows in self._split(run.observations).items()}
         led = {key: np.concatenate([rows[1:], there[key]]) for key, rows in began.items()}
-        dones = np.zeros(k, dtype=np.float32)
+        dones = np.zeros(run.duration, dtype=np.float32)
         dones[-1] = done
-        timeouts = np.zeros(k, dtype=np.float32)
+        timeouts = np.zeros(run.duration, dtype=np.float32)
         timeouts[-1] = timeout
-        gamma = option["discount"] ** (1.0 / k)
-        self._write(
-            began,
-            led,
-            option["actions"][:, None],
-            option["rewards"],
-            dones,
-            timeouts,
-            gamma,
-            option.get("available"),
-        )
+        assert run.actions is not None  # an option reports its steps
+        assert run.rewards is not None
+        self._write(began, led, run.actions[:, None], run.rewards, dones, timeouts, run.gamma, run.available)
 
     def _as_stored(self, key: str, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Observations from below the VecEnv in the shape the algorithm sees: SB3 puts image channels first."""

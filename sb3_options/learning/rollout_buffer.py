@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,19 +12,7 @@ from gymnasium import spaces
 from stable_baselines3.common.buffers import DictRolloutBuffer, RolloutBuffer
 
 from sb3_options.experience.observations import FloatArray
-
-LambdaPer: TypeAlias = Literal["decision", "primitive_step"]
-
-
-def checked_lambda(lambda_per: LambdaPer) -> LambdaPer:
-    """``lambda_per`` itself, if there is such a meaning of λ.
-
-    Raises:
-        ValueError: There is none.
-    """
-    if lambda_per not in get_args(LambdaPer):
-        raise ValueError(f"lambda_per must be 'decision' or 'primitive_step', got {lambda_per!r}.")
-    return lambda_per
+from sb3_options.experience.option_run import OptionRun
 
 
 class Passage(NamedTuple):
@@ -41,26 +29,17 @@ class Passage(NamedTuple):
     discounts: FloatArray
 
 
-def passage_of(rewards: npt.NDArray[Any], infos: Sequence[dict[str, Any]]) -> Passage:
+def passage_of(rewards: npt.NDArray[Any], runs: Sequence[OptionRun]) -> Passage:
     """What one step took, from what the environments reported.
 
     Args:
         rewards: As the VecEnv gave them, (n_envs,).
-        infos: With ``info["option"]``, which needs ``duration`` and ``discount`` only.
-
-    Raises:
-        ValueError: There is no ``info["option"]``.
+        runs: Of each environment.
     """
-    options = [info.get("option") for info in infos]
-    if None in options:
-        raise ValueError(
-            'There is no info["option"]: wrap the environment in OptionsWrapper, or, if its actions take times of '
-            'their own, let its step leave info["option"] = {"index": -1, "duration": k, "discount": gamma**k}.'
-        )
     return Passage(
         np.array(rewards, dtype=np.float64),
-        np.array([option["duration"] for option in options if option], dtype=np.float64),
-        np.array([option["discount"] for option in options if option], dtype=np.float64),
+        np.array([run.duration for run in runs], dtype=np.float64),
+        np.array([run.discount for run in runs], dtype=np.float64),
     )
 
 
@@ -69,28 +48,28 @@ def smdp_advantages(
     values: FloatArray,
     next_values: FloatArray,
     discounts: FloatArray,
-    traces: FloatArray,
     goes_on: FloatArray,
+    gae_lambda: float,
 ) -> FloatArray:
     """Generalised advantage estimation over a semi-Markov process.
 
-    δₜ = Rₜ + γᵏ V(sₜ₊₁) − V(sₜ) and Aₜ = δₜ + γᵏ λ̃ Aₜ₊₁, both without their second term where an episode ended
-    (Schulman et al. 2016, eq. 11–16, with the discount of Bradtke & Duff 1995 for an action of k steps). λ̃ is λ
-    where an option counts as one step of the trace, and λᵏ where it counts as k.
+    δₜ = Rₜ + γᵏ V(sₜ₊₁) − V(sₜ) and Aₜ = δₜ + γᵏ λ Aₜ₊₁, both without their second term where an episode ended
+    (Schulman et al. 2016, eq. 11–16, with the discount of Bradtke & Duff 1995 for an action of k steps). The trace
+    decays by λ per decision, so that an option carries credit as far as a primitive action does.
 
     Args:
         rewards: Rₜ = Σ γⁱ rᵢ over the k primitive steps, (n_steps, n_envs); likewise all others.
         values: V(sₜ).
         next_values: V(sₜ₊₁).
         discounts: γᵏ.
-        traces: λ̃.
         goes_on: 1 where the episode goes on after the step, else 0.
+        gae_lambda: λ, one number.
 
     Returns:
         Aₜ, (n_steps, n_envs).
     """
     deltas = rewards + discounts * next_values * goes_on - values
-    decay = discounts * traces * goes_on
+    decay = discounts * gae_lambda * goes_on
     advantages = np.zeros_like(deltas)
     later = np.zeros_like(deltas[0])
     for step in reversed(range(len(deltas))):
@@ -105,15 +84,6 @@ class SMDPAdvantages:
     are γᵏ for a transition of k primitive steps. The buffer sees no infos, so a callback (`PrimitiveStepsCallback`,
     `SubgoalDiscoveryCallback`) calls `expect` before each `add`.
 
-    Args:
-        *args: As for the buffer.
-        lambda_per: What λ of GAE means across an option: ``decision`` lets the trace decay by λ whatever was chosen,
-            so that an option carries credit as far as a primitive does; ``primitive_step`` lets it decay by λᵏ, as k
-            primitive steps would have.
-        **kwargs: As for the buffer.
-
-    Raises:
-        ValueError: ``lambda_per`` is neither.
     """
 
     # Of the SB3 buffer that stands behind this class in the bases.
@@ -127,10 +97,6 @@ class SMDPAdvantages:
     advantages: npt.NDArray[np.float32]
     returns: npt.NDArray[np.float32]
     pos: int
-
-    def __init__(self, *args: Any, lambda_per: LambdaPer = "decision", **kwargs: Any) -> None:
-        self.lambda_per = checked_lambda(lambda_per)
-        super().__init__(*args, **kwargs)
 
     def reset(self) -> None:
         """Forget the last rollout."""
@@ -177,14 +143,13 @@ class SMDPAdvantages:
         values = self.values.astype(np.float64)
         last = last_values.detach().cpu().numpy().reshape(1, -1)
         ended = np.concatenate([self.episode_starts[1:], np.reshape(dones, (1, -1))]).astype(np.float64)
-        exponent = self.durations if self.lambda_per == "primitive_step" else np.ones_like(self.durations)
         advantages = smdp_advantages(
             self.rewards.astype(np.float64),
             values,
             np.concatenate([values[1:], last]),
             self.discounts,
-            self.gae_lambda**exponent,
             1.0 - ended,
+            self.gae_lambda,
         )
         self.advantages[:] = advantages
         self.returns[:] = advantages + values
@@ -202,7 +167,7 @@ class OptionRolloutBuffer(SMDPAdvantages, RolloutBuffer):
         observation_space: No ``Dict``.
         action_space: Augmented actions.
         *args: ``device``, ``gae_lambda``, ``gamma`` and ``n_envs``, as for ``RolloutBuffer``.
-        **kwargs: The same by name, and ``lambda_per`` of `SMDPAdvantages`.
+        **kwargs: The same by name.
 
     Raises:
         ValueError: Observations are a ``Dict``.

@@ -97,14 +97,13 @@ class ValueSnapshot:
         return values
 
 
-def interrupt_options(model: BaseAlgorithm, venv: VecEnv, *, margin: float = 0.0, every_choice: bool = True) -> bool:
+def interrupt_options(model: BaseAlgorithm, venv: VecEnv, *, every_choice: bool = True) -> bool:
     """Let options end in an environment where the model, as it is now, values something else more.
 
     Args:
         model: Whose values count.
         venv: Wrapped in `OptionsWrapper`.
-        margin: As for `Interruption`.
-        every_choice: Likewise; True where the model acts greedily.
+        every_choice: As for `Interruption`; True where the model acts greedily.
 
     Returns:
         Whether it can be done: DQN, QRDQN and OptionDQN have values of options. Beneath a ``VecFrameStack`` nobody sees
@@ -112,7 +111,7 @@ def interrupt_options(model: BaseAlgorithm, venv: VecEnv, *, margin: float = 0.0
     """
     if not heads.has_networks(model.policy) or is_vecenv_wrapped(venv, VecFrameStack):
         return False
-    rule = Interruption(ValueSnapshot(model), isinstance(model, OptionDQN), margin, every_choice)
+    rule = Interruption(ValueSnapshot(model), masks=isinstance(model, OptionDQN), every_choice=every_choice)
     venv.env_method("set_interruption", rule)
     return True
 

@@ -2,9 +2,8 @@
 
 from typing import Any
 
-import numpy as np
 import pytest
-from stable_baselines3 import DQN, PPO
+from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import EvalCallback
 
 from sb3_options import MacroQ, OptionReplayBuffer, OptionsWrapper
@@ -60,7 +59,7 @@ def test_a_closed_option_makes_room_for_another() -> None:
     model_of(optioned_rooms(2)).learn(5000, callback=callback)
     assert len(callback.discoveries) == 1
     assert not callback._may_discover()
-    callback._close_option(callback.discoveries[0].slot, "useless")
+    callback._close_option(callback.discoveries[0].slot, "harmful")
     assert callback._may_discover()
 
 
@@ -96,15 +95,3 @@ def test_going_on_without_the_options_says_so(caplog: pytest.LogCaptureFixture) 
     assert "Slot 0 is empty, and the model has learned what an option there is worth" in caplog.text
     assert "Slot 1" not in caplog.text
     assert heads.is_closed(model.policy, 4)
-
-
-def test_what_lambda_means_can_be_said_to_the_callback() -> None:
-    for callback in (
-        PrimitiveStepsCallback(lambda_per="primitive_step"),
-        SubgoalDiscoveryCallback(lambda_per="primitive_step", max_new_options=0),
-    ):
-        model: Any = PPO("MlpPolicy", with_option(), gamma=0.9, n_steps=16, batch_size=16, n_epochs=1)
-        model.learn(16, callback=callback)
-        assert model.rollout_buffer.lambda_per == "primitive_step"
-        expected = np.where(model.rollout_buffer.durations > 1, 0.9**model.rollout_buffer.durations, 0.9)
-        np.testing.assert_allclose(model.rollout_buffer.discounts, expected)

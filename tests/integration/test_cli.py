@@ -185,10 +185,10 @@ class TestTrain:
         cli.main([*args, "--no-interruption", "--intra-option", "--close-harmful"])
         cli.main([*args, "--max-option-exploration", "0.25"])
         switched, usual = made
-        assert switched.interruption_margin is None
+        assert not switched.interruption
         assert switched.trial == TrialSettings()
         assert switched.model.replay_buffer.intra_option  # type: ignore[attr-defined]  # of DQN
-        assert usual.interruption_margin == 0.0
+        assert usual.interruption
         assert usual.trial is None
         assert usual.max_option_exploration == 0.25
         assert not usual.model.replay_buffer.intra_option  # type: ignore[attr-defined]  # of DQN

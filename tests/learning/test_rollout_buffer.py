@@ -29,14 +29,12 @@ GAMMA, LAMBDA = 0.9, 0.8
 class Rollouts(BaseCallback):
     """Keeps everything that the last rollout was computed from, as the environments and the policy gave it."""
 
-    def __init__(self, lambda_per: Any = "decision") -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.lambda_per = lambda_per
         self.steps: list[dict[str, Any]] = []
 
     def _on_training_start(self) -> None:
         self.buffer: Any = self.model.rollout_buffer  # type: ignore[attr-defined]  # of on-policy algorithms
-        self.buffer.lambda_per = self.lambda_per
         compute = self.buffer.compute_returns_and_advantage
 
         def spy(last_values: torch.Tensor, dones: Any) -> None:
@@ -70,7 +68,7 @@ class Rollouts(BaseCallback):
             return float(policy.predict_values(observation, state, torch.zeros(1)))
 
 
-def oracle(steps: list[dict[str, Any]], last_values: Any, env: int, per_step: bool) -> list[Fraction]:
+def oracle(steps: list[dict[str, Any]], last_values: Any, env: int) -> list[Fraction]:
     """A = Σⱼ (Π discounts and traces) δⱼ, summed forward in exact fractions, without a recursion."""
     gamma, lam = Fraction(GAMMA), Fraction(LAMBDA)
     values = [Fraction(float(s["values"][env])) for s in steps] + [Fraction(float(last_values[env]))]
@@ -84,7 +82,7 @@ def oracle(steps: list[dict[str, Any]], last_values: Any, env: int, per_step: bo
             total += weight * (Fraction(float(step["rewards"][env])) + gamma**k * after - values[j])
             if done:
                 break
-            weight *= gamma**k * (lam**k if per_step else lam)
+            weight *= gamma**k * lam
         advantages.append(total)
     return advantages
 
@@ -114,19 +112,18 @@ def make(algorithm: type[OnPolicyAlgorithm], env: Any, **kwargs: Any) -> OnPolic
 
 
 @pytest.mark.parametrize("algorithm", [PPO, A2C, TRPO, MaskablePPO, RecurrentPPO])
-@pytest.mark.parametrize("lambda_per", ["decision", "primitive_step"])
-def test_advantages_and_returns_are_exact_with_timeouts_inside_options(algorithm: Any, lambda_per: Any) -> None:
+def test_advantages_and_returns_are_exact_with_timeouts_inside_options(algorithm: Any) -> None:
     # 13 steps: the option of 7 steps is cut off by the limit again and again.
     venv = DummyVecEnv([lambda: optioned_corridor(13), lambda: optioned_corridor(17)])
     model = make(algorithm, venv)
-    kept = Rollouts(lambda_per)
+    kept = Rollouts()
     model.learn(64, callback=CallbackList([PrimitiveStepsCallback(), kept]))
     assert isinstance(kept.buffer, SMDPAdvantages)
     durations = np.array([s["durations"] for s in kept.steps])
     timeouts = np.array([s["timeout_values"] for s in kept.steps]) != 0
     assert (timeouts & (durations > 1)).sum() >= 3, "no timeout inside an option: the case is not tested"
     for env in range(2):
-        expected = oracle(kept.steps, kept.last_values, env, lambda_per == "primitive_step")
+        expected = oracle(kept.steps, kept.last_values, env)
         values = np.array([s["values"][env] for s in kept.steps], dtype=np.float64)
         np.testing.assert_allclose(kept.advantages[:, env], [float(a) for a in expected], rtol=0, atol=1e-6)
         np.testing.assert_allclose(kept.returns[:, env], [float(a) for a in expected] + values, rtol=0, atol=1e-6)
@@ -139,19 +136,16 @@ def test_one_option_by_hand() -> None:
     discounts = np.array([[0.9**3], [0.9]])
     last = 1.0 - 0.25
     first = 2.0 + 0.729 * 0.25 - 0.5
-    per_decision = smdp_advantages(rewards, values, next_values, discounts, np.full((2, 1), 0.8), goes_on)
-    np.testing.assert_allclose(per_decision[:, 0], [first + 0.729 * 0.8 * last, last])
-    per_step = smdp_advantages(rewards, values, next_values, discounts, np.array([[0.8**3], [0.8]]), goes_on)
-    np.testing.assert_allclose(per_step[:, 0], [first + 0.729 * 0.512 * last, last])
+    advantages = smdp_advantages(rewards, values, next_values, discounts, goes_on, 0.8)
+    np.testing.assert_allclose(advantages[:, 0], [first + 0.729 * 0.8 * last, last])
 
 
-@pytest.mark.parametrize("lambda_per", ["decision", "primitive_step"])
-def test_without_options_it_is_the_stock_buffer(lambda_per: Any) -> None:
+def test_without_options_it_is_the_stock_buffer() -> None:
     rng = np.random.default_rng(0)
     spaces = Corridor().observation_space, Corridor().action_space
     kwargs: dict[str, Any] = {"device": "cpu", "gae_lambda": LAMBDA, "gamma": GAMMA, "n_envs": 3}
     stock = RolloutBuffer(50, *spaces, **kwargs)
-    ours = OptionRolloutBuffer(50, *spaces, lambda_per=lambda_per, **kwargs)
+    ours = OptionRolloutBuffer(50, *spaces, **kwargs)
     callback_like = np.full(3, 1.0), np.full(3, GAMMA)
     for _ in range(50):
         reward = rng.normal(size=3).astype(np.float32)
@@ -202,19 +196,16 @@ def test_a_users_own_environment_of_variable_durations(algorithm: Any) -> None:
     assert model.num_timesteps == buffer.durations.sum()
 
 
-def test_the_buffer_can_be_passed_with_its_meaning_of_lambda() -> None:
+def test_the_buffer_can_be_passed() -> None:
     model = PPO(
         "MlpPolicy",
         Journey(),
         n_steps=16,
         batch_size=16,
         rollout_buffer_class=OptionRolloutBuffer,
-        rollout_buffer_kwargs={"lambda_per": "primitive_step"},
     )
     model.learn(16, callback=PrimitiveStepsCallback())
-    buffer = model.rollout_buffer
-    assert isinstance(buffer, OptionRolloutBuffer)
-    assert buffer.lambda_per == "primitive_step"
+    assert type(model.rollout_buffer) is OptionRolloutBuffer
 
 
 def test_dict_observations() -> None:
@@ -293,12 +284,6 @@ def test_without_a_callback_it_says_what_to_pass() -> None:
 def test_an_environment_that_reports_no_durations() -> None:
     with pytest.raises(ValueError, match=r"no info\[\"option\"\]: wrap the environment in OptionsWrapper, or, if its"):
         make(PPO, StepLog(Corridor())).learn(64, callback=PrimitiveStepsCallback())
-
-
-def test_refuses_another_meaning_of_lambda() -> None:
-    spaces = Corridor().observation_space, Corridor().action_space
-    with pytest.raises(ValueError, match="lambda_per must be 'decision' or 'primitive_step', got 'option'"):
-        OptionRolloutBuffer(8, *spaces, lambda_per="option")
 
 
 def test_refuses_dict_observations() -> None:
