@@ -12,9 +12,9 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Figure, TensorBoardOutputFormat
 
 from sb3_options.callbacks.checks import check_model
+from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.primitive_steps import count_inner_steps, monitor_primitive_steps
 from sb3_options.callbacks.records import ClosedOption, DiscoveredOption
-from sb3_options.callbacks.serving import OptionServer
 from sb3_options.callbacks.statistics import OptionStatistics
 from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.discovery.figures import discovery_figures
@@ -119,13 +119,13 @@ class SubgoalDiscoveryCallback(BaseCallback):
         self._generator = torch.Generator().manual_seed(seed)
         self._statistics = OptionStatistics()
         self._growth = OptionGrowth()
-        self._server: OptionServer | None = None
+        self._installer: OptionInstaller | None = None
         self._rollout_buffer: SMDPAdvantages | None = None
 
     @property
     def bank(self) -> OptionBank:
         """The options there are; an empty bank before training starts."""
-        return OptionBank(1, 0) if self._server is None else self._server.bank
+        return OptionBank(1, 0) if self._installer is None else self._installer.bank
 
     def _on_training_start(self) -> None:
         venv = self.training_env
@@ -133,7 +133,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
         check_model(self.model, venv)
         self._rollout_buffer = option_rollout_buffer(self.model)
         monitor_primitive_steps(venv)
-        self._server = OptionServer(
+        self._installer = OptionInstaller(
             self.model,
             venv,
             self.locals.get("callback"),
@@ -155,12 +155,12 @@ class SubgoalDiscoveryCallback(BaseCallback):
         self._trials = None if self.trial is None else OptionTrials(venv, self.trial, self.seed)
 
     def _on_rollout_start(self) -> None:
-        self._serving.rollout_starts()
+        self._options.on_rollout_start()
 
     @property
-    def _serving(self) -> OptionServer:
-        assert self._server is not None  # made when training started
-        return self._server
+    def _options(self) -> OptionInstaller:
+        assert self._installer is not None  # made when training started
+        return self._installer
 
     def _on_step(self) -> bool:
         infos: list[dict[str, Any]] = self.locals["infos"]
@@ -185,7 +185,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
         try:
             if self._trials is not None:
                 success = bool(self.success(trajectory))
-                for slot, why in self._trials.episode_ended(report, success=success, filled=self._serving.staying()):
+                for slot, why in self._trials.episode_ended(report, success=success, filled=self._options.installed()):
                     self._close_option(slot, why)
             self._learn_from(trajectory)
         except ValueError as error:
@@ -198,7 +198,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
         discovers = self._may_discover()
         if not (discovers or (self.option_settings.goes_on and len(self.bank))):
             return
-        labelled = self.discovery.add(trajectory, self._serving.features_of(trajectory.states))
+        labelled = self.discovery.add(trajectory, self._options.features_of(trajectory.states))
         if self.option_settings.goes_on:
             self._learn_further(labelled)
         if discovers and (labelled.success or self.settings.negative_bags):
@@ -212,7 +212,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
             if isinstance(option, SubgoalOption):
                 further = self._further(slot, option, labelled)
                 if further is not option:
-                    self._serving.replace(slot, further)
+                    self._options.replace(slot, further)
 
     def _further(self, slot: int, option: SubgoalOption, labelled: LabelledTrajectory) -> SubgoalOption:
         if self.option_settings.grow and self._growth.is_due(slot, option.subgoal, labelled):
@@ -224,7 +224,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
         return learn_option(
             subgoal,
             self.discovery.database,
-            self._serving.n_primitive,
+            self._options.n_primitive,
             self.option_settings,
             self._generator,
             name=name,
@@ -244,7 +244,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
             logger.warning("No option for the subgoal at %s: no saved trajectory leads to it.", centre)
             return
         slot = self.bank.slots.index(None)
-        self._serving.put(slot, option)
+        self._options.install(slot, option)
         self._made_here.add(slot)
         self._growth.made(slot, subgoal, self.discovery.database)
         self.discoveries.append(
@@ -270,7 +270,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
                 logger.warning("The options could not be saved to %s, training goes on: %s", self.save_path, error)
 
     def _close_option(self, slot: int, why: Verdict) -> None:
-        self._serving.remove(slot)
+        self._options.uninstall(slot)
         self._made_here.discard(slot)
         self.closed.append(ClosedOption(slot, self.episodes, self.num_timesteps, why))
         logger.info("The option in slot %d proved %s and is closed, after %d episodes.", slot, why, self.episodes)
@@ -278,7 +278,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
             print(f"Option {slot} proved {why} and is closed, after {self.episodes} episodes")
 
     def _on_rollout_end(self) -> None:
-        self._serving.rollout_ends()
+        self._options.on_rollout_end()
 
     def _log(self) -> None:
         assert self.discovery is not None  # made when training started
@@ -304,7 +304,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
             )
 
     def _on_training_end(self) -> None:
-        self._serving.training_ends()
+        self._options.on_training_end()
         if self._trials is not None:
             self._trials.end()
         if self.closed:

@@ -21,8 +21,7 @@ from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.observations import FeatureMap
 from sb3_options.learning import heads
 from sb3_options.learning.joined_linear import JoinedLinear, check_optimizer, widened_linear
-from sb3_options.learning.replay_buffer import OptionReplayBuffer
-from sb3_options.learning.replay_expansion import check_buffer, option_replay_buffer
+from sb3_options.learning.replay_buffer import OptionReplayBuffer, check_stock_buffer
 
 logger = logging.getLogger("sb3_options")
 
@@ -70,7 +69,7 @@ def expand_action_space(
     for layer, _ in outputs:
         check_optimizer(model.policy.optimizer, layer)
     if isinstance(model, OffPolicyAlgorithm):
-        check_buffer(model.replay_buffer)
+        check_stock_buffer(model.replay_buffer)
     venv = _fitting(model, env, n_primitive, max_options, feature_map)
 
     actions = spaces.Discrete(n_primitive + max_options, seed=model.action_space.np_random)  # explores on as before
@@ -245,5 +244,5 @@ def _expand_replay(model: OffPolicyAlgorithm, actions: spaces.Discrete) -> None:
             **model.replay_buffer_kwargs,
         )
         if stock is None
-        else option_replay_buffer(stock, actions, model.gamma)
+        else OptionReplayBuffer.from_stock(stock, actions, model.gamma)
     )

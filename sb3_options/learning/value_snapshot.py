@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +24,9 @@ from sb3_options.execution.interruption import Interruption
 from sb3_options.experience.observations import FloatArray, batch_of_one, flatten
 from sb3_options.learning import heads
 from sb3_options.learning.dqn import OptionDQN
+
+REFRESH = 500
+"""Primitive steps after which `Interrupter` sends newer values."""
 
 
 class _Scale(NamedTuple):
@@ -114,6 +118,30 @@ def interrupt_options(model: BaseAlgorithm, venv: VecEnv, *, every_choice: bool 
     rule = Interruption(ValueSnapshot(model), masks=isinstance(model, OptionDQN), every_choice=every_choice)
     venv.env_method("set_interruption", rule)
     return True
+
+
+class Interrupter:
+    """Keeps the values in the environments at most `REFRESH` primitive steps behind the model's.
+
+    Args:
+        model: Being trained.
+        venv: Its environment, where an option is interrupted if it was the best choice where it began.
+        eval_envs: Where choices are greedy, and every option is interrupted.
+    """
+
+    def __init__(self, model: BaseAlgorithm, venv: VecEnv, eval_envs: Sequence[VecEnv]) -> None:
+        self.model, self.venv, self.eval_envs = model, venv, eval_envs
+        self._refreshed: int | None = None
+
+    def refresh(self, *, at_once: bool = False) -> None:
+        """Send the model's values, if those that were sent are too old."""
+        now = self.model.num_timesteps
+        if not at_once and self._refreshed is not None and now - self._refreshed < REFRESH:
+            return
+        self._refreshed = now
+        interrupt_options(self.model, self.venv, every_choice=False)
+        for eval_env in self.eval_envs:
+            interrupt_options(self.model, eval_env)
 
 
 def _numpy_layers(network: Any, outputs: int) -> list[tuple[FloatArray, FloatArray]]:

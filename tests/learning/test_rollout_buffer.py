@@ -16,7 +16,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from sb3_options import Option, OptionDictRolloutBuffer, OptionRolloutBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback
-from sb3_options.callbacks.serving import OptionServer
+from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.experience.observations import batch_size
 from sb3_options.learning.contrib_buffers import OptionMaskableRolloutBuffer, OptionRecurrentRolloutBuffer
 from sb3_options.learning.rollout_buffer import Passage, SMDPAdvantages, smdp_advantages
@@ -256,12 +256,12 @@ def test_an_option_moves_in_between_rollouts_only() -> None:
     env = OptionsWrapper(Corridor(), 1, gamma=GAMMA)
     stock, masked = make(PPO, env), make(MaskablePPO, OptionsWrapper(Corridor(), 1, gamma=GAMMA))
     for model, at_once in ((stock, False), (masked, True)):
-        server = OptionServer(model, env_of(model), None)
-        server.put(0, steady_option(1))
+        installer = OptionInstaller(model, env_of(model), None)
+        installer.install(0, steady_option(1))
         banks = env_of(model).get_attr("bank")
         assert (len(banks[0]) == 1) is at_once
-        assert len(server.bank) == 1
-        server.rollout_starts()
+        assert len(installer.bank) == 1
+        installer.on_rollout_start()
         assert len(env_of(model).get_attr("bank")[0]) == 1
 
 
@@ -302,7 +302,7 @@ def test_an_option_opens_with_its_share_of_the_probability_where_masks_keep_it_i
     with torch.no_grad():
         model.policy.action_net.weight.zero_()
         model.policy.action_net.bias.zero_()
-    OptionServer(model, env_of(model), None, max_option_exploration=share)
+    OptionInstaller(model, env_of(model), None, max_option_exploration=share)
     observation = torch.zeros((1, 2))
     masks = np.array([[True, True, *[True] * n_present, *[False] * (3 - n_present)]])
     probabilities = model.policy.get_distribution(observation, action_masks=masks).distribution.probs[0].detach()
@@ -316,11 +316,11 @@ def test_an_untrained_model_opens_the_heads_of_options_that_are_there_a_trained_
     env.bank.add(steady_option(1))
     model: Any = make(PPO, env)
     head = model.policy.action_net
-    OptionServer(model, env_of(model), None)
+    OptionInstaller(model, env_of(model), None)
     assert torch.equal(head.weight[2], head.weight[:2].mean(dim=0))
     assert torch.equal(head.bias[2], head.bias[:2].mean(dim=0))
     model.learn(64, callback=PrimitiveStepsCallback())
     learned = head.weight[2].clone()
-    OptionServer(model, env_of(model), None)
+    OptionInstaller(model, env_of(model), None)
     assert torch.equal(head.weight[2], learned)
     assert not torch.equal(learned, head.weight[:2].mean(dim=0))
