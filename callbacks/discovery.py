@@ -26,8 +26,7 @@ from sb3_options.execution.withholding import TrialReport
 from sb3_options.execution.workers import watch_workers
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
-from sb3_options.learning.on_policy import option_rollout_buffer
-from sb3_options.learning.rollout_buffer import SMDPAdvantages, passage_of
+from sb3_options.learning.rollout_buffer import SMDPAdvantages, option_rollout_buffer
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.creation import OptionGrowth, learn_further, learn_option
 from sb3_options.options.option import Region, SubgoalOption
@@ -167,7 +166,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
         runs = [OptionRun.from_info(info) for info in infos]
         count_inner_steps(self, runs)
         if self._rollout_buffer is not None:
-            self._rollout_buffer.expect(passage_of(self.locals["rewards"], runs))
+            self._rollout_buffer.expect(self.locals["rewards"], runs)
         for info, run in zip(infos, runs, strict=True):
             if run.index >= 0:
                 self._statistics.add(run)

@@ -20,8 +20,7 @@ from sb3_options.execution.workers import watch_workers
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning import heads
-from sb3_options.learning.on_policy import option_rollout_buffer
-from sb3_options.learning.rollout_buffer import passage_of
+from sb3_options.learning.rollout_buffer import option_rollout_buffer
 from sb3_options.options.bank import OptionBank
 
 logger = logging.getLogger("sb3_options")
@@ -58,7 +57,7 @@ class PrimitiveStepsCallback(BaseCallback):
     def _on_step(self) -> bool:
         runs = [OptionRun.from_info(info) for info in self.locals["infos"]]
         if self._rollout_buffer is not None:
-            self._rollout_buffer.expect(passage_of(self.locals["rewards"], runs))
+            self._rollout_buffer.expect(self.locals["rewards"], runs)
         count_inner_steps(self, runs)
         return True
 
