@@ -15,8 +15,8 @@ from stable_baselines3.common.vec_env import (
     is_vecenv_wrapped,
 )
 
-from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.learning import heads
+from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.macro_q import MacroQ
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 
@@ -47,22 +47,6 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
         raise ValueError(
             f"There is no default feature map for {venv.observation_space}: pass OptionsWrapper(env, "
             "feature_map=...) a function from a batch of observations to features of shape (batch, d)."
-        )
-
-
-def check_gamma(model: BaseAlgorithm, venv: VecEnv) -> None:
-    """Refuse a discount that is not the wrapper's.
-
-    Raises:
-        ValueError: They differ.
-    """
-    gammas: list[float] = venv.get_attr("gamma")
-    model_gamma: float = model.gamma  # type: ignore[attr-defined]  # every algorithm that passed until here has it
-    different = [gamma for gamma in gammas if abs(gamma - model_gamma) > 1e-12]
-    if different:
-        raise ValueError(
-            f"OptionsWrapper discounts with gamma={different[0]}, {type(model).__name__} with gamma={model_gamma}: "
-            "give both the same."
         )
 
 
@@ -125,19 +109,6 @@ def _check_stacked_frames(model: BaseAlgorithm, buffer: OptionReplayBuffer, venv
             "The steps inside options are never stacked by VecFrameStack, so that Macro-Q cannot learn from them: pass "
             f"{name}(..., replay_buffer_kwargs={{'macro_q': False}}), or stack beneath the options: "
             "OptionsWrapper(FrameStackObservation(env, n))."
-        )
-
-
-def check_wrapped(venv: VecEnv, whose: str) -> None:
-    """Refuse an environment without `OptionsWrapper`.
-
-    Raises:
-        ValueError: One of the environments is not wrapped.
-    """
-    if not all(venv.env_is_wrapped(OptionsWrapper)):
-        raise ValueError(
-            f"{whose} is not wrapped in OptionsWrapper: use OptionsWrapper(env, max_options=..., gamma=...) or "
-            "make_vec_env(..., wrapper_class=OptionsWrapper)."
         )
 
 

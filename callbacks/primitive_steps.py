@@ -15,11 +15,12 @@ from stable_baselines3.common.callbacks import (
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, is_vecenv_wrapped
 
-from sb3_options.callbacks.checks import check_gamma, check_replay_buffer, check_wrapped
+from sb3_options.callbacks.checks import check_replay_buffer
 from sb3_options.execution.workers import watch_workers
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning import heads
+from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.rollout_buffer import option_rollout_buffer
 from sb3_options.options.bank import OptionBank
 

@@ -20,6 +20,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.observations import FeatureMap
 from sb3_options.learning import heads
+from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.joined_linear import JoinedLinear, check_optimizer, widened_linear
 from sb3_options.learning.replay_buffer import OptionReplayBuffer, check_stock_buffer
 
@@ -138,11 +139,7 @@ def _fitting(
     if feature_map is not None:
         raise ValueError("feature_map belongs to OptionsWrapper: with env=... pass it to the wrapper in there.")
     venv = model._wrap_env(env, model.verbose)
-    if not all(venv.env_is_wrapped(OptionsWrapper)):
-        raise ValueError(
-            f"env is not wrapped in OptionsWrapper: use OptionsWrapper(env, {max_options}, gamma={gamma}) or "
-            "make_vec_env(..., wrapper_class=OptionsWrapper)."
-        )
+    check_wrapped(venv, "env", max_options=max_options, gamma=gamma)
     _check_fit(model, venv, n_primitive, max_options, gamma)
     return venv
 
@@ -156,9 +153,7 @@ def _check_fit(model: BaseAlgorithm, venv: VecEnv, n_primitive: int, max_options
         raise ValueError(
             f"env has {n_actions - n_primitive} option slots, max_options is {max_options}: give both the same."
         )
-    different = [g for g in venv.get_attr("gamma") if abs(g - gamma) > 1e-12]
-    if different:
-        raise ValueError(f"OptionsWrapper discounts with gamma={different[0]}, the model with gamma={gamma}.")
+    check_gamma(model, venv)
     if venv.observation_space != model.observation_space:
         raise ValueError(
             f"The model was trained on observations {model.observation_space}, env has {venv.observation_space}."

@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from gymnasium import spaces
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback
 from stable_baselines3.common.utils import safe_mean
@@ -18,6 +17,7 @@ from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.observations import BoolArray, FloatArray
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.linear_features import LinearFeatures, OneHot
+from sb3_options.learning.masked import MaskedPrediction, n_actions_of
 
 
 class LinearPolicy(BasePolicy):
@@ -50,7 +50,7 @@ class LinearPolicy(BasePolicy):
         return torch.as_tensor(self.values(np.asarray(observation)).argmax(axis=1))
 
 
-class MacroQ(BaseAlgorithm):
+class MacroQ(MaskedPrediction):
     """Q-learning (Watkins 1989), and Macro Q-learning once there are options (McGovern & Sutton 1998).
 
     After a primitive action: Q(s, a) ← Q(s, a) + α [r + γ max Q(s', ·) − Q(s, a)]. After an option of k steps the same
@@ -120,7 +120,7 @@ class MacroQ(BaseAlgorithm):
         if self.features is None:
             self.features = default_features(self.observation_space)
         self.policy = LinearPolicy(self.observation_space, self.action_space, self.features)
-        self._n_actions = int(self.action_space.n)
+        self._n_actions = n_actions_of(self)
         self._count_slots()
 
     def set_env(self, env: GymEnv, force_reset: bool = True) -> None:
@@ -328,41 +328,13 @@ class MacroQ(BaseAlgorithm):
             choices = [a for a in choices if values[a] == best]
         return choices[0] if len(choices) == 1 else choices[int(self._random.random() * len(choices))]
 
-    def predict(
-        self,
-        observation: npt.NDArray[Any] | dict[str, npt.NDArray[Any]],
-        state: tuple[npt.NDArray[Any], ...] | None = None,
-        episode_start: npt.NDArray[Any] | None = None,
-        deterministic: bool = False,
-        action_masks: BoolArray | None = None,
-    ) -> tuple[npt.NDArray[Any], tuple[npt.NDArray[Any], ...] | None]:
-        """Greedy (or ε-greedy) among the available actions.
-
-        Args:
-            observation: One, or a batch.
-            state: Passed through.
-            episode_start: Unused.
-            deterministic: Greedy, without ε, the first of several best.
-            action_masks: Which actions may be taken; by default asked from the model's own environment, by initiation
-                sets alone.
-
-        Returns:
-            Actions and ``state``.
-        """
+    def _action_values(self, observation: Any) -> tuple[FloatArray, bool]:
         vectorized = self.policy.is_vectorized_observation(observation)
-        batch = np.asarray(observation) if vectorized else np.asarray(observation)[None]
-        if action_masks is None:
-            action_masks = np.ones((len(batch), self._n_actions), dtype=bool)
-            if self._n_slots and self.env is not None:
-                action_masks = self.env.env_method("available", batch, indices=[0])[0]
-        masks = np.asarray(action_masks, dtype=bool).reshape(len(batch), -1)
-        values = self.policy.values(batch)
-        if deterministic:
-            actions = np.where(masks, values, -np.inf).argmax(axis=1)
-        else:
-            choices = [mask.nonzero()[0].tolist() for mask in masks]
-            actions = np.array([self._explore(v, c) for v, c in zip(values.tolist(), choices, strict=True)])
-        return (actions if vectorized else actions[0]), state
+        return self.policy.values(np.asarray(observation) if vectorized else np.asarray(observation)[None]), vectorized
+
+    def _explored(self, values: FloatArray, masks: BoolArray, greedy: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        choices = [mask.nonzero()[0].tolist() for mask in masks]
+        return np.array([self._explore(v, c) for v, c in zip(values.tolist(), choices, strict=True)])
 
     def _log(self) -> None:
         if self.ep_info_buffer:
