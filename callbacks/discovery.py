@@ -14,8 +14,7 @@ from stable_baselines3.common.logger import Figure, TensorBoardOutputFormat
 from sb3_options.callbacks.checks import check_model
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.primitive_steps import count_inner_steps, monitor_primitive_steps
-from sb3_options.callbacks.records import ClosedOption, DiscoveredOption
-from sb3_options.callbacks.statistics import OptionStatistics
+from sb3_options.callbacks.records import ClosedOption, DiscoveredOption, OptionStatistics
 from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.discovery.figures import discovery_figures
 from sb3_options.discovery.static_filter import StaticFilter, SuccessRule, reported_success
