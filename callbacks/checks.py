@@ -1,4 +1,4 @@
-"""What discovery needs of a model and its environment, checked before training starts."""
+"""Checks of a model and its environment before training starts."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from sb3_options.learning.replay_buffer import OptionReplayBuffer
 
 
 def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
-    """Refuse what options cannot be discovered for.
+    """Refuse a model or an environment for which no options can be discovered.
 
     Args:
         model: About to be trained.
         venv: Its environment.
 
     Raises:
-        TypeError: Actions are not discrete, or the algorithm has no heads that could be opened.
+        TypeError: Actions are not discrete, or the heads of the policy are not known.
         ValueError: Wrapper, replay buffer, discount or feature map are missing or do not fit. Each text says what
             to change.
     """
@@ -51,10 +51,10 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
 
 
 def _check_nothing_above_changes_observations(venv: VecEnv) -> None:
-    """Refuse wrappers above `OptionsWrapper` that change observations: options act on what the wrapper sees."""
+    """Refuse wrappers above `OptionsWrapper` that change observations: options act on those that it sees."""
     seen: spaces.Space[Any] = venv.env_method("seen_observation_space", indices=[0])[0]
     while isinstance(venv, VecEnvWrapper):
-        # These three are undone where it matters.
+        # What these three do is undone where options are asked.
         undone = isinstance(venv, (VecNormalize, VecTransposeImage, VecFrameStack))
         if not undone and venv.observation_space != venv.venv.observation_space:
             _refuse_change(venv.venv.observation_space, venv.observation_space)
@@ -71,7 +71,7 @@ def _refuse_change(seen: spaces.Space[Any], given: spaces.Space[Any]) -> NoRetur
 
 
 def _check_deep(model: BaseAlgorithm, venv: VecEnv) -> None:
-    """Refuse an off-policy algorithm without `OptionReplayBuffer`, and any without heads that could be opened."""
+    """Refuse an off-policy algorithm without `OptionReplayBuffer`, and a policy whose heads are not known."""
     check_replay_buffer(model)
     buffer = getattr(model, "replay_buffer", None)
     if isinstance(buffer, OptionReplayBuffer):
@@ -80,7 +80,7 @@ def _check_deep(model: BaseAlgorithm, venv: VecEnv) -> None:
 
 
 def check_replay_buffer(model: BaseAlgorithm) -> None:
-    """Refuse a replay buffer that does not know of durations.
+    """Refuse a replay buffer that discounts every transition with γ.
 
     Raises:
         ValueError: The model has one.

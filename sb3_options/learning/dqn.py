@@ -23,10 +23,10 @@ from sb3_options.learning.replay_buffer import OptionReplayBuffer, OptionReplayB
 
 
 class OptionDQN(MaskedPrediction, DQN):
-    """DQN whose greedy, ε-random and warm-up actions and bootstrap targets keep to the available options.
+    """DQN whose greedy, ε-random and warm-up actions and bootstrap targets are limited to the available options.
 
-    Stock DQN sees every slot as an action, and its target maximises over all of them. Here an option counts only in
-    the observations of its initiation set, and an empty slot nowhere.
+    Stock DQN takes every slot for an action, and its target is a maximum over all of them. Here an option is available
+    only in its initiation set, and an empty slot never.
 
     Args:
         policy: As for ``DQN``.

@@ -145,19 +145,15 @@ class MacroQ(MaskedPrediction):
         reset_num_timesteps: bool = True,
         progress_bar: bool = False,
     ) -> Self:
-        """Learn for a number of timesteps.
+        """Learn for a number of timesteps; arguments and result are as in SB3.
 
         Args:
-            total_timesteps: How many: primitive steps where a callback of this library is there to count them, and
-                decisions otherwise.
-            callback: Any SB3 callback or list of them.
-            log_interval: Log every so many episodes; None never does.
+            total_timesteps: Primitive steps if a callback of this library counts them, else decisions.
+            callback: One or several.
+            log_interval: Episodes between two entries of the log; None writes none.
             tb_log_name: Name of the run for TensorBoard.
-            reset_num_timesteps: Start counting from 0.
-            progress_bar: Show one.
-
-        Returns:
-            The model.
+            reset_num_timesteps: Whether counting starts from 0.
+            progress_bar: Whether to show one.
         """
         # Callbacks look for each other in the local `callback`, as with SB3's own algorithms.
         total_timesteps, callback = self._setup_learn(
@@ -167,7 +163,8 @@ class MacroQ(MaskedPrediction):
         assert self.features is not None  # set up with the model
         callback.on_training_start(locals(), globals())
         callback.on_rollout_start()
-        self._begin_learning()
+        self._table = self.policy.table()
+        self._step_size = cast("float", self.learning_rate)  # the constructor takes no schedule
         choices = self._choices()
         active = self._active(self._last_obs)
         goes_on = True
@@ -183,14 +180,14 @@ class MacroQ(MaskedPrediction):
                 ended = over[i] and not info["TimeLimit.truncated"]
                 self._learn_from(active[i], int(actions[i]), float(rewards[i]), arrived, ended, run)
             self._last_obs, active = new_obs, new_active  # type: ignore[assignment]  # SB3 annotates it as None
-            # After learning: a callback that stops training at the end of an episode loses nothing of it.
+            # After the update, so that a callback that stops training at the end of an episode loses no step.
             callback.update_locals(locals())
             goes_on = callback.on_step()
             self._update_current_progress_remaining(self.num_timesteps, total_timesteps)
             if any(over):
-                self._update_info_buffer(infos, dones)  # infos say something of episodes only at their ends
+                self._update_info_buffer(infos, dones)
                 self._episode_num += sum(over)
-                choices = self._choices()  # options may have come, and the environment was reset
+                choices = self._choices()  # new options, and another state after the reset
                 if log_interval is not None and self._episode_num % log_interval == 0:
                     self._log()
             elif self._n_slots:
@@ -207,7 +204,7 @@ class MacroQ(MaskedPrediction):
         led: Sequence[int],
         ended: Sequence[bool],
     ) -> None:
-        """Q-learning from primitive steps lived through earlier, in the given order (experience replay, Lin 1992).
+        """Q-learning from earlier primitive steps, in the given order (experience replay, Lin 1992).
 
         Only for features of which one is active, such as `OneHot`; the maximum is taken over primitive actions.
 
@@ -226,10 +223,6 @@ class MacroQ(MaskedPrediction):
             rows[state][action] += step_size * (target - rows[state][action])
         table[:] = rows
 
-    def _begin_learning(self) -> None:
-        self._table = self.policy.table()
-        self._step_size = cast("float", self.learning_rate)  # the constructor takes no schedule
-
     def _learn_from(
         self,
         began: list[int],
@@ -239,7 +232,7 @@ class MacroQ(MaskedPrediction):
         ended: bool,
         run: OptionRun | None,
     ) -> None:
-        """Learn from one call of ``step``, and from the primitive steps inside it.
+        """Update the values from one call of ``step`` and from the primitive steps inside it.
 
         Args:
             began: Active features where it began.

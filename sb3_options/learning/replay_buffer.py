@@ -37,7 +37,7 @@ class OptionReplayBufferSamples(NamedTuple):
         rewards: Σ γⁱ rᵢ over the k primitive steps, (batch, 1).
         discounts: γᵏ, (batch, 1).
         next_available: Which option slots may start in the next observation, (batch, max_options); None where the
-            buffer was told of no primitive actions.
+            buffer does not track availability.
     """
 
     observations: Any
@@ -54,7 +54,7 @@ class OptionReplayBuffer(ReplayBuffer):
 
     Every transition of k primitive steps is stored with Σ γⁱ rᵢ and sampled with ``discounts`` = γᵏ, which DQN,
     QRDQN and the others put into their targets: SMDP Q-learning (Bradtke & Duff 1995; Sutton, Precup & Singh 1999,
-    §2). What an empty slot really ran is stored as the primitive it was.
+    §2). The random primitive that an empty slot ran is stored as that primitive.
 
     Macro-Q learning (McGovern & Sutton 1998): each primitive step inside an option is stored as well, with its own
     action and reward and a discount of γ, so that one run of an option updates k + 1 values.

@@ -51,7 +51,7 @@ def smdp_advantages(
 
 
 class SMDPAdvantages:
-    """Makes the advantages of an SB3 rollout buffer those of a semi-Markov process; stands before it in the bases.
+    """Advantages of a semi-Markov process for an SB3 rollout buffer, which comes after this class in the bases.
 
     SB3 discounts every transition with γ, and adds γ V(s) to the last reward of an episode that timed out. Here both
     are γᵏ for a transition of k primitive steps. SB3 does not pass infos to the buffer. Hence a callback
@@ -59,7 +59,7 @@ class SMDPAdvantages:
 
     """
 
-    # Of the SB3 buffer that stands behind this class in the bases.
+    # Attributes of the SB3 buffer.
     buffer_size: int
     n_envs: int
     gamma: float
@@ -143,27 +143,17 @@ class OptionRolloutBuffer(SMDPAdvantages, RolloutBuffer):
     ``Dict`` observations it is `OptionDictRolloutBuffer`.
 
     Args:
-        buffer_size: Decisions per environment.
-        observation_space: No ``Dict``.
-        action_space: Augmented actions.
-        *args: ``device``, ``gae_lambda``, ``gamma`` and ``n_envs``, as for ``RolloutBuffer``.
-        **kwargs: The same by name.
+        *args: As for ``RolloutBuffer``; ``buffer_size`` counts decisions per environment.
+        **kwargs: As for ``RolloutBuffer``.
 
     Raises:
         ValueError: Observations are a ``Dict``.
     """
 
-    def __init__(
-        self,
-        buffer_size: int,
-        observation_space: spaces.Space[Any],
-        action_space: spaces.Space[Any],
-        *args: Any,
-        **kwargs: Any,
-    ) -> None:
-        if isinstance(observation_space, spaces.Dict):
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        if any(isinstance(value, spaces.Dict) for value in (*args, *kwargs.values())):
             raise ValueError("For Dict observations pass rollout_buffer_class=OptionDictRolloutBuffer.")
-        super().__init__(buffer_size, observation_space, action_space, *args, **kwargs)
+        super().__init__(*args, **kwargs)
 
 
 class OptionDictRolloutBuffer(SMDPAdvantages, DictRolloutBuffer):
