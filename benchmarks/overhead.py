@@ -30,7 +30,7 @@ from benchmarks.turns import take_turns
 from experiments.common.study import show, write
 from sb3_options import OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
-from sb3_options.runs.evaluation import mean_interval
+from sb3_options.runs.intervals import mean_interval
 
 ENV = "sb3_options.envs:sb3_options/TwoRooms-v0"  # with its module, for worker processes
 GAMMA = 0.97

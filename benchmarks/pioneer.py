@@ -25,7 +25,7 @@ from benchmarks.turns import take_turns
 from experiments.common.study import show, write
 from sb3_options.envs.pioneer.env import Pioneer
 from sb3_options.envs.pioneer.robot import CONTROL_RATE, PHYSICS_RATE
-from sb3_options.runs.evaluation import mean_interval
+from sb3_options.runs.intervals import mean_interval
 
 PEER = "PandaPush-v3"
 """A robot pushes an object, and the reward does not depend on a picture: the nearest to our task."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import shutil
 import sys
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -17,11 +19,12 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from stable_baselines3.common.callbacks import BaseCallback, EvalCallback, EveryNTimesteps
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback, EveryNTimesteps
 from stable_baselines3.common.vec_env import VecEnv
 
 import sb3_options.envs  # noqa: F401  # registers them
-from sb3_options.atomic import whole_file
+from sb3_options.atomic import atomic_write
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.execution.trials import TrialSettings
@@ -30,7 +33,10 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.runs import config as configs
 from sb3_options.runs import evaluation
 from sb3_options.runs import folder as runs
+from sb3_options.runs.algorithms import callback_settings, eval_callback_class, make_model
 from sb3_options.runs.config import TrainConfig
+from sb3_options.runs.flags import parse
+from sb3_options.runs.interrupts import Interrupts, StopWhenNoted
 
 console = Console(highlight=False, soft_wrap=True)
 errors = Console(highlight=False, soft_wrap=True, stderr=True)
@@ -39,6 +45,9 @@ EVAL_SEED = 10_000
 """Evaluation environments count their seeds from here, so that none equals a training seed."""
 
 FIGURE_DPI = 110
+
+INTERRUPTED = 130
+"""Exit status where an interrupt left nothing; shells use it for a process that SIGINT ended."""
 
 
 @dataclass(frozen=True)
@@ -49,17 +58,19 @@ class EvaluateConfig:
         run: The run folder that training named.
         episodes: How many to play.
         seed: Of the environment.
+        env: Environment to play in; by default the run's.
         video: Write the first ten episodes to this file, MP4 or GIF.
     """
 
     run: Annotated[Path, tyro.conf.Positional]
     episodes: int = 100
     seed: int = EVAL_SEED
+    env: str | None = None
     video: Path | None = None
 
 
 def main(args: Sequence[str] | None = None) -> None:
-    """Run a command line: ``evaluate RUN …`` or the flags of `TrainConfig`.
+    """Run a command line: ``evaluate RUN …``, or an algorithm and the flags of its settings.
 
     Args:
         args: Without the program's name; by default those of the process.
@@ -69,16 +80,20 @@ def main(args: Sequence[str] | None = None) -> None:
         if args[:1] == ["evaluate"]:
             evaluate(tyro.cli(EvaluateConfig, prog="train.py evaluate", args=args[1:]))
         else:
-            train(configs.parse(args))
+            train(parse(args))
+    except KeyboardInterrupt as interrupt:
+        errors.print(" ".join(["Interrupted", *interrupt.args]) + ".")
+        sys.exit(INTERRUPTED)
     except (ValueError, TypeError, OSError, ModuleNotFoundError, WorkerLostError, gym.error.Error) as error:
-        errors.print(f"[bold red]Error:[/] {escape(str(error))}")
+        errors.print(f"[bold red]Error:[/] {escape(' '.join([str(error), *getattr(error, '__notes__', ())]))}")
         sys.exit(1)
 
 
 def train(config: TrainConfig) -> Path:
     """Train, and leave a run folder.
 
-    An interrupt or an error ends training early; what was learned until then is kept.
+    An interrupt or an error ends training early; what was learned until then is kept. Before the first step there is
+    nothing to keep, and no folder is left.
 
     Args:
         config: Of the run.
@@ -87,93 +102,105 @@ def train(config: TrainConfig) -> Path:
         The run folder.
 
     Raises:
+        KeyboardInterrupt: An interrupt came before the first step.
         ValueError: Something in the configuration does not fit.
         OSError: The run folder cannot be written.
         WorkerLostError: A worker process of ``--vec-env subproc`` has ended.
     """
     torch.set_num_threads(config.num_threads)
     runs.check_env_id(config.env)
-    first = runs.make_env(config, 1, config.seed)  # what cannot be made leaves no folder behind
-    bank: OptionBank = first.get_attr("bank")[0]
-    started_with = [(slot, option.name) for slot, option in enumerate(bank.slots) if option is not None]
-    first.close()
-    folder = runs.new_run_folder(config)
-    subproc = config.vec_env == "subproc"
-    env = runs.make_env(config, config.n_envs, config.seed, monitor_dir=folder / runs.MONITOR, subproc=subproc)
-    envs = [env]
-    configs.save(config, folder / runs.CONFIG)
-    model = runs.make_model(config, env)
-    model.tensorboard_log = str(folder)
-    discovery = SubgoalDiscoveryCallback(
-        config.discovery,
-        config.option,
-        max_new_options=config.max_new_options if config.discover else 0,
-        teach_head=config.teach_head,
-        max_option_exploration=config.max_option_exploration,
-        interruption=config.interruption,
-        trial=TrialSettings() if config.close_harmful else None,
-        save_path=folder / runs.OPTIONS,
-        seed=config.seed,
-        verbose=1,
-    )
-    callbacks: list[BaseCallback] = [discovery]
-    if config.eval_freq > 0:
-        envs.append(runs.make_env(config, 1, EVAL_SEED + config.seed, subproc=subproc))
-        evaluation_callback = _eval_callback_class(config.algo)(
-            envs[-1],
-            n_eval_episodes=config.eval_episodes,
-            eval_freq=1,
-            log_path=str(folder),
-            verbose=0,
+    with Interrupts() as interrupts:
+        with closing(runs.make_env(config, 1, config.seed)) as env:  # what cannot be made leaves no folder
+            bank: OptionBank = env.get_attr("bank")[0]
+            started_with = [f"{slot} ({option.name})" for slot, option in enumerate(bank.slots) if option is not None]
+        discovery = SubgoalDiscoveryCallback(
+            config.discovery,
+            config.option,
+            max_new_options=config.max_new_options if config.discover else 0,
+            trial=TrialSettings() if config.close_harmful else None,
+            seed=config.seed,
+            verbose=1,
+            **callback_settings(config),
         )
-        # EvalCallback counts calls of step, of which one may be many primitive steps.
-        callbacks.append(EveryNTimesteps(config.eval_freq, evaluation_callback))
-    console.print(f"Training {config.algo.upper()} on {escape(config.env)} for {config.n_timesteps:,} primitive steps.")
-    finished = True
-    try:
-        model.learn(config.n_timesteps, callback=callbacks, progress_bar=config.progress, tb_log_name="tensorboard")
-    except KeyboardInterrupt:
-        finished = False
-    except WorkerLostError as error:
-        _close(envs, finished=False)
-        raise WorkerLostError(f"{error} What was learned until then is kept in {folder}.") from error
-    finally:
-        # Whatever ended it, what was learned until then is kept.
-        with whole_file(folder / runs.MODEL) as temporary:
-            model.save(temporary)
-        discovery.bank.save(folder / runs.OPTIONS)
-    _close(envs, finished=finished)
-    if discovery.discovery is not None:
-        if subproc:  # φ was in a process that has ended
-            env = runs.make_env(config, 1, config.seed)
-            discovery.bank.bind(lambda observations: env.env_method("concept_features", observations)[0])
-        with whole_file(folder / runs.SUBGOALS) as temporary:
-            subgoals_figure(discovery.discovery, discovery.bank).savefig(temporary, dpi=FIGURE_DPI)
+        folder = runs.new_run_folder(config)
+        _learn(config, discovery, folder, interrupts)
+    if not folder.exists():
+        raise KeyboardInterrupt("before the first step: there is nothing to keep")
+    _draw(config, discovery, folder)
     unit = "episode" if config.discovery.segmentation == "episodes" else "segment"
     took = f"{discovery.num_timesteps:,} primitive steps, {discovery.episodes:,} {unit}s"
-    console.print(f"\n[bold]{'Finished' if finished else 'Interrupted'}[/] after {took}.")
+    console.print(f"\n[bold]{'Interrupted' if interrupts.noted else 'Finished'}[/] after {took}.")
     if config.options is not None:
-        what = ", ".join(f"{slot} ({name})" for slot, name in started_with) or "none"
+        what = ", ".join(started_with) or "none"
         console.print(f"Started with the options of {escape(str(config.options))}: {escape(what)}.")
     _report(discovery, folder, unit)
     return folder
 
 
-def _close(envs: Sequence[VecEnv], *, finished: bool) -> None:
-    for env in envs:
-        if finished:
-            env.close()
+def _learn(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path, interrupts: Interrupts) -> None:
+    """Train, and save what was learned, however training ends; without a step taken, remove the folder."""
+    subproc = config.vec_env == "subproc"
+    discovery.save_path = folder / runs.OPTIONS
+    model: BaseAlgorithm | None = None
+    envs: list[VecEnv] = []
+    finished = False
+    try:
+        monitors = folder / runs.MONITOR
+        envs.append(runs.make_env(config, config.n_envs, config.seed, monitor_dir=monitors, subproc=subproc))
+        configs.save(config, folder / runs.CONFIG)
+        model = make_model(config, envs[0])
+        model.tensorboard_log = str(folder)
+        callbacks: list[BaseCallback] = [discovery]
+        if config.eval_freq > 0:
+            envs.append(runs.make_env(config, 1, EVAL_SEED + config.seed, subproc=subproc))
+            evaluation_callback = eval_callback_class(config.algo)(
+                envs[1], n_eval_episodes=config.eval_episodes, eval_freq=1, log_path=str(folder), verbose=0
+            )
+            # EvalCallback counts calls of step, of which one may be many primitive steps.
+            callbacks.append(EveryNTimesteps(config.eval_freq, evaluation_callback))
+        callbacks.append(StopWhenNoted(interrupts))
+        if not interrupts.noted:
+            what = f"{config.algo.upper()} on {config.env} for {config.n_timesteps:,} primitive steps"
+            console.print(f"Training {escape(what)}.")
+            model.learn(config.n_timesteps, callbacks, progress_bar=config.progress, tb_log_name="tensorboard")
+        finished = not interrupts.noted
+    except KeyboardInterrupt:
+        interrupts.noted = True
+    except Exception as error:
+        # An interrupt that was sent to the worker processes, too, has ended them.
+        if not (interrupts.noted and isinstance(error, WorkerLostError | EOFError | ConnectionError)):
+            if model is not None and model.num_timesteps > 0:
+                error.add_note(f"What was learned until then is kept in {folder}.")
+            raise
+    finally:
+        interrupts.saving = True  # before anything else: from now on no interrupt is raised
+        if model is None or model.num_timesteps == 0:
+            shutil.rmtree(folder)
         else:
-            end_workers(env)  # which may be in the middle of a step
+            _save(model, discovery.bank, folder)
+        for env in envs:
+            if finished:
+                env.close()
+            else:
+                end_workers(env)  # which may be in the middle of a step
 
 
-def _eval_callback_class(algo: str) -> type[EvalCallback]:
-    """The one that masks, for an algorithm that does so from outside."""
-    if algo != "maskableppo":
-        return EvalCallback
-    from sb3_contrib.common.maskable.callbacks import MaskableEvalCallback
+def _save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
+    try:
+        with atomic_write(folder / runs.MODEL) as temporary:
+            model.save(temporary)
+    finally:
+        bank.save(folder / runs.OPTIONS)
 
-    return MaskableEvalCallback
+
+def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path) -> None:
+    if discovery.discovery is None:
+        return
+    if config.vec_env == "subproc":  # φ was in a process that has ended
+        env = runs.make_env(config, 1, config.seed)
+        discovery.bank.bind(lambda observations: env.env_method("concept_features", observations)[0])
+    with atomic_write(folder / runs.SUBGOALS) as temporary:
+        subgoals_figure(discovery.discovery, discovery.bank).savefig(temporary, dpi=FIGURE_DPI)
 
 
 def _report(discovery: SubgoalDiscoveryCallback, folder: Path, unit: str) -> None:
@@ -221,7 +248,8 @@ def evaluate(config: EvaluateConfig) -> evaluation.Evaluation:
         ValueError: Something does not fit.
         OSError: A file is missing or cannot be written.
     """
-    result = evaluation.evaluate_run(config.run, episodes=config.episodes, seed=config.seed, video=config.video)
+    how = {name: value for name, value in dataclasses.asdict(config).items() if name != "run"}
+    result = evaluation.evaluate_run(config.run, **how)
     table = Table(
         "", "mean", "95 % confidence interval", title=f"{escape(str(config.run))}: {result.episodes} episodes"
     )
@@ -235,7 +263,7 @@ def evaluate(config: EvaluateConfig) -> evaluation.Evaluation:
     console.print(table)
     content = {"episodes": result.episodes, "seed": config.seed}
     content |= {name.replace(" ", "_"): interval._asdict() for name, interval in rows.items()}  # type: ignore[misc]  # values of two kinds
-    with whole_file(config.run / "evaluation.json") as temporary:
+    with atomic_write(config.run / "evaluation.json") as temporary:
         temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
     if config.video is not None:
         console.print(f"Video: {escape(str(config.video))}")

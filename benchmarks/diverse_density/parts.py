@@ -23,7 +23,7 @@ from sb3_options.density.diverse_density import log_diverse_density
 from sb3_options.density.search import ConceptSearch
 from sb3_options.discovery.subgoals import DiscoverySettings, SubgoalDiscovery
 from sb3_options.experience.trajectories import Trajectory
-from sb3_options.runs.evaluation import mean_interval
+from sb3_options.runs.intervals import mean_interval
 
 UNBOUNDED = Point(scale_bounds=(0, math.inf), prior=None)
 """The likelihood alone, as the references compute it."""

@@ -7,11 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from scipy.stats import bootstrap
 
 from experiments.common.seeds import Result
 from sb3_options.experience.observations import FloatArray
-from sb3_options.runs.evaluation import CONFIDENCE, N_RESAMPLES, Interval, mean_interval
+from sb3_options.runs.intervals import CONFIDENCE, mean_interval
 
 N_CURVE_RESAMPLES = 2000
 
@@ -23,23 +22,6 @@ Band = tuple[FloatArray, FloatArray, FloatArray]
 def curves_of(results: Sequence[Result], column: str) -> FloatArray:
     """A column of every trial, shape (runs, trials)."""
     return np.array([r[column] for r in results], dtype=np.float64)
-
-
-def ratio_interval(ours: FloatArray, theirs: FloatArray) -> Interval:
-    """Ratio of the means of paired values, with a 95 % bootstrap interval over the pairs (bias-corrected)."""
-    ratio = float(ours.mean() / theirs.mean())
-    if len(ours) < 2 or np.ptp(ours / theirs) == 0:
-        return Interval(ratio, ratio, ratio)
-    result = bootstrap(
-        (ours, theirs),
-        lambda a, b, axis: a.mean(axis=axis) / b.mean(axis=axis),
-        paired=True,
-        vectorized=True,
-        confidence_level=CONFIDENCE,
-        n_resamples=N_RESAMPLES,
-        rng=np.random.default_rng(0),
-    )
-    return Interval(ratio, float(result.confidence_interval.low), float(result.confidence_interval.high))
 
 
 def window(curves: FloatArray, first: int, last: int) -> FloatArray:

@@ -19,6 +19,7 @@ from experiments.deep.repeats import RandomRepeat
 from experiments.deep.settings import GAMMA, DeepSettings, family
 from experiments.deep.tasks import Task
 from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper
+from sb3_options.runs.evaluation import greedy_episodes
 
 Arm: TypeAlias = Literal["stock", "options", "repeats"]
 ARMS: tuple[Arm, ...] = get_args(Arm)
@@ -109,15 +110,6 @@ def reached_at(steps: Sequence[int], success: Sequence[float]) -> int | None:
 def greedy(model: BaseAlgorithm, venv: VecEnv, seed: int) -> tuple[float, float]:
     """Success rate and mean primitive steps of one greedy episode in every environment."""
     venv.seed(seed)
-    observations = venv.reset()
-    masks = isinstance(model, OptionDQN | MaskablePPO)
-    lengths = np.zeros(venv.num_envs)
-    success = np.zeros(venv.num_envs, dtype=bool)
-    over = np.zeros(venv.num_envs, dtype=bool)
-    while not over.all():
-        kwargs = {"action_masks": np.stack(venv.env_method("action_masks"))} if masks else {}
-        actions, _ = model.predict(observations, deterministic=True, **kwargs)  # type: ignore[arg-type]  # arrays
-        observations, _, dones, infos = venv.step(actions)
-        for i in np.flatnonzero(dones & ~over):
-            over[i], success[i], lengths[i] = True, infos[i]["is_success"], infos[i]["episode"]["l"]
-    return float(success.mean()), float(lengths.mean())
+    played = greedy_episodes(model, venv, venv.num_envs, masked=isinstance(model, OptionDQN | MaskablePPO))
+    success, lengths = zip(*((info["is_success"], info["episode"]["l"]) for _, info in played), strict=True)
+    return float(np.mean(success)), float(np.mean(lengths))

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import mannwhitneyu, trim_mean
 
-from experiments.common.curves import ratio_interval
 from experiments.common.seeds import Result
 from experiments.deep.agents import reached_at
 from sb3_options.experience.observations import FloatArray
-from sb3_options.runs.evaluation import CONFIDENCE, Interval, mean_interval
+from sb3_options.runs.intervals import CONFIDENCE, Interval, mean_interval, ratio_interval
 
 N_RESAMPLES = 5000
 GRID = 500

@@ -10,12 +10,13 @@ from experiments.common.gridworlds import cell_of, distance_to_doorway, world_of
 from experiments.common.seeds import Result
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.runs import folder as runs
-from sb3_options.runs.config import TrainConfig
+from sb3_options.runs.algorithms import make_model
+from sb3_options.runs.config import DQNConfig
 
 LAST_EPISODES = 20
 
 
-def run(config: TrainConfig, seed: int) -> Result:
+def run(config: DQNConfig, seed: int) -> Result:
     """Train once.
 
     Args:
@@ -28,7 +29,7 @@ def run(config: TrainConfig, seed: int) -> Result:
     """
     config = dataclasses.replace(config, seed=seed)
     env = runs.make_env(config, config.n_envs, seed)
-    model = runs.make_model(config, env)
+    model = make_model(config, env)
     discovery = SubgoalDiscoveryCallback(
         config.discovery, config.option, max_new_options=config.max_new_options, seed=seed
     )

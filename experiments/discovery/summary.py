@@ -8,7 +8,7 @@ import numpy as np
 
 from experiments.common.gridworlds import NEAR
 from experiments.common.seeds import Result
-from sb3_options.runs.evaluation import mean_interval, share_interval
+from sb3_options.runs.intervals import mean_interval, share_interval
 
 EARLY = 60
 """An option that comes after this many episodes comes late."""

@@ -19,6 +19,7 @@ from sb3_options.envs.pioneer.env import DISPLACEMENT, GRIPPING, VISIBLE, WIDTH
 from sb3_options.envs.pioneer.senses import FIELD_OF_VIEW, MAX_WIDTH, SONAR_MIN
 from sb3_options.experience.observations import BoolArray, FloatArray
 from sb3_options.learning.linear_features import Concatenated, TileCoding
+from sb3_options.runs.evaluation import greedy_episodes
 
 
 class CountTouches(gym.Wrapper[Any, Any, Any, Any]):
@@ -106,16 +107,11 @@ def evaluate(agent: MacroQ, n_trials: int, epsilon: float, seed: int) -> Result:
     assert env is not None  # made with one
     env.seed(seed)
     rng = np.random.default_rng(seed)
-    observation = env.reset()
-    episodes: list[dict[str, Any]] = []
-    while len(episodes) < n_trials:
-        action, _ = agent.predict(observation, deterministic=True)  # type: ignore[arg-type]  # a batch, as reset gives it
-        if rng.random() < epsilon:
-            action = np.array([rng.integers(wrapper_of(agent).n_primitive)])
-        observation, _, dones, infos = env.step(action)
-        if dones[0]:
-            episodes.append(infos[0]["episode"])
-    return described(episodes)
+
+    def explore(actions: Any) -> Any:
+        return np.array([rng.integers(wrapper_of(agent).n_primitive)]) if rng.random() < epsilon else actions
+
+    return described([info["episode"] for _, info in greedy_episodes(agent, env, n_trials, explore=explore)])
 
 
 def described(episodes: Sequence[dict[str, Any]]) -> Result:

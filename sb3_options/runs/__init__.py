@@ -1,1 +1,1 @@
-"""A run and its folder: configuration, algorithms, evaluation. Needs tyro, PyYAML and imageio."""
+"""A run of `train.py`: its settings, its folder, its evaluation; needs the extra ``train``."""

@@ -1,49 +1,20 @@
-"""The algorithms of the command line: which settings each knows, and where its class is."""
+"""The models of the command line."""
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any
 
-AlgorithmName: TypeAlias = Literal["dqn", "qrdqn", "optiondqn", "ppo", "a2c", "trpo", "maskableppo", "recurrentppo"]
+import gymnasium as gym
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import EvalCallback
+from stable_baselines3.common.vec_env import VecEnv
 
-_OFF_POLICY = frozenset(
-    {
-        "buffer_size",
-        "learning_starts",
-        "batch_size",
-        "train_freq",
-        "target_update_interval",
-        "exploration_fraction",
-        "exploration_final_eps",
-    }
-)
-_PPO = frozenset({"n_steps", "batch_size", "n_epochs", "gae_lambda", "ent_coef", "clip_range"})
+from sb3_options.learning.replay_buffer import OptionReplayBuffer
+from sb3_options.runs.config import COMMON, DQNConfig, TrainConfig
 
-SETTINGS: dict[str, frozenset[str]] = {
-    "dqn": _OFF_POLICY,
-    "qrdqn": _OFF_POLICY,
-    "optiondqn": _OFF_POLICY,
-    "ppo": _PPO,
-    "a2c": frozenset({"n_steps", "gae_lambda", "ent_coef"}),
-    "trpo": frozenset({"n_steps", "batch_size", "gae_lambda"}),
-    "maskableppo": _PPO,
-    "recurrentppo": _PPO,
-}
-"""Fields of `TrainConfig` that an algorithm's class knows besides ``gamma``, ``learning_rate`` and ``net_arch``."""
-
-OFF_POLICY = tuple(name for name, settings in SETTINGS.items() if settings is _OFF_POLICY)
-ON_POLICY = tuple(name for name in get_args(AlgorithmName) if name not in OFF_POLICY)
-
-_OPTION_SETTINGS: dict[str, frozenset[str]] = {
-    "maskableppo": frozenset({"max_option_exploration", "max_runs"}),
-    **dict.fromkeys(OFF_POLICY, frozenset({"max_option_exploration", "interruption", "teach_head", "intra_option"})),
-}
-"""Fields that say how an algorithm handles options, beyond what all of them do."""
-
-EVERY_SETTING = frozenset().union(*SETTINGS.values(), *_OPTION_SETTINGS.values())
-
-_CLASSES = {
+LOCATIONS = {
     "dqn": ("stable_baselines3", "DQN"),
     "optiondqn": ("sb3_options.learning.dqn", "OptionDQN"),
     "ppo": ("stable_baselines3", "PPO"),
@@ -53,26 +24,69 @@ _CLASSES = {
     "maskableppo": ("sb3_contrib", "MaskablePPO"),
     "recurrentppo": ("sb3_contrib", "RecurrentPPO"),
 }
+"""Module and name of the class behind each algorithm."""
+
+CALLBACK = frozenset({"max_option_exploration", "interruption"})
+"""Settings of some algorithms that `SubgoalDiscoveryCallback` takes."""
+
+ELSEWHERE = CALLBACK | {"intra_option", "max_runs"}
+"""Settings of some algorithms that their classes do not take."""
 
 
-def class_of(name: str) -> Any:
-    """The class behind ``--algo``.
+def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> BaseAlgorithm:
+    """The untrained model of a run.
+
+    Args:
+        config: Of the run.
+        env: As `make_env` makes it.
+        playing: Whether it is to be loaded and played only, which needs no large buffer.
+
+    Returns:
+        An SB3 model.
 
     Raises:
-        ModuleNotFoundError: It is one of sb3-contrib's, which is not installed.
+        ModuleNotFoundError: The algorithm is one of sb3-contrib's, which is not installed.
     """
-    module, class_name = _CLASSES[name]
+    image = len(env.observation_space.shape or ()) == 3
+    policy = "MultiInput" if isinstance(env.observation_space, gym.spaces.Dict) else "Cnn" if image else "Mlp"
+    own = {f.name for f in dataclasses.fields(config)} - COMMON - ELSEWHERE
+    settings: dict[str, Any] = {name: getattr(config, name) for name in own}
+    if isinstance(config, DQNConfig):
+        # The rollout buffers of the others are the callback's affair.
+        settings["replay_buffer_class"] = OptionReplayBuffer
+        settings["replay_buffer_kwargs"] = {"intra_option": config.intra_option}
+    if playing:
+        settings |= {"buffer_size": 1} if isinstance(config, DQNConfig) else {"n_steps": settings.get("batch_size", 1)}
+    model: BaseAlgorithm = _class_of(config.algo)(
+        f"{policy}{'Lstm' if config.algo == 'recurrentppo' else ''}Policy",
+        env,
+        seed=config.seed,
+        device=config.device,
+        gamma=config.gamma,
+        learning_rate=config.learning_rate,
+        policy_kwargs={"net_arch": list(config.net_arch)},
+        **settings,
+    )
+    return model
+
+
+def eval_callback_class(algo: str) -> type[EvalCallback]:
+    """The one that masks, for an algorithm that is given masks from outside."""
+    if algo != "maskableppo":
+        return EvalCallback
+    from sb3_contrib.common.maskable.callbacks import MaskableEvalCallback
+
+    return MaskableEvalCallback
+
+
+def callback_settings(config: TrainConfig) -> dict[str, Any]:
+    """What `SubgoalDiscoveryCallback` is told of an algorithm."""
+    return {f.name: getattr(config, f.name) for f in dataclasses.fields(config) if f.name in CALLBACK}
+
+
+def _class_of(name: str) -> Any:
+    module, class_name = LOCATIONS[name]
     try:
         return getattr(importlib.import_module(module), class_name)
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(f"{class_name} needs sb3-contrib: pip install 'sb3-options[contrib]'") from error
-
-
-def known_to(name: str) -> frozenset[str]:
-    """Fields of `TrainConfig` that are not for all algorithms, and are for this one."""
-    return SETTINGS.get(name, frozenset()) | _OPTION_SETTINGS.get(name, frozenset())
-
-
-def knowing(setting: str) -> list[str]:
-    """The algorithms that know a setting."""
-    return [name for name in SETTINGS if setting in known_to(name)]

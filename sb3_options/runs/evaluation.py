@@ -1,51 +1,32 @@
-"""Evaluating a run: returns, success and primitive steps of episodes, with confidence intervals, and a video."""
+"""Evaluating a run: returns, success and primitive steps of greedy episodes."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any, NamedTuple
 
-import gymnasium as gym
-import imageio.v2 as imageio
 import numpy as np
 from rich.progress import track
-from scipy.stats import binomtest, bootstrap
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_options.atomic import whole_file
 from sb3_options.discovery.static_filter import reported_success
-from sb3_options.experience.observations import FloatArray
-from sb3_options.experience.trajectories import LONGEST_EPISODE
+from sb3_options.experience.recording import LONGEST_EPISODE
 from sb3_options.learning.value_snapshot import interrupt_options
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
+from sb3_options.runs.algorithms import make_model
+from sb3_options.runs.config import DQNConfig, TrainConfig
+from sb3_options.runs.intervals import Interval, mean_interval, share_interval
+from sb3_options.runs.video import RecordFrames, Video, render_mode_of, video_file
 
-CONFIDENCE = 0.95
-N_RESAMPLES = 9999
-DEFAULT_FPS = 15
 VIDEO_EPISODES = 10
 """A video shows this many episodes at most."""
-
-GIF_PICTURES = 600
-"""A GIF is made in memory, and a browser holds it there."""
-
-
-class Interval(NamedTuple):
-    """An estimate with its confidence interval.
-
-    Attributes:
-        mean: The estimate.
-        low: Lower end of the 95 % interval.
-        high: Upper end.
-    """
-
-    mean: float
-    low: float
-    high: float
 
 
 class Evaluation(NamedTuple):
@@ -64,101 +45,56 @@ class Evaluation(NamedTuple):
     steps: Interval
 
 
-class Film(gym.Wrapper[Any, Any, Any, Any]):
-    """Hands over the pictures of every primitive step, also of those inside options.
+def greedy_episodes(
+    model: BaseAlgorithm,
+    venv: VecEnv,
+    episodes: int,
+    *,
+    masked: bool = False,
+    explore: Callable[[Any], Any] | None = None,
+) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Act greedily.
+
+    Every environment plays its share of the episodes, so that short ones are not preferred.
 
     Args:
-        env: With ``render_mode="rgb_array"``, or ``"rgb_array_list"`` if it draws several for a step.
-        take: Is given each picture.
-        episodes: After this many, nothing more is filmed.
-    """
+        model: Chooses the actions.
+        venv: Where; it is reset first.
+        episodes: How many.
+        masked: Whether the model is to be given the environments' ``action_masks``.
+        explore: Takes the actions chosen, shape (n_envs,), and gives those taken.
 
-    def __init__(self, env: gym.Env[Any, Any], take: Callable[[Any], None], episodes: int) -> None:
-        super().__init__(env)
-        self._take, self._left = take, episodes
-
-    def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
-        """Reset, and film how the episode begins."""
-        result = super().reset(**kwargs)
-        self._shoot()
-        return result
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step, and film."""
-        result = super().step(action)
-        self._shoot()
-        self._left -= bool(result[2] or result[3])
-        return result
-
-    def _shoot(self) -> None:
-        if self._left == 0:
-            return
-        drawn = self.env.render()
-        for picture in drawn if isinstance(drawn, list) else [drawn]:
-            self._take(picture)
-
-
-class Video:
-    """An MP4 file that grows picture by picture, so that a long film needs no memory; or a GIF, which is short.
-
-    Args:
-        path: Of the file.
-        fps: Pictures per second.
-        gif: GIF, which repeats for ever and takes the first `GIF_PICTURES`, rather than MP4.
+    Yields:
+        Of every episode that ends, the environment it was in and its last info.
 
     Raises:
-        OSError: It cannot be written.
+        ValueError: An episode does not end.
     """
-
-    def __init__(self, path: Path, fps: float, *, gif: bool = False) -> None:
-        self._left = GIF_PICTURES if gif else math.inf
-        self._writer = (
-            imageio.get_writer(path, format="GIF", duration=1000 / fps, loop=0)
-            if gif
-            # The sides are padded below: macro_block_size would scale the picture instead.
-            else imageio.get_writer(
-                path, format="FFMPEG", fps=fps, codec="libx264", pixelformat="yuv420p", macro_block_size=1
-            )
-        )
-
-    def take(self, picture: Any) -> None:
-        """Append a picture, shape (height, width, 3).
-
-        Raises:
-            ValueError: There is no picture.
-        """
-        if picture is None:
-            raise ValueError("The environment draws no pictures: it has no render_mode 'rgb_array'.")
-        self._left -= 1
-        if self._left < 0:
-            return
-        height, width = picture.shape[:2]
-        # The codec of MP4 wants even sides.
-        self._writer.append_data(np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge"))
-
-    def close(self) -> None:
-        """Finish the file."""
-        self._writer.close()
+    left = [(episodes + i) // venv.num_envs for i in range(venv.num_envs)]
+    steps = [0] * venv.num_envs
+    observations, memory, starts = venv.reset(), None, np.ones(venv.num_envs, dtype=bool)
+    while any(left):
+        masks = {"action_masks": np.stack(venv.env_method("action_masks"))} if masked else {}
+        # Only recurrent models have a memory, and ask where episodes start.
+        actions, memory = model.predict(observations, memory, starts, deterministic=True, **masks)  # type: ignore[arg-type]  # a batch, as reset gives it
+        observations, _, starts, infos = venv.step(actions if explore is None else explore(actions))
+        for i, info in enumerate(infos):
+            steps[i] += info["option"]["duration"] if "option" in info else 1
+            if starts[i]:
+                steps[i] = 0
+                if left[i]:
+                    left[i] -= 1
+                    yield i, info
+            elif left[i] and steps[i] >= LONGEST_EPISODE:
+                raise ValueError(
+                    f"An episode has not ended after {steps[i]:,} primitive steps: only episodes that end can be "
+                    "evaluated. Give the environment a time limit in env_kwargs, those of a run in its config.yml."
+                )
 
 
-def mean_interval(values: FloatArray) -> Interval:
-    """Mean with a 95 % bootstrap interval (bias-corrected and accelerated); a point where all values are equal."""
-    mean = float(np.mean(values))
-    if len(values) < 2 or np.ptp(values) == 0:
-        return Interval(mean, mean, mean)
-    result = bootstrap(
-        (values,), np.mean, confidence_level=CONFIDENCE, n_resamples=N_RESAMPLES, rng=np.random.default_rng(0)
-    )
-    return Interval(mean, float(result.confidence_interval.low), float(result.confidence_interval.high))
-
-
-def share_interval(successes: int, n: int) -> Interval:
-    """Share with a 95 % Wilson interval."""
-    ci = binomtest(successes, n).proportion_ci(CONFIDENCE, method="wilson")
-    return Interval(successes / n, float(ci.low), float(ci.high))
-
-
-def evaluate_run(run: Path, *, episodes: int = 100, seed: int = 10_000, video: Path | None = None) -> Evaluation:
+def evaluate_run(
+    run: Path, *, episodes: int = 100, seed: int = 10_000, env: str | None = None, video: Path | None = None
+) -> Evaluation:
     """Load a run folder and act greedily in its environment, with options interrupted as in training.
 
     Weights and options are read as arrays only; nothing in the folder can run code.
@@ -167,6 +103,7 @@ def evaluate_run(run: Path, *, episodes: int = 100, seed: int = 10_000, video: P
         run: The run folder.
         episodes: How many to play, at least 1.
         seed: Of the environment.
+        env: Id of the environment to play in; by default the run's, unless it names a module.
         video: Where to write the first `VIDEO_EPISODES` episodes, which are played for it beforehand: an .mp4 or .gif
             file. None writes nothing.
 
@@ -183,94 +120,43 @@ def evaluate_run(run: Path, *, episodes: int = 100, seed: int = 10_000, video: P
     for name in (runs.CONFIG, runs.MODEL, runs.OPTIONS):
         if not (run / name).is_file():
             raise FileNotFoundError(f"{run} is no run folder: it lacks {name}.")
-    env_id = configs.load(run / runs.CONFIG).env
-    if ":" in env_id:
-        raise ValueError(
-            f"{run / runs.CONFIG} names the environment {env_id!r}, which would import a module. If you trust it, "
-            "write the id without the module into the configuration, and import the module before evaluating."
-        )
-    runs.check_env_id(env_id)
-    if video is not None:
-        _film(run, min(episodes, VIDEO_EPISODES), seed, video)
-    return _play(run, episodes, seed)
-
-
-def _film(run: Path, episodes: int, seed: int, video: Path) -> None:
-    kind = video.suffix.lower()
-    if kind not in (".mp4", ".gif"):
+    if video is not None and video.suffix.lower() not in (".mp4", ".gif"):
         raise ValueError(f"--video must end in .mp4 or .gif, got {video}.")
-    mode, fps = _pictures_of(run)
-    with whole_file(video) as temporary:
-        film = Video(temporary, fps, gif=kind == ".gif")
-        try:
-            _play(run, episodes, seed, film, mode)
-        finally:
-            film.close()
-
-
-def _play(run: Path, episodes: int, seed: int, film: Video | None = None, mode: str | None = None) -> Evaluation:
     # What the run started with is in its own options file, too.
-    config = replace(configs.load(run / runs.CONFIG), options=None)
-    venv = runs.make_env(
-        config,
-        1,
-        seed,
-        beneath=None if film is None else partial(Film, take=film.take, episodes=episodes),
-        render_mode=mode,
-    )
-    model = runs.make_model(config, venv, playing=True)
-    venv.seed(seed)  # the model has seeded it with the training seed
-    # set_parameters reads tensors only, where load would unpickle.
-    try:
-        model.set_parameters(str(run / runs.MODEL), device=model.device)
-    except (RuntimeError, ValueError, UnpicklingError) as error:
-        raise ValueError(f"{run / runs.MODEL} is damaged, or does not fit {run / runs.CONFIG}: {error}") from error
-    venv.get_attr("bank")[0].load(run / runs.OPTIONS)
-    if config.interruption:
-        interrupt_options(model, venv)
-    venv.env_method("record_trajectories", True)
+    config = replace(configs.load(run / runs.CONFIG, env=env), options=None)
+    runs.check_env_id(config.env)
+    if video is not None:
+        mode, fps = render_mode_of(config.env, config.env_kwargs)
+        with video_file(video, fps) as film:
+            _play(run, config, min(episodes, VIDEO_EPISODES), seed, film, mode)
+    return _play(run, config, episodes, seed)
 
-    returns, steps, successes = [], [], 0
-    masks = config.algo == "maskableppo"
-    observation, memory = venv.reset(), None
-    for _ in track(range(episodes), description="Evaluating", transient=True):
-        done, played = False, 0
-        while not done:
-            masked = {"action_masks": np.stack(venv.env_method("action_masks"))} if masks else {}
-            # Others than RecurrentPPO have no memory, and do not ask where episodes start.
-            starts = np.array([played == 0])
-            action, memory = model.predict(observation, memory, starts, deterministic=True, **masked)  # type: ignore[arg-type]  # a batch, as reset gives it
-            observation, _, dones, infos = venv.step(action)
-            done = bool(dones[0])
-            played += infos[0]["option"]["duration"]
-            if played >= LONGEST_EPISODE:
-                raise ValueError(
-                    f"An episode has not ended after {played:,} primitive steps: only episodes that end can be "
-                    f"evaluated. Give the environment a time limit in {run / runs.CONFIG}."
-                )
-        trajectory = infos[0]["trajectory"]
-        returns.append(float(trajectory.rewards.sum()))
-        steps.append(float(len(trajectory)))
-        successes += reported_success(trajectory)
-    venv.close()
+
+def _play(
+    run: Path, config: TrainConfig, episodes: int, seed: int, film: Video | None = None, mode: str | None = None
+) -> Evaluation:
+    record = None if film is None else partial(RecordFrames, take=film.take, episodes=episodes)
+    with closing(runs.make_env(config, 1, seed, beneath=record, render_mode=mode)) as venv:
+        model = make_model(config, venv, playing=True)
+        venv.seed(seed)  # the model has seeded it with the training seed
+        # set_parameters reads tensors only, where load would unpickle.
+        try:
+            model.set_parameters(str(run / runs.MODEL), device=model.device)
+        except (RuntimeError, ValueError, UnpicklingError) as error:
+            raise ValueError(f"{run / runs.MODEL} is damaged, or does not fit {run / runs.CONFIG}: {error}") from error
+        venv.get_attr("bank")[0].load(run / runs.OPTIONS)
+        if isinstance(config, DQNConfig) and config.interruption:
+            interrupt_options(model, venv)
+        venv.env_method("record_trajectories", True)
+        played = greedy_episodes(model, venv, episodes, masked=config.algo == "maskableppo")
+        found = []
+        for _, info in track(played, "Evaluating", total=episodes, transient=True):
+            trajectory = info["trajectory"]
+            found.append((float(trajectory.rewards.sum()), reported_success(trajectory), float(len(trajectory))))
+    returns, successes, steps = zip(*found, strict=True)
     return Evaluation(
         episodes,
         mean_interval(np.array(returns)),
-        share_interval(successes, episodes),
+        share_interval(sum(successes), episodes),
         mean_interval(np.array(steps)),
     )
-
-
-def _pictures_of(run: Path) -> tuple[str, float]:
-    """The render mode that shows most of an environment, and its pictures per second."""
-    config = configs.load(run / runs.CONFIG)
-    env = gym.make(config.env, **config.env_keywords())
-    fps = env.metadata.get("render_fps", DEFAULT_FPS)
-    draws_on_its_way = "rgb_array_list" in (env.metadata.get("render_modes") or ())
-    env.close()
-    if not draws_on_its_way:
-        return "rgb_array", float(fps)
-    env = gym.make(config.env, **config.env_keywords(), render_mode="rgb_array_list")
-    fps = env.metadata.get("render_fps", DEFAULT_FPS)
-    env.close()
-    return "rgb_array_list", float(fps)

@@ -1,4 +1,4 @@
-"""Environments and models of a run, and the run folder."""
+"""Environments of a run, and the run folder."""
 
 from __future__ import annotations
 
@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from sb3_options.execution.wrapper import OptionsWrapper
-from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.options import file as option_file
-from sb3_options.runs import algorithms
-from sb3_options.runs.config import TrainConfig
+from sb3_options.runs.config import MaskablePPOConfig, TrainConfig
+from sb3_options.runs.interrupts import ignore_interrupts
 
 CONFIG = "config.yml"
 MODEL = "model.zip"
@@ -112,17 +110,16 @@ def make_env(
         FileNotFoundError: ``--options`` names no file.
         ValueError: Its options do not fit.
     """
-    keywords = config.env_keywords()
+    keywords = config.env_kwargs | ({} if render_mode is None else {"render_mode": render_mode})
     options = options_file(config)
-    if render_mode is not None:
-        keywords["render_mode"] = render_mode
+    max_runs = config.max_runs if isinstance(config, MaskablePPOConfig) else None
 
     def with_options(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+        if subproc:
+            ignore_interrupts()
         if beneath is not None:
             env = beneath(env)
-        return OptionsWrapper(
-            env, config.max_options, gamma=config.gamma, options_file=options, max_runs=config.max_runs
-        )
+        return OptionsWrapper(env, config.max_options, gamma=config.gamma, options_file=options, max_runs=max_runs)
 
     env_id = config.env
     if subproc and env_id.startswith(OWN_NAMESPACE):
@@ -137,40 +134,3 @@ def make_env(
         monitor_dir=None if monitor_dir is None else str(monitor_dir),
         vec_env_cls=SubprocVecEnv if subproc else DummyVecEnv,
     )
-
-
-def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> BaseAlgorithm:
-    """The untrained model of a run.
-
-    Args:
-        config: Of the run.
-        env: As `make_env` makes it.
-        playing: Whether it is to be loaded and played only, which needs no large buffer.
-
-    Returns:
-        An SB3 model.
-
-    Raises:
-        ModuleNotFoundError: The algorithm is one of sb3-contrib's, which is not installed.
-    """
-    image = len(env.observation_space.shape or ()) == 3
-    policy = "MultiInput" if isinstance(env.observation_space, gym.spaces.Dict) else "Cnn" if image else "Mlp"
-    settings = {name: getattr(config, name) for name in algorithms.SETTINGS[config.algo]}
-    if config.algo in algorithms.OFF_POLICY:
-        settings["replay_buffer_class"] = OptionReplayBuffer  # rollout buffers are the callback's affair
-        settings["replay_buffer_kwargs"] = {"intra_option": config.intra_option}
-    if playing and config.algo in algorithms.OFF_POLICY:
-        settings["buffer_size"] = 1
-    elif playing:
-        settings["n_steps"] = settings.get("batch_size", 1)
-    model: BaseAlgorithm = algorithms.class_of(config.algo)(
-        f"{policy}{'Lstm' if config.algo == 'recurrentppo' else ''}Policy",
-        env,
-        seed=config.seed,
-        device=config.device,
-        gamma=config.gamma,
-        learning_rate=config.learning_rate,
-        policy_kwargs={"net_arch": list(config.net_arch)},
-        **settings,
-    )
-    return model

@@ -23,7 +23,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from sb3_options import OptionBank, OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
-from sb3_options.callbacks.statistics import WINDOW, OptionStatistics
+from sb3_options.callbacks.records import WINDOW, OptionStatistics
+from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning import heads
 from sb3_options.options.option import SubgoalOption
 from tests.support import processes
@@ -379,10 +380,10 @@ def test_without_tensorboard_no_picture_is_drawn(monkeypatch: pytest.MonkeyPatch
 
 def test_statistics_of_endings_add_up_even_when_one_has_left_the_window() -> None:
     statistics = OptionStatistics()
-    statistics.add({"index": 2, "duration": 9, "termination": "truncated"})
+    statistics.add(OptionRun(2, 9, 0.9**9, 0.9, "truncated"))
     assert statistics.values()["options/slot_2/ended_truncated"] == 1.0
     for _ in range(WINDOW):
-        statistics.add({"index": 2, "duration": 3, "termination": "subgoal"})
+        statistics.add(OptionRun(2, 3, 0.9**3, 0.9, "subgoal"))
     assert statistics.values() == {
         "options/slot_2/uses": WINDOW + 1, "options/slot_2/mean_duration": 3.0,
         "options/slot_2/ended_truncated": 0.0, "options/slot_2/ended_subgoal": 1.0,

@@ -16,7 +16,8 @@ from sb3_options.discovery.figures import discovery_figures, subgoals_figure
 from sb3_options.discovery.subgoals import DiscoverySettings, SubgoalDiscovery
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.bank import OptionBank
-from sb3_options.options.creation import OptionLearningSettings, learn_option
+from sb3_options.options.creation import learn_option
+from sb3_options.options.settings import OptionLearningSettings
 from tests.support.helpers import steady_option, trajectory_of
 from tests.support.sb3_helpers import n_colours, small_rooms
 

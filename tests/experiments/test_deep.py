@@ -175,7 +175,7 @@ def test_the_command_says_what_was_varied() -> None:
         max_option_exploration={"dqn": 0.5, "ppo": 0.25},
         max_runs={"dqn": 7, "ppo": 0},
         withhold={"dqn": 0.1, "ppo": 0.3},
-        callback={"teach_head": True, "interruption": False},
+        callback={"interruption": False},
     )
     assert varied.switched() == [
         "--settings.both-as stock",
@@ -183,7 +183,6 @@ def test_the_command_says_what_was_varied() -> None:
         "--settings.max-runs.dqn 7",
         "--settings.max-runs.ppo 0",
         "--settings.withhold.dqn 0.1",
-        "--settings.callback.teach-head",
         "--settings.callback.no-interruption",
     ]
     assert varied.arguments("ppo", "options") == varied.ppo["stock"] != DeepSettings().arguments("ppo", "options")

@@ -6,7 +6,7 @@ import re
 import subprocess
 import zipfile
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import imageio.v3 as iio
@@ -20,8 +20,8 @@ from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.execution.trials import TrialSettings
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
-from sb3_options.runs.algorithms import AlgorithmName
-from sb3_options.runs.config import TrainConfig
+from sb3_options.runs.config import CLASSES, DQNConfig
+from sb3_options.runs.flags import parse
 from tests.support import processes
 from tests.support.sb3_helpers import DOORWAY, SMALL_ROOMS, TAXI, n_colours, read_video
 
@@ -97,7 +97,7 @@ class TestTrain:
         config = configs.load(run.folder / "config.yml")
         assert (config.seed, config.eval_freq, config.n_timesteps, config.net_arch) == (1, 700, 8000, (32,))
         assert config.discovery.goal_radius == 4.0
-        assert str(config.env_keywords()["map"]).strip() == SMALL_ROOMS.strip()
+        assert str(config.env_kwargs["map"]).strip() == SMALL_ROOMS.strip()
 
     def test_with_options_and_a_picture(self, run: Run) -> None:
         bank = OptionBank(4, 4)
@@ -139,11 +139,11 @@ class TestTrain:
         assert f"{board[1]} train.py evaluate {shown} --video {shown}/video.mp4" in run.printed
 
     def test_makes_a_new_folder_each_time(self, tmp_path: Path) -> None:
-        config = TrainConfig(tensorboard_log=tmp_path, env="a/B-v0")
+        config = DQNConfig(tensorboard_log=tmp_path, env="a/B-v0")
         names = [runs.new_run_folder(config).relative_to(tmp_path).as_posix() for _ in range(3)]
         assert names == ["dqn/a-B-v0_1", "dqn/a-B-v0_2", "dqn/a-B-v0_3"]
 
-    @pytest.mark.parametrize("algo", [name for name in get_args(AlgorithmName) if name != "dqn"])
+    @pytest.mark.parametrize("algo", [name for name in CLASSES if name != "dqn"])
     @pytest.mark.filterwarnings("ignore:You have specified a mini-batch size")  # 2 environments, not 8
     def test_other_algorithms_and_several_environments(self, algo: str, tmp_path: Path) -> None:
         args = ["--algo", algo, "--n-envs", "2", "--n-timesteps", "400", "--tensorboard-log", str(tmp_path)]
@@ -162,7 +162,7 @@ class TestTrain:
         text = CONFIG.replace("learning_starts: 200\n", "n_envs: 4\nn_steps: 64\n").replace("4000", "7000")
         (tmp_path / "config.yml").write_text(text)
         args = ["--config", str(tmp_path / "config.yml"), "--algo", algo, "--tensorboard-log", str(tmp_path)]
-        folder = cli.train(configs.parse([*args, "--discovery.min-positive", "5", "--discovery.decay", "0.5"]))
+        folder = cli.train(parse([*args, "--discovery.min-positive", "5", "--discovery.decay", "0.5"]))
         bank = OptionBank(4, 4)
         bank.load(folder / "options.safetensors")
         assert bank.filled == (0,)
@@ -181,15 +181,13 @@ class TestTrain:
 
         monkeypatch.setattr(cli, "SubgoalDiscoveryCallback", Remembered)
         args = ["--n-timesteps", "600", "--no-progress", "--tensorboard-log", str(tmp_path), "--eval-episodes", "1"]
-        cli.main([*args, "--no-interruption", "--teach-head", "--intra-option", "--close-harmful"])
+        cli.main([*args, "--no-interruption", "--intra-option", "--close-harmful"])
         cli.main([*args, "--max-option-exploration", "0.25"])
         switched, usual = made
-        assert switched.interruption_margin is None
-        assert switched.teach_head
+        assert not switched.interruption
         assert switched.trial == TrialSettings()
         assert switched.model.replay_buffer.intra_option  # type: ignore[attr-defined]  # of DQN
-        assert usual.interruption_margin == 0.0
-        assert not usual.teach_head
+        assert usual.interruption
         assert usual.trial is None
         assert usual.max_option_exploration == 0.25
         assert not usual.model.replay_buffer.intra_option  # type: ignore[attr-defined]  # of DQN
@@ -257,7 +255,7 @@ class TestOptions:
         (tmp_path / "config.yml").write_text(CONFIG)
         args = ["--config", str(tmp_path / "config.yml"), "--options", str(run.folder / "options.safetensors")]
         folder = cli.train(
-            configs.parse([*args, "--tensorboard-log", str(tmp_path), "--discovery.min-density", "0", "--seed", "1"])
+            parse([*args, "--tensorboard-log", str(tmp_path), "--discovery.min-density", "0", "--seed", "1"])
         )
         bank = OptionBank(4, 4)
         bank.load(folder / "options.safetensors")
@@ -433,39 +431,14 @@ class TestErrors:
         assert "Traceback" not in done.stderr + done.stdout
 
 
-class TestHelp:
-    def text(self, capsys: pytest.CaptureFixture[str], *args: str) -> str:
-        with pytest.raises(SystemExit) as stopped:
-            cli.main([*args, "--help"])
-        assert stopped.value.code == 0
-        return " ".join(capsys.readouterr().out.replace("│", " ").split())
-
-    def test_of_training(self, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setenv("COLUMNS", "200")
-        text = self.text(capsys)
-        for flag, description in {
-            "--algo": '"optiondqn" is DQN that keeps to the options\' initiation sets',
-            "--env": "Gymnasium environment id, with Discrete actions",
-            "--n-timesteps": "Length of training, primitive steps over all environments",
-            "--seed": "Of everything random",
-            "--tensorboard-log": "Folder in which the run folder is made",
-            "--n-envs": "Number of parallel environments",
-            "--eval-freq": "Evaluate every so many primitive steps; 0 never does",
-            "--progress": "Show a progress bar",
-            "--max-options": "Number of option slots",
-            "--discovery.capacity": "How many trajectories are kept",
-            "--option.max-duration": "Longest run of the option, primitive steps",
-        }.items():
-            assert flag in text
-            assert description in text
-        assert "evaluate RUN" in text
-        assert "--config FILE" in text
-
-    def test_of_evaluation(self, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setenv("COLUMNS", "200")
-        text = self.text(capsys, "evaluate")
-        assert "The run folder that training named" in text
-        assert "to this file, MP4 or GIF" in text
+def test_help_of_evaluation(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(["evaluate", "--help"])
+    assert stopped.value.code == 0
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "The run folder that training named" in text
+    assert "to this file, MP4 or GIF" in text
 
 
 def test_torch_keeps_one_thread() -> None:

@@ -1,6 +1,5 @@
 """Every ``VecEnv`` of SB3, and every wrapper around it: same rollouts, same weights, options in step everywhere."""
 
-import json
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -34,7 +33,7 @@ from sb3_options.cli import train
 from sb3_options.discovery.subgoals import DiscoverySettings
 from sb3_options.execution.vec_env import as_wrapper_sees
 from sb3_options.options.option import SubgoalOption
-from sb3_options.runs.config import TrainConfig
+from sb3_options.runs.config import DQNConfig
 from tests.support.helpers import DictEnv, place_of
 from tests.support.sb3_helpers import (
     FAST_DISCOVERY,
@@ -303,8 +302,8 @@ class TestVecMonitor:
 def test_command_line_trains_alike_in_worker_processes(tmp_path: Path) -> None:
     weights = []
     for kind in ("dummy", "subproc"):
-        config = TrainConfig(
-            env_kwargs=(f"map:{json.dumps(SMALL_ROOMS.strip())}", "max_steps:150"),
+        config = DQNConfig(
+            env_kwargs={"map": SMALL_ROOMS.strip(), "max_steps": 150},
             n_timesteps=2500, n_envs=2, eval_freq=500, eval_episodes=2, exploration_final_eps=0.5, progress=False,
             discovery=DiscoverySettings(**FAST_DISCOVERY), tensorboard_log=tmp_path / kind, vec_env=kind,
         )  # fmt: skip

@@ -5,8 +5,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from multiprocessing import Process
+from collections.abc import Callable, Iterator
+from multiprocessing import Pipe, Process
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +28,8 @@ from tests.support.sb3_helpers import TINY, make_optioned_rooms
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc to see who is left behind")
 
 ROOT = Path(__file__).parents[2]
-SOON = 5.0
-"""Seconds within which the loss of a worker must have become an error."""
+LIMIT = 300.0
+"""Seconds after which something hangs, on however slow a machine."""
 
 
 def is_there(pid: int) -> bool:
@@ -40,10 +41,15 @@ def is_there(pid: int) -> bool:
 
 
 def all_gone(pids: list[int]) -> bool:
-    deadline = time.monotonic() + SOON
-    while any(is_there(pid) for pid in pids) and time.monotonic() < deadline:
+    wait_until(lambda: not any(is_there(pid) for pid in pids))
+    return True
+
+
+def wait_until(happened: Callable[[], object]) -> None:
+    deadline = time.monotonic() + LIMIT
+    while not happened():
+        assert time.monotonic() < deadline
         time.sleep(0.05)
-    return not any(is_there(pid) for pid in pids)
 
 
 def pids_of(venv: VecEnv) -> list[int]:
@@ -58,12 +64,10 @@ class Kill(BaseCallback):
     def __init__(self, pid: int, at_step: int = 50) -> None:
         super().__init__()
         self.pid, self.at_step = pid, at_step
-        self.killed_at = 0.0
 
     def _on_step(self) -> bool:
         if self.n_calls == self.at_step:
             os.kill(self.pid, signal.SIGKILL)
-            self.killed_at = time.monotonic()
         return True
 
 
@@ -112,7 +116,6 @@ def test_killed_in_training(
     with pytest.raises(WorkerLostError, match=text):
         model.learn(100_000, callback=[callback(), kill])
     venv.close()
-    assert time.monotonic() - kill.killed_at < SOON
     assert all_gone(pids)
     assert kill.n_calls == kill.at_step
 
@@ -123,7 +126,6 @@ def test_killed_beside_the_training_environment(workers: list[SubprocVecEnv]) ->
     callbacks = [SubgoalDiscoveryCallback(), kill, EvalCallback(evaluation, eval_freq=60, verbose=0)]
     with pytest.raises(WorkerLostError, match="Environment 1 of 2 is gone"):
         dqn(VecNormalize(training, gamma=0.9)).learn(100_000, callback=callbacks)
-    assert time.monotonic() - kill.killed_at < SOON
     assert all_gone(pids_of(evaluation))
 
 
@@ -187,16 +189,18 @@ def test_ending_workers_in_the_middle_of_a_step(workers: list[SubprocVecEnv]) ->
     assert all_gone(pids_of(venv))
 
 
-def sleep_for_ever() -> None:
+def sleep_for_ever(ready: Connection) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    time.sleep(600)
+    ready.send(None)
+    time.sleep(LIMIT)
 
 
 def test_a_worker_that_will_not_go_is_made_to(workers: list[SubprocVecEnv]) -> None:
     venv = forked(workers, 1)
-    stubborn = Process(target=sleep_for_ever, daemon=True)
+    ready, its_end = Pipe()
+    stubborn = Process(target=sleep_for_ever, args=(its_end,), daemon=True)
     stubborn.start()
-    time.sleep(0.2)
+    ready.recv()
     venv.processes.append(stubborn)
     assert stubborn.pid is not None
     end_workers(venv)
@@ -217,14 +221,16 @@ def children_of(pid: int) -> list[int]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("what", ["worker killed", "interrupt"])
+@pytest.mark.parametrize("what", ["worker killed", "interrupt", "interrupt while ignored", "terminal's interrupt"])
 def test_command_line_keeps_what_was_learned(tmp_path: Path, what: str) -> None:
     command = [sys.executable, str(ROOT / "train.py"), "--n-envs", "2", "--vec-env", "subproc", "--no-progress"]
+    if what == "interrupt while ignored":  # as in a script's background
+        command = ["sh", "-c", 'trap "" INT; exec "$@"', "sh", *command]
     with subprocess.Popen(
         [*command, "--env-kwargs", "max_steps:50", "--tensorboard-log", str(tmp_path)],
-        cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
     ) as process:  # fmt: skip
-        deadline = time.monotonic() + 100
+        deadline = time.monotonic() + LIMIT
         while not any(len(m.read_text().splitlines()) > 2 for m in tmp_path.rglob("0.monitor.csv")):
             assert process.poll() is None, process.communicate()[1]
             assert time.monotonic() < deadline
@@ -232,28 +238,24 @@ def test_command_line_keeps_what_was_learned(tmp_path: Path, what: str) -> None:
         everyone = children_of(process.pid)
         workers = [p for p in everyone if not set(children_of(p)) and "forkserver" in cmdline(p)]
         assert len(workers) == 2
-        if what == "interrupt":
-            process.send_signal(signal.SIGINT)
-        else:
+        if what == "worker killed":
             os.kill(workers[-1], signal.SIGKILL)
-        killed_at = time.monotonic()
-        assert process.stderr is not None
-        # The text of the error is what the user waits for; after it Python takes its time to end.
-        said = "" if what == "interrupt" else process.stderr.readline()
-        took = time.monotonic() - killed_at
-        output, errors = process.communicate(timeout=30)
-        errors = said + errors
+        elif what == "terminal's interrupt":
+            os.killpg(process.pid, signal.SIGINT)  # which Ctrl-C sends to the workers, too
+        else:
+            process.send_signal(signal.SIGINT)
+        output, errors = process.communicate(timeout=LIMIT)
     (folder,) = tmp_path.glob("dqn/*")
-    if what == "interrupt":
+    assert "Traceback" not in errors
+    if what == "worker killed":
+        assert process.returncode == 1
+        assert "of 2 is gone: its worker process" in errors
+        assert f"What was learned until then is kept in {folder}" in errors
+    else:
         assert process.returncode == 0
+        assert "Interrupted: training ends after this step and is saved" in errors
         assert "Interrupted after" in output
         assert (folder / "subgoals.png").is_file()
-    else:
-        assert process.returncode == 1
-        assert "of 2 is gone: its worker process" in said
-        assert f"What was learned until then is kept in {folder}" in errors
-        assert "Traceback" not in errors
-        assert took < SOON
     assert (folder / "model.zip").is_file()
     assert (folder / "options.safetensors").is_file()
     assert all_gone(everyone)

@@ -1,0 +1,129 @@
+"""Videos of episodes, primitive step by primitive step."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import imageio.v2 as imageio
+import numpy as np
+
+from sb3_options.atomic import atomic_write
+
+DEFAULT_FPS = 15
+"""Pictures per second where the environment does not say."""
+
+GIF_PICTURES = 600
+"""Longest GIF: it is made in memory, and a browser holds it there."""
+
+
+class RecordFrames(gym.Wrapper[Any, Any, Any, Any]):
+    """Hands over the pictures of every primitive step, also of those inside options.
+
+    Args:
+        env: With ``render_mode="rgb_array"``, or ``"rgb_array_list"`` if it draws several for a step.
+        take: Is given each picture.
+        episodes: After this many, nothing more is recorded.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], take: Callable[[Any], None], episodes: int) -> None:
+        super().__init__(env)
+        self._take, self._left = take, episodes
+
+    def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
+        """Reset, and record how the episode begins."""
+        result = super().reset(**kwargs)
+        self._record()
+        return result
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step, and record."""
+        result = super().step(action)
+        self._record()
+        self._left -= bool(result[2] or result[3])
+        return result
+
+    def _record(self) -> None:
+        if self._left == 0:
+            return
+        drawn = self.env.render()
+        for picture in drawn if isinstance(drawn, list) else [drawn]:
+            self._take(picture)
+
+
+class Video:
+    """An MP4 file that grows picture by picture, so that a long one needs no memory; or a GIF, which is short.
+
+    Args:
+        path: Of the file.
+        fps: Pictures per second.
+        gif: GIF, which repeats for ever and takes the first `GIF_PICTURES`, rather than MP4.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+
+    def __init__(self, path: Path, fps: float, *, gif: bool = False) -> None:
+        self._left = GIF_PICTURES if gif else math.inf
+        self._writer = (
+            imageio.get_writer(path, format="GIF", duration=1000 / fps, loop=0)
+            if gif
+            # The sides are padded below: macro_block_size would scale the picture instead.
+            else imageio.get_writer(
+                path, format="FFMPEG", fps=fps, codec="libx264", pixelformat="yuv420p", macro_block_size=1
+            )
+        )
+
+    def take(self, picture: Any) -> None:
+        """Append a picture, shape (height, width, 3).
+
+        Raises:
+            ValueError: There is no picture.
+        """
+        if picture is None:
+            raise ValueError("The environment draws no pictures: it has no render_mode 'rgb_array'.")
+        self._left -= 1
+        if self._left < 0:
+            return
+        height, width = picture.shape[:2]
+        # The codec of MP4 wants even sides.
+        self._writer.append_data(np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge"))
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._writer.close()
+
+
+@contextmanager
+def video_file(path: Path, fps: float) -> Iterator[Video]:
+    """A video that is there, whole, once everything has been taken.
+
+    Args:
+        path: An .mp4 or .gif file.
+        fps: Pictures per second.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    with atomic_write(path) as temporary, closing(Video(temporary, fps, gif=path.suffix.lower() == ".gif")) as video:
+        yield video
+
+
+def render_mode_of(env_id: str, keywords: dict[str, Any]) -> tuple[str, float]:
+    """The render mode that shows most of an environment, and its pictures per second.
+
+    Args:
+        env_id: Of the environment.
+        keywords: Its arguments.
+    """
+    with closing(gym.make(env_id, **keywords)) as env:
+        mode = "rgb_array_list" if "rgb_array_list" in (env.metadata.get("render_modes") or ()) else "rgb_array"
+        fps = env.metadata.get("render_fps", DEFAULT_FPS)
+    if mode == "rgb_array_list":  # its pictures may come faster
+        with closing(gym.make(env_id, **keywords, render_mode=mode)) as env:
+            fps = env.metadata.get("render_fps", DEFAULT_FPS)
+    return mode, float(fps)

@@ -1,0 +1,57 @@
+"""YAML from anybody, read as values: it can run nothing, import nothing, and take no time to speak of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+MAX_CHARACTERS = 100_000
+"""Longest text that is read; PyYAML takes about a second for it."""
+
+MAX_DEPTH = 20
+"""Deepest nesting that is read."""
+
+
+def read_mapping(path: Path) -> dict[str, Any]:
+    """A YAML file with ``name: value`` lines at its top; an empty file holds none.
+
+    Raises:
+        OSError: The file cannot be read.
+        ValueError: It is no such YAML.
+    """
+    try:
+        with path.open(encoding="utf-8") as file:
+            content = parse(file.read(MAX_CHARACTERS + 1))
+    except ValueError as error:
+        raise ValueError(f"{path} is no YAML that can be read safely: {error}") from error
+    if not isinstance(content, dict | None):
+        raise ValueError(f"{path} must hold `name: value` lines, got a {type(content).__name__}.")
+    return content or {}
+
+
+def parse(text: str) -> Any:
+    """Plain YAML: numbers, texts, truth values, dates, lists and mappings of these.
+
+    Tags, anchors and aliases are refused: a tag chooses how a value is made, and a few aliases stand for any number of
+    values.
+
+    Raises:
+        ValueError: The text is no such YAML, or longer than `MAX_CHARACTERS`, or nested deeper than `MAX_DEPTH`.
+    """
+    if len(text) > MAX_CHARACTERS:
+        raise ValueError(f"it has more than {MAX_CHARACTERS:,} characters.")
+    depth = 0
+    try:
+        for event in yaml.parse(text, yaml.SafeLoader):
+            if isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent) and event.tag is not None:
+                raise ValueError(f"it has the tag {event.tag!r}; write plain values.")
+            if isinstance(event, yaml.NodeEvent) and event.anchor is not None:
+                raise ValueError(f"it has the anchor or alias {event.anchor!r}; write the value out.")
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if depth > MAX_DEPTH:
+                raise ValueError(f"it is nested deeper than {MAX_DEPTH} levels.")
+        return yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ValueError(" ".join(str(error).split())) from error

@@ -1,0 +1,125 @@
+"""Configurations from strangers: none runs, imports or writes anything, and each gets one clear line."""
+
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import sb3_options.envs  # noqa: F401  # registers them
+from sb3_options import cli
+from sb3_options.runs import config as configs
+from sb3_options.runs import folder as runs
+from sb3_options.runs import yaml_file
+from sb3_options.runs.flags import parse
+
+SECONDS = 60.0
+"""Any of these is refused within two; a bomb would take hours."""
+
+BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"{chr(98 + i)}: &{chr(98 + i)} [{', '.join([f'*{chr(97 + i)}'] * 9)}]\n" for i in range(12)
+)
+
+HOSTILE = {
+    "a tag that calls": ("seed: !!python/object/apply:os.mkdir ['{trace}']\n", "has the tag"),
+    "a tag that makes an object": ("seed: !!python/object:os.system {{}}\n", "has the tag"),
+    "a tag that names a module": ("env: !!python/module:evil_module\n", "has the tag"),
+    "a plain tag": ("seed: !!int '3'\n", "has the tag"),
+    "an alias bomb": (BOMB.replace("{", "{{").replace("}", "}}"), "has the anchor or alias 'a'"),
+    "a value within itself": ("env_kwargs: &a\n  a: *a\n", "has the anchor or alias 'a'"),
+    "a mapping within itself": ("&a\n? *a\n: *a\n", "has the anchor or alias 'a'"),
+    "deep lists": ("net_arch: " + "[" * 20_000 + "\n", "is nested deeper than 20 levels"),
+    "deep mappings": ("env_kwargs: " + "{{a: " * 9_000 + "\n", "is nested deeper than 20 levels"),
+    "deep keys": ("? " * 9_000 + "a\n", "is nested deeper than 20 levels"),
+    "a long file": ("# " + "x" * 200_000 + "\n", "has more than 100,000 characters"),
+    "many settings": ("a: 1\n" * 15_000, "there is no setting 'a'"),
+    "many digits": ("seed: " + "9" * 5_000 + "\n", "is no YAML that can be read safely"),
+    "a date that is none": ("seed: 2020-13-45\n", "is no YAML that can be read safely"),
+    "two documents": ("seed: 1\n---\nseed: 2\n", "is no YAML that can be read safely"),
+    "a null byte": ("seed: \x00\n", "is no YAML that can be read safely"),
+    "an open bracket": ("seed: [1\n", "is no YAML that can be read safely"),
+    "a list": ("- 1\n- 2\n", "must hold `name: value` lines, got a list"),
+    "words": ("just words\n", "must hold `name: value` lines, got a str"),
+    "tyro's own flag": ("tyro_write_completion: [bash, '{trace}']\n", "there is no setting 'tyro_write_completion'"),
+    "tyro's own flag in a group": (
+        "discovery:\n  tyro_print_completion: bash\n",
+        "there is no setting 'discovery.tyro_print_completion'",
+    ),
+    "a flag as a value": ("env: --tyro-write-completion\n", "There is no environment '--tyro-write-completion'"),
+    "flags in a list": ("net_arch: [--tyro-write-completion, bash, '{trace}']\n", "net_arch.0 should be"),
+    "flags in env_kwargs": ("env_kwargs: ['--tyro-write-completion', bash, '{trace}']\n", "takes pairs name:value"),
+    "help as a value": ("seed: --help\n", "seed should be a valid integer"),
+    "another file": ("config: other.yml\n", "there is no setting 'config'"),
+    "an environment's module": ("env: evil_module:Env-v0\n", "would import a module"),
+    "an old environment": (
+        "env: GymV26Environment-v0\nenv_kwargs: {{env_id: 'evil_module:Env-v0'}}\n",
+        "would import a module",
+    ),
+    "an older environment": (
+        "env: GymV21Environment-v0\nenv_kwargs: {{env_id: 'evil_module:Env-v0'}}\n",
+        "would import a module",
+    ),
+    "a module in a list": ("env: ['evil_module:Env-v0']\n", "would import a module"),
+    "a module as algorithm": ("algo: evil_module\n", "There is no algorithm 'evil_module'"),
+    "a list as algorithm": ("algo: [ppo]\n", "There is no algorithm"),
+    "a number as key": ("1: 2\n", "there is no setting '1'"),
+    "a class as setting": ("__class__: evil_module\n", "there is no setting '__class__'"),
+    "an attribute as setting": ("discovery:\n  __post_init__: 1\n", "there is no setting 'discovery.__post_init__'"),
+    "a list as group": ("discovery: [1]\n", "discovery should be"),
+}
+
+
+@pytest.fixture
+def trace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """What must not be there afterwards; and a module whose import leaves it."""
+    (tmp_path / "evil_module.py").write_text(f"import os\nos.mkdir({str(tmp_path / 'ran')!r})\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    return tmp_path / "ran"
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.parametrize("how", ["--config", "evaluate"])
+def test_is_refused_in_one_line(
+    name: str, how: str, trace: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text, expected = HOSTILE[name]
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / runs.CONFIG).write_text(text.format(trace=trace))
+    (run / runs.MODEL).touch()
+    (run / runs.OPTIONS).touch()
+    before = sorted(path for path in tmp_path.rglob("*") if "__pycache__" not in path.parts)
+    began = time.monotonic()
+    args = ["evaluate", str(run)] if how == "evaluate" else ["--config", str(run / runs.CONFIG), "--no-progress"]
+    with pytest.raises(SystemExit) as stopped:
+        cli.main([*args, *(["--tensorboard-log", str(tmp_path / "runs")] if how == "--config" else [])])
+    assert time.monotonic() - began < SECONDS
+    said = capsys.readouterr().err + (stopped.value.code if isinstance(stopped.value.code, str) else "")
+    assert stopped.value.code not in (0, None)
+    assert expected in said
+    assert len(said.strip().splitlines()) == 1
+    assert "evil_module" not in sys.modules
+    assert not trace.exists()
+    assert before == sorted(path for path in tmp_path.rglob("*") if "__pycache__" not in path.parts)
+
+
+def test_the_command_line_itself_may_name_a_module(tmp_path: Path) -> None:
+    (tmp_path / "config.yml").write_text("env: evil_module:Env-v0\nseed: 3\n")
+    config = parse(["--config", str(tmp_path / "config.yml"), "--env", "my_module:Env-v0"])
+    assert (config.env, config.seed) == ("my_module:Env-v0", 3)
+    assert configs.load(tmp_path / "config.yml", env="my_module:Env-v0") == config
+
+
+def test_files_that_are_no_text(tmp_path: Path) -> None:
+    (tmp_path / "config.yml").write_bytes(b"\xff\xfe\x00\x80")
+    with pytest.raises(ValueError, match=r"config\.yml is no YAML that can be read safely"):
+        yaml_file.read_mapping(tmp_path / "config.yml")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "near"), [("n_timestep: 5", "n_timesteps"), ("discovery:\n  capacitty: 5", "discovery.capacity")]
+)
+def test_a_near_miss_is_named(wrong: str, near: str, tmp_path: Path) -> None:
+    (tmp_path / "config.yml").write_text(wrong + "\n")
+    with pytest.raises(ValueError, match=rf"config\.yml: there is no setting '.+'\. Did you mean '{near}'\?"):
+        configs.load(tmp_path / "config.yml")

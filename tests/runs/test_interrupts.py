@@ -1,0 +1,217 @@
+"""Interrupts end training between two steps, once, with everything saved; before the first step nothing is left."""
+
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from stable_baselines3 import DQN
+
+from sb3_options import OptionBank, cli
+from sb3_options.execution.workers import WorkerLostError
+from sb3_options.runs import config as configs
+from sb3_options.runs.config import DQNConfig
+from sb3_options.runs.interrupts import TERMINAL, Interrupts
+from tests.support.helpers import CountingEnv
+
+SIGNALS = [*TERMINAL, signal.SIGTERM]
+AT_STEP = 60
+"""Of training."""
+
+
+def send(number: int = signal.SIGINT) -> None:
+    os.kill(os.getpid(), number)
+
+
+@pytest.fixture(autouse=True)
+def handlers() -> Iterator[None]:
+    """Nothing that a test installs stays."""
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    yield
+    assert {number: signal.getsignal(number) for number in SIGNALS} == before
+
+
+@pytest.fixture
+def counting() -> Iterator[Callable[..., None]]:
+    """Registers an environment that calls something in its every step, told its number."""
+
+    def register(in_step: Callable[[int], object]) -> None:
+        steps = 0
+
+        def step(env: CountingEnv, action: int) -> Any:
+            nonlocal steps
+            steps += 1
+            in_step(steps)
+            return np.array([float(env.time)]), 0.0, env.time >= 10, False, {}
+
+        gym.register("Interrupted-v0", lambda: CountingEnv(step=step))  # type: ignore[arg-type]  # it takes no arguments
+
+    yield register
+    gym.registry.pop("Interrupted-v0", None)
+
+
+def train(tmp_path: Path, **kwargs: Any) -> Path:
+    return cli.train(DQNConfig(env="Interrupted-v0", progress=False, device="cpu", tensorboard_log=tmp_path, **kwargs))
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_ends_training_after_its_step(
+    number: int, counting: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    counting(lambda step: send(number) if step == AT_STEP else None)
+    folder = train(tmp_path)
+    said = capfd.readouterr()
+    assert f"Interrupted after {AT_STEP} primitive steps" in said.out
+    assert str(folder) in said.out
+    assert "Interrupted: training ends after this step and is saved. Once more to end it at once." in said.err
+    assert DQN.load(folder / "model.zip").num_timesteps == AT_STEP
+    OptionBank(2, 4).load(folder / "options.safetensors")
+
+
+def test_code_that_takes_all_exceptions_does_not_take_it(counting: Any, tmp_path: Path) -> None:
+    """As ``copyreg`` does in what SB3's ``DummyVecEnv`` copies."""
+
+    def swallow(step: int) -> None:
+        try:
+            if step == AT_STEP:
+                send()
+        except BaseException:
+            pass
+
+    counting(swallow)
+    assert DQN.load(train(tmp_path) / "model.zip").num_timesteps == AT_STEP
+
+
+def test_where_it_was_ignored_as_in_a_script_s_background(counting: Any, tmp_path: Path) -> None:
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        counting(lambda step: send() if step == AT_STEP else None)
+        assert DQN.load(train(tmp_path) / "model.zip").num_timesteps == AT_STEP
+        assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_a_second_one_does_not_wait_for_the_step(
+    counting: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def twice(step: int) -> None:
+        if step == AT_STEP:
+            send()
+            send()
+            pytest.fail("went on")
+
+    counting(twice)
+    folder = train(tmp_path)
+    assert f"Interrupted after {AT_STEP - 1} primitive steps" in capfd.readouterr().out
+    assert DQN.load(folder / "model.zip").num_timesteps == AT_STEP - 1
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("finished", [True, False])
+def test_while_saving_it_changes_nothing(
+    number: int, *, finished: bool, counting: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    save = DQN.save
+
+    def interrupted(self: DQN, path: Any, *args: Any, **kwargs: Any) -> None:
+        send(number)
+        save(self, path, *args, **kwargs)
+        send(number)
+
+    monkeypatch.setattr(DQN, "save", interrupted)
+    counting(lambda step: send() if step == AT_STEP and not finished else None)
+    folder = train(tmp_path, n_timesteps=2 * AT_STEP)
+    said = capfd.readouterr()
+    assert ("Finished after" if finished else "Interrupted after") in said.out
+    assert said.err.count("What was learned is being saved. A moment, please.") == 2
+    assert DQN.load(folder / "model.zip").num_timesteps == (2 if finished else 1) * AT_STEP
+    names = {path.name for path in folder.iterdir()}
+    assert names == {"config.yml", "model.zip", "options.safetensors", "subgoals.png", "monitor", "tensorboard_1"}
+
+
+@pytest.mark.parametrize("times", [1, 2])
+@pytest.mark.parametrize("where", ["save", "make_model", "SubgoalDiscoveryCallback"])
+def test_before_the_first_step_nothing_is_left(
+    where: str, times: int, counting: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    counting(lambda step: pytest.fail("took a step"))
+    module: Any = configs if where == "save" else cli
+    original = getattr(module, where)
+
+    def interrupted(*args: Any, **kwargs: Any) -> Any:
+        for _ in range(times):
+            send()
+        return original(*args, **kwargs)
+
+    monkeypatch.setattr(module, where, interrupted)
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(["--env", "Interrupted-v0", "--no-progress", "--tensorboard-log", str(tmp_path)])
+    assert stopped.value.code == 130
+    at_once = times == 2 and where == "SubgoalDiscoveryCallback"  # there is no folder yet
+    expected = "Interrupted.\n" if at_once else "Interrupted before the first step: there is nothing to keep.\n"
+    assert capfd.readouterr().err.endswith(expected)
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
+def test_a_worker_that_the_signal_ended_as_well_is_no_error(
+    counting: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def lost(step: int) -> None:
+        if step == AT_STEP:
+            send(signal.SIGTERM)
+            raise WorkerLostError("Environment 0 of 1 is gone")
+
+    counting(lost)
+    assert (train(tmp_path) / "model.zip").is_file()
+    assert f"Interrupted after {AT_STEP - 1} primitive steps" in capfd.readouterr().out
+
+
+@pytest.mark.parametrize(("at", "kept"), [(1, False), (AT_STEP, True)])
+def test_an_error_keeps_what_was_learned(at: int, *, kept: bool, counting: Any, tmp_path: Path) -> None:
+    def fail(step: int) -> None:
+        if step == at:
+            raise ValueError("the environment's own error")
+
+    counting(fail)
+    with pytest.raises(ValueError, match="the environment's own error") as error:
+        train(tmp_path)
+    notes = getattr(error.value, "__notes__", [])
+    folders = list(tmp_path.glob("dqn/*"))
+    assert len(notes) == len(folders) == kept
+    for folder in folders:
+        assert notes == [f"What was learned until then is kept in {folder}."]
+        assert DQN.load(folder / "model.zip").num_timesteps == at - 1
+
+
+def test_nothing_is_installed_outside_the_main_thread() -> None:
+    found: list[Any] = []
+
+    def look() -> None:
+        with Interrupts() as interrupts:
+            found.extend([signal.getsignal(number) for number in SIGNALS])
+            found.append(interrupts.noted)
+
+    before = [signal.getsignal(number) for number in SIGNALS]
+    thread = threading.Thread(target=look)
+    thread.start()
+    thread.join()
+    assert found == [*before, False]
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="there is no SIGHUP here")
+def test_what_nohup_ignores_stays_ignored() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with Interrupts() as interrupts:
+            send(signal.SIGHUP)
+            assert not interrupts.noted
+    finally:
+        signal.signal(signal.SIGHUP, before)

@@ -1,0 +1,37 @@
+import numpy as np
+import pytest
+
+from sb3_options.runs.intervals import Interval, mean_interval, ratio_interval, share_interval
+
+
+class TestIntervals:
+    def test_of_a_mean_cover_it_about_as_often_as_they_say(self) -> None:
+        rng = np.random.default_rng(0)
+        intervals = [mean_interval(rng.normal(3.0, 2.0, size=40)) for _ in range(60)]
+        assert all(i.low < i.mean < i.high for i in intervals)
+        covered = np.mean([i.low <= 3.0 <= i.high for i in intervals])
+        assert covered >= 0.85
+        width = np.mean([i.high - i.low for i in intervals])
+        assert width == pytest.approx(2 * 1.96 * 2.0 / np.sqrt(40), rel=0.1)
+
+    def test_of_equal_values_are_points(self) -> None:
+        assert mean_interval(np.array([2.0, 2.0, 2.0])) == mean_interval(np.array([2.0])) == Interval(2.0, 2.0, 2.0)
+
+    def test_of_a_share_are_wilsons(self) -> None:
+        # Wilson (1927): (p + z²/2n ± z √(p(1−p)/n + z²/4n²)) / (1 + z²/n)
+        z, n, p = 1.959964, 20, 0.9
+        centre, half = p + z * z / (2 * n), z * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+        expected = np.array([p, *((centre + s * half) / (1 + z * z / n) for s in (-1, 1))])
+        np.testing.assert_allclose(share_interval(18, 20), expected, atol=1e-6)
+        assert share_interval(20, 20).high == pytest.approx(1.0)
+        assert share_interval(20, 20).low < 0.9
+
+    def test_are_the_same_every_time(self) -> None:
+        values = np.random.default_rng(1).random(30)
+        assert mean_interval(values) == mean_interval(values)
+
+    def test_of_a_ratio_are_over_pairs(self) -> None:
+        theirs = np.array([2.0, 4.0, 6.0])
+        assert ratio_interval(theirs / 2, theirs) == (0.5, 0.5, 0.5)
+        interval = ratio_interval(np.array([1.0, 3.0, 2.0]), theirs)
+        assert interval.low < interval.mean == 0.5 < interval.high

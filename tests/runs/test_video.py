@@ -1,0 +1,71 @@
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from PIL import Image
+
+from sb3_options import OptionsWrapper
+from sb3_options.runs.video import RecordFrames, Video
+from tests.support.helpers import CountingEnv, steady_option
+from tests.support.sb3_helpers import read_video
+
+
+class Drawing(gym.Wrapper[Any, Any, Any, Any]):
+    """Draws its time as a shade of grey, 33 × 47 pixels."""
+
+    def render(self) -> Any:
+        return np.full((33, 47, 3), 40 * self.unwrapped.time, dtype=np.uint8)  # type: ignore[attr-defined]  # a CountingEnv
+
+
+class DrawingOften(gym.Wrapper[Any, Any, Any, Any]):
+    """Draws two things a step."""
+
+    def render(self) -> Any:
+        time = 10 * self.unwrapped.time  # type: ignore[attr-defined]  # a CountingEnv
+        return [time, time + 1]
+
+
+class TestVideo:
+    def test_of_odd_sides_is_padded(self, tmp_path: Path) -> None:
+        video = Video(tmp_path / "f.mp4", 10.0)
+        for shade in (0, 100, 200):
+            video.take(np.full((33, 47, 3), shade, dtype=np.uint8))
+        video.close()
+        frames = read_video(tmp_path / "f.mp4", 34, 48)
+        assert frames.shape == (3, 34, 48, 3)
+        np.testing.assert_allclose(frames.mean(axis=(1, 2, 3)), [0, 100, 200], atol=4)
+
+    def test_gif_repeats_for_ever(self, tmp_path: Path) -> None:
+        video = Video(tmp_path / "f.gif", 10.0, gif=True)
+        for shade in (0, 100, 200):
+            video.take(np.full((33, 47, 3), shade, dtype=np.uint8))
+        video.close()
+        with Image.open(tmp_path / "f.gif") as image:
+            assert (image.n_frames, image.info["duration"], image.info["loop"]) == (3, 100, 0)  # type: ignore[attr-defined]  # a GIF has it
+
+    def test_takes_every_picture_that_a_step_drew(self) -> None:
+        taken: list[int] = []
+        env = RecordFrames(DrawingOften(CountingEnv(terminate_at=3)), taken.append, 1)
+        env.reset()
+        env.step(0)
+        assert taken == [0, 1, 10, 11]
+
+    def test_films_the_steps_inside_options_until_it_has_enough_episodes(self) -> None:
+        taken: list[int] = []
+        env = OptionsWrapper(
+            RecordFrames(Drawing(CountingEnv(terminate_at=5)), lambda p: taken.append(int(p[0, 0, 0])), 2)
+        )
+        env.bank.add(steady_option(max_duration=4))
+        for _ in range(3):
+            env.reset()
+            env.step(2)
+            env.step(0)
+        assert taken == [0, 40, 80, 120, 160, 200] * 2
+
+    def test_of_an_environment_that_draws_nothing(self, tmp_path: Path) -> None:
+        video = Video(tmp_path / "f.mp4", 10.0)
+        with pytest.raises(ValueError, match="The environment draws no pictures: it has no render_mode 'rgb_array'"):
+            video.take(None)
+        video.close()
