@@ -111,6 +111,7 @@ def train(config: TrainConfig) -> Path:
     runs.check_env_id(config.env)
     with Interrupts() as interrupts:
         with closing(runs.make_env(config, 1, config.seed)) as env:  # what cannot be made leaves no folder
+            runs.check_observations(env, config.env)
             bank: OptionBank = env.get_attr("bank")[0]
             started_with = [f"{slot} ({option.name})" for slot, option in enumerate(bank.slots) if option is not None]
         discovery = SubgoalDiscoveryCallback(

@@ -332,6 +332,10 @@ class TestErrors:
         ("args", "expected"),
         [
             (["--env", "Pendulum-v1"], "OptionsWrapper needs a Discrete action space, got Box"),
+            (
+                ["--env", "Blackjack-v1"],
+                "Blackjack-v1 has observations that Stable-Baselines3 cannot learn from, Tuple(",
+            ),
             (["--env-kwargs", "mapp:1"], "mapp"),
             (["--env-kwargs", "success_probability:2"], "success_probability must be in 0..1, got 2"),
             (["--env-kwargs", "observation:smell"], "observation"),
