@@ -4,7 +4,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 ARGS ?=
 
-.PHONY: train paper test lint check format upgrade clean
+.PHONY: train paper test test-slow lint check format architecture upgrade clean
 
 train: $(READY)  ## Train DQN on the two-room gridworld; pass flags as ARGS="--seed 1"
 	$(BIN)/python train.py $(ARGS)
@@ -12,19 +12,26 @@ train: $(READY)  ## Train DQN on the two-room gridworld; pass flags as ARGS="--s
 paper: $(READY)  ## The paper's gridworld figures, 30 runs each, into out/paper
 	$(BIN)/python -m experiments.paper all --runs 30 --out out/paper $(ARGS)
 
-test: $(READY)  ## All tests
-	$(BIN)/python -m pytest -n 2 --dist loadscope $(ARGS)
+test: $(READY)  ## The fast tests
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow" $(ARGS)
 
-lint: $(READY)  ## Style and types
+test-slow: $(READY)  ## Those that train or simulate for minutes
+	$(BIN)/python -m pytest -n 2 --dist load -m slow $(ARGS)
+
+lint: $(READY)  ## Style, types, and which folder may import which
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports --no-logo --no-cache
 	$(BIN)/mypy
 
-check: lint test  ## What CI and pre-commit run
+check: lint test  ## What pre-commit runs; CI runs `test-slow` too
 
 format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+architecture: $(READY)  ## The folders and their imports, drawn into docs/images
+	$(BIN)/python -m docs.architecture
 
 $(READY): pyproject.toml constraints.txt
 	test -d .venv || $(PYTHON) -m venv .venv

@@ -1,4 +1,4 @@
-"""Trying the options of all environments, and saying which of them to close."""
+"""The randomised trials of all options, over all training environments."""
 
 from __future__ import annotations
 
@@ -7,19 +7,18 @@ from collections.abc import Iterable
 
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_options.execution.trials import OptionTrial, TrialSettings, Verdict
-from sb3_options.execution.withholding import TrialReport
+from sb3_options.execution.trials import OptionTrial, TrialReport, TrialSettings, Verdict
 
 TRIAL_SEED = 0x7121A1
-"""Mixed into the seed, so that trials draw from streams of their own."""
+"""Mixed into the seed, so that the draws of trials are independent of everything else that is seeded."""
 
 
 class OptionTrials:
     """One trial for each option, over all training environments.
 
     Args:
-        venv: Where episodes run; evaluation environments never withhold anything.
-        settings: How.
+        venv: Where episodes run. In evaluation environments nothing is withheld.
+        settings: Of every trial.
         seed: Of the draws.
     """
 
@@ -33,7 +32,7 @@ class OptionTrials:
     def episode_ended(
         self, report: TrialReport | None, *, success: bool, filled: Iterable[int]
     ) -> list[tuple[int, Verdict]]:
-        """Count one episode.
+        """Add one episode to the trials of its options.
 
         Args:
             report: Of `OptionsWrapper`; None if no option was tried in the episode.
@@ -53,21 +52,19 @@ class OptionTrials:
             if report is None or slot not in report["withheld"]:
                 continue
             trial = self.trials.setdefault(slot, OptionTrial(self.settings))
-            verdict = trial.add(
-                withheld=report["withheld"][slot], outcome=report["outcome"], used=slot in report["used"]
-            )
+            verdict = trial.add(withheld=report["withheld"][slot], outcome=report["outcome"])
             if verdict is not None:
                 closing.append((slot, verdict))
         self._send({slot: self.settings.withhold for slot in filled if self._is_on(slot)})
         return closing
 
     def forget(self, slot: int) -> None:
-        """The slot holds another option from now on, or none."""
+        """End the trial of a slot whose option was replaced or removed."""
         self.trials.pop(slot, None)
         self._ages.pop(slot, None)
 
     def end(self) -> None:
-        """Withhold nothing any more."""
+        """Stop withholding options."""
         self._shares = {}
         self.venv.env_method("end_trials")
 

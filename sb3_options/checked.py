@@ -8,7 +8,7 @@ the same class.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar, dataclass_transform
 
 from pydantic import ConfigDict, Field, ValidationError
@@ -28,26 +28,35 @@ def settings(cls: type[T]) -> type[T]:
     """
     made = dataclass(frozen=True, config=ConfigDict(extra="forbid"))(cls)
     check: Callable[..., None] = made.__init__
+    names = tuple(made.__dataclass_fields__)
 
     @functools.wraps(check)
     def __init__(self: Any, *args: Any, **kwargs: Any) -> None:  # noqa: N807  # it replaces the generated one
         try:
             check(self, *args, **kwargs)
         except ValidationError as error:
-            unknown = any(e["type"] == "unexpected_keyword_argument" for e in error.errors())
-            raise (TypeError if unknown else ValueError)(f"{cls.__name__}: {readable(error)}") from None
+            unknown = any(e["type"].startswith("unexpected_") for e in error.errors())  # by keyword or position
+            raise (TypeError if unknown else ValueError)(f"{cls.__name__}: {readable(error, names)}") from None
 
     made.__init__ = __init__  # type: ignore[method-assign]  # it takes what the generated one takes
     return made  # type: ignore[return-value]  # pydantic types it as a class of its own, and it is ``cls`` itself
 
 
-def readable(error: ValidationError) -> str:
-    """One line that says of every wrong field its name, what was expected and what came."""
-    return "; ".join(_readable(e) for e in error.errors(include_url=False))
+def readable(error: ValidationError, names: Sequence[str] = ()) -> str:
+    """One line that says of every wrong field its name, what was expected and what came.
+
+    Args:
+        error: What pydantic found.
+        names: Of the fields in order, for those that were passed by position.
+    """
+    return "; ".join(_readable(e, names) for e in error.errors(include_url=False))
 
 
-def _readable(error: Any) -> str:
-    name, message = ".".join(map(str, error["loc"])), str(error["msg"])
+def _readable(error: Any, names: Sequence[str]) -> str:
+    first, *rest = error["loc"] or ("",)
+    first = names[first] if isinstance(first, int) and first < len(names) else first
+    name = ".".join(map(str, [first, *rest]))
+    message = str(error["msg"])
     if error["type"] == "unexpected_keyword_argument":
         return f"there is no setting {name!r}"
     if error["type"] == "value_error":  # of a __post_init__, which has its own words

@@ -24,7 +24,7 @@ from stable_baselines3.common.callbacks import BaseCallback, EveryNTimesteps
 from stable_baselines3.common.vec_env import VecEnv
 
 import sb3_options.envs  # noqa: F401  # registers them
-from sb3_options.atomic import whole_file
+from sb3_options.atomic import atomic_write
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.execution.trials import TrialSettings
@@ -188,7 +188,7 @@ def _learn(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Pat
 
 def _save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
     try:
-        with whole_file(folder / runs.MODEL) as temporary:
+        with atomic_write(folder / runs.MODEL) as temporary:
             model.save(temporary)
     finally:
         bank.save(folder / runs.OPTIONS)
@@ -211,7 +211,7 @@ def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path
     if config.vec_env == "subproc":  # φ was in a process that has ended
         env = runs.make_env(config, 1, config.seed)
         discovery.bank.bind(lambda observations: env.env_method("concept_features", observations)[0])
-    with whole_file(folder / runs.SUBGOALS) as temporary:
+    with atomic_write(folder / runs.SUBGOALS) as temporary:
         figure = subgoals_figure(discovery.discovery, discovery.bank, _why_nothing(discovery))
         figure.savefig(temporary, dpi=FIGURE_DPI)
 
@@ -274,7 +274,7 @@ def evaluate(config: EvaluateConfig) -> evaluation.Evaluation:
     console.print(table)
     content = {"episodes": result.episodes, "seed": config.seed}
     content |= {name.replace(" ", "_"): interval._asdict() for name, interval in rows.items()}  # type: ignore[misc]  # values of two kinds
-    with whole_file(config.run / "evaluation.json") as temporary:
+    with atomic_write(config.run / "evaluation.json") as temporary:
         temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
     if config.video is not None:
         console.print(f"Video: {escape(str(config.video))}")

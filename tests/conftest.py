@@ -1,9 +1,21 @@
-import numpy as np
-import pytest
-import torch
+import gc
+import os
 
 # Two cores, and small tensors: more threads are slower, and sums over several threads need not repeat bit for bit.
-torch.set_num_threads(1)
+# Set before torch is imported, so that the process that only distributes the tests need not import it.
+os.environ["OMP_NUM_THREADS"] = "1"
+
+import numpy as np
+import pytest
+
+from tests.support import processes
+
+processes.share_libraries()
+
+
+def pytest_collection_finish() -> None:
+    """What the libraries made on import is there to stay: no garbage collection has to look at it again."""
+    gc.freeze()
 
 
 @pytest.fixture

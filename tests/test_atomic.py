@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
-from sb3_options.atomic import whole_file
+from sb3_options.atomic import atomic_write
 
 
 def test_writes_makes_folders_and_replaces(tmp_path: Path) -> None:
     path = tmp_path / "a" / "b" / "file.txt"
     for text in ("first", "second, longer"):
-        with whole_file(path) as temporary:
+        with atomic_write(path) as temporary:
             assert temporary.parent == path.parent
             assert temporary.suffix == ".txt"
             temporary.write_text(text)
@@ -30,7 +30,7 @@ def test_an_error_while_writing_leaves_the_old_file(tmp_path: Path, old: bytes |
         path.write_bytes(old)
 
     def write() -> None:
-        with whole_file(str(path)) as temporary:
+        with atomic_write(str(path)) as temporary:
             temporary.write_bytes(b"half of the n")
             raise error("while writing")
 
@@ -50,7 +50,7 @@ def test_a_full_disk_leaves_the_old_file(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     def write() -> None:
-        with whole_file(path) as temporary:
+        with atomic_write(path) as temporary:
             temporary.write_bytes(b"new")
 
     monkeypatch.setattr(owner, name, full)
@@ -76,6 +76,6 @@ def test_everything_is_on_the_disk_before_it_replaces(tmp_path: Path, monkeypatc
 
     monkeypatch.setattr(os, "fsync", recorded_fsync)
     monkeypatch.setattr(Path, "replace", recorded_replace)
-    with whole_file(tmp_path / "file") as temporary:
+    with atomic_write(tmp_path / "file") as temporary:
         temporary.write_bytes(b"12345")
     assert calls == ["fsync 5", "replace"]

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from sb3_options.atomic import whole_file
+from sb3_options.atomic import atomic_write
 
 
 def fill(document: Path, parts: Mapping[str, str]) -> None:
@@ -19,7 +19,7 @@ def fill(document: Path, parts: Mapping[str, str]) -> None:
     text = document.read_text(encoding="utf-8")
     for name, part in parts.items():
         text = _filled(text, name, part, document)
-    with whole_file(document) as temporary:
+    with atomic_write(document) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 

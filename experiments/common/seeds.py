@@ -13,14 +13,14 @@ from joblib import Parallel, delayed
 from rich.progress import track
 
 import sb3_options.envs  # noqa: F401  # registers them, in worker processes too
-from sb3_options.atomic import whole_file
+from sb3_options.atomic import atomic_write
 
 Result = dict[str, Any]
 
 
 def write_json(path: Path, content: Any) -> None:
     """Write JSON that is there whole or not at all."""
-    with whole_file(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 

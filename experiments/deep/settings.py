@@ -71,7 +71,7 @@ class DeepSettings:
         max_new_options: Most options to discover.
         discovery: Other than the defaults of `DiscoverySettings`.
         option: Other than the defaults of `OptionLearningSettings`.
-        callback: Switches of `SubgoalDiscoveryCallback`: ``teach_head``, ``interruption``.
+        callback: Switches of `SubgoalDiscoveryCallback`: ``interruption``.
         buffer: Switches of `OptionReplayBuffer`: ``intra_option``, ``macro_q``.
         evaluate_every: Primitive steps between evaluations.
         evaluation_episodes: Episodes of each.
@@ -90,7 +90,7 @@ class DeepSettings:
     max_new_options: int = 2
     discovery: dict[str, Any] = field(default_factory=lambda: {"decay": 0.75, "min_positive": 5, "leak": 0.2})
     option: dict[str, Any] = field(default_factory=lambda: {"grow": True})
-    callback: dict[str, Any] = field(default_factory=lambda: {"teach_head": False, "interruption": True})
+    callback: dict[str, Any] = field(default_factory=lambda: {"interruption": True})
     buffer: dict[str, Any] = field(default_factory=lambda: {"intra_option": False})
     evaluate_every: int = 1000
     evaluation_episodes: int = 20

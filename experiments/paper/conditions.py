@@ -27,7 +27,7 @@ from experiments.paper.agents import (
 )
 from experiments.paper.settings import TRANSFER_GOAL, PaperSettings
 from sb3_options import MacroQ
-from sb3_options.atomic import whole_file
+from sb3_options.atomic import atomic_write
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.discovery.static_filter import success_by_steps
 from sb3_options.envs import GridWorld
@@ -181,7 +181,7 @@ def _save(start: Start, artifacts: Path, seed: int) -> None:
     width = world_of(start.agent).width
     features = np.stack([cells % width, cells // width], axis=1).astype(np.float64)
     inside = np.zeros(len(cells), dtype=bool) if option is None else steps_in_initiation_set(option, features)
-    with whole_file(values) as temporary, temporary.open("wb") as file:
+    with atomic_write(values) as temporary, temporary.open("wb") as file:
         np.savez(file, values=start.agent.policy.table(), inside=inside)
 
 

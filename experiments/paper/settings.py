@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from sb3_options.discovery.subgoals import DiscoverySettings
-from sb3_options.options.creation import OptionLearningSettings
+from sb3_options.options.settings import OptionLearningSettings
 
 TRANSFER_GOAL = (20, 0)
 """Upper right corner, §6.1."""

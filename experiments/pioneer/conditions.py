@@ -13,7 +13,7 @@ import numpy as np
 from experiments.common.seeds import Result
 from experiments.pioneer.agents import discoverer, evaluate, live, make_agent, wrapper_of
 from experiments.pioneer.settings import MAIN_TASK, TASKS, PioneerSettings
-from sb3_options.atomic import whole_file
+from sb3_options.atomic import atomic_write
 from sb3_options.cli import train
 from sb3_options.envs.pioneer.env import DEPOSIT_REWARD, STEP_REWARD, TOUCH_REWARD
 from sb3_options.runs.config import DQNConfig
@@ -49,7 +49,7 @@ def learning(settings: PioneerSettings, artifacts: Path, seed: int) -> Result:
             }
             file = _file(artifacts, seed)
             file.parent.mkdir(parents=True, exist_ok=True)
-            with whole_file(file) as temporary:
+            with atomic_write(file) as temporary:
                 callback.bank.save(temporary)
         agent.env.close()  # type: ignore[union-attr]  # made with one
     return result

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from sb3_options.discovery.subgoals import DiscoverySettings
-from sb3_options.options.creation import OptionLearningSettings
+from sb3_options.options.settings import OptionLearningSettings
 
 TASKS = {
     "corner": "sb3_options/PioneerCorner-v0",

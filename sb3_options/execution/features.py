@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium import spaces
 
 from sb3_options.experience.observations import FeatureMap, FloatArray, Observations, batch_of_one, flatten
-from sb3_options.options.file import MadeFor
+from sb3_options.options.file import SpaceSignature
 
 MAX_FEATURES = 4096
 """Concept spaces with more dimensions than this (images, say) are refused: distances in them mean nothing."""
@@ -120,7 +120,7 @@ def checked_size(features: FloatArray, name: str = "feature_map") -> int:
     return int(features.shape[1])
 
 
-def made_for(space: gym.Space[Any], features: Features | None) -> MadeFor:
+def signature(space: gym.Space[Any], features: Features | None) -> SpaceSignature:
     """What an options file says of the observations its options act on.
 
     Args:
@@ -133,7 +133,7 @@ def made_for(space: gym.Space[Any], features: Features | None) -> MadeFor:
     sha256 = hashlib.sha256()
     for part in _parts(space, ""):
         sha256.update(part + b"\n")
-    return MadeFor(text, sha256.hexdigest(), None if features is None else features.kind)
+    return SpaceSignature(text, sha256.hexdigest(), None if features is None else features.kind)
 
 
 def _parts(space: gym.Space[Any], name: str) -> Iterator[bytes]:

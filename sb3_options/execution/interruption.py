@@ -27,17 +27,30 @@ class Interruption:
     Attributes:
         values: One observation, as `OptionsWrapper` sees it → Q, (n_actions,). Must travel between processes.
         masks: Whether the agent chooses among available actions only; else it chooses among all.
-        margin: By how much, in units of return, going on must be worse.
         every_choice: Whether options that were not the best choice where they began are interrupted as well.
     """
 
     values: Callable[[Any], FloatArray]
     masks: bool = False
-    margin: float = 0.0
     every_choice: bool = False
 
+    def watch(self, action: int, observation: Any, available: Callable[[], BoolArray]) -> Callable[[Any], bool] | None:
+        """What says of each state that an option arrives in whether to end it there.
+
+        Args:
+            action: The option that is about to begin, as augmented action.
+            observation: Where it begins.
+            available: Gives the mask of the current state, (n_actions,).
+
+        Returns:
+            None if the option is to run to its end.
+        """
+        if not self.every_choice and self.falls_behind(action, observation, available):
+            return None
+        return lambda arrived_in: self.falls_behind(action, arrived_in, available)
+
     def falls_behind(self, action: int, observation: Any, available: Callable[[], BoolArray]) -> bool:
-        """Whether Q(s, action) < max Q(s, a) − margin over the actions that may be chosen in s.
+        """Whether Q(s, action) < max Q(s, a) over the actions that may be chosen in s.
 
         Args:
             action: An option, as augmented action.
@@ -46,15 +59,4 @@ class Interruption:
         """
         values = self.values(observation)
         best = np.where(available(), values, -np.inf).max() if self.masks else values.max()
-        return bool(values[action] < best - self.margin)
-
-
-def checked_margin(margin: float) -> float:
-    """``margin`` itself, if it may be one.
-
-    Raises:
-        ValueError: It is negative.
-    """
-    if not margin >= 0:
-        raise ValueError(f"interruption_margin must be at least 0, in units of return, got {margin}.")
-    return float(margin)
+        return bool(values[action] < best)

@@ -17,53 +17,58 @@ Cost: the share of episodes withheld × what the option is worth in an episode, 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from collections.abc import Callable, Iterable, Sequence
+from typing import Annotated, Any, Literal, TypeAlias, TypedDict
 
 import numpy as np
 from scipy.stats import mannwhitneyu
 
-from sb3_options.experience.observations import FloatArray
+from sb3_options.checked import Field, settings
+from sb3_options.execution.interruption import Interruption
+from sb3_options.execution.option_step import primitive_of
+from sb3_options.experience.observations import BoolArray, FloatArray
+from sb3_options.options.option import Option
 
-Verdict: TypeAlias = Literal["harmful", "useless"]
+Verdict: TypeAlias = Literal["harmful"]
+
+Share: TypeAlias = Annotated[float, Field(gt=0, lt=1)]
+Episodes: TypeAlias = Annotated[int, Field(ge=1)]
 
 
-@dataclass(frozen=True)
+@settings
 class TrialSettings:
     """How options are tried.
 
     Attributes:
-        withhold: Share of episodes without an option, in (0, 1).
-        alpha: Probability of closing an option that makes no difference, all looks together, in (0, 1).
+        withhold: Share of episodes without an option.
+        alpha: Probability of closing an option that makes no difference, all looks together.
         look_every: Withheld episodes between two looks.
         window: Episodes compared: the last so many. What an option did while the agent knew little is no reason to
             keep it, or to close it.
-        success_window: The trial is on while at least half of this many last episodes succeeded: before, nothing is
-            compared but luck, and an episode without the option may be long …
-        patience: … or once the option has been there for this many episodes: it may be the reason why none succeeds.
-        close_useless: Whether an option that is hardly run is closed as well, to make room for another.
-        useless_share: It is useless if it ran in fewer than this share of the episodes of a full window it might have.
+        success_window: The trial is on while at least half of this many last episodes succeeded. Before, nothing is
+            compared but luck, and an episode without the option may be long.
+        patience: The trial is also on once the option has been there for this many episodes: it may be the reason why
+            none succeeds.
     """
 
-    withhold: float = 0.1
-    alpha: float = 0.05
-    look_every: int = 10
-    window: int = 400
-    success_window: int = 20
-    patience: int = 100
-    close_useless: bool = False
-    useless_share: float = 0.02
+    withhold: Share = 0.1
+    alpha: Share = 0.05
+    look_every: Episodes = 10
+    window: Episodes = 400
+    success_window: Episodes = 20
+    patience: Episodes = 100
 
-    def __post_init__(self) -> None:
-        """Refuse values out of range, by name."""
-        for name in ("withhold", "alpha"):
-            if not 0.0 < getattr(self, name) < 1.0:
-                raise ValueError(f"{name} must be in (0, 1), got {getattr(self, name)}.")
-        for name in ("look_every", "window", "success_window", "patience"):
-            if getattr(self, name) < 1 or getattr(self, name) % 1:
-                raise ValueError(f"{name} must be a whole number of episodes, at least 1, got {getattr(self, name)}.")
-        if not 0.0 <= self.useless_share <= 1.0:
-            raise ValueError(f"useless_share must be in [0, 1], got {self.useless_share}.")
+
+class TrialReport(TypedDict):
+    """What the info that ends an episode holds as ``info["option_trial"]``.
+
+    Attributes:
+        withheld: Of each slot that was tried in the episode, whether it was withheld.
+        outcome: Σ γᵗ rₜ of the episode.
+    """
+
+    withheld: dict[int, bool]
+    outcome: float
 
 
 class OptionTrial:
@@ -77,21 +82,20 @@ class OptionTrial:
         self.settings = settings
         self.looks = 0
         self.p_value = 1.0
-        self._episodes: deque[tuple[bool, float, bool]] = deque(maxlen=settings.window)
+        self._episodes: deque[tuple[bool, float]] = deque(maxlen=settings.window)
         self._withheld = 0
 
-    def add(self, *, withheld: bool, outcome: float, used: bool) -> Verdict | None:
+    def add(self, *, withheld: bool, outcome: float) -> Verdict | None:
         """Count one episode that drew for this option.
 
         Args:
             withheld: What it drew.
             outcome: Discounted return Σ γᵗ rₜ of the episode.
-            used: Whether the option ran in it.
 
         Returns:
             A reason to close the option; None while there is none.
         """
-        self._episodes.append((withheld, outcome, used))
+        self._episodes.append((withheld, outcome))
         if withheld:
             self._withheld += 1
             if self._withheld % self.settings.look_every == 0:
@@ -99,16 +103,12 @@ class OptionTrial:
                 self.p_value = harm(*self._arms())
                 if self.p_value <= self.settings.alpha / (self.looks * (self.looks + 1)):
                     return "harmful"
-        if self.settings.close_useless and len(self._episodes) == self.settings.window:
-            used_in = [was_used for was_withheld, _, was_used in self._episodes if not was_withheld]
-            if np.mean(used_in) < self.settings.useless_share:
-                return "useless"
         return None
 
     def _arms(self) -> tuple[FloatArray, FloatArray]:
         """Outcomes with the option and without it."""
-        outcomes = np.array([outcome for _, outcome, _ in self._episodes])
-        withheld = np.array([was_withheld for was_withheld, _, _ in self._episodes])
+        outcomes = np.array([outcome for _, outcome in self._episodes])
+        withheld = np.array([was_withheld for was_withheld, _ in self._episodes])
         return outcomes[~withheld], outcomes[withheld]
 
 
@@ -125,3 +125,65 @@ def harm(with_it: FloatArray, without_it: FloatArray) -> float:
     if len(with_it) == 0 or len(without_it) == 0 or np.ptp(np.concatenate([with_it, without_it])) == 0:
         return 1.0
     return float(mannwhitneyu(without_it, with_it, alternative="greater").pvalue)
+
+
+class Withholding:
+    """The environment's side of a trial: draws which options an episode does without, and sums what it returns.
+
+    Args:
+        seed: Of a generator of its own, so that nothing else draws differently because of a trial.
+        gamma: γ per primitive step.
+    """
+
+    def __init__(self, seed: Sequence[int], gamma: float) -> None:
+        self.random = np.random.default_rng(seed)
+        self.gamma = gamma
+        self.shares: dict[int, float] = {}
+        self.begin(())
+
+    def begin(self, filled: Iterable[int]) -> None:
+        """An episode begins with these slots filled."""
+        # One draw for every slot that is tried, so that the slots are independent of each other.
+        self._drawn = {slot: bool(self.random.random() < self.shares[slot]) for slot in filled if slot in self.shares}
+        self._outcome, self._discount = 0.0, 1.0
+
+    def withheld(self) -> list[int]:
+        """The slots this episode does without."""
+        return [slot for slot, drawn in self._drawn.items() if drawn]
+
+    def instead_of(
+        self,
+        option: Option,
+        action: int,
+        observation: Any,
+        available: Callable[[], BoolArray],
+        n_primitive: int,
+        rule: Interruption | None,
+    ) -> int:
+        """The primitive action that the agent takes without an option that it chose.
+
+        Where its values are known: the best in the place of a greedy choice, a random one in the place of an
+        exploratory choice. Else one step of the option's own policy.
+
+        Args:
+            option: The choice.
+            action: The same as augmented action.
+            observation: Where it was made.
+            available: Gives the mask of the current state, (n_actions,).
+            n_primitive: Number of primitive actions.
+            rule: Knows the values; None where nobody does.
+        """
+        if rule is None:
+            return primitive_of(option, observation, n_primitive)
+        mask = available()
+        if rule.falls_behind(action, observation, lambda: mask):
+            return int(self.random.choice(np.flatnonzero(mask[:n_primitive])))
+        values = np.where(mask, rule.values(observation), -np.inf)
+        return int(values[:n_primitive].argmax())
+
+    def note(self, rewards: Iterable[float], *, over: bool) -> dict[str, TrialReport]:
+        """Count primitive steps; where the episode is over, what ``info`` says of it if an option was tried."""
+        for reward in rewards:
+            self._outcome += self._discount * reward
+            self._discount *= self.gamma
+        return {"option_trial": {"withheld": self._drawn, "outcome": self._outcome}} if over and self._drawn else {}

@@ -10,12 +10,6 @@ import numpy.typing as npt
 
 from sb3_options.experience.observations import FloatArray, IntArray
 
-HASH_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
-"""2⁶⁴ over the golden ratio, odd: Knuth's multiplicative hashing (The Art of Computer Programming 3, §6.4)."""
-
-HASH_SHIFT = np.uint64(32)
-"""Only the upper half of the product is used: the lower bits of a product depend on the lower bits of the index."""
-
 
 class LinearFeatures(Protocol):
     """Which of ``n_features`` binary features are 1 in an observation; always ``n_active`` of them.
@@ -33,7 +27,7 @@ class LinearFeatures(Protocol):
 
 
 class OneHot:
-    """One feature a state: a linear value function over it is a table.
+    """One feature per state: a linear value function over it is a table.
 
     Args:
         n_features: Number of states.
@@ -71,7 +65,6 @@ class TileCoding:
         high: Upper bounds, > low, shape (d,).
         tiles: Tiles along each dimension within the bounds, at least 1 each, shape (d,).
         n_tilings: Number of tilings, at least 1.
-        hash_size: Number of features if tiles are to share them by hashing; None gives every tile its own.
 
     Raises:
         ValueError: Shapes differ, or a value is out of its range.
@@ -84,7 +77,6 @@ class TileCoding:
         tiles: Sequence[int],
         *,
         n_tilings: int = 8,
-        hash_size: int | None = None,
     ) -> None:
         self.low = np.asarray(low, dtype=np.float64)
         self.high = np.asarray(high, dtype=np.float64)
@@ -96,10 +88,8 @@ class TileCoding:
             )
         if not (np.isfinite(self.low).all() and np.isfinite(self.high).all() and (self.low < self.high).all()):
             raise ValueError(f"low must be below high, both finite, got {self.low} and {self.high}.")
-        if (self.tiles < 1).any() or n_tilings < 1 or (hash_size is not None and hash_size < 1):
-            raise ValueError(
-                f"tiles, n_tilings and hash_size must be at least 1, got {tiles}, {n_tilings} and {hash_size}."
-            )
+        if (self.tiles < 1).any() or n_tilings < 1:
+            raise ValueError(f"tiles and n_tilings must be at least 1, got {tiles} and {n_tilings}.")
         self.n_active = n_tilings
         dimension, tiling = np.arange(len(self.low)), np.arange(n_tilings)[:, None]
         self._offsets: FloatArray = (tiling * (2 * dimension + 1)) % n_tilings / n_tilings
@@ -108,8 +98,7 @@ class TileCoding:
         self._strides = np.append(np.cumprod(self._cells[::-1])[::-1][1:], 1)
         per_tiling = int(np.prod(self._cells))
         self._first = np.arange(n_tilings) * per_tiling
-        self._hash_size = hash_size
-        self.n_features = n_tilings * per_tiling if hash_size is None else hash_size
+        self.n_features = n_tilings * per_tiling
 
     def active(self, observations: npt.NDArray[Any]) -> IntArray:
         """The tile of each tiling, shape (batch, n_tilings)."""
@@ -117,17 +106,14 @@ class TileCoding:
         place = np.clip(unit, 0.0, 1.0)[:, None, :] * self.tiles + self._offsets
         cell = np.minimum(place.astype(np.int64), self._cells - 1)
         index: IntArray = cell @ self._strides + self._first
-        if self._hash_size is None:
-            return index
-        mixed = (index.astype(np.uint64) + np.uint64(1)) * HASH_MULTIPLIER >> HASH_SHIFT
-        return (mixed % np.uint64(self._hash_size)).astype(np.int64)
+        return index
 
 
 class Concatenated:
     """Several feature sets side by side, each over some of the observation's numbers.
 
-    A tile coding of all numbers at once needs tiles for every combination; one of each group of numbers that belong
-    together needs far fewer, and the value is then a sum of functions of the groups (Sutton & Barto 2018, §9.5.4).
+    A tile coding of all numbers at once needs tiles for every combination. One tile coding per group of numbers needs
+    far fewer, and the value is then a sum of functions of the groups (Sutton & Barto 2018, §9.5.4).
 
     Args:
         parts: Pairs of the numbers' indices in the flat observation, and features of these numbers.

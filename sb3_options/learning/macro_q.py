@@ -9,14 +9,15 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from gymnasium import spaces
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback
 from stable_baselines3.common.utils import safe_mean
 
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.observations import BoolArray, FloatArray
+from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.linear_features import LinearFeatures, OneHot
+from sb3_options.learning.masked import MaskedPrediction, n_actions_of
 
 
 class LinearPolicy(BasePolicy):
@@ -49,7 +50,7 @@ class LinearPolicy(BasePolicy):
         return torch.as_tensor(self.values(np.asarray(observation)).argmax(axis=1))
 
 
-class MacroQ(BaseAlgorithm):
+class MacroQ(MaskedPrediction):
     """Q-learning (Watkins 1989), and Macro Q-learning once there are options (McGovern & Sutton 1998).
 
     After a primitive action: Q(s, a) ← Q(s, a) + α [r + γ max Q(s', ·) − Q(s, a)]. After an option of k steps the same
@@ -119,7 +120,7 @@ class MacroQ(BaseAlgorithm):
         if self.features is None:
             self.features = default_features(self.observation_space)
         self.policy = LinearPolicy(self.observation_space, self.action_space, self.features)
-        self._n_actions = int(self.action_space.n)
+        self._n_actions = n_actions_of(self)
         self._count_slots()
 
     def set_env(self, env: GymEnv, force_reset: bool = True) -> None:
@@ -144,19 +145,15 @@ class MacroQ(BaseAlgorithm):
         reset_num_timesteps: bool = True,
         progress_bar: bool = False,
     ) -> Self:
-        """Learn for a number of timesteps.
+        """Learn for a number of timesteps; arguments and result are as in SB3.
 
         Args:
-            total_timesteps: How many: primitive steps where a callback of this library is there to count them, and
-                decisions otherwise.
-            callback: Any SB3 callback or list of them.
-            log_interval: Log every so many episodes; None never does.
+            total_timesteps: Primitive steps if a callback of this library counts them, else decisions.
+            callback: One or several.
+            log_interval: Episodes between two entries of the log; None writes none.
             tb_log_name: Name of the run for TensorBoard.
-            reset_num_timesteps: Start counting from 0.
-            progress_bar: Show one.
-
-        Returns:
-            The model.
+            reset_num_timesteps: Whether counting starts from 0.
+            progress_bar: Whether to show one.
         """
         # Callbacks look for each other in the local `callback`, as with SB3's own algorithms.
         total_timesteps, callback = self._setup_learn(
@@ -166,7 +163,8 @@ class MacroQ(BaseAlgorithm):
         assert self.features is not None  # set up with the model
         callback.on_training_start(locals(), globals())
         callback.on_rollout_start()
-        self._begin_learning()
+        self._table = self.policy.table()
+        self._step_size = cast("float", self.learning_rate)  # the constructor takes no schedule
         choices = self._choices()
         active = self._active(self._last_obs)
         goes_on = True
@@ -176,23 +174,24 @@ class MacroQ(BaseAlgorithm):
             self.num_timesteps += self.env.num_envs
             new_active = self._active(new_obs)
             over: list[bool] = dones.tolist()
-            for i, info in enumerate(infos):
+            runs = [OptionRun.from_info(info) if "option" in info else None for info in infos]
+            for i, (info, run) in enumerate(zip(infos, runs, strict=True)):
                 arrived = self._active(np.asarray(info["terminal_observation"])[None])[0] if over[i] else new_active[i]
                 ended = over[i] and not info["TimeLimit.truncated"]
-                self._learn_from(active[i], int(actions[i]), float(rewards[i]), arrived, ended, info.get("option"))
+                self._learn_from(active[i], int(actions[i]), float(rewards[i]), arrived, ended, run)
             self._last_obs, active = new_obs, new_active  # type: ignore[assignment]  # SB3 annotates it as None
-            # After learning: a callback that stops training at the end of an episode loses nothing of it.
+            # After the update, so that a callback that stops training at the end of an episode loses no step.
             callback.update_locals(locals())
             goes_on = callback.on_step()
             self._update_current_progress_remaining(self.num_timesteps, total_timesteps)
             if any(over):
-                self._update_info_buffer(infos, dones)  # infos say something of episodes only at their ends
+                self._update_info_buffer(infos, dones)
                 self._episode_num += sum(over)
-                choices = self._choices()  # options may have come, and the environment was reset
+                choices = self._choices()  # new options, and another state after the reset
                 if log_interval is not None and self._episode_num % log_interval == 0:
                     self._log()
             elif self._n_slots:
-                choices = [self._choices_after(info["option"]) for info in infos]
+                choices = [self._choices_after(run) for run in runs]
         callback.on_rollout_end()
         callback.on_training_end()
         return self
@@ -205,7 +204,7 @@ class MacroQ(BaseAlgorithm):
         led: Sequence[int],
         ended: Sequence[bool],
     ) -> None:
-        """Q-learning from primitive steps lived through earlier, in the given order (experience replay, Lin 1992).
+        """Q-learning from earlier primitive steps, in the given order (experience replay, Lin 1992).
 
         Only for features of which one is active, such as `OneHot`; the maximum is taken over primitive actions.
 
@@ -224,10 +223,6 @@ class MacroQ(BaseAlgorithm):
             rows[state][action] += step_size * (target - rows[state][action])
         table[:] = rows
 
-    def _begin_learning(self) -> None:
-        self._table = self.policy.table()
-        self._step_size = cast("float", self.learning_rate)  # the constructor takes no schedule
-
     def _learn_from(
         self,
         began: list[int],
@@ -235,9 +230,9 @@ class MacroQ(BaseAlgorithm):
         reward: float,
         arrived: list[int],
         ended: bool,
-        option: dict[str, Any] | None,
+        run: OptionRun | None,
     ) -> None:
-        """Learn from one call of ``step``, and from the primitive steps inside it.
+        """Update the values from one call of ``step`` and from the primitive steps inside it.
 
         Args:
             began: Active features where it began.
@@ -245,24 +240,25 @@ class MacroQ(BaseAlgorithm):
             reward: Σ γⁱ rᵢ.
             arrived: Active features where it led.
             ended: Whether nothing follows.
-            option: ``info["option"]``; None where the environment has no options.
+            run: What ran; None where the environment has no options.
         """
-        if option is None:
+        if run is None:
             self._update(began, action, reward, self.gamma, arrived, ended, ())
             return
-        k = option["duration"]
-        available = option["available"].tolist() if "available" in option else [()] * k
-        if option["index"] < 0:
-            if "actions" in option:
-                action = int(option["actions"][0])  # an empty slot ran this primitive
+        available = [()] * int(run.duration) if run.available is None else run.available.tolist()
+        if run.index < 0:
+            if run.actions is not None:
+                action = int(run.actions[0])  # an empty slot ran this primitive
             self._update(began, action, reward, self.gamma, arrived, ended, available[0])
             return
-        states = [*self._active(option["observations"]), arrived]
-        inner_actions, inner_rewards = option["actions"].tolist(), option["rewards"].tolist()
-        for i in range(k):
-            last = ended and i == k - 1
-            self._update(states[i], inner_actions[i], inner_rewards[i], self.gamma, states[i + 1], last, available[i])
-        self._update(began, action, reward, option["discount"], arrived, ended, available[-1])
+        assert run.actions is not None  # an option reports its steps
+        assert run.rewards is not None
+        states = [*self._active(run.observations), arrived]
+        steps = zip(run.actions.tolist(), run.rewards.tolist(), strict=True)
+        for i, (inner_action, inner_reward) in enumerate(steps):
+            last = ended and i == run.duration - 1
+            self._update(states[i], inner_action, inner_reward, self.gamma, states[i + 1], last, available[i])
+        self._update(began, action, reward, run.discount, arrived, ended, available[-1])
 
     def _update(
         self,
@@ -289,7 +285,7 @@ class MacroQ(BaseAlgorithm):
             table[index, action] += self._step_size * (target - table[index, action])
             return
         step = self._step_size / len(active) * (target - self._values(active)[action])
-        for index in active:  # an index that hashing gave twice is updated twice
+        for index in active:  # faster than an array of so few indices
             table[index, action] += step
 
     def _active(self, observations: Any) -> list[list[int]]:
@@ -311,11 +307,11 @@ class MacroQ(BaseAlgorithm):
             return [mask.nonzero()[0].tolist() for mask in self.env.env_method("action_masks")]
         return [list(range(self._n_actions))] * self.env.num_envs
 
-    def _choices_after(self, option: dict[str, Any]) -> list[int]:
-        """Which actions may start after the step that left this ``info["option"]``."""
-        if "available" not in option:
+    def _choices_after(self, run: OptionRun | None) -> list[int]:
+        """Which actions may start after the step that ran this."""
+        if run is None or run.available is None:
             return self._primitives
-        slots: list[bool] = option["available"][-1].tolist()
+        slots: list[bool] = run.available[-1].tolist()
         return self._primitives + [self._n_primitive + slot for slot, may_start in enumerate(slots) if may_start]
 
     def _explore(self, values: list[float], choices: list[int]) -> int:
@@ -325,41 +321,13 @@ class MacroQ(BaseAlgorithm):
             choices = [a for a in choices if values[a] == best]
         return choices[0] if len(choices) == 1 else choices[int(self._random.random() * len(choices))]
 
-    def predict(
-        self,
-        observation: npt.NDArray[Any] | dict[str, npt.NDArray[Any]],
-        state: tuple[npt.NDArray[Any], ...] | None = None,
-        episode_start: npt.NDArray[Any] | None = None,
-        deterministic: bool = False,
-        action_masks: BoolArray | None = None,
-    ) -> tuple[npt.NDArray[Any], tuple[npt.NDArray[Any], ...] | None]:
-        """Greedy (or ε-greedy) among the available actions.
-
-        Args:
-            observation: One, or a batch.
-            state: Passed through.
-            episode_start: Unused.
-            deterministic: Greedy, without ε, the first of several best.
-            action_masks: Which actions may be taken; by default asked from the model's own environment, by initiation
-                sets alone.
-
-        Returns:
-            Actions and ``state``.
-        """
+    def _action_values(self, observation: Any) -> tuple[FloatArray, bool]:
         vectorized = self.policy.is_vectorized_observation(observation)
-        batch = np.asarray(observation) if vectorized else np.asarray(observation)[None]
-        if action_masks is None:
-            action_masks = np.ones((len(batch), self._n_actions), dtype=bool)
-            if self._n_slots and self.env is not None:
-                action_masks = self.env.env_method("available", batch, indices=[0])[0]
-        masks = np.asarray(action_masks, dtype=bool).reshape(len(batch), -1)
-        values = self.policy.values(batch)
-        if deterministic:
-            actions = np.where(masks, values, -np.inf).argmax(axis=1)
-        else:
-            choices = [mask.nonzero()[0].tolist() for mask in masks]
-            actions = np.array([self._explore(v, c) for v, c in zip(values.tolist(), choices, strict=True)])
-        return (actions if vectorized else actions[0]), state
+        return self.policy.values(np.asarray(observation) if vectorized else np.asarray(observation)[None]), vectorized
+
+    def _explored(self, values: FloatArray, masks: BoolArray, greedy: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        choices = [mask.nonzero()[0].tolist() for mask in masks]
+        return np.array([self._explore(v, c) for v, c in zip(values.tolist(), choices, strict=True)])
 
     def _log(self) -> None:
         if self.ep_info_buffer:

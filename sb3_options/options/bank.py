@@ -9,7 +9,7 @@ import numpy as np
 
 from sb3_options.experience.observations import BoolArray, FeatureMap, Observations, batch_size
 from sb3_options.options import file as option_file
-from sb3_options.options.file import MadeFor
+from sb3_options.options.file import SpaceSignature
 from sb3_options.options.option import Option, SubgoalOption
 
 
@@ -25,7 +25,7 @@ class OptionBank:
         feature_map: φ that discovered options are bound to when they are added.
         observation_size: Numbers in one flat observation; None accepts options for any.
         feature_size: Dimensions d of concept space; None accepts options for any.
-        made_for: What observations its options act on, which `save` writes and `load` compares; None accepts any.
+        signature: What observations its options act on, which `save` writes and `load` compares; None accepts any.
 
     Raises:
         ValueError: ``n_primitive`` < 1 or ``max_options`` < 0.
@@ -39,7 +39,7 @@ class OptionBank:
         feature_map: FeatureMap | None = None,
         observation_size: int | None = None,
         feature_size: int | None = None,
-        made_for: MadeFor | None = None,
+        signature: SpaceSignature | None = None,
     ) -> None:
         if n_primitive < 1:
             raise ValueError(f"n_primitive must be at least 1, got {n_primitive}.")
@@ -50,7 +50,7 @@ class OptionBank:
         self.feature_map = feature_map
         self.observation_size = observation_size
         self.feature_size = feature_size
-        self.made_for = made_for
+        self.signature = signature
         self._slots: list[Option | None] = [None] * max_options
         self.filled: tuple[int, ...] = ()
 
@@ -132,25 +132,13 @@ class OptionBank:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the discovered options to a safetensors file: arrays and JSON, nothing that can run.
 
-        A hand-made option consists of code, so only its name is written. The file appears whole or not at all: a
-        full disk or a killed process leaves the old one as it was.
+        A hand-made option consists of code, so only its name is written. The file is replaced atomically: after an
+        error an older one is as it was.
 
         Raises:
             OSError: The file cannot be written.
         """
-        tensors: dict[str, np.ndarray[Any, Any]] = {}
-        slots: dict[str, Any] = {}
-        for slot in self.filled:
-            option = cast("Option", self._slots[slot])
-            if isinstance(option, SubgoalOption):
-                slots[str(slot)], arrays = option_file.taken_apart(option)
-                tensors |= {f"{slot}.{name}": array for name, array in arrays.items()}
-            else:
-                slots[str(slot)] = {"name": option.name, "hand_made": True}
-        about: dict[str, Any] = {"n_primitive": self.n_primitive, "max_options": self.max_options, "slots": slots}
-        if self.made_for is not None:
-            about["made_for"] = self.made_for._asdict()
-        option_file.write(path, about, tensors)
+        option_file.save(path, self.slots, n_primitive=self.n_primitive, signature=self.signature)
 
     def load(self, path: str | os.PathLike[str]) -> None:
         """Fill the slots with the options of a file that `save` wrote, in the slots they were in.
@@ -162,52 +150,16 @@ class OptionBank:
             ValueError: The file is damaged, is something else, or holds options for other observations, other
                 features or other primitive actions.
         """
-        about, tensors = option_file.read(path)
-        try:
-            loaded = self._read(about, tensors)
-        except (KeyError, TypeError, AttributeError, OverflowError) as error:
-            raise ValueError(f"{path} is damaged: {error!r}") from error
-        except ValueError as error:
-            raise ValueError(f"{path} does not fit: {error}.") from error
+        loaded = option_file.load(
+            path,
+            self.slots,
+            n_primitive=self.n_primitive,
+            observation_size=self.observation_size,
+            feature_size=self.feature_size,
+            signature=self.signature,
+        )
         for slot, option in loaded.items():
             self._put(slot, self._bound(option))
-
-    def _read(self, about: dict[str, Any], tensors: dict[str, Any]) -> dict[int, Option]:
-        if about["n_primitive"] != self.n_primitive:
-            raise ValueError(
-                f"its options choose among {about['n_primitive']} primitive actions, this task has {self.n_primitive}"
-            )
-        discovered: dict[int, dict[str, Any]] = {}
-        for key, entry in about["slots"].items():
-            slot = int(key)
-            if not 0 <= slot < self.max_options:
-                raise ValueError(
-                    f"it has an option in slot {slot}, this bank only has {self.max_options} slots; make the wrapper "
-                    f"with max_options={about['max_options']}"
-                )
-            if not entry.get("hand_made"):
-                discovered[slot] = entry
-                continue
-            present = self._slots[slot]
-            if present is None or present.name != entry["name"]:
-                raise ValueError(
-                    f"slot {slot} held the hand-made option {entry['name']!r}, which is code and not in the "
-                    "file; add it to the bank first"
-                )
-        if self.made_for is not None and "made_for" in about:
-            there = option_file.MadeFor(**about["made_for"])
-            inputs = {option_file.policy_input_of(entry) for entry in discovered.values()}
-            option_file.check_made_for(there, self.made_for, inputs)
-        return {
-            slot: option_file.put_together(
-                entry,
-                _arrays_of(slot, tensors),
-                n_primitive=self.n_primitive,
-                observation_size=self.observation_size,
-                feature_size=self.feature_size,
-            )
-            for slot, entry in discovered.items()
-        }
 
     def _bound(self, option: Option) -> Option:
         if isinstance(option, SubgoalOption) and self.feature_map is not None:
@@ -225,12 +177,3 @@ class OptionBank:
     def _check_slot(self, slot: int) -> None:
         if not 0 <= slot < self.max_options:
             raise ValueError(f"slot must be between 0 and {self.max_options - 1}, got {slot}.")
-
-
-def _arrays_of(slot: int, tensors: dict[str, Any]) -> dict[str, Any]:
-    """The arrays of one slot, without its number before their names."""
-    return {
-        name.removeprefix(f"{slot}."): np.asarray(tensor, dtype=np.float64)
-        for name, tensor in tensors.items()
-        if name.startswith(f"{slot}.")
-    }

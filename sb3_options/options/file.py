@@ -1,10 +1,11 @@
-"""The file that options are kept in: arrays and JSON, and what observations they were made for."""
+"""The options file: safetensors arrays and JSON, and the signature of the observations that the options act on."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
@@ -12,21 +13,21 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save as to_safetensors
 
-from sb3_options.atomic import whole_file
-from sb3_options.options import policies as option_policy
-from sb3_options.options.option import HalfSpace, Region, SubgoalOption
+from sb3_options.atomic import atomic_write
+from sb3_options.options import policies
+from sb3_options.options.option import HalfSpace, Option, Region, SubgoalOption
 from sb3_options.options.policies import PolicyInput
 
 FILE_FORMAT = "sb3-options 1"
+"""Format of a file whose subgoals are all balls. An optional entry such as ``made_for`` needs no new number."""
+
 FILE_FORMAT_HALF_SPACE = "sb3-options 2"
-"""Of a file with a half-space, which a reader of the first format would take for a ball.
+"""Format of a file with a half-space, which a reader of the first format would take for a ball."""
 
-What observations the options were made for needs no number of its own: a reader that does not know of it reads
-everything else as before.
-"""
+Arrays = dict[str, np.ndarray[Any, Any]]
 
 
-class MadeFor(NamedTuple):
+class SpaceSignature(NamedTuple):
     """The observations that options act on.
 
     Attributes:
@@ -40,12 +41,11 @@ class MadeFor(NamedTuple):
     features: str | None
 
 
-def check_made_for(there: MadeFor, here: MadeFor, policy_inputs: set[PolicyInput]) -> None:
+def check_signature(there: SpaceSignature, here: SpaceSignature, policy_inputs: set[PolicyInput]) -> None:
     """Refuse options that were made for other observations.
 
-    A policy that acts on the observation needs the same space. One that acts on features does not: what its features
-    are made of is the feature map's affair. Either needs the same kind of feature map, because that is where the
-    subgoals lie; a map that the user gave here is taken to be meant.
+    A policy that acts on the observation needs the same space, one that acts on features does not. Both need the same
+    kind of feature map, because the subgoals lie in its space. A map that the user passed is taken to be that one.
 
     Args:
         there: Of the file.
@@ -78,17 +78,115 @@ _OF_KIND: dict[str | None, str] = {
 }
 
 
-def write(path: str | os.PathLike[str], about: dict[str, Any], tensors: dict[str, np.ndarray[Any, Any]]) -> None:
-    """Write a file, whole or not at all.
+def save(
+    path: str | os.PathLike[str],
+    slots: Sequence[Option | None],
+    *,
+    n_primitive: int,
+    signature: SpaceSignature | None,
+) -> None:
+    """Write the arrays of the discovered options and the names of the hand-made ones; see `OptionBank.save`."""
+    tensors: Arrays = {}
+    entries: dict[str, Any] = {}
+    for slot, option in enumerate(slots):
+        if isinstance(option, SubgoalOption):
+            entries[str(slot)], arrays = _encode(option)
+            tensors |= {f"{slot}.{name}": array for name, array in arrays.items()}
+        elif option is not None:
+            entries[str(slot)] = {"name": option.name, "hand_made": True}
+    about: dict[str, Any] = {"n_primitive": n_primitive, "max_options": len(slots), "slots": entries}
+    if signature is not None:
+        about["made_for"] = signature._asdict()
+    write(path, about, tensors)
+
+
+def load(
+    path: str | os.PathLike[str],
+    slots: Sequence[Option | None],
+    *,
+    n_primitive: int,
+    observation_size: int | None,
+    feature_size: int | None,
+    signature: SpaceSignature | None,
+) -> dict[int, SubgoalOption]:
+    """The discovered options of a file that `save` wrote, by slot, not bound to a feature map; see `OptionBank.load`.
 
     Args:
-        path: Where.
-        about: What `read` returns, JSON.
-        tensors: The options' arrays, as `taken_apart` names them, the slot and a dot before.
+        path: Of the file.
+        slots: Of the bank that takes the options. A hand-made option of the file must be in its slot.
+        n_primitive: Number of primitive actions.
+        observation_size: Numbers in one flat observation; None for any.
+        feature_size: Dimensions of concept space; None for any.
+        signature: Of the bank's observations; None for any.
 
     Raises:
-        OSError: It cannot be written.
+        FileNotFoundError: There is no such file.
+        ValueError: The file is damaged, is something else, or does not fit the bank.
     """
+    about, tensors = read(path)
+    try:
+        if about["n_primitive"] != n_primitive:
+            raise ValueError(
+                f"its options choose among {about['n_primitive']} primitive actions, this task has {n_primitive}"
+            )
+        entries = _discovered(about, slots)
+        if signature is not None and "made_for" in about:
+            inputs = {_policy_input(entry) for entry in entries.values()}
+            check_signature(SpaceSignature(**about["made_for"]), signature, inputs)
+        return {
+            slot: _decode(entry, _arrays_of(slot, tensors), n_primitive, observation_size, feature_size)
+            for slot, entry in entries.items()
+        }
+    except (KeyError, TypeError, AttributeError, OverflowError) as error:
+        raise ValueError(f"{path} is damaged: {error!r}") from error
+    except ValueError as error:
+        raise ValueError(f"{path} does not fit: {error}.") from error
+
+
+def _discovered(about: dict[str, Any], slots: Sequence[Option | None]) -> dict[int, dict[str, Any]]:
+    """The entries of discovered options by slot, those of hand-made options checked and left out."""
+    entries: dict[int, dict[str, Any]] = {}
+    for key, entry in about["slots"].items():
+        slot = int(key)
+        if not 0 <= slot < len(slots):
+            raise ValueError(
+                f"it has an option in slot {slot}, this bank only has {len(slots)} slots; make the wrapper "
+                f"with max_options={about['max_options']}"
+            )
+        if not entry.get("hand_made"):
+            entries[slot] = entry
+            continue
+        present = slots[slot]
+        if present is None or present.name != entry["name"]:
+            raise ValueError(
+                f"slot {slot} held the hand-made option {entry['name']!r}, which is code and not in the "
+                "file; add it to the bank first"
+            )
+    return entries
+
+
+def _arrays_of(slot: int, tensors: Arrays) -> Arrays:
+    """The arrays of one slot by their names without the slot's number."""
+    first = f"{slot}."
+    return {n.removeprefix(first): np.asarray(t, dtype=np.float64) for n, t in tensors.items() if n.startswith(first)}
+
+
+def slots_of(path: str | os.PathLike[str]) -> list[int]:
+    """The slots that a file has options for.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is damaged, or something else.
+    """
+    about, _ = read(path)
+    try:
+        return [int(slot) for slot in about["slots"]]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is damaged: {error!r}") from error
+
+
+def write(path: str | os.PathLike[str], about: dict[str, Any], tensors: Arrays) -> None:
+    """Write JSON and arrays with their digest; `read` is the inverse."""
     half_space = any(name.endswith(".subgoal_normal") for name in tensors)
     text = json.dumps(about)
     metadata = {
@@ -97,17 +195,12 @@ def write(path: str | os.PathLike[str], about: dict[str, Any], tensors: dict[str
         "digest": digest(text, tensors),
     }
     content = to_safetensors(tensors, metadata=metadata)
-    with whole_file(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_bytes(content)
 
 
-def read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What `write` wrote, its digest checked and nothing else.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is damaged, or something else.
-    """
+def read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], Arrays]:
+    """What `write` was given. Only the digest is checked, and the errors are those of `load`."""
     if not Path(path).is_file():
         raise FileNotFoundError(f"There is no options file at {path}.")
     try:
@@ -132,22 +225,8 @@ def read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, Any]]:
     return about, tensors
 
 
-def slots_of(path: str | os.PathLike[str]) -> list[int]:
-    """The slots that a file has options for.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is damaged, or something else.
-    """
-    about, _ = read(path)
-    try:
-        return [int(slot) for slot in about["slots"]]
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} is damaged: {error!r}") from error
-
-
-def taken_apart(option: SubgoalOption) -> tuple[dict[str, Any], dict[str, np.ndarray[Any, Any]]]:
-    """A discovered option as JSON and arrays; `put_together` turns it back."""
+def _encode(option: SubgoalOption) -> tuple[dict[str, Any], Arrays]:
+    """A discovered option as JSON and arrays; `_decode` is the inverse."""
     arrays = {
         "subgoal": option.subgoal.points,
         "subgoal_scale": option.subgoal.scale,
@@ -166,75 +245,40 @@ def taken_apart(option: SubgoalOption) -> tuple[dict[str, Any], dict[str, np.nda
     return entry, {name: np.ascontiguousarray(array, dtype=np.float64) for name, array in arrays.items()}
 
 
-def put_together(
-    entry: dict[str, Any],
-    arrays: dict[str, Any],
-    *,
-    n_primitive: int,
-    observation_size: int | None,
-    feature_size: int | None,
+def _decode(
+    entry: dict[str, Any], arrays: Arrays, n_primitive: int, observation_size: int | None, feature_size: int | None
 ) -> SubgoalOption:
-    """The option that `taken_apart` took apart, not bound to a feature map.
-
-    Args:
-        entry: Its JSON.
-        arrays: By name.
-        n_primitive: Number of primitive actions.
-        observation_size: Numbers in one flat observation; None for any.
-        feature_size: Dimensions of concept space; None for any.
-
-    Raises:
-        ValueError: Its parts fit neither each other nor these.
-        KeyError: A part is missing.
-        TypeError: A part is of another type.
-    """
+    """The option that `_encode` was given; a `ValueError` says which parts do not fit."""
     subgoal = _region(arrays, "subgoal", entry["radius"]["subgoal"])
     initiation = _region(arrays, "initiation", entry["radius"]["initiation"])
-    if feature_size is not None and subgoal.points.shape[1] != feature_size:
-        raise ValueError(
-            f"its subgoals have {subgoal.points.shape[1]} features, the feature map here gives {feature_size}"
-        )
-    if initiation.points.shape[1] != subgoal.points.shape[1]:
-        raise ValueError(
-            f"its initiation set has {initiation.points.shape[1]} features, its subgoal {subgoal.points.shape[1]}"
-        )
-    policy_input = policy_input_of(entry)
-    size = observation_size if policy_input == "observation" else subgoal.points.shape[1]
+    n_features = subgoal.points.shape[1]
+    if feature_size is not None and n_features != feature_size:
+        raise ValueError(f"its subgoals have {n_features} features, the feature map here gives {feature_size}")
+    if initiation.points.shape[1] != n_features:
+        raise ValueError(f"its initiation set has {initiation.points.shape[1]} features, its subgoal {n_features}")
+    policy_input = _policy_input(entry)
+    size = observation_size if policy_input == "observation" else n_features
     if size is None:
         stored = arrays.get("table_states", arrays.get("network_mean"))
         size = 0 if stored is None else stored.shape[-1]
     return SubgoalOption(
         subgoal,
         initiation,
-        option_policy.from_arrays(arrays, size, n_primitive),
+        policies.from_arrays(arrays, size, n_primitive),
         policy_input=policy_input,
         max_duration=entry["max_duration"],
         name=str(entry["name"]),
     )
 
 
-def policy_input_of(entry: dict[str, Any]) -> PolicyInput:
-    """What the policy of an option acts on.
-
-    Raises:
-        ValueError: It is none of those there are.
-    """
+def _policy_input(entry: dict[str, Any]) -> PolicyInput:
     policy_input: PolicyInput = entry.get("policy_input", "observation")
     if policy_input not in get_args(PolicyInput):
         raise ValueError(f"its policy acts on {policy_input!r}, expected one of {', '.join(get_args(PolicyInput))}")
     return policy_input
 
 
-def digest(about: str, tensors: dict[str, Any]) -> str:
-    """SHA-256 of everything an options file says, so that a damaged one is told from a whole one."""
-    sha256 = hashlib.sha256(about.encode())
-    for name in sorted(tensors):
-        sha256.update(f"{name} {tensors[name].dtype} {tensors[name].shape}".encode())
-        sha256.update(tensors[name].tobytes())
-    return sha256.hexdigest()
-
-
-def _region(arrays: dict[str, Any], name: str, radius: float) -> Region:
+def _region(arrays: Arrays, name: str, radius: float) -> Region:
     points, scale = arrays[name], arrays[f"{name}_scale"]
     if points.ndim != 2 or scale.shape != points.shape[1:]:
         raise ValueError(f"its {name} has points of shape {points.shape} and a scale of shape {scale.shape}")
@@ -246,3 +290,12 @@ def _region(arrays: dict[str, Any], name: str, radius: float) -> Region:
     if len(points) != 1 or normal.shape != scale.shape or not np.isfinite(normal).all():
         raise ValueError(f"its {name} has points of shape {points.shape} and a normal of shape {normal.shape}")
     return HalfSpace(points, scale, float(radius), normal)
+
+
+def digest(about: str, tensors: Arrays) -> str:
+    """SHA-256 of everything an options file says, by which a damaged file is recognised."""
+    sha256 = hashlib.sha256(about.encode())
+    for name in sorted(tensors):
+        sha256.update(f"{name} {tensors[name].dtype} {tensors[name].shape}".encode())
+        sha256.update(tensors[name].tobytes())
+    return sha256.hexdigest()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 from numbers import Real
@@ -22,11 +23,11 @@ from sb3_options.experience.observations import (
 )
 from sb3_options.options.policies import OptionPolicy, PolicyInput
 
-JUDGED_BYTES = 4 << 20
-"""A `SubgoalOption` remembers its answers for about this many bytes of observations and answers, ..."""
+CACHE_BYTES = 4 << 20
+"""Memory for the cached memberships of a `SubgoalOption`, observations included; approximate."""
 
-JUDGED_OVERHEAD = 400
-"""... of which an answer takes this many."""
+CACHE_ENTRY_BYTES = 400
+"""Memory that one cached membership takes besides its observation; measured, rounded up."""
 
 
 class Option:
@@ -178,31 +179,24 @@ class SubgoalOption(Option):
         self.max_duration = checked_duration(max_duration)
         self.name = name
         self._feature_map = feature_map
-        self._judged: dict[bytes, tuple[BoolArray, BoolArray]] = {}
-        self._judged_bytes = 0
+        self._cache: dict[bytes, tuple[BoolArray, BoolArray]] = {}
+        self._cached_bytes = 0
 
     def bind(self, feature_map: FeatureMap | None) -> SubgoalOption:
         """The same option with φ set."""
-        return self._like(self.option_policy, feature_map)
+        bound = copy.copy(self)  # with an empty cache
+        bound._feature_map = feature_map
+        return bound
 
     def with_policy(self, option_policy: OptionPolicy) -> SubgoalOption:
         """The same option with another π, not yet bound to φ."""
-        return self._like(option_policy, None)
-
-    def _like(self, option_policy: OptionPolicy, feature_map: FeatureMap | None) -> SubgoalOption:
-        return SubgoalOption(
-            self.subgoal,
-            self.initiation_set,
-            option_policy,
-            policy_input=self.policy_input,
-            feature_map=feature_map,
-            max_duration=self.max_duration,
-            name=self.name,
-        )
+        other = copy.copy(self)  # neither cache nor φ is copied
+        other.option_policy = option_policy
+        return other
 
     def initiation(self, observations: Observations) -> BoolArray:
         """Whether each observation lies in I, shape (batch,)."""
-        return self._judge(observations)[0].copy()
+        return self._membership(observations)[0].copy()
 
     def policy(self, observations: Observations) -> IntArray:
         """The greedy action of the option's value function, shape (batch,)."""
@@ -211,28 +205,28 @@ class SubgoalOption(Option):
 
     def termination(self, observations: Observations) -> FloatArray:
         """1 at the subgoal, else 0, shape (batch,)."""
-        return self._judge(observations)[1].astype(np.float64)
+        return self._membership(observations)[1].astype(np.float64)
 
-    def _judge(self, observations: Observations) -> tuple[BoolArray, BoolArray]:
-        """Whether each observation lies in I, and whether it is the subgoal.
+    def _membership(self, observations: Observations) -> tuple[BoolArray, BoolArray]:
+        """Whether each observation lies in I, and whether it lies in the subgoal.
 
-        A single observation's answer is kept: a step of the wrapper asks for the same one up to three times, and a
-        small environment shows the same ones again and again.
+        Single observations are cached: one step of the wrapper asks up to three times about the same one, and small
+        environments repeat their observations.
         """
         if batch_size(observations) != 1:
-            return self._judge_anew(observations)
+            return self._computed_membership(observations)
         key = key_of(observations)
-        judged = self._judged.get(key)
-        if judged is None:
-            judged = self._judge_anew(observations)
-            if self._judged_bytes > JUDGED_BYTES:
-                self._judged.clear()
-                self._judged_bytes = 0
-            self._judged[key] = judged
-            self._judged_bytes += len(key) + JUDGED_OVERHEAD
-        return judged
+        found = self._cache.get(key)
+        if found is None:
+            found = self._computed_membership(observations)
+            if self._cached_bytes > CACHE_BYTES:
+                self._cache.clear()
+                self._cached_bytes = 0
+            self._cache[key] = found
+            self._cached_bytes += len(key) + CACHE_ENTRY_BYTES
+        return found
 
-    def _judge_anew(self, observations: Observations) -> tuple[BoolArray, BoolArray]:
+    def _computed_membership(self, observations: Observations) -> tuple[BoolArray, BoolArray]:
         features = self._features(observations)
         reached = self.subgoal.contains(features)
         return self.initiation_set.contains(features) & ~reached, reached
@@ -246,4 +240,4 @@ class SubgoalOption(Option):
         return self._feature_map(observations)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_feature_map": None, "_judged": {}, "_judged_bytes": 0}
+        return {**self.__dict__, "_feature_map": None, "_cache": {}, "_cached_bytes": 0}

@@ -21,7 +21,7 @@ class OptionPolicy(Protocol):
         """The greedy primitive action in each observation, shape (batch,)."""
 
     def arrays(self) -> dict[str, npt.NDArray[np.float64]]:
-        """Everything the policy consists of, by name; `from_arrays` turns it back."""
+        """Everything the policy consists of, by name; `from_arrays` is the inverse."""
 
 
 class TabularPolicy:
@@ -46,14 +46,14 @@ class TabularPolicy:
         known = np.array([self._row_of.get(row.tobytes(), -1) for row in rows], dtype=np.int64)
         new = np.flatnonzero(known < 0)
         if len(new):
-            # The same observation comes many times when a replay buffer is judged.
+            # A batch from a replay buffer holds the same observation many times.
             distinct, which = np.unique(rows[new], axis=0, return_inverse=True)
             nearest = np.array([self._nearest(row) for row in distinct])
             known[new] = nearest[which.ravel()]
         return self._greedy[known]
 
     def rows_for(self, observations: Observations) -> tuple[IntArray, FloatArray, FloatArray]:
-        """The table made large enough for ``observations``.
+        """The table extended by ``observations``.
 
         Args:
             observations: Distinct ones, batch of n.
@@ -107,7 +107,7 @@ class NetworkPolicy:
 
 
 def from_arrays(arrays: dict[str, npt.NDArray[np.float64]], observation_size: int, n_primitive: int) -> OptionPolicy:
-    """The policy that `OptionPolicy.arrays` took apart.
+    """The inverse of `OptionPolicy.arrays`.
 
     Args:
         arrays: By name.

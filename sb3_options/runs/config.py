@@ -14,10 +14,10 @@ import tyro
 import yaml
 from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
-from sb3_options.atomic import whole_file
+from sb3_options.atomic import atomic_write
 from sb3_options.checked import Field, readable, settings
 from sb3_options.discovery.subgoals import DiscoverySettings
-from sb3_options.options.creation import OptionLearningSettings
+from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.runs import yaml_file
 
 TUNED_FOLDER = Path(__file__).parent / "tuned"
@@ -280,7 +280,7 @@ def load(path: Path, *, env: str | None = None) -> TrainConfig:
 def save(config: TrainConfig, path: Path) -> None:
     """Write a configuration as YAML that ``--config`` reads back."""
     content = TypeAdapter(type(config)).dump_python(config, mode="json")
-    with whole_file(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
 
 

@@ -12,7 +12,7 @@ import gymnasium as gym
 import imageio.v2 as imageio
 import numpy as np
 
-from sb3_options.atomic import whole_file
+from sb3_options.atomic import atomic_write
 
 DEFAULT_FPS = 15
 """Pictures per second where the environment does not say."""
@@ -109,7 +109,7 @@ def video_file(path: Path, fps: float) -> Iterator[Video]:
     Raises:
         OSError: It cannot be written.
     """
-    with whole_file(path) as temporary, closing(Video(temporary, fps, gif=path.suffix.lower() == ".gif")) as video:
+    with atomic_write(path) as temporary, closing(Video(temporary, fps, gif=path.suffix.lower() == ".gif")) as video:
         yield video
 
 

@@ -2,14 +2,13 @@
 
 from typing import Any
 
-import numpy as np
 import pytest
-from stable_baselines3 import DQN, PPO
+from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import EvalCallback
 
 from sb3_options import MacroQ, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback, TrialSettings
-from sb3_options.callbacks.serving import OptionServer
+from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.learning import heads
 from tests.support.helpers import steady_option
@@ -45,14 +44,14 @@ def test_a_trial_withholds_nothing_after_training() -> None:
     assert env.action_masks()[4]
 
 
-def test_an_option_that_is_leaving_is_not_judged_again() -> None:
+def test_an_option_that_is_being_removed_has_no_second_verdict() -> None:
     env = with_option()
-    server = OptionServer(model_of(env), env_of(model_of(env)), None)
-    assert server.staying() == [0]
-    server.remove(0)
-    assert server.staying() == []
+    installer = OptionInstaller(model_of(env), env_of(model_of(env)), None)
+    assert installer.installed() == [0]
+    installer.uninstall(0)
+    assert installer.installed() == []
     trials = OptionTrials(env_of(model_of(env)), TrialSettings(), 0)
-    assert trials.episode_ended(None, success=True, filled=server.staying()) == []
+    assert trials.episode_ended(None, success=True, filled=installer.installed()) == []
 
 
 def test_a_closed_option_makes_room_for_another() -> None:
@@ -60,7 +59,7 @@ def test_a_closed_option_makes_room_for_another() -> None:
     model_of(optioned_rooms(2)).learn(5000, callback=callback)
     assert len(callback.discoveries) == 1
     assert not callback._may_discover()
-    callback._close_option(callback.discoveries[0].slot, "useless")
+    callback._close_option(callback.discoveries[0].slot, "harmful")
     assert callback._may_discover()
 
 
@@ -96,15 +95,3 @@ def test_going_on_without_the_options_says_so(caplog: pytest.LogCaptureFixture) 
     assert "Slot 0 is empty, and the model has learned what an option there is worth" in caplog.text
     assert "Slot 1" not in caplog.text
     assert heads.is_closed(model.policy, 4)
-
-
-def test_what_lambda_means_can_be_said_to_the_callback() -> None:
-    for callback in (
-        PrimitiveStepsCallback(lambda_per="primitive_step"),
-        SubgoalDiscoveryCallback(lambda_per="primitive_step", max_new_options=0),
-    ):
-        model: Any = PPO("MlpPolicy", with_option(), gamma=0.9, n_steps=16, batch_size=16, n_epochs=1)
-        model.learn(16, callback=callback)
-        assert model.rollout_buffer.lambda_per == "primitive_step"
-        expected = np.where(model.rollout_buffer.durations > 1, 0.9**model.rollout_buffer.durations, 0.9)
-        np.testing.assert_allclose(model.rollout_buffer.discounts, expected)

@@ -13,8 +13,7 @@ from sb3_options import Option, OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.execution.interruption import Interruption
-from sb3_options.execution.trials import OptionTrial, TrialSettings
-from sb3_options.execution.withholding import TrialReport
+from sb3_options.execution.trials import OptionTrial, TrialReport, TrialSettings
 from sb3_options.learning import heads
 from tests.support.helpers import CountingEnv, steady_option, table_option
 from tests.support.sb3_helpers import FAST_DISCOVERY, RANDOM, TINY, Corridor, env_of, optioned_rooms
@@ -68,16 +67,15 @@ class TestAnEpisodeWithout:
             assert "option_trial" not in wrapped.step(0)[4]
         report: TrialReport = wrapped.step(0)[4]["option_trial"]
         assert report["withheld"] == {0: True}
-        assert report["used"] == set()
         assert report["outcome"] == pytest.approx(sum(GAMMA**t * (t + 1) for t in range(20)))
 
-    def test_with_it_the_report_says_that_it_ran(self) -> None:
+    def test_with_it_the_report_says_that_it_was_not_withheld(self) -> None:
         wrapped = withholding_all(steady_option(1, max_duration=20))
         wrapped.withhold_options({0: 0.0}, [0])
         wrapped.reset()
         report: TrialReport = wrapped.step(3)[4]["option_trial"]
         assert report["withheld"] == {0: False}
-        assert report["used"] == {0}
+        assert report["outcome"] == pytest.approx(sum(GAMMA**t * (t + 1) for t in range(20)))
 
     def test_draws_nothing_from_what_the_environment_draws(self) -> None:
         def walk(wrapped: OptionsWrapper) -> list[int]:
@@ -146,7 +144,7 @@ class TestOptionTrials:
 
     def test_begin_anew_for_another_option(self) -> None:
         trials = self.trials()
-        report: TrialReport = {"withheld": {0: True}, "used": set(), "outcome": 1.0}
+        report: TrialReport = {"withheld": {0: True}, "outcome": 1.0}
         trials.episode_ended(report, success=True, filled=[0])
         first = trials.trials[0]
         trials.episode_ended(report, success=True, filled=[])
@@ -165,13 +163,12 @@ def dragged() -> OptionsWrapper:
 def test_a_harmful_option_leaves_nothing_behind(algorithm: Any) -> None:
     """Closed in every environment, in the network, its optimizer and the buffer; and the slot is free for another."""
     off_policy = algorithm in (DQN, QRDQN, OptionDQN)
-    replay = TINY | RANDOM | {"replay_buffer_class": OptionReplayBuffer}
+    intra_option = {"replay_buffer_class": OptionReplayBuffer, "replay_buffer_kwargs": {"intra_option": True}}
+    replay = TINY | RANDOM | intra_option
     # A policy that learns would leave the option alone by itself.
     kwargs = replay if off_policy else {"n_steps": 64, "seed": 0, "device": "cpu", "learning_rate": 1e-9}
     model = algorithm("MlpPolicy", DummyVecEnv([dragged, dragged]), gamma=GAMMA, **kwargs)
-    callback = SubgoalDiscoveryCallback(
-        FAST_DISCOVERY, max_new_options=0, teach_head=True, interruption=False, trial=QUICK
-    )
+    callback = SubgoalDiscoveryCallback(FAST_DISCOVERY, max_new_options=0, interruption=False, trial=QUICK)
     model.learn(200, callback=callback)
     assert callback.bank.filled == (0,)
     model.learn(5000, callback=callback)
@@ -185,7 +182,7 @@ def test_a_harmful_option_leaves_nothing_behind(algorithm: Any) -> None:
     if off_policy:
         buffer = model.replay_buffer
         assert (buffer.actions[: buffer.size()] < action).all()
-        assert not buffer.memory.takes.any()
+        assert not buffer.consistency.consistent.any()
 
 
 def test_its_slot_is_filled_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -222,5 +219,5 @@ def test_momentum_does_not_move_a_closed_head() -> None:
 
 
 def test_settings_are_checked_when_the_callback_is_made() -> None:
-    with pytest.raises(ValueError, match=r"withhold must be in \(0, 1\), got 2"):
+    with pytest.raises(ValueError, match=r"^TrialSettings: withhold should be less than 1, got 2$"):
         SubgoalDiscoveryCallback(trial={"withhold": 2})

@@ -16,9 +16,10 @@ from sb3_options.discovery.figures import discovery_figures, subgoals_figure
 from sb3_options.discovery.subgoals import DiscoverySettings, SubgoalDiscovery
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.bank import OptionBank
-from sb3_options.options.creation import OptionLearningSettings, learn_option
+from sb3_options.options.creation import learn_option
+from sb3_options.options.settings import OptionLearningSettings
 from tests.support.helpers import steady_option, trajectory_of
-from tests.support.sb3_helpers import small_rooms
+from tests.support.sb3_helpers import n_colours, small_rooms
 
 NAMES = ["diverse_density", "first_visits", "initiation_set", "option_policy"]
 
@@ -77,8 +78,7 @@ def drawn(figure: Figure) -> npt.NDArray[np.uint8]:
 
 
 def colours(figure: Figure) -> int:
-    picture = drawn(figure)
-    return len(np.unique(picture.reshape(-1, picture.shape[-1]), axis=0))
+    return n_colours(drawn(figure))
 
 
 def patches(figure: Figure) -> PatchCollection:

@@ -133,8 +133,8 @@ def test_with_interruption_a_policy_is_as_good_everywhere_and_better_somewhere(s
 class TestRule:
     values = np.array([[0.0, 3.0, 2.0, 2.5], [0.0, 1.0, 1.5, 2.0]])
 
-    def falls_behind(self, state: int, action: int, mask: list[bool] | None = None, margin: float = 0.0) -> bool:
-        rule = Interruption(lambda s: self.values[s], mask is not None, margin)
+    def falls_behind(self, state: int, action: int, mask: list[bool] | None = None) -> bool:
+        rule = Interruption(lambda s: self.values[s], mask is not None)
         return rule.falls_behind(action, state, lambda: np.array(mask))
 
     def test_compares_with_the_best(self) -> None:
@@ -144,10 +144,6 @@ class TestRule:
     def test_compares_with_what_is_available(self) -> None:
         assert self.falls_behind(0, 2, [True, False, True, True])
         assert not self.falls_behind(0, 2, [True, False, True, False])
-
-    def test_leaves_a_margin(self) -> None:
-        assert not self.falls_behind(0, 2, margin=1.0)
-        assert self.falls_behind(0, 2, margin=0.9)
 
 
 def line_of(n: int, option_values: list[float], rule: dict[str, Any]) -> tuple[int, str]:
@@ -247,12 +243,12 @@ def test_reaches_training_and_evaluation(workers: bool) -> None:
     evaluation: VecEnv = SubprocVecEnv([make_optioned_rooms]) if workers else DummyVecEnv([make])
     model = OptionDQN("MlpPolicy", venv, gamma=GAMMA, **TINY | RANDOM)
     beside = EvalCallback(evaluation, eval_freq=10**6, verbose=0)
-    callback = fast_callback(interruption_margin=0.25)
+    callback = fast_callback()
     model.learn(3000, callback=[callback, beside])
     assert callback.discoveries
     rules = venv.get_attr("_interruption") + evaluation.get_attr("_interruption")
     assert [rule.every_choice for rule in rules] == [False, False, True]
-    assert all(rule.masks and rule.margin == 0.25 for rule in rules)
+    assert all(rule.masks for rule in rules)
     seen = np.eye(45, dtype=np.float32)[7]
     with torch.no_grad():
         expected = model.q_net(torch.as_tensor(seen)[None])[0].numpy()
@@ -274,11 +270,6 @@ def test_an_algorithm_without_values_of_options_runs_them_to_their_ends() -> Non
     model.learn(64, callback=SubgoalDiscoveryCallback(max_new_options=0))
     assert env._interruption is None
     assert not interrupt_options(model, env_of(model))
-
-
-def test_a_negative_margin_is_refused() -> None:
-    with pytest.raises(ValueError, match="interruption_margin must be at least 0, in units of return, got -1"):
-        SubgoalDiscoveryCallback(interruption_margin=-1.0)
 
 
 def test_a_detour_does_not_stay_on_the_final_path() -> None:

@@ -137,10 +137,9 @@ def test_report_fills_its_document(tmp_path: Path) -> None:
     assert "| PPO, TwoRooms: discovered options | 4 | 0 | 3,000 (3,000 to 3,000) | 3.00 (3.00 to 3.00) | 0.00" in text
 
 
-@pytest.mark.slow
 def test_study_writes_results_and_picture_and_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    settings = DeepSettings(evaluate_every=400, evaluation_episodes=4, final_evaluations=1)
-    short = {key: tasks.Task(t.env, t.target, t.source, 900, 600) for key, t in tasks.TASKS.items()}
+    settings = DeepSettings(evaluate_every=250, evaluation_episodes=2, final_evaluations=1)
+    short = {key: tasks.Task(t.env, t.target, t.source, 500, 300) for key, t in tasks.TASKS.items()}
     monkeypatch.setattr(deep, "TASKS", short)
     study = deep.Study(out=tmp_path, task="transfer", env="FourRooms", runs=2, jobs=1, settings=settings)
     deep.main(study)
@@ -173,7 +172,7 @@ def test_the_command_says_what_was_varied() -> None:
         max_option_exploration={"dqn": 0.5, "ppo": 0.25},
         max_runs={"dqn": 7, "ppo": 0},
         withhold={"dqn": 0.1, "ppo": 0.3},
-        callback={"teach_head": True, "interruption": False},
+        callback={"interruption": False},
     )
     assert varied.switched() == [
         "--settings.both-as stock",
@@ -181,7 +180,6 @@ def test_the_command_says_what_was_varied() -> None:
         "--settings.max-runs.dqn 7",
         "--settings.max-runs.ppo 0",
         "--settings.withhold.dqn 0.1",
-        "--settings.callback.teach-head",
         "--settings.callback.no-interruption",
     ]
     assert varied.arguments("ppo", "options") == varied.ppo["stock"] != DeepSettings().arguments("ppo", "options")
@@ -205,7 +203,6 @@ def test_options_are_tried_in_the_target_only(monkeypatch: pytest.MonkeyPatch) -
     assert tried == [None, TrialSettings(withhold=0.3)]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("arm", ["stock", "options"])
 def test_tuning_writes_what_was_best_and_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arm: Any) -> None:
     key = ("transfer", "FourRooms")

@@ -31,6 +31,8 @@ TINY = PaperSettings(
     negative_step_limit=300,
     negative_trials=6,
     replay_sweeps=2,
+    step_limit=2500,
+    random_step_limit=1000,
 )
 RATIO = {"mean", "low", "high"}
 CLAIMS = {
@@ -58,7 +60,6 @@ CLAIMS = {
 }
 
 
-@pytest.mark.slow
 def test_all_figures_with_their_numbers_and_again_from_what_was_kept(tmp_path: Path) -> None:
     study = Study("all", tmp_path, runs=2, first_seed=0, jobs=1, settings=TINY)
     main(study)
@@ -93,7 +94,6 @@ def test_all_figures_with_their_numbers_and_again_from_what_was_kept(tmp_path: P
     assert kept == {path: path.stat().st_mtime_ns for path in kept}
 
 
-@pytest.mark.slow
 def test_agents_of_a_seed_are_the_same_until_the_option(tmp_path: Path) -> None:
     learned = conditions.learning(TINY, tmp_path, 1)
     controls = conditions.controls(TINY, 1)

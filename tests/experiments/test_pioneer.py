@@ -30,12 +30,14 @@ TINY = PioneerSettings(
 )
 
 
-@pytest.mark.slow
-def test_all_figures_with_their_numbers_and_again_from_what_was_kept(tmp_path: Path) -> None:
+def test_all_figures_with_their_numbers_and_again_from_what_was_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(conditions, "DQN_EVALUATION_EPISODES", 5)
     tuned_dqn = tuned(MAIN_TASK)
     assert isinstance(tuned_dqn, DQNConfig)
     dqn = dataclasses.replace(tuned_dqn, n_timesteps=300, learning_starts=100, env_kwargs={"max_steps": 20})
-    study = Study("all", tmp_path, runs=2, dqn_runs=1, first_seed=0, jobs=2, settings=TINY, dqn=dqn)
+    study = Study("all", tmp_path, runs=2, transfer_runs=1, dqn_runs=1, first_seed=0, jobs=1, settings=TINY, dqn=dqn)
     main(study)
     results = json.loads((tmp_path / "results.json").read_text())
     assert {path.stem for path in tmp_path.glob("*.png")} == set(GROUPS)
@@ -58,14 +60,13 @@ def test_all_figures_with_their_numbers_and_again_from_what_was_kept(tmp_path: P
     assert "of 2 runs made their option" in filled
 
     kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("groups/*/seeds/*.json")}
-    assert len(kept) == 2 * 2 + 1
+    assert len(kept) == 2 + 1 + 1
     main(dataclasses.replace(study, figure="figure8"))
     again = json.loads((tmp_path / "results.json").read_text())
     assert again["figures"]["figure8"] == figures["figure8"]
     assert kept == {path: path.stat().st_mtime_ns for path in kept}
 
 
-@pytest.mark.slow
 def test_agents_of_a_seed_are_the_same_until_the_option(tmp_path: Path) -> None:
     learned = conditions.learning(TINY, tmp_path, 3)
     made = learned["option"]["trial"]

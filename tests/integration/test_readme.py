@@ -1,12 +1,12 @@
 """What the README shows, run."""
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from tests.support import processes
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -65,13 +65,7 @@ def test_drop_in_runs_as_pasted_but_shorter(tmp_path: Path) -> None:
     (code,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
     shorter = code.replace("50_000", "1_500")
     assert shorter != code
-    result = subprocess.run(
-        [sys.executable, "-W", "error::UserWarning", "-c", shorter],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    strict = "import warnings; warnings.simplefilter('error', UserWarning)\n"
+    result = processes.python("-c", strict + shorter, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert list(tmp_path.glob("runs/DQN_1/events*"))

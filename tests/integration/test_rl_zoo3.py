@@ -1,10 +1,9 @@
 """Train, play and record with rl-zoo3 itself, by the YAML files in examples/rl_zoo3."""
 
 import csv
+import importlib.util
 import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import yaml
 
 from sb3_options import OptionBank
 from sb3_options.zoo import OPTIONS, loaded_run
+from tests.support import processes
 from tests.support.sb3_helpers import FAST_DISCOVERY, SMALL_ROOMS
 
 ROOT = Path(__file__).parents[2]
@@ -26,22 +26,17 @@ N_TIMESTEPS = {"dqn": 2500, "qrdqn": 2500, "ppo": 8000}
 FILES = sorted(EXAMPLES.glob("*.yml"))
 
 needs_zoo = pytest.mark.skipif(
-    subprocess.run([sys.executable, "-c", "import rl_zoo3"], capture_output=True, check=False).returncode != 0,
+    any(importlib.util.find_spec(name) is None for name in ("rl_zoo3", "requests")),  # which it does not declare
     reason="rl-zoo3 is not installed: pip install '.[zoo]'",
 )
 
 
 def zoo(program: str, folder: Path, *arguments: str) -> str:
     """Run a program of rl-zoo3 as a user does, and return what it printed."""
-    result = subprocess.run(
-        [sys.executable, "-m", f"rl_zoo3.{program}", "--env", ENV, *arguments],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{EXAMPLES}", "OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    result = processes.python(
+        "-m", f"rl_zoo3.{program}", "--env", ENV, *arguments,
+        cwd=folder, env={"PYTHONPATH": f"{ROOT}{os.pathsep}{EXAMPLES}", "OMP_NUM_THREADS": "1"},
+    )  # fmt: skip
     assert result.returncode == 0, result.stdout[-2000:] + result.stderr[-4000:]
     return result.stdout
 

@@ -58,10 +58,10 @@ class Kind(NamedTuple):
 KINDS = {
     "dqn": Kind(DQN, "MlpPolicy", OFF_POLICY),
     "qrdqn": Kind(QRDQN, "MlpPolicy", {**OFF_POLICY, "policy_kwargs": {"n_quantiles": N_QUANTILES}}),
-    "ppo": Kind(PPO, "MlpPolicy", {**ON_POLICY, "batch_size": 32}),
+    "ppo": Kind(PPO, "MlpPolicy", {**ON_POLICY, "batch_size": 32, "n_epochs": 2}),
     "a2c": Kind(A2C, "MlpPolicy", ON_POLICY),
     "trpo": Kind(TRPO, "MlpPolicy", {**ON_POLICY, "batch_size": 32}),
-    "maskableppo": Kind(MaskablePPO, "MlpPolicy", {**ON_POLICY, "batch_size": 32}),
+    "maskableppo": Kind(MaskablePPO, "MlpPolicy", {**ON_POLICY, "batch_size": 32, "n_epochs": 2}),
     "recurrentppo": Kind(
         RecurrentPPO,
         "MlpLstmPolicy",
@@ -77,7 +77,7 @@ every_and_a_size_that_matters = pytest.mark.parametrize(
 off_policy = pytest.mark.parametrize("name", ["dqn", "qrdqn"])
 
 
-def trained(name: str, env: Any = None, steps: int = 512, **kwargs: Any) -> Any:
+def trained(name: str, env: Any = None, steps: int = 128, **kwargs: Any) -> Any:
     """A model of its own that has learned a little; the same every time."""
     kind = KINDS[name]
     env = make_vec_env(small_rooms, 1, seed=0) if env is None else env
@@ -207,7 +207,7 @@ def test_training_goes_on_as_it_would_have(name: str) -> None:
 
 @every
 def test_optimizer_and_counters_are_kept(name: str) -> None:
-    stock, model = trained(name), trained(name)
+    stock, model = (trained(name, steps=512) for _ in range(2))
     groups, schedule, step = [*model.policy.optimizer.param_groups], model.lr_schedule, model.num_timesteps
     expand_action_space(model, MAX_OPTIONS)
     assert model.num_timesteps == step == 512
@@ -299,7 +299,7 @@ def test_a_buffer_that_was_taken_away_or_knows_options_already() -> None:
 
 def test_environments_are_wrapped_beneath_whatever_stands_above() -> None:
     venv = VecNormalize(make_vec_env(small_rooms, 2, seed=0), gamma=GAMMA)
-    model = trained("dqn", venv)
+    model = trained("dqn", venv, steps=512)
     count = cast("Any", venv.obs_rms).count
     expand_action_space(model, MAX_OPTIONS)
     assert env_of(model) is venv
@@ -364,7 +364,7 @@ def test_on_policy_algorithms_discover_after_they_were_expanded(name: str) -> No
     kwargs: dict[str, Any] = {} if name in ("a2c", "trpo") else {"n_epochs": 1}
     if name in ("ppo", "a2c"):
         kwargs["ent_coef"] = 0.5
-    model = trained(name, **kwargs)
+    model = trained(name, steps=512, **kwargs)
     expand_action_space(model, MAX_OPTIONS)
     callback = fast_callback()
     steps = 0
@@ -456,12 +456,12 @@ def test_errors_leave_the_model_as_it_was() -> None:
     with pytest.raises(ValueError, match="max_options must be at least 1, got 0"):
         expand_action_space(model, 0)
     with pytest.raises(
-        ValueError, match=r"env is not wrapped in OptionsWrapper: use OptionsWrapper\(env, 4, gamma=0.9"
+        ValueError, match=r"env is not wrapped in OptionsWrapper: use OptionsWrapper\(env, max_options=4, gamma=0.9"
     ):
         expand_action_space(model, env=small_rooms())
     with pytest.raises(ValueError, match="env has 4 option slots, max_options is 3: give both the same"):
         expand_action_space(model, 3, env=optioned_rooms(4))
-    with pytest.raises(ValueError, match=r"OptionsWrapper discounts with gamma=0.5, the model with gamma=0.9"):
+    with pytest.raises(ValueError, match=r"OptionsWrapper discounts with gamma=0.5, DQN with gamma=0.9"):
         expand_action_space(model, 4, env=OptionsWrapper(small_rooms(), 4, gamma=0.5))
     with pytest.raises(ValueError, match=r"chooses among 4 actions, env has 2 primitive actions"):
         expand_action_space(model, 4, env=OptionsWrapper(Corridor(), 4, gamma=GAMMA))

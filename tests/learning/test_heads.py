@@ -144,3 +144,9 @@ def test_a_last_layer_that_is_not_linear_is_refused() -> None:
     model.policy.q_net.q_net.append(torch.nn.Tanh())
     with pytest.raises(TypeError, match="Expected a linear last layer, got Tanh"):
         heads.close_head(model.policy, 4)
+
+
+def test_a_policy_without_values_of_actions_is_refused() -> None:
+    policy = type("Policy", (), {})()
+    with pytest.raises(TypeError, match="gives no values of actions; DQN, QRDQN and OptionDQN do"):
+        heads.networks(policy)

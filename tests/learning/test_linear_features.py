@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sb3_options.learning.linear_features import HASH_MULTIPLIER, Concatenated, OneHot, TileCoding
+from sb3_options.learning.linear_features import Concatenated, OneHot, TileCoding
 
 
 def test_one_hot_names_the_state() -> None:
@@ -44,21 +44,6 @@ def test_what_lies_beyond_a_bound_falls_into_the_tile_at_the_bound() -> None:
     assert inside.tolist() == outside.tolist()
 
 
-def test_hashing_is_multiplicative_and_spreads_tiles_evenly() -> None:
-    dense = TileCoding([0.0, 0.0], [1.0, 1.0], [30, 30], n_tilings=8)
-    hashed = TileCoding([0.0, 0.0], [1.0, 1.0], [30, 30], n_tilings=8, hash_size=512)
-    points = np.random.default_rng(0).random((2000, 2))
-    for index, place in zip(dense.active(points[0]).ravel(), hashed.active(points[0]).ravel(), strict=True):
-        mixed = (int(index) + 1) * int(HASH_MULTIPLIER) % 2**64
-        assert place == (mixed >> 32) % 512
-    pairs = np.unique(np.stack([dense.active(points), hashed.active(points)], axis=2).reshape(-1, 2), axis=0)
-    tiles_sharing = np.bincount(pairs[:, 1], minlength=hashed.n_features)
-    assert len(tiles_sharing) == hashed.n_features == 512
-    assert len(pairs) == len(np.unique(pairs[:, 0])) > 5000  # a tile has one place
-    assert tiles_sharing.min() > 0
-    assert tiles_sharing.max() < 2 * tiles_sharing.mean()
-
-
 def test_parts_see_their_own_numbers_and_have_features_of_their_own() -> None:
     column, row = TileCoding([0.0], [2.0], [2], n_tilings=1), TileCoding([0.0], [3.0], [3], n_tilings=1)
     both = Concatenated([([2], column), ([0], row)])
@@ -76,7 +61,7 @@ def test_parts_see_their_own_numbers_and_have_features_of_their_own() -> None:
         (([0.0], [1.0, 2.0], [4]), r"one entry per dimension, got shapes \(1,\), \(2,\) and \(1,\)"),
         (([0.0], [0.0], [4]), "low must be below high, both finite"),
         (([0.0], [np.inf], [4]), "low must be below high, both finite"),
-        (([0.0], [1.0], [0]), "tiles, n_tilings and hash_size must be at least 1"),
+        (([0.0], [1.0], [0]), "tiles and n_tilings must be at least 1"),
     ],
 )
 def test_refuses_bad_tilings(arguments: tuple[Any, Any, Any], message: str) -> None:

@@ -297,7 +297,7 @@ def curve(seed: int) -> tuple[list[int], list[float]]:
 def test_a_seed_gives_one_curve_alone_among_others_and_in_another_process() -> None:
     alone = curve(3)
     among = [curve(seed) for seed in (2, 3)]
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(2, mp_context=get_context("forkserver")) as pool:
         elsewhere = list(pool.map(curve, [2, 3]))
     assert among == elsewhere
     assert among[1] == alone

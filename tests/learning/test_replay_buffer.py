@@ -302,7 +302,7 @@ class TestErrors:
 
     def test_no_wrapper(self) -> None:
         model = DQN("MlpPolicy", gym.make("CartPole-v1"), replay_buffer_class=OptionReplayBuffer, buffer_size=100)
-        with pytest.raises(ValueError, match=r'found no info\["option"\]: wrap the environment in OptionsWrapper'):
+        with pytest.raises(ValueError, match=r'There is no info\["option"\]: wrap the environment in OptionsWrapper'):
             model.learn(10)
 
     def test_a_vec_env_wrapper_that_changes_observations(self) -> None:

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import torch
 from sb3_contrib import TRPO, MaskablePPO, RecurrentPPO
+from sb3_contrib.common.maskable.buffers import MaskableRolloutBuffer
+from sb3_contrib.common.recurrent.buffers import RecurrentRolloutBuffer
 from stable_baselines3 import A2C, PPO
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
@@ -16,10 +18,10 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from sb3_options import Option, OptionDictRolloutBuffer, OptionRolloutBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback
-from sb3_options.callbacks.serving import OptionServer
+from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.experience.observations import batch_size
-from sb3_options.learning.contrib_buffers import OptionMaskableRolloutBuffer, OptionRecurrentRolloutBuffer
-from sb3_options.learning.rollout_buffer import Passage, SMDPAdvantages, smdp_advantages
+from sb3_options.experience.option_run import OptionRun
+from sb3_options.learning.rollout_buffer import SMDPAdvantages, smdp_advantages
 from tests.support.helpers import DictEnv, place_of, steady_option
 from tests.support.sb3_helpers import Corridor, StepLog, env_of
 
@@ -29,14 +31,12 @@ GAMMA, LAMBDA = 0.9, 0.8
 class Rollouts(BaseCallback):
     """Keeps everything that the last rollout was computed from, as the environments and the policy gave it."""
 
-    def __init__(self, lambda_per: Any = "decision") -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.lambda_per = lambda_per
         self.steps: list[dict[str, Any]] = []
 
     def _on_training_start(self) -> None:
         self.buffer: Any = self.model.rollout_buffer  # type: ignore[attr-defined]  # of on-policy algorithms
-        self.buffer.lambda_per = self.lambda_per
         compute = self.buffer.compute_returns_and_advantage
 
         def spy(last_values: torch.Tensor, dones: Any) -> None:
@@ -70,7 +70,7 @@ class Rollouts(BaseCallback):
             return float(policy.predict_values(observation, state, torch.zeros(1)))
 
 
-def oracle(steps: list[dict[str, Any]], last_values: Any, env: int, per_step: bool) -> list[Fraction]:
+def oracle(steps: list[dict[str, Any]], last_values: Any, env: int) -> list[Fraction]:
     """A = Σⱼ (Π discounts and traces) δⱼ, summed forward in exact fractions, without a recursion."""
     gamma, lam = Fraction(GAMMA), Fraction(LAMBDA)
     values = [Fraction(float(s["values"][env])) for s in steps] + [Fraction(float(last_values[env]))]
@@ -84,7 +84,7 @@ def oracle(steps: list[dict[str, Any]], last_values: Any, env: int, per_step: bo
             total += weight * (Fraction(float(step["rewards"][env])) + gamma**k * after - values[j])
             if done:
                 break
-            weight *= gamma**k * (lam**k if per_step else lam)
+            weight *= gamma**k * lam
         advantages.append(total)
     return advantages
 
@@ -114,19 +114,18 @@ def make(algorithm: type[OnPolicyAlgorithm], env: Any, **kwargs: Any) -> OnPolic
 
 
 @pytest.mark.parametrize("algorithm", [PPO, A2C, TRPO, MaskablePPO, RecurrentPPO])
-@pytest.mark.parametrize("lambda_per", ["decision", "primitive_step"])
-def test_advantages_and_returns_are_exact_with_timeouts_inside_options(algorithm: Any, lambda_per: Any) -> None:
+def test_advantages_and_returns_are_exact_with_timeouts_inside_options(algorithm: Any) -> None:
     # 13 steps: the option of 7 steps is cut off by the limit again and again.
     venv = DummyVecEnv([lambda: optioned_corridor(13), lambda: optioned_corridor(17)])
     model = make(algorithm, venv)
-    kept = Rollouts(lambda_per)
+    kept = Rollouts()
     model.learn(64, callback=CallbackList([PrimitiveStepsCallback(), kept]))
     assert isinstance(kept.buffer, SMDPAdvantages)
     durations = np.array([s["durations"] for s in kept.steps])
     timeouts = np.array([s["timeout_values"] for s in kept.steps]) != 0
     assert (timeouts & (durations > 1)).sum() >= 3, "no timeout inside an option: the case is not tested"
     for env in range(2):
-        expected = oracle(kept.steps, kept.last_values, env, lambda_per == "primitive_step")
+        expected = oracle(kept.steps, kept.last_values, env)
         values = np.array([s["values"][env] for s in kept.steps], dtype=np.float64)
         np.testing.assert_allclose(kept.advantages[:, env], [float(a) for a in expected], rtol=0, atol=1e-6)
         np.testing.assert_allclose(kept.returns[:, env], [float(a) for a in expected] + values, rtol=0, atol=1e-6)
@@ -139,20 +138,17 @@ def test_one_option_by_hand() -> None:
     discounts = np.array([[0.9**3], [0.9]])
     last = 1.0 - 0.25
     first = 2.0 + 0.729 * 0.25 - 0.5
-    per_decision = smdp_advantages(rewards, values, next_values, discounts, np.full((2, 1), 0.8), goes_on)
-    np.testing.assert_allclose(per_decision[:, 0], [first + 0.729 * 0.8 * last, last])
-    per_step = smdp_advantages(rewards, values, next_values, discounts, np.array([[0.8**3], [0.8]]), goes_on)
-    np.testing.assert_allclose(per_step[:, 0], [first + 0.729 * 0.512 * last, last])
+    advantages = smdp_advantages(rewards, values, next_values, discounts, goes_on, 0.8)
+    np.testing.assert_allclose(advantages[:, 0], [first + 0.729 * 0.8 * last, last])
 
 
-@pytest.mark.parametrize("lambda_per", ["decision", "primitive_step"])
-def test_without_options_it_is_the_stock_buffer(lambda_per: Any) -> None:
+def test_without_options_it_is_the_stock_buffer() -> None:
     rng = np.random.default_rng(0)
     spaces = Corridor().observation_space, Corridor().action_space
     kwargs: dict[str, Any] = {"device": "cpu", "gae_lambda": LAMBDA, "gamma": GAMMA, "n_envs": 3}
     stock = RolloutBuffer(50, *spaces, **kwargs)
-    ours = OptionRolloutBuffer(50, *spaces, lambda_per=lambda_per, **kwargs)
-    callback_like = np.full(3, 1.0), np.full(3, GAMMA)
+    ours = OptionRolloutBuffer(50, *spaces, **kwargs)
+    runs = [OptionRun(-1, 1, GAMMA, GAMMA, "primitive")] * 3
     for _ in range(50):
         reward = rng.normal(size=3).astype(np.float32)
         step = (
@@ -160,7 +156,7 @@ def test_without_options_it_is_the_stock_buffer(lambda_per: Any) -> None:
             torch.as_tensor(rng.normal(size=3), dtype=torch.float32), torch.zeros(3),
         )  # fmt: skip
         stock.add(*step)
-        ours.expect(Passage(reward.astype(np.float64), *callback_like))
+        ours.expect(reward, runs)
         ours.add(*step)
     last, dones = torch.as_tensor(rng.normal(size=(3, 1)), dtype=torch.float32), np.array([True, False, False])
     stock.compute_returns_and_advantage(last, dones)
@@ -202,19 +198,16 @@ def test_a_users_own_environment_of_variable_durations(algorithm: Any) -> None:
     assert model.num_timesteps == buffer.durations.sum()
 
 
-def test_the_buffer_can_be_passed_with_its_meaning_of_lambda() -> None:
+def test_the_buffer_can_be_passed() -> None:
     model = PPO(
         "MlpPolicy",
         Journey(),
         n_steps=16,
         batch_size=16,
         rollout_buffer_class=OptionRolloutBuffer,
-        rollout_buffer_kwargs={"lambda_per": "primitive_step"},
     )
     model.learn(16, callback=PrimitiveStepsCallback())
-    buffer = model.rollout_buffer
-    assert isinstance(buffer, OptionRolloutBuffer)
-    assert buffer.lambda_per == "primitive_step"
+    assert type(model.rollout_buffer) is OptionRolloutBuffer
 
 
 def test_dict_observations() -> None:
@@ -236,15 +229,18 @@ def test_dict_observations() -> None:
 @pytest.mark.parametrize(
     ("algorithm", "expected"),
     [
-        (MaskablePPO, OptionMaskableRolloutBuffer),
-        (RecurrentPPO, OptionRecurrentRolloutBuffer),
-        (TRPO, OptionRolloutBuffer),
+        (MaskablePPO, MaskableRolloutBuffer),
+        (RecurrentPPO, RecurrentRolloutBuffer),
+        (TRPO, RolloutBuffer),
     ],
 )
-def test_contrib_algorithms_get_their_sibling(algorithm: Any, expected: type) -> None:
+def test_contrib_algorithms_get_a_buffer_derived_from_their_own(algorithm: Any, expected: type) -> None:
     model = make(algorithm, DummyVecEnv([lambda: optioned_corridor(20)]))
     model.learn(64, callback=PrimitiveStepsCallback())
-    assert type(model.rollout_buffer) is expected
+    assert type(model.rollout_buffer).__bases__ == (SMDPAdvantages, expected)
+    made = type(model.rollout_buffer)
+    model.learn(64, callback=PrimitiveStepsCallback())
+    assert type(model.rollout_buffer) is made
 
 
 def test_normalised_rewards_keep_the_bootstrap() -> None:
@@ -265,12 +261,12 @@ def test_an_option_moves_in_between_rollouts_only() -> None:
     env = OptionsWrapper(Corridor(), 1, gamma=GAMMA)
     stock, masked = make(PPO, env), make(MaskablePPO, OptionsWrapper(Corridor(), 1, gamma=GAMMA))
     for model, at_once in ((stock, False), (masked, True)):
-        server = OptionServer(model, env_of(model), None)
-        server.put(0, steady_option(1))
+        installer = OptionInstaller(model, env_of(model), None)
+        installer.install(0, steady_option(1))
         banks = env_of(model).get_attr("bank")
         assert (len(banks[0]) == 1) is at_once
-        assert len(server.bank) == 1
-        server.rollout_starts()
+        assert len(installer.bank) == 1
+        installer.on_rollout_start()
         assert len(env_of(model).get_attr("bank")[0]) == 1
 
 
@@ -295,12 +291,6 @@ def test_an_environment_that_reports_no_durations() -> None:
         make(PPO, StepLog(Corridor())).learn(64, callback=PrimitiveStepsCallback())
 
 
-def test_refuses_another_meaning_of_lambda() -> None:
-    spaces = Corridor().observation_space, Corridor().action_space
-    with pytest.raises(ValueError, match="lambda_per must be 'decision' or 'primitive_step', got 'option'"):
-        OptionRolloutBuffer(8, *spaces, lambda_per="option")
-
-
 def test_refuses_dict_observations() -> None:
     with pytest.raises(ValueError, match="For Dict observations pass rollout_buffer_class=OptionDictRolloutBuffer"):
         OptionRolloutBuffer(8, DictEnv().observation_space, DictEnv().action_space)
@@ -317,7 +307,7 @@ def test_an_option_opens_with_its_share_of_the_probability_where_masks_keep_it_i
     with torch.no_grad():
         model.policy.action_net.weight.zero_()
         model.policy.action_net.bias.zero_()
-    OptionServer(model, env_of(model), None, max_option_exploration=share)
+    OptionInstaller(model, env_of(model), None, max_option_exploration=share)
     observation = torch.zeros((1, 2))
     masks = np.array([[True, True, *[True] * n_present, *[False] * (3 - n_present)]])
     probabilities = model.policy.get_distribution(observation, action_masks=masks).distribution.probs[0].detach()
@@ -331,11 +321,11 @@ def test_an_untrained_model_opens_the_heads_of_options_that_are_there_a_trained_
     env.bank.add(steady_option(1))
     model: Any = make(PPO, env)
     head = model.policy.action_net
-    OptionServer(model, env_of(model), None)
+    OptionInstaller(model, env_of(model), None)
     assert torch.equal(head.weight[2], head.weight[:2].mean(dim=0))
     assert torch.equal(head.bias[2], head.bias[:2].mean(dim=0))
     model.learn(64, callback=PrimitiveStepsCallback())
     learned = head.weight[2].clone()
-    OptionServer(model, env_of(model), None)
+    OptionInstaller(model, env_of(model), None)
     assert torch.equal(head.weight[2], learned)
     assert not torch.equal(learned, head.weight[:2].mean(dim=0))

@@ -2,8 +2,6 @@ import errno
 import json
 import os
 import pickle
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,6 +18,7 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.options.file import FILE_FORMAT, digest
 from sb3_options.options.option import HalfSpace, Region, SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
+from tests.support import processes
 from tests.support.helpers import steady_option
 
 N_PRIMITIVE, SIZE, CAPACITY = 4, 3, 5
@@ -195,9 +194,7 @@ class TestFile:
                 ) for o in bank.slots
             ]))
         """
-        process = subprocess.run(
-            [sys.executable, "-c", script, str(tmp_path)], capture_output=True, text=True, check=True, cwd=tmp_path
-        )
+        process = processes.python("-c", script, str(tmp_path), cwd=tmp_path)
         expected = behaviour(bank, OBSERVATIONS)
         assert [o if o is None else tuple(o) for o in json.loads(process.stdout)] == expected
         for option in (expected[1], expected[3]):

@@ -11,7 +11,7 @@ from gymnasium import spaces
 
 from sb3_options import OptionBank, OptionsWrapper
 from sb3_options.envs import FOUR_ROOMS
-from sb3_options.execution.features import made_for
+from sb3_options.execution.features import signature
 from sb3_options.experience.observations import flatten
 from sb3_options.options.file import digest, read, slots_of, write
 from sb3_options.options.option import SubgoalOption
@@ -38,7 +38,7 @@ def saved(env: OptionsWrapper, path: Path, policy_input: PolicyInput = "observat
     return path
 
 
-class TestMadeFor:
+class TestSpaceSignature:
     SPACES: tuple[spaces.Space[Any], ...] = (
         spaces.Box(0.0, 1.0, (3,)),
         spaces.Box(0.0, 1.0, (3, 1)),
@@ -60,19 +60,19 @@ class TestMadeFor:
     )
 
     def test_spaces_that_differ_have_different_digests(self) -> None:
-        assert len({made_for(space, None).digest for space in self.SPACES}) == len(self.SPACES)
+        assert len({signature(space, None).digest for space in self.SPACES}) == len(self.SPACES)
 
     def test_equal_spaces_have_the_same(self) -> None:
         seeded = spaces.Box(0.0, 1.0, (3,), seed=3)
-        assert made_for(seeded, None) == made_for(self.SPACES[0], None)
+        assert signature(seeded, None) == signature(self.SPACES[0], None)
         swapped = spaces.Dict([("b", spaces.Box(0.0, 1.0, (3,))), ("a", spaces.Discrete(3))])
-        assert made_for(swapped, None).digest == made_for(self.SPACES[14], None).digest
+        assert signature(swapped, None).digest == signature(self.SPACES[14], None).digest
 
     def test_the_description_can_be_read(self) -> None:
-        assert made_for(spaces.Discrete(3), None).space == "Discrete(3)"
+        assert signature(spaces.Discrete(3), None).space == "Discrete(3)"
         for space in self.SPACES:
-            assert len(made_for(space, None).space) <= 201
-            assert "\n" not in made_for(space, None).space
+            assert len(signature(space, None).space) <= 201
+            assert "\n" not in signature(space, None).space
 
 
 class TestOtherObservations:
@@ -126,9 +126,9 @@ class TestOtherObservations:
         pytest.importorskip("pybullet")
         env = OptionsWrapper(gym.make("sb3_options/Pioneer-v0"))
         env.bank.save(tmp_path / "options")
-        there = made_for(env.observation_space, env.features)
+        there = signature(env.observation_space, env.features)
         other = OptionsWrapper(gym.make("sb3_options/PioneerClutter-v0"))
-        assert made_for(other.observation_space, other.features) == there
+        assert signature(other.observation_space, other.features) == there
 
     def test_a_bank_made_by_hand_accepts_any(self, tmp_path: Path) -> None:
         bank = OptionBank(4, 4)

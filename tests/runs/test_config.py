@@ -8,7 +8,7 @@ import yaml
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options.discovery.subgoals import DiscoverySettings
-from sb3_options.options.creation import OptionLearningSettings
+from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.runs import config as configs
 from sb3_options.runs.config import (
     CLASSES,

@@ -192,3 +192,15 @@ def line(places: Sequence[float], actions: Sequence[int] | None = None, **kwargs
 def ball(*centre: float, radius: float = 0.0) -> Region:
     """A region of one ball, all features in units of 1."""
     return Region(np.array([centre]), np.ones(len(centre)), radius)
+
+
+def equal(left: Any, right: Any) -> bool:
+    """Equality bit for bit, types included."""
+    if type(left) is not type(right):
+        return False
+    if isinstance(left, dict):
+        return list(left) == list(right) and all(equal(left[key], right[key]) for key in left)
+    if isinstance(left, np.ndarray):
+        return (left.dtype.str, left.shape, left.tobytes()) == (right.dtype.str, right.shape, right.tobytes())
+    same: bool = left == right
+    return same

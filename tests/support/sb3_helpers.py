@@ -71,6 +71,12 @@ def read_video(path: Path, height: int, width: int) -> npt.NDArray[np.uint8]:
     return np.frombuffer(content, dtype=np.uint8).reshape(-1, height, width, 3)
 
 
+def n_colours(picture: npt.NDArray[np.uint8]) -> int:
+    """How many colours a picture has, (height, width, 3 or 4)."""
+    channels = np.moveaxis(picture.astype(np.uint32), -1, 0)
+    return len(np.unique(sum(channel << (8 * i) for i, channel in enumerate(channels))))
+
+
 def env_of(model: BaseAlgorithm) -> VecEnv:
     """The model's environment, which it has."""
     venv = model.get_env()

@@ -1,8 +1,6 @@
 """One seed, one trajectory: bit for bit, whatever was simulated before, in one process or several."""
 
 import hashlib
-import subprocess
-import sys
 from typing import Any
 
 import gymnasium
@@ -11,9 +9,10 @@ import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
 from sb3_options.envs.pioneer.env import Pioneer
+from tests.support import processes
 
 IDS = [f"sb3_options/{name}-v0" for name in ("Pioneer", "PioneerCorner", "PioneerClutter", "PioneerTwoBalls")]
-N_STEPS = 150
+N_STEPS = 100
 SEED = 3
 
 FRESH = f"""
@@ -24,7 +23,7 @@ print(*[digest(make(env_id), {SEED}) for env_id in IDS])
 
 def make(env_id: str) -> gymnasium.Env[Any, Any]:
     # Truncating early, so that several resets are part of the trajectory.
-    return gymnasium.make(env_id, max_steps=60, observation="retina")
+    return gymnasium.make(env_id, max_steps=40, observation="retina")
 
 
 def digest(env: gymnasium.Env[Any, Any], seed: int) -> str:
@@ -60,7 +59,8 @@ def test_any_history(env_id: str) -> None:
 
 
 def test_fresh_process() -> None:
-    result = subprocess.run([sys.executable, "-c", FRESH], capture_output=True, text=True, check=True)
+    result = processes.python("-c", FRESH)
+    assert result.returncode == 0, result.stderr
     assert result.stdout.split()[-len(IDS) :] == [digest(make(env_id), SEED) for env_id in IDS]
 
 

@@ -2,7 +2,6 @@
 
 import importlib
 import math
-import subprocess
 import sys
 from collections.abc import Iterator
 from typing import Any
@@ -18,6 +17,7 @@ from sb3_options import OptionsWrapper
 from sb3_options.envs.pioneer.env import ACTIONS, GRIPPING, VISIBLE, Pioneer
 from sb3_options.envs.pioneer.senses import MAX_WIDTH, N_PIXELS
 from tests.envs.pioneer.expert import Expert, play
+from tests.support import processes
 
 NAMES = ["Pioneer", "PioneerCorner", "PioneerClutter", "PioneerTwoBalls"]
 SHORT, MIDDLE, LONG, LEFT_10, LEFT_45, RIGHT_10, RIGHT_45 = range(7)
@@ -76,7 +76,8 @@ class TestProtocol:
             "import sys; sys.modules['pybullet'] = None; import gymnasium, sb3_options.envs; "
             "assert 'sb3_options/PioneerCorner-v0' in gymnasium.registry"
         )
-        subprocess.run([sys.executable, "-c", code], check=True)
+        result = processes.python("-c", code)
+        assert result.returncode == 0, result.stderr
 
     def test_why_an_episode_ended(self) -> None:
         env = make("PioneerCorner", max_steps=2)
@@ -195,8 +196,8 @@ class TestTask:
     def test_an_expert_solves_it(self, name: str) -> None:
         env = make(name)
         expert = Expert(corner=name == "PioneerCorner")
-        outcomes = [play(env, expert, seed)[0] for seed in range(20)]
-        assert sum(outcomes) >= 19
+        outcomes = [play(env, expert, seed)[0] for seed in range(10)]
+        assert sum(outcomes) >= 9
         env.close()
 
     @pytest.mark.slow

@@ -163,10 +163,11 @@ def random_walk(n: int, seed: int, **kwargs: Any) -> None:
     env = Pioneer(max_steps=200, **kwargs)
     rng = np.random.default_rng(seed)
     env.reset(seed=seed)
+    heights = bodies(env)
     for _ in range(n):
         observation, _, terminated, truncated, _ = env.step(int(rng.integers(7)))
         assert env.observation_space.contains(observation)
-        for body, height in bodies(env).items():
+        for body, height in heights.items():
             (x, y, z), rotation = env.bullet.p.getBasePositionAndOrientation(body, physicsClientId=env.bullet.client)
             velocity, spin = env.bullet.p.getBaseVelocity(body, physicsClientId=env.bullet.client)
             assert np.isfinite([x, y, z, *rotation, *velocity, *spin]).all()
@@ -178,12 +179,13 @@ def random_walk(n: int, seed: int, **kwargs: Any) -> None:
             assert np.linalg.norm(spin) < 60
         if terminated or truncated:
             env.reset()
+            heights = bodies(env)
     env.close()
 
 
 @pytest.mark.parametrize("kwargs", [{}, {"n_obstacles": 4, "n_balls": 2}])
 def test_random_actions_stay_finite(kwargs: dict[str, Any]) -> None:
-    random_walk(1500, 0, **kwargs)
+    random_walk(800, 0, **kwargs)
 
 
 @pytest.mark.slow
@@ -193,7 +195,7 @@ def test_100_000_random_actions_stay_finite(seed: int) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads memory from /proc")
-@pytest.mark.parametrize("n", [1500, pytest.param(10_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("n", [1000, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_resets_do_not_grow_memory(env: Pioneer, n: int) -> None:
     for seed in range(300):
         env.reset(seed=seed)
@@ -205,7 +207,7 @@ def test_resets_do_not_grow_memory(env: Pioneer, n: int) -> None:
 
 def test_make_and_close_leak_no_client() -> None:
     numbers = set()
-    for seed in range(200):
+    for seed in range(50):
         env = gymnasium.make("sb3_options/Pioneer-v0").unwrapped
         assert isinstance(env, Pioneer)
         env.reset(seed=seed)

@@ -1,0 +1,109 @@
+"""An option from its start to its end: one step of a semi-Markov decision process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, SupportsFloat, TypeAlias
+
+import numpy as np
+
+from sb3_options.experience.observations import BoolArray, Observations, batch_of_one, copy_of, stack
+from sb3_options.experience.option_run import OptionRun, Termination
+from sb3_options.options.option import Option
+
+StepReturn: TypeAlias = tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]
+"""What ``gymnasium.Env.step`` returns: observation, reward, terminated, truncated, info."""
+
+
+def run_option(
+    option: Option,
+    slot: int,
+    observation: Any,
+    step: Callable[[int], StepReturn],
+    *,
+    inside: bool,
+    interrupted: Callable[[Any], bool] | None,
+    available: Callable[[Observations], BoolArray] | None,
+    n_primitive: int,
+    gamma: float,
+    random: np.random.Generator,
+) -> tuple[StepReturn, OptionRun]:
+    """Run an option until the episode, β, I, its longest duration or an interruption ends it, asked in this order.
+
+    Args:
+        option: At least one step of it is run.
+        slot: Where it is.
+        observation: Where it begins.
+        step: Runs a primitive action.
+        inside: Whether it begins in its initiation set; outside it runs for one step.
+        interrupted: Whether to end in the observation arrived in (`Interruption.watch`); None for never.
+        available: Which slots may start in the k observations arrived in; None leaves that out of the record.
+        n_primitive: Number of primitive actions.
+        gamma: γ per primitive step.
+        random: Draws whether an option with 0 < β < 1 ends.
+
+    Returns:
+        What the last step returned, with Σ γⁱ rᵢ in the place of its reward, and the record of the run.
+
+    Raises:
+        ValueError: The option's policy chooses no primitive action.
+    """
+    total, discount = 0.0, 1.0
+    observations: list[Any] = [copy_of(observation)]
+    actions: list[int] = []
+    rewards: list[float] = []
+    termination: Termination | None = None
+    while termination is None:
+        action = primitive_of(option, observations[-1], n_primitive)
+        observation, reward, terminated, truncated, info = step(action)
+        observations.append(copy_of(observation))
+        actions.append(action)
+        rewards.append(float(reward))
+        total += discount * rewards[-1]
+        discount *= gamma
+        if terminated:
+            termination = "terminated"
+        elif truncated:
+            termination = "truncated"
+        else:
+            termination = _why_ended(option, observation, len(actions), random, inside=inside)
+            if termination is None and interrupted is not None and interrupted(observation):
+                termination = "interrupted"
+    run = OptionRun(
+        slot,
+        len(actions),
+        discount,
+        gamma,
+        termination,
+        stack(observations[:-1]),
+        np.array(actions),
+        np.array(rewards),
+        None if available is None else available(stack(observations[1:])),
+    )
+    return (observation, total, terminated, truncated, info), run
+
+
+def primitive_of(option: Option, observation: Any, n_primitive: int) -> int:
+    """The primitive action that an option's policy takes.
+
+    Raises:
+        ValueError: There is no such primitive action.
+    """
+    action = int(option.policy(batch_of_one(observation))[0])
+    if not 0 <= action < n_primitive:
+        raise ValueError(
+            f"The policy of option {option.name!r} chose {action}; primitive actions are 0 to {n_primitive - 1}."
+        )
+    return action
+
+
+def _why_ended(
+    option: Option, observation: Any, duration: int, random: np.random.Generator, *, inside: bool
+) -> Termination | None:
+    batch = batch_of_one(observation)
+    probability = float(option.termination(batch)[0])
+    if probability >= 1.0 or (probability > 0.0 and random.random() < probability):
+        return "subgoal"
+    if not (inside and option.initiation(batch)[0]):
+        return "left_initiation"
+    return "max_duration" if duration >= option.max_duration else None

@@ -1,0 +1,87 @@
+"""`RecordTrajectories`: a wrapper beneath `OptionsWrapper` that records primitive steps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+from gymnasium.envs.registration import EnvSpec
+
+from sb3_options.experience.recording import EpisodeRecorder, RewardPeaks, SegmentRecorder, TrajectoryRecorder
+from sb3_options.experience.trajectories import Trajectory
+
+
+class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
+    """Records the primitive steps of an environment, and changes nothing.
+
+    `OptionsWrapper` puts it beneath itself when recording is first asked for, and takes from it what is finished.
+
+    Args:
+        env: Any.
+
+    Attributes:
+        finished: What is complete and was not yet taken.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        super().__init__(env)
+        self.recorder: TrajectoryRecorder | None = None
+        self.peaks: RewardPeaks | None = None
+        self.finished: list[Trajectory] = []
+
+    @property
+    def spec(self) -> EnvSpec | None:  # type: ignore[override]  # a property in gym.Wrapper, too
+        """That of the environment: recording is no part of what ``gym.make`` makes again."""
+        return self.env.spec
+
+    def set(self, record: bool, peaks: RewardPeaks | None, observation: Any) -> None:
+        """Whether to record from now on; what is under way goes on if nothing changes.
+
+        Args:
+            record: Whether.
+            peaks: Where segments are cut; None records whole episodes.
+            observation: Where the environment is; None before its first ``reset``.
+        """
+        if not record:
+            self.recorder, self.finished = None, []
+        elif self.recorder is None or peaks != self.peaks:
+            self.recorder, self.peaks = EpisodeRecorder() if peaks is None else SegmentRecorder(peaks), peaks
+            self.finished = self.recorder.finished
+            if observation is not None:
+                self.recorder.begin(observation)
+
+    def take(self) -> dict[str, Any]:
+        """What is finished, as it goes into ``info``; then it is taken."""
+        report = {} if self.recorder is None else self.recorder.report()
+        self.finished.clear()
+        return report
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Reset; what was under way is forgotten."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        if self.recorder is not None:
+            self.recorder.begin(observation)
+        return observation, info
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """One primitive step.
+
+        Raises:
+            ValueError: The environment itself uses a name in ``info`` under which recorders report.
+        """
+        result = self.env.step(action)
+        if self.recorder is None:
+            return result
+        observation, reward, terminated, truncated, info = result
+        if "trajectory" in info or "segments" in info:
+            raise ValueError(
+                'The environment has an info["trajectory"] or info["segments"] of its own, where OptionsWrapper '
+                "reports what it recorded: give it another name there."
+            )
+        self.recorder.record(action, float(reward), observation)
+        if terminated or truncated:
+            success = info.get("is_success")
+            self.recorder.end(
+                terminated=terminated, truncated=truncated, is_success=None if success is None else bool(success)
+            )
+        return result

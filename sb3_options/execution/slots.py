@@ -1,0 +1,184 @@
+"""`OptionSlots`: what an environment with options holds, and what others read and set, also from another process."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import RecordConstructorArgs
+from stable_baselines3.common.monitor import Monitor
+
+from sb3_options.execution import features as feature_maps
+from sb3_options.execution.interruption import Interruption
+from sb3_options.execution.recording import RecordTrajectories
+from sb3_options.execution.run_limit import RunLimit
+from sb3_options.execution.trials import Withholding
+from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, Observations
+from sb3_options.experience.recording import RewardPeaks
+from sb3_options.options.bank import OptionBank
+from sb3_options.options.option import Option
+
+EMPTY_SLOT_SEED = 0x0971055
+"""Mixed into the seed of ``reset``, so that empty slots draw from a stream apart from the environment's."""
+
+
+class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
+    """A bank of options, their feature map, and how they are to be run. `OptionsWrapper` runs them.
+
+    Args:
+        env: As for `OptionsWrapper`; likewise all others.
+        max_options: Number of slots.
+        gamma: γ per primitive step.
+        feature_map: φ; None takes a default.
+        options_file: Start with its options.
+        max_runs: Most runs of one option in an episode.
+
+    Raises:
+        TypeError: The action space is not ``Discrete``, or ``feature_map`` is not callable.
+        ValueError: An argument is out of its range, or the file's options do not fit the environment.
+        FileNotFoundError: There is no ``options_file``.
+    """
+
+    def __init__(
+        self,
+        env: gym.Env[Any, Any],
+        max_options: int,
+        gamma: float,
+        feature_map: FeatureMap | None,
+        options_file: str | os.PathLike[str] | None,
+        max_runs: int | None,
+    ) -> None:
+        # Not copied: a feature map may be a method of the environment, which would be copied with it.
+        RecordConstructorArgs.__init__(
+            self,
+            _disable_deepcopy=True,
+            max_options=max_options,
+            gamma=gamma,
+            feature_map=feature_map,
+            options_file=options_file,
+            max_runs=max_runs,
+        )
+        gym.Wrapper.__init__(self, env)
+        primitive = env.action_space
+        if not isinstance(primitive, spaces.Discrete):
+            raise TypeError(
+                f"OptionsWrapper needs a Discrete action space, got {primitive}: options choose among numbered "
+                "primitive actions. Discretise the actions first."
+            )
+        if primitive.start != 0:
+            raise ValueError(f"OptionsWrapper needs actions that start at 0, got {primitive}.")
+        if not 0.0 < gamma <= 1.0:
+            raise ValueError(f"gamma must be in (0, 1], got {gamma}.")
+        self.gamma, self.max_runs = float(gamma), max_runs
+        self.n_primitive = int(primitive.n)
+        self.features = feature_maps.resolve(env, feature_map)
+        self.bank = OptionBank(
+            self.n_primitive,
+            max_options,
+            feature_map=self.features.map if self.features else None,
+            observation_size=feature_maps.flat_size(env.observation_space),
+            feature_size=self.features.size if self.features else None,
+            signature=feature_maps.signature(env.observation_space, self.features),
+        )
+        if options_file is not None:
+            self.bank.load(options_file)
+        self.action_space: Any = spaces.Discrete(self.n_primitive + max_options)
+        self._observation: Any = None
+        self._random = np.random.default_rng()
+        self._limit = RunLimit(max_options, max_runs)
+        self._reports_availability = False
+        self._recording: RecordTrajectories | None = None
+        self._interruption: Interruption | None = None
+        self._withholding: Withholding | None = None
+
+    def available(self, observations: Observations) -> BoolArray:
+        """Which augmented actions may start in each observation, shape (batch, n_primitive + max_options).
+
+        Initiation sets alone: what an episode has used up, or does without, is nothing an observation tells.
+        """
+        return self.bank.available(observations)
+
+    def concept_features(self, observations: Observations) -> FloatArray:
+        """φ of a batch of observations, shape (batch, d).
+
+        Raises:
+            ValueError: There is no feature map.
+        """
+        if self.features is None:
+            raise ValueError(
+                f"There is no default feature map for {self.observation_space}: pass "
+                "OptionsWrapper(env, feature_map=...) a function from a batch of observations to features (batch, d)."
+            )
+        return self.features.map(observations)
+
+    def feature_kind(self) -> feature_maps.FeatureKind | None:
+        """Where the feature map comes from; None where there is none."""
+        return self.features.kind if self.features else None
+
+    def seen_observation_space(self) -> spaces.Space[Any]:
+        """The space of the observations that options act on, whatever stands above."""
+        return self.observation_space
+
+    def seed_empty_slots(self, seed: int) -> None:
+        """Seed what empty slots draw, and nothing of the environment."""
+        self._random = np.random.default_rng([seed, EMPTY_SLOT_SEED])
+
+    def set_option(self, slot: int, option: Option | None) -> None:
+        """Fill slot ``slot`` with ``option``, or empty it with None."""
+        if option is not None:
+            self.bank.add(option, slot)
+        elif slot in self.bank.filled:
+            self.bank.remove(slot)
+        if option is None:
+            self._limit.runs[slot] = 0  # the next one begins to count anew; one that has grown does not
+
+    def set_interruption(self, interruption: Interruption | None) -> None:
+        """Interrupt options by these values from now on; None lets every option run to its end."""
+        self._interruption = interruption
+
+    def report_availability(self, report: bool) -> None:
+        """Whether ``info["option"]["available"]`` says which slots may start in each observation arrived in."""
+        self._reports_availability = report
+
+    def withhold_options(self, shares: dict[int, float], seed: Sequence[int]) -> None:
+        """Try options: let each episode from the next one on do without a slot with a probability of ``shares[slot]``.
+
+        The info that ends an episode then holds a `TrialReport` as ``info["option_trial"]``. A slot that is withheld
+        is masked; chosen all the same, it runs what the agent would do without it, and names that as ``actions``.
+
+        Args:
+            shares: By slot; those that are not named are not tried.
+            seed: Of the generator that draws; used the first time.
+        """
+        if self._withholding is None:
+            self._withholding = Withholding(seed, self.gamma)
+        self._withholding.shares = dict(shares)
+
+    def end_trials(self) -> None:
+        """Withhold nothing any more, in the current episode either."""
+        self._withholding = None
+
+    def record_trajectories(self, record: bool, peaks: RewardPeaks | None = None) -> None:
+        """Whether infos hold the primitive steps that were taken, which are recorded beneath this wrapper.
+
+        Args:
+            record: Whether they do.
+            peaks: Without it, the info that ends an episode holds it as ``info["trajectory"]``, a `Trajectory`. With
+                it, ``info["segments"]`` is a list of those segments, cut at peaks of reward, that were finished during
+                the call of ``step``; several may be while one option runs.
+        """
+        if record and self._recording is None:
+            # Beneath a Monitor, which others expect right beneath this wrapper.
+            above: gym.Wrapper[Any, Any, Any, Any] = self.env if isinstance(self.env, Monitor) else self
+            above.env = self._recording = RecordTrajectories(above.env)
+        if self._recording is not None:
+            self._recording.set(record, peaks, self._observation)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        # A copied or unpickled bank has no feature map (see `OptionBank.__getstate__`); this wrapper does.
+        self.__dict__.update(state)
+        self.bank.bind(self.features.map if self.features else None)

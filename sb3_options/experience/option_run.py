@@ -1,0 +1,91 @@
+"""`OptionRun`: which action `OptionsWrapper.step` ran, for how long, and how it ended."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from numbers import Real
+from typing import Any, Literal, NamedTuple, TypeAlias
+
+from sb3_options.experience.observations import BoolArray, FloatArray, IntArray, Observations
+
+Termination: TypeAlias = Literal[
+    "primitive", "subgoal", "left_initiation", "max_duration", "interrupted", "terminated", "truncated"
+]
+
+
+class OptionRun(NamedTuple):
+    """One action of a semi-Markov decision process: a primitive step, or an option from its start to its end.
+
+    ``info["option"]`` holds it as a dict, which travels between processes and needs no import: `as_info` writes it,
+    `from_info` reads it.
+
+    Attributes:
+        index: The slot whose option ran; -1 of a primitive.
+        duration: Primitive steps k.
+        discount: γᵏ.
+        gamma: γ per primitive step.
+        termination: Why it ended.
+        observations: Of an option, the k observations in which it acted.
+        actions: Of an option, its primitive actions, (k,). Of a slot that ran a primitive instead, that one, (1,).
+        rewards: Of an option, the undiscounted rewards of its primitive steps, (k,).
+        available: Which slots may start in each of the k observations arrived in, (k, max_options); None unless
+            `OptionsWrapper.report_availability` asked for it and there are options.
+    """
+
+    index: int  # type: ignore[assignment]  # hides tuple.index, which nobody calls
+    duration: int
+    discount: float
+    gamma: float
+    termination: Termination
+    observations: Observations | None = None
+    actions: IntArray | None = None
+    rewards: FloatArray | None = None
+    available: BoolArray | None = None
+
+    def as_info(self) -> dict[str, Any]:
+        """The value of ``info["option"]``: a dict of the fields that are not None."""
+        return {name: value for name, value in zip(self._fields, self, strict=True) if value is not None}
+
+    @classmethod
+    def from_info(cls, info: Mapping[str, Any]) -> OptionRun:
+        """The record in an info of `OptionsWrapper`, or of an environment whose actions have durations of their own.
+
+        Such an environment leaves ``info["option"] = {"duration": k, "discount": gamma**k}`` at least.
+
+        Raises:
+            ValueError: There is no such record, or it lacks duration or discount, or they are out of range.
+        """
+        option = info.get("option")
+        try:
+            run = cls(**option)  # type: ignore[arg-type]  # a TypeError says that it is no complete record
+            if run.duration > 0 and 0.0 <= run.discount <= 1.0:
+                return run
+        except TypeError:
+            pass
+        return _completed(option)
+
+
+def _completed(option: Any) -> OptionRun:
+    """The record of a user's own environment, of which only duration and discount are required."""
+    if option is None:
+        raise ValueError(
+            'There is no info["option"]: wrap the environment in OptionsWrapper, or, if its actions have durations of '
+            'their own, let its step leave info["option"] = {"index": -1, "duration": k, "discount": gamma**k}.'
+        )
+    if not isinstance(option, Mapping):
+        raise ValueError(
+            'info["option"] must be a dict with "duration" and "discount", as OptionsWrapper leaves it, got '
+            f"{option!r}: if it means something else in this environment, give it another name there."
+        )
+    k: Any = option.get("duration")
+    discount: Any = option.get("discount")
+    numbers = isinstance(k, Real) and isinstance(discount, Real)
+    if not (numbers and float(k) > 0 and 0 <= float(discount) <= 1):
+        raise ValueError(
+            'info["option"] must have a positive "duration" in primitive steps and a "discount" between 0 and 1, got '
+            f"duration {k!r} and discount {discount!r}: let the environment's step leave "
+            '{"index": -1, "duration": k, "discount": gamma**k}.'
+        )
+    known = {name: option[name] for name in OptionRun._fields if name in option}
+    usual = {"index": -1, "gamma": float(discount) ** (1.0 / float(k)), "termination": "primitive"}
+    return OptionRun(**{**usual, **known})

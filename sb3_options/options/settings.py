@@ -1,0 +1,57 @@
+"""How options are learned: the settings of `creation`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from sb3_options.checked import Field, settings
+from sb3_options.options.policies import PolicyInput
+
+
+@settings
+class OptionLearningSettings:
+    """How an option is made for a subgoal (McGovern & Barto 2001, §5).
+
+    Attributes:
+        policy_input: What the option's policy acts on. ``features`` are enough where the way to the subgoal shows in
+            concept space; then a few trajectories suffice, because there is less to tell apart.
+        initiation_steps: n: the states of the last n primitive steps before a visit of the subgoal enter I.
+        initiation_visits: ``first`` visit of the subgoal in each trajectory only, which leads forward, or ``every``.
+        initiation_radius: An observation lies in I if its features are within this distance, in scaled units, of a
+            state that entered I.
+        max_duration: Longest run of the option, primitive steps.
+        step_reward: Reward of the option's own task for every step that goes on.
+        subgoal_reward: Reward for the step that reaches the subgoal.
+        leave_reward: Reward for the step that leaves I, or ends the episode elsewhere than at the subgoal. The default
+            is worse than any run of ``max_duration`` steps.
+        gamma: Discount of the option's own task.
+        value_function: ``table`` for observations that repeat, ``network`` for those that do not, or ``auto``:
+            a table if the transitions of I have at most half as many distinct observations as there are transitions.
+        sweeps: Most sweeps through the saved transitions for a table; it stops when nothing changes any more.
+        network_updates: Gradient steps for a network.
+        keep_learning: Whether an option with a table goes on learning from every later trajectory.
+        step_size: α of that learning, in (0, 1].
+        grow: Whether an option is learned anew, initiation set and policy, from all saved trajectories each time
+            twice as many of them have reached its subgoal.
+    """
+
+    policy_input: PolicyInput = "observation"
+    initiation_steps: Annotated[int, Field(ge=1)] = 15
+    initiation_visits: Literal["first", "every"] = "first"
+    initiation_radius: Annotated[float, Field(ge=0)] = 0.5
+    max_duration: Annotated[int, Field(ge=1)] = 100
+    step_reward: Annotated[float, Field(allow_inf_nan=False)] = -1.0
+    subgoal_reward: Annotated[float, Field(allow_inf_nan=False)] = 0.0
+    leave_reward: Annotated[float, Field(allow_inf_nan=False)] = -100.0
+    gamma: Annotated[float, Field(gt=0, le=1)] = 0.99
+    value_function: Literal["auto", "table", "network"] = "auto"
+    sweeps: Annotated[int, Field(ge=1)] = 500
+    network_updates: Annotated[int, Field(ge=1)] = 2000
+    keep_learning: bool = False
+    step_size: Annotated[float, Field(gt=0, le=1)] = 0.1
+    grow: bool = False
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether options change after they were made."""
+        return self.keep_learning or self.grow

@@ -1,0 +1,69 @@
+"""Discovery in tasks that go on, from segments between peaks of reward."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from stable_baselines3 import DQN
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator  # type: ignore[import-untyped]  # no stubs
+
+from sb3_options import OptionReplayBuffer, OptionsWrapper
+from sb3_options.callbacks import SubgoalDiscoveryCallback
+from tests.support.sb3_helpers import DOORWAY, FAST_DISCOVERY, RANDOM, TINY, optioned_rooms
+
+NEVER_ENDS: dict[str, Any] = {"continuing": True, "max_steps": None}
+
+
+def make_endless_rooms() -> OptionsWrapper:
+    """What a worker process calls."""
+    return optioned_rooms(**NEVER_ENDS)
+
+
+PEAKS: dict[str, Any] = {
+    **FAST_DISCOVERY,
+    "start_radius": 3.0,  # a segment begins where the last one ended: at the goal
+    "segmentation": "peaks",
+    "max_segment": 400,
+}
+
+
+def learned(env: Any, settings: dict[str, Any] = PEAKS, **kwargs: Any) -> SubgoalDiscoveryCallback:
+    """A callback that has seen 6,000 random steps."""
+    callback = SubgoalDiscoveryCallback(settings, max_new_options=1)
+    model = DQN("MlpPolicy", env, gamma=0.9, replay_buffer_class=OptionReplayBuffer, **TINY | RANDOM | kwargs)
+    model.learn(6000, callback=callback)
+    return callback
+
+
+@pytest.mark.parametrize("venv", [DummyVecEnv, SubprocVecEnv])
+def test_finds_the_doorway_in_rooms_that_never_end(venv: Any) -> None:
+    env = venv([make_endless_rooms, make_endless_rooms])
+    callback = learned(env)
+    env.close()
+    (found,) = callback.discoveries
+    assert np.abs(found.subgoal - DOORWAY).sum() <= 1
+    assert 3 <= found.episode <= callback.episodes
+    assert callback.discovery is not None
+    assert all(len(t.trajectory) <= 400 for t in callback.discovery.database)
+
+
+def test_without_segments_nothing_is_found() -> None:
+    callback = learned(make_endless_rooms(), FAST_DISCOVERY)
+    assert (callback.episodes, callback.discoveries) == (0, [])
+
+
+def test_where_episodes_are_cut_off_by_time() -> None:
+    callback = learned(optioned_rooms(continuing=True, max_steps=500))
+    assert np.abs(callback.discoveries[0].subgoal - DOORWAY).sum() <= 1
+
+
+def test_the_log_is_written_though_no_episode_ends(tmp_path: Path) -> None:
+    learned(make_endless_rooms(), tensorboard_log=str(tmp_path))
+    scalars = EventAccumulator(str(tmp_path / "DQN_1"))
+    scalars.Reload()
+    steps = [event.step for event in scalars.Scalars("options/count")]
+    assert len(steps) > 3
+    assert steps == sorted(steps)
+    assert scalars.Scalars("options/count")[-1].value == 1

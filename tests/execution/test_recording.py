@@ -1,0 +1,197 @@
+"""Primitive steps recorded beneath `OptionsWrapper`, and reported above it."""
+
+import logging
+import re
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from stable_baselines3.common.monitor import Monitor
+
+import sb3_options.envs  # noqa: F401  # registers them
+from sb3_options import OptionsWrapper
+from sb3_options.execution.recording import RecordTrajectories
+from sb3_options.experience import recording
+from sb3_options.experience.recording import RewardPeaks
+from sb3_options.experience.trajectories import Trajectory
+from tests.support.helpers import CountingEnv, DictEnv, place_of, steady_option
+
+
+def states_of(segment: Trajectory) -> Any:
+    return np.asarray(segment.states)[segment.visits].ravel()
+
+
+def test_dict_observations_by_way_of_the_wrapper() -> None:
+    env = OptionsWrapper(DictEnv(), feature_map=place_of)
+    env.record_trajectories(True)
+    env.reset(seed=0)
+    first = int(env.unwrapped.place)  # type: ignore[attr-defined]  # of DictEnv
+    over, n_steps, info = False, 0, dict[str, Any]()
+    while not over:
+        assert "trajectory" not in info
+        _, _, over, _, info = env.step(1)
+        n_steps += 1
+    trajectory = info["trajectory"]
+    assert place_of(trajectory.states).ravel().tolist() == list(range(first, 10))
+    assert (len(trajectory), trajectory.terminated, trajectory.is_success) == (n_steps, True, None)
+
+
+def test_the_wrapper_records_primitive_steps_inside_options() -> None:
+    env = OptionsWrapper(CountingEnv(terminate_at=5), max_options=2)
+    env.bank.add(steady_option(1, max_duration=3), 0)
+    env.record_trajectories(True)
+    env.reset(seed=0)
+    env.step(2)
+    env.step(0)
+    info = env.step(3)[4]
+    drawn = int(info["option"]["actions"][0])
+    trajectory = info["trajectory"]
+    assert trajectory.actions.tolist() == [1, 1, 1, 0, drawn]
+    assert trajectory.rewards.tolist() == [1, 2, 3, 4, 5]
+    assert np.asarray(trajectory.states).ravel().tolist() == [0, 1, 2, 3, 4, 5]
+
+
+def test_recording_can_begin_and_end_at_any_time() -> None:
+    env = OptionsWrapper(CountingEnv(truncate_at=4))
+    env.reset(seed=0)
+    env.step(0)
+    env.record_trajectories(True)
+    env.record_trajectories(True)
+    for _ in range(2):
+        env.step(1)
+    trajectory = env.step(0)[4]["trajectory"]
+    assert np.asarray(trajectory.states).ravel().tolist() == [1, 2, 3, 4]
+    assert (trajectory.actions.tolist(), trajectory.truncated) == ([1, 1, 0], True)
+    env.record_trajectories(False)
+    env.reset()
+    assert all("trajectory" not in env.step(0)[4] for _ in range(4))
+
+
+def test_is_success_of_the_last_step() -> None:
+    env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0", map="SG", success_probability=1.0))
+    env.record_trajectories(True)
+    env.reset(seed=0)
+    assert env.step(3)[4]["trajectory"].is_success is True
+
+
+def test_an_info_dictionary_used_again_does_not_bring_the_trajectory_back() -> None:
+    shared: dict[str, Any] = {}
+    env = OptionsWrapper(
+        CountingEnv(step=lambda env, _: (np.array([float(env.time)]), 0.0, env.time == 2, False, shared))
+    )
+    env.record_trajectories(True)
+    env.reset(seed=0)
+    env.step(0)
+    assert "trajectory" in env.step(0)[4]
+    env.reset()
+    assert "trajectory" not in env.step(0)[4]
+    assert shared == {}
+
+
+def test_what_never_ends_is_forgotten(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "LONGEST_EPISODE", 50)
+    env = OptionsWrapper(CountingEnv(truncate_at=120))
+    env.record_trajectories(True)
+    env.reset(seed=0)
+    assert env._recording is not None
+    recorder = env._recording.recorder
+    assert recorder is not None
+    with caplog.at_level(logging.WARNING, "sb3_options"):
+        infos = [env.step(0)[4] for _ in range(120)]
+    assert not any("trajectory" in info for info in infos)
+    assert (len(recorder), len(recorder.finished)) == (0, 0)
+    (warning,) = caplog.messages
+    assert re.search(r"has not ended after 50 primitive steps .+DiscoverySettings\(segmentation='peaks'\)", warning)
+    env.reset()
+    assert [env.step(0)[0].item() for _ in range(20)][-1] == 20
+    assert len(recorder) == 20
+
+
+def cut_at_peaks(peaks: RewardPeaks | None = None, **kwargs: Any) -> OptionsWrapper:
+    """Rewards 1 at every third step."""
+
+    def step(env: CountingEnv, action: int) -> Any:
+        return np.array([float(env.time)]), float(env.time % 3 == 0), False, env.time == 12, {}
+
+    env = OptionsWrapper(CountingEnv(step=step), **kwargs)
+    env.record_trajectories(True, peaks or RewardPeaks())
+    env.reset(seed=0)
+    return env
+
+
+def test_a_segment_comes_one_step_after_its_peak() -> None:
+    env = cut_at_peaks()
+    infos = [env.step(0)[4] for _ in range(8)]
+    assert [i for i, info in enumerate(infos) if "segments" in info] == [3, 6]
+    assert [states_of(s).tolist() for s in infos[6]["segments"]] == [[3, 4, 5, 6]]
+    assert not any("trajectory" in info for info in infos)
+
+
+def test_several_while_one_option_runs() -> None:
+    env = cut_at_peaks()
+    env.bank.add(steady_option(1, max_duration=8))
+    env.step(0)
+    info = env.step(2)[4]
+    assert [states_of(s).tolist() for s in info["segments"]] == [[0, 1, 2, 3], [3, 4, 5, 6]]
+    assert info["segments"][0].actions.tolist() == [0, 1, 1]
+    later = env.step(0)[4]
+    assert [states_of(s).tolist() for s in later["segments"]] == [[6, 7, 8, 9]]
+    assert len(info["segments"]) == 2
+    assert "segments" not in env.step(0)[4]
+
+
+def test_the_end_of_an_episode_inside_an_option() -> None:
+    env = cut_at_peaks()
+    env.bank.add(steady_option(1, max_duration=100))
+    info = env.step(2)[4]
+    assert info["option"]["termination"] == "truncated"
+    assert [states_of(s)[-1] for s in info["segments"]] == [3, 6, 9, 12]
+    env.reset()
+    assert "segments" not in env.step(0)[4]
+
+
+def test_another_way_to_cut_replaces_the_first() -> None:
+    env = cut_at_peaks()
+    env.step(0)
+    env.record_trajectories(True, RewardPeaks())  # the same again changes nothing
+    assert env._recording is not None
+    assert len(env._recording.recorder or ()) == 1
+    env.record_trajectories(True)
+    infos = [env.step(0)[4] for _ in range(11)]
+    assert not any("segments" in info for info in infos)
+    assert states_of(infos[-1]["trajectory"]).tolist() == list(range(1, 13))
+
+
+def test_it_stands_beneath_a_monitor_and_is_no_part_of_the_spec() -> None:
+    env = OptionsWrapper(Monitor(gym.make("sb3_options/TwoRooms-v0")))
+    spec = env.spec
+    env.record_trajectories(True)
+    assert isinstance(env.env, Monitor)
+    assert isinstance(env.env.env, RecordTrajectories)
+    again = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0"))
+    again.record_trajectories(True)
+    assert isinstance(again.env, RecordTrajectories)
+    assert spec is not None
+    assert again.spec == OptionsWrapper(gym.make("sb3_options/TwoRooms-v0")).spec
+
+
+def test_what_nobody_took_while_an_option_failed_is_reported_with_the_next_step() -> None:
+    env = cut_at_peaks()
+    env.bank.add(steady_option(1, max_duration=3))
+    for _ in range(4):
+        env.env.step(0)  # as an option does whose policy then raises an error
+    assert [states_of(s).tolist() for s in env.step(0)[4]["segments"]] == [[0, 1, 2, 3]]
+
+
+@pytest.mark.parametrize("name", ["trajectory", "segments"])
+def test_an_environment_that_uses_the_names_itself_is_refused_while_recording(name: str) -> None:
+    def step(env: CountingEnv, _: int) -> Any:
+        return np.array([float(env.time)]), 0.0, False, False, {name: [1, 2]}
+
+    env = OptionsWrapper(CountingEnv(step=step))
+    env.reset(seed=0)
+    assert env.step(0)[4][name] == [1, 2]
+    env.record_trajectories(True)
+    with pytest.raises(ValueError, match=rf'^The environment has an info.+"{name}"\].* of its own.+another name there'):
+        env.step(0)

@@ -1,0 +1,103 @@
+"""`max_runs` counts runs of one option in one episode."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import sb3_options.envs  # noqa: F401  # registers them
+from sb3_options import OptionsWrapper
+from sb3_options.options.option import Region, SubgoalOption
+from sb3_options.options.policies import TabularPolicy
+from tests.support.helpers import CountingEnv, ball, equal
+
+
+def make(max_runs: int | None, **kwargs: Any) -> OptionsWrapper:
+    env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0", success_probability=1.0, **kwargs), max_runs=max_runs)
+    east, west = 3, 2
+    cells = Region(np.array([[x, 5.0] for x in range(2, 8)]), np.ones(2), 0.0)
+    for action in (east, west):
+        policy = TabularPolicy(np.zeros((1, 210)), np.eye(4)[action : action + 1])
+        env.bank.add(SubgoalOption(ball(8.0, 5.0), cells, policy))
+    return env
+
+
+def run(env: OptionsWrapper, actions: list[int]) -> list[int]:
+    """Which slot each of the actions ran."""
+    return [env.step(action)[4]["option"]["index"] for action in actions]
+
+
+def test_an_option_that_has_run_so_often_counts_as_empty_until_the_next_episode() -> None:
+    env = make(2)
+    for seed in (0, 1):
+        env.reset(seed=seed, options={"start": (5, 5)})
+        masks = []
+        for _ in range(2):
+            masks.append(env.action_masks()[4:6].tolist())
+            assert env.step(4)[4]["option"]["termination"] == "subgoal"
+            env.step(2)  # back into the initiation set
+        assert masks == [[True, True], [True, True]]
+        assert env.action_masks()[4:6].tolist() == [False, True]
+        info = env.step(4)[4]["option"]
+        assert (info["index"], info["duration"]) == (-1, 1)
+        assert 0 <= int(info["actions"][0]) < 4
+
+
+def test_what_may_start_next_keeps_to_it() -> None:
+    env = make(1)
+    env.report_availability(True)
+    env.reset(seed=0, options={"start": (5, 5)})
+    available = env.step(4)[4]["option"]["available"]
+    assert available[:, :2].tolist() == [[True, True], [True, True], [False, False]]  # on the way; at the subgoal
+    observation, _, _, _, info = env.step(2)  # back into the initiation set
+    assert info["option"]["available"][:, :2].tolist() == [[False, True]]
+    assert env.available(observation[None])[0, 4:6].tolist() == [True, True]
+
+
+def test_another_option_in_the_slot_counts_anew() -> None:
+    env = make(1)
+    env.reset(seed=0, options={"start": (5, 5)})
+    option = env.bank[0]
+    run(env, [4, 2])
+    env.set_option(0, option)  # one that has grown
+    assert not env.action_masks()[4]
+    env.set_option(0, None)
+    env.set_option(0, option)
+    assert env.action_masks()[4]
+
+
+def test_without_it_an_option_runs_any_number_of_times() -> None:
+    env = make(None)
+    env.reset(seed=0, options={"start": (5, 5)})
+    assert run(env, [5] * 20) == [1] * 20
+
+
+def test_a_step_outside_the_initiation_set_is_no_run() -> None:
+    env = make(1)
+    env.reset(seed=0, options={"start": (9, 5)})
+    assert run(env, [5, 5]) == [1, 1]  # at 9, then at the subgoal
+
+
+def test_a_limit_that_is_never_met_changes_nothing() -> None:
+    actions = np.random.default_rng(0).integers(8, size=500)
+    trajectories = []
+    for max_runs in (None, 500):
+        env = make(max_runs)
+        env.reset(seed=3)
+        trajectories.append([env.step(int(a))[:4] for a in actions])
+    assert all(equal(a, b) for steps in zip(*trajectories, strict=True) for a, b in zip(*steps, strict=True))
+
+
+def test_the_spec_keeps_it() -> None:
+    spec = make(3).spec
+    assert spec is not None
+    again = gym.make(spec)
+    assert isinstance(again, OptionsWrapper)
+    assert again.max_runs == 3
+
+
+@pytest.mark.parametrize("max_runs", [0, -1, 1.5])
+def test_a_limit_out_of_range_is_an_error(max_runs: Any) -> None:
+    with pytest.raises(ValueError, match=rf"^max_runs must be a whole number, at least 1, .+ got {max_runs}\.$"):
+        OptionsWrapper(CountingEnv(), max_runs=max_runs)

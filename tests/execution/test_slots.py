@@ -1,0 +1,151 @@
+"""What the slots of an environment hold, and what others ask and set."""
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+import sb3_options.envs  # noqa: F401  # registers them
+from sb3_options import OptionsWrapper
+from sb3_options.options.option import Region, SubgoalOption
+from sb3_options.options.policies import TabularPolicy
+from tests.support.helpers import CountingEnv, DictEnv, ball, equal, place_of, steady_option, table_option
+
+
+def with_two_options() -> OptionsWrapper:
+    env = OptionsWrapper(CountingEnv(), max_options=3)
+    env.bank.add(table_option([1, 0, 1, 0, 1], [0] * 5, [0] * 5), 0)
+    env.bank.add(table_option([0, 0, 1, 1, 1], [0] * 5, [0] * 5), 2)
+    return env
+
+
+def test_available_in_a_batch() -> None:
+    expected = [
+        [True, True, True, False, False],
+        [True, True, False, False, False],
+        [True, True, True, False, True],
+        [True, True, False, False, True],
+    ]
+    available = with_two_options().available(np.arange(4.0)[:, None])
+    assert available.dtype == bool
+    assert available.tolist() == expected
+
+
+def test_action_masks_follow_the_episode() -> None:
+    env = with_two_options()
+    env.reset(seed=0)
+    masks = [env.action_masks()]
+    for _ in range(3):
+        env.step(0)
+        masks.append(env.action_masks())
+    np.testing.assert_array_equal(masks, env.available(np.arange(4.0)[:, None]))
+    env.reset()
+    assert equal(env.action_masks(), masks[0])
+    env.bank.remove(0)
+    assert env.action_masks().tolist() == [True, True, False, False, False]
+
+
+def test_info_has_what_is_available_for_who_asks_once_there_are_options() -> None:
+    env = with_two_options()
+    env.reset(seed=0)
+    assert "available" not in env.step(0)[4]["option"]
+    env.report_availability(True)
+    env.reset(seed=0)
+    assert env.step(0)[4]["option"]["available"].tolist() == [[False, False, False]]
+    empty_slot = env.step(3)[4]["option"]
+    assert (empty_slot["index"], empty_slot["available"].tolist()) == (-1, [[True, False, True]])
+    for slot in (0, 2):
+        env.set_option(slot, None)
+    assert "available" not in env.step(0)[4]["option"]
+    env.set_option(1, steady_option(max_duration=2))
+    assert env.step(3)[4]["option"]["available"].tolist() == [[False, True, False]] * 2
+
+
+def test_set_option_fills_replaces_and_empties() -> None:
+    env = with_two_options()
+    option = steady_option()
+    env.set_option(2, option)
+    env.set_option(1, None)
+    env.set_option(0, None)
+    assert env.bank.slots == (None, None, option)
+    with pytest.raises(ValueError, match=r"^slot must be between 0 and 2, got 3\.$"):
+        env.set_option(3, option)
+
+
+class TestOptionsFile:
+    @pytest.fixture
+    def path(self, tmp_path: Path) -> Path:
+        env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0"))
+        cells = Region(np.array([[x, 5.0] for x in range(10)]), np.ones(2), 0.0)
+        env.bank.add(SubgoalOption(ball(10.0, 5.0), cells, TabularPolicy(np.zeros((1, 210)), np.eye(4)[3:])), 1)
+        env.bank.save(tmp_path / "options.safetensors")
+        return tmp_path / "options.safetensors"
+
+    def test_its_options_are_there_from_the_start(self, path: Path) -> None:
+        env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0", success_probability=1.0), options_file=str(path))
+        assert env.bank.filled == (1,)
+        observation, _ = env.reset(options={"start": (2, 5)})
+        assert env.action_masks().tolist() == [True] * 4 + [False, True, False, False]
+        observation, _, _, _, info = env.step(5)
+        assert (info["option"]["duration"], info["option"]["termination"]) == (8, "subgoal")
+        assert env.concept_features(observation[None]).tolist() == [[10.0, 5.0]]
+
+    def test_the_spec_makes_them_again(self, path: Path) -> None:
+        env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0"), options_file=path)
+        assert env.spec is not None
+        again = gym.make(env.spec)
+        assert isinstance(again, OptionsWrapper)
+        assert again.bank.filled == (1,)
+
+    def test_a_missing_file_is_an_error(self, tmp_path: Path) -> None:
+        with pytest.raises(FileNotFoundError, match=r"^There is no options file at .+nowhere\.$"):
+            OptionsWrapper(CountingEnv(), options_file=tmp_path / "nowhere")
+
+    def test_a_file_that_does_not_fit_is_an_error(self, path: Path) -> None:
+        with pytest.raises(ValueError, match=r"its options choose among 4 primitive actions, this task has 2\.$"):
+            OptionsWrapper(CountingEnv(), options_file=path)
+
+
+@pytest.mark.parametrize("space", [spaces.Box(-1.0, 1.0, (2,)), spaces.MultiDiscrete([2, 2]), spaces.MultiBinary(2)])
+def test_action_space_must_be_discrete(space: Any) -> None:
+    env = CountingEnv()
+    env.action_space = space
+    with pytest.raises(TypeError, match=r"^OptionsWrapper needs a Discrete action space, got .+Discretise the act"):
+        OptionsWrapper(env)
+
+
+def test_actions_must_start_at_0() -> None:
+    env = CountingEnv()
+    env.action_space = spaces.Discrete(3, start=1)
+    with pytest.raises(ValueError, match=r"^OptionsWrapper needs actions that start at 0, got Discrete\(3, start=1"):
+        OptionsWrapper(env)
+
+
+@pytest.mark.parametrize("gamma", [0.0, -0.1, 1.0001, float("nan"), float("inf")])
+def test_gamma(gamma: float) -> None:
+    with pytest.raises(ValueError, match=rf"^gamma must be in \(0, 1\], got {gamma}\.$"):
+        OptionsWrapper(CountingEnv(), gamma=gamma)
+
+
+def test_max_options() -> None:
+    with pytest.raises(ValueError, match=r"^max_options must be at least 0, got -1\.$"):
+        OptionsWrapper(CountingEnv(), max_options=-1)
+
+
+def test_feature_map() -> None:
+    with pytest.raises(TypeError, match=r"^feature_map must be a function from a batch.+got int\.$"):
+        OptionsWrapper(CountingEnv(), feature_map=3)  # type: ignore[arg-type]  # the point of the test
+    with pytest.raises(ValueError, match=r"^feature_map must return features of shape \(batch, d\); .+\(1,\)\.$"):
+        OptionsWrapper(CountingEnv(), feature_map=lambda obs: np.zeros(len(obs)))
+
+
+def test_concept_features() -> None:
+    env = OptionsWrapper(DictEnv(), feature_map=place_of)
+    assert env.concept_features({"place": np.array([[3.0]])}).tolist() == [[3.0]]
+    without = OptionsWrapper(DictEnv())
+    assert without.feature_kind() is None
+    with pytest.raises(ValueError, match=r"^There is no default feature map for Dict\(.+pass OptionsWrapper\(env, f"):
+        without.concept_features({"place": np.array([[3.0]])})

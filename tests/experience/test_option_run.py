@@ -1,0 +1,70 @@
+"""The record of what ran, as it is written into an info and read from it."""
+
+import copy
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sb3_options.experience.option_run import OptionRun
+
+PRIMITIVE = OptionRun(-1, 1, 0.9, 0.9, "primitive")
+OPTION = OptionRun(
+    2, 3, 0.9**3, 0.9, "subgoal", np.arange(3.0)[:, None], np.array([1, 0, 1]), np.zeros(3), np.ones((3, 4), dtype=bool)
+)
+
+
+def test_the_dict_has_the_fields_that_are_not_none() -> None:
+    assert PRIMITIVE.as_info() == {
+        "index": -1,
+        "duration": 1,
+        "discount": 0.9,
+        "gamma": 0.9,
+        "termination": "primitive",
+    }
+    assert list(OPTION.as_info()) == list(OptionRun._fields)
+    assert set(OPTION._replace(available=None).as_info()) == set(OptionRun._fields) - {"available"}
+
+
+@pytest.mark.parametrize("run", [PRIMITIVE, OPTION, OPTION._replace(available=None)])
+@pytest.mark.parametrize("travels", [lambda info: info, copy.deepcopy, lambda info: pickle.loads(pickle.dumps(info))])
+def test_what_was_written_is_read(run: OptionRun, travels: Any) -> None:
+    read = OptionRun.from_info(travels({"option": run.as_info()}))
+    assert type(read) is OptionRun
+    for field, expected in zip(read, run, strict=True):
+        np.testing.assert_array_equal(field, expected)
+
+
+def test_a_users_own_environment_need_only_say_duration_and_discount() -> None:
+    run = OptionRun.from_info({"option": {"duration": 4, "discount": 0.9**4}})
+    assert (run.index, run.duration, run.discount, run.termination) == (-1, 4, 0.9**4, "primitive")
+    assert run.gamma == pytest.approx(0.9, rel=1e-15)
+    assert run[5:] == (None,) * 4
+
+
+def test_what_else_a_users_own_environment_says_is_left_alone() -> None:
+    option = {"index": -1, "duration": 2.5, "discount": 0.9**2.5, "name": "ferry", "termination": "truncated"}
+    run = OptionRun.from_info({"option": option})
+    assert (run.duration, run.termination) == (2.5, "truncated")
+
+
+@pytest.mark.parametrize(
+    ("info", "message"),
+    [
+        (
+            {},
+            r'^There is no info\["option"\]: wrap the environment in OptionsWrapper, or, .+"discount": gamma\*\*k}\.$',
+        ),
+        ({"option": "left"}, r'^info\["option"\] must be a dict .+ got \'left\': if it means something else .+name'),
+        ({"option": {"index": 3}}, r'^info\["option"\] must have a positive "duration".+ got duration None and'),
+        ({"option": {"duration": 0, "discount": 0.9}}, r"got duration 0 and discount 0\.9: let the environment's step"),
+        ({"option": {"duration": 2, "discount": 1.1}}, r"got duration 2 and discount 1\.1"),
+        ({"option": {"duration": "2", "discount": 0.9}}, r"got duration '2' and discount 0\.9"),
+        ({"option": PRIMITIVE._replace(discount=float("nan")).as_info()}, r"got duration 1 and discount nan"),
+        ({"option": PRIMITIVE._replace(duration=-1).as_info()}, r"got duration -1 and discount 0\.9"),
+    ],
+)
+def test_anything_else_is_refused(info: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        OptionRun.from_info(info)

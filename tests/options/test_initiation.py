@@ -1,0 +1,116 @@
+import dataclasses
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from sb3_options.experience.observations import flatten
+from sb3_options.experience.trajectories import LabelledTrajectory
+from sb3_options.options.initiation import initiation_set, option_transitions
+from sb3_options.options.option import Region
+from sb3_options.options.settings import OptionLearningSettings
+from tests.options.corridor import DOOR, LEFT, RIGHT, walk
+from tests.support.helpers import ball
+
+
+def centres(region: Region) -> list[float]:
+    return sorted(region.points.ravel().tolist())
+
+
+class TestInitiationSet:
+    trajectories = (walk([1, 2, 3, 4, 5, 6, 7, 6, 5, 4]), walk([9, 8, 7]), walk([0, 1, 0, 4, 5]))
+
+    @pytest.mark.parametrize(
+        ("n", "visits", "expected"),
+        [
+            (1, "first", [4]),
+            (2, "first", [0, 3, 4]),
+            (3, "first", [0, 1, 2, 3, 4]),
+            (1, "every", [4, 6]),
+            (2, "every", [0, 3, 4, 6, 7]),
+            # Four states before the second visit at time 8 lie 5 (the door itself, never in I), 6, 7 and 6.
+            (4, "every", [0, 1, 2, 3, 4, 6, 7]),
+            (100, "first", [0, 1, 2, 3, 4]),
+        ],
+    )
+    def test_by_hand(self, n: int, visits: Literal["first", "every"], expected: list[float]) -> None:
+        settings = OptionLearningSettings(initiation_steps=n, initiation_visits=visits)
+        region = initiation_set(DOOR, self.trajectories, settings)
+        assert centres(region) == expected
+        assert region.radius == 0.5
+
+    def test_subgoal_of_some_width(self) -> None:
+        region = initiation_set(
+            ball(5.0, radius=1.0), self.trajectories[:1], OptionLearningSettings(initiation_steps=2)
+        )
+        assert centres(region) == [2, 3]
+
+    def test_a_visit_at_the_very_start_has_nothing_before_it(self) -> None:
+        settings = OptionLearningSettings()
+        assert centres(initiation_set(DOOR, [walk([5, 6, 5])], settings)) == []
+        every = dataclasses.replace(settings, initiation_visits="every")
+        assert centres(initiation_set(DOOR, [walk([5, 6, 5])], every)) == [6]
+
+    def test_a_visit_sooner_than_n_steps_from_the_start(self) -> None:
+        settings = OptionLearningSettings(initiation_steps=3)
+        assert centres(initiation_set(DOOR, [walk([4, 5, 6, 7, 8, 9])], settings)) == [4]
+
+    def test_no_visit_and_no_trajectories(self) -> None:
+        for trajectories in ([], [walk([1, 2, 3])]):
+            region = initiation_set(DOOR, trajectories, OptionLearningSettings())
+            assert region.points.shape == (0, 1)
+            assert not region.contains(np.array([[5.0]])).any()
+
+    @pytest.mark.parametrize("visits", ["first", "every"])
+    def test_the_subgoal_is_never_in_it(self, visits: Literal["first", "every"], rng: np.random.Generator) -> None:
+        settings = OptionLearningSettings(initiation_visits=visits, initiation_steps=7, initiation_radius=0.0)
+        subgoal = ball(0.0, radius=1.5)
+        for _ in range(50):
+            places = rng.integers(-1, 2, size=60).cumsum() + rng.integers(-6, 7)
+            region = initiation_set(subgoal, [walk(places.tolist())], settings)
+            assert not subgoal.contains(region.points).any()
+            assert not region.contains(np.array([[-1.0], [0.0], [1.0]])).any()
+
+
+class TestTransitions:
+    settings = OptionLearningSettings(initiation_steps=2, initiation_radius=0.0)
+
+    def of(self, *trajectories: LabelledTrajectory) -> list[tuple[float, int, float, float, bool]]:
+        initiation = Region(np.array([[3.0], [4.0], [5.0]]), np.ones(1), 0.0)
+        steps = option_transitions(DOOR, initiation, trajectories, self.settings)
+        if steps is None:
+            return []
+        places = flatten(steps.states).ravel()
+        assert len(set(places.tolist())) == len(places)
+        return [
+            (places[began], int(action), reward, places[led], bool(ends))
+            for began, action, reward, led, ends in zip(*steps[1:], strict=True)
+        ]
+
+    def test_by_hand(self) -> None:
+        """From 3 and 4 only; 2 lies outside, 5 is the subgoal."""
+        assert self.of(walk([2, 3, 4, 5, 4, 3, 2, 3]), walk([4, 4, 5])) == [
+            (3, RIGHT, -1.0, 4, False),
+            (4, RIGHT, 0.0, 5, True),
+            (4, LEFT, -1.0, 3, False),
+            (3, LEFT, -100.0, 2, True),
+            (4, LEFT, -1.0, 4, False),
+            (4, RIGHT, 0.0, 5, True),
+        ]
+
+    def test_none(self) -> None:
+        assert self.of() == []
+        assert self.of(walk([0, 1, 2, 1])) == []
+        assert self.of(walk([5, 6])) == []
+
+    def test_a_terminal_state_inside_the_initiation_set_is_as_bad_as_leaving(self) -> None:
+        assert self.of(walk([4, 3], terminated=True)) == [(4, LEFT, -100.0, 3, True)]
+        assert self.of(walk([4, 3])) == [(4, LEFT, -1.0, 3, False)]  # truncated: nothing ended there
+        assert self.of(walk([3, 4, 5], terminated=True))[-1] == (4, RIGHT, 0.0, 5, True)
+
+    def test_rewards_are_those_of_the_settings(self) -> None:
+        settings = OptionLearningSettings(step_reward=-2.0, subgoal_reward=7.0, leave_reward=-9.0)
+        initiation = Region(np.array([[3.0], [4.0]]), np.ones(1), 0.0)
+        steps = option_transitions(DOOR, initiation, [walk([3, 4, 5]), walk([3, 2])], settings)
+        assert steps is not None
+        assert steps.rewards.tolist() == [-2.0, 7.0, -9.0]

@@ -1,0 +1,45 @@
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import pytest
+
+from sb3_options.options.settings import OptionLearningSettings
+
+COUNTS = ("initiation_steps", "max_duration", "sweeps", "network_updates")
+
+
+@pytest.mark.parametrize(
+    ("names", "values", "message"),
+    [
+        (COUNTS, (0, -1), "greater than or equal to 1"),
+        (
+            ("initiation_steps", "max_duration", "sweeps", "network_updates"),
+            (1.5, math.nan),
+            "a valid integer|a finite",
+        ),
+        (("initiation_radius",), (-0.1, math.nan), "greater than or equal to 0"),
+        (("gamma", "step_size"), (0.0, -1.0), "greater than 0"),
+        (("gamma", "step_size"), (1.01, math.nan), "less than or equal to 1|greater than 0"),
+        (("step_reward", "subgoal_reward", "leave_reward"), (math.nan, math.inf, -math.inf), "a finite number"),
+        (("initiation_visits",), ("last", None), "'first' or 'every'"),
+        (("policy_input",), ("state", None), "'observation' or 'features'"),
+        (("value_function",), ("tree", None), "'auto', 'table' or 'network'"),
+        (("keep_learning", "grow"), (3, None), "a valid boolean"),
+    ],
+)
+def test_settings_out_of_range(names: Sequence[str], values: Sequence[Any], message: str) -> None:
+    for name in names:
+        for value in values:
+            with pytest.raises(
+                ValueError, match=rf"^OptionLearningSettings: {name} should be ({message}).*, got {value!r}$"
+            ):
+                OptionLearningSettings(**{name: value})
+
+
+def test_every_setting_has_a_range() -> None:
+    """Something is refused for every field; a new one needs a row above."""
+    for field in dataclasses.fields(OptionLearningSettings):
+        with pytest.raises(ValueError, match=f"^OptionLearningSettings: {field.name} "):
+            OptionLearningSettings(**dict[str, Any]({field.name: "nonsense"}))

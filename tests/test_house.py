@@ -1,0 +1,92 @@
+"""What CONTRIBUTING promises of the files themselves: short ones, in folders that are known, drawn as they are."""
+
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from docs import architecture
+
+ROOT = Path(__file__).parents[1]
+TOOLS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]
+MAX_LINES = 400
+MAX_WORDS = 120
+TO_SHORTEN = {"sb3_options/density/diverse_density.py", "sb3_options/execution/wrapper.py"}
+"""Files that are still too long. A file that is not leaves this set."""
+
+TO_REWRITE = {"docs/deep.md", "docs/diverse-density.md", "docs/how-it-works.md"}
+"""Documents with paragraphs that are still too long. A document that has none leaves this set."""
+
+
+def modules() -> list[Path]:
+    """Every module of the library, each once."""
+    return sorted(path for folder in ("sb3_options", "callbacks", "envs") for path in (ROOT / folder).rglob("*.py"))
+
+
+def documents() -> list[Path]:
+    return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def paragraphs(text: str) -> Iterator[str]:
+    """Paragraphs of Markdown, each item of a list by itself; no code, tables or headings."""
+    text = re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
+    for block in re.split(r"\n\s*\n|\n(?=\s*(?:[-*+]|\d+\.)\s)", text):
+        if not block.lstrip().startswith(("|", "#")):
+            yield block
+
+
+def test_paragraphs_are_told_apart() -> None:
+    text = "# Long heading\n\nOne two\nthree.\n- four five\n- six\n\n```\ncode\n\ncode\n```\n| a | table |\n\nseven"
+    assert [p.split() for p in paragraphs(text) if p.split()] == [
+        ["One", "two", "three."],
+        ["-", "four", "five"],
+        ["-", "six"],
+        ["seven"],
+    ]
+
+
+def test_files_are_short_or_contributing_says_why() -> None:
+    long = {
+        path.relative_to(ROOT).as_posix()
+        for path in modules()
+        if len(path.read_text(encoding="utf-8").splitlines()) > MAX_LINES
+    }
+    contributing = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    excused = {path for path in long if f"`{path}`:" in contributing}
+    assert long - excused == TO_SHORTEN, f"split what has more than {MAX_LINES} lines, or say in CONTRIBUTING why not"
+
+
+@pytest.mark.parametrize("path", documents(), ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_paragraphs_are_short(path: Path) -> None:
+    long = [p for p in paragraphs(path.read_text(encoding="utf-8")) if len(p.split()) > MAX_WORDS]
+    if path.relative_to(ROOT).as_posix() in TO_REWRITE:
+        assert long, f"{path.name} has no paragraph of more than {MAX_WORDS} words any more: take it off TO_REWRITE"
+    else:
+        assert not long, f"{len(long[0].split())} words: {long[0].strip()[:80]} …"
+
+
+def test_every_folder_is_packaged() -> None:
+    packages = TOOLS["setuptools"]["packages"]
+    folders = {path.parent.relative_to(ROOT) for path in modules()}
+    assert {".".join(dict.fromkeys(("sb3_options", *folder.parts))) for folder in folders} == set(packages)
+    assert all((ROOT / folder / "__init__.py").is_file() for folder in folders)
+
+
+def test_the_picture_of_the_folders_is_up_to_date() -> None:
+    assert architecture.shown() == architecture.read().text(), "run `make architecture` and look at the picture"
+
+
+def test_the_picture_shows_which_folders_are_pure() -> None:
+    (pure,) = [c["source_modules"] for c in TOOLS["importlinter"]["contracts"] if "gymnasium" in str(c)]
+    green = {name for name, place in architecture.PLACES.items() if place.colour == architecture.GREEN}
+    assert {f"sb3_options.{name}" for name in green} == set(pure)
+
+
+def test_a_folder_without_a_place_is_named() -> None:
+    content = architecture.read()
+    content.modules["attic"] = []
+    with pytest.raises(ValueError, match=r"PLACES must say where \['attic'\] stand: add their column and floor"):
+        architecture.draw(content)
