@@ -14,6 +14,7 @@ import numpy as np
 from sb3_options.density.bags import Bags
 from sb3_options.density.diverse_density import DiverseDensity, Peak
 from sb3_options.density.incremental import IncrementalSearch
+from sb3_options.discovery.outcomes import Outcomes
 from sb3_options.discovery.peaks import PeakTracker, plateau_centres
 from sb3_options.discovery.static_filter import StaticFilter, SuccessRule, bag_of, near_start_and_goal, reported_success
 from sb3_options.experience.observations import FloatArray, batch_size
@@ -204,6 +205,8 @@ class SubgoalDiscovery:
         self.database = TrajectoryDatabase(s.capacity)
         self.tracker = PeakTracker(decay=s.decay, threshold=s.threshold, radius=s.peak_radius)
         self.found: list[Finding] = []
+        unit = "episode" if s.segmentation == "episodes" else "segment"
+        self.outcomes = Outcomes(unit, self.success is not reported_success)
         self.last = Search([], None, 0.0)
         self.seconds = 0.0
         self.scale: FloatArray | None = None
@@ -234,6 +237,7 @@ class SubgoalDiscovery:
         if not np.isfinite(features).all():
             raise ValueError("the feature map gave NaN or infinite features for a trajectory")
         labelled = LabelledTrajectory(trajectory, features, bool(self.success(trajectory)))
+        self.outcomes.add(trajectory, success=labelled.success)
         self.database.add(labelled)
         return labelled
 
@@ -282,6 +286,23 @@ class SubgoalDiscovery:
         if engine.method == "exhaustive" or not self.last.peaks:
             return None
         return np.array([peak.point for peak in self.last.peaks[:WARM_STARTS]])
+
+    def why_nothing(self) -> str:
+        """Why there is no option, in a sentence."""
+        seen = self.outcomes
+        why = "no peak of diverse density persisted long enough."
+        if seen.n == 0:
+            why = f"no {seen.unit} has ended."
+        elif seen.successes == 0:
+            why = seen.why_no_success()
+        elif self.found:
+            why = "one was found that no saved trajectory leads to, so that no option could be made."
+        elif self.last.bags is None:
+            why = (
+                f"{seen.successes} of {seen.n} {seen.unit}s were successful; a search needs "
+                f"{self.settings.min_positive} (min_positive) of which the static filter leaves something."
+            )
+        return f"No subgoal was discovered: {why}"
 
     def bags(self) -> Bags | None:
         """The bags of the database; None while there are too few positive ones to search."""
