@@ -16,6 +16,7 @@ from stable_baselines3.common.vec_env import (
 )
 
 from sb3_options.execution.wrapper import OptionsWrapper
+from sb3_options.execution.wrappers_above import ChangesSteps
 from sb3_options.learning import heads
 from sb3_options.learning.macro_q import MacroQ
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
@@ -41,8 +42,9 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
     check_wrapped(venv, "The model's environment")
     if not isinstance(model, MacroQ):
         _check_deep(model, venv)
-    check_gamma(model, venv)
     _check_nothing_above_changes_observations(venv)
+    check_nothing_above_changes_steps(venv)
+    check_gamma(model, venv)
     if venv.env_method("feature_kind", indices=[0])[0] is None:
         raise ValueError(
             f"There is no default feature map for {venv.observation_space}: pass OptionsWrapper(env, "
@@ -77,6 +79,23 @@ def _check_nothing_above_changes_observations(venv: VecEnv) -> None:
         venv = venv.venv
     if seen != venv.observation_space:
         _refuse_change(seen, venv.observation_space)
+
+
+def check_nothing_above_changes_steps(venv: VecEnv) -> None:
+    """Refuse Gymnasium wrappers above `OptionsWrapper` that change rewards, observations or the ends of episodes.
+
+    Raises:
+        ValueError: There is one.
+    """
+    changed = venv.env_is_wrapped(ChangesSteps)  # type: ignore[arg-type]  # a kind of wrapper
+    if any(changed):
+        chain = venv.env_method("__str__", indices=[changed.index(True)])[0]
+        raise ValueError(
+            f"In {chain} something above OptionsWrapper may change rewards, observations or the ends of episodes, of "
+            "which the steps inside options know nothing: put it beneath, for instance "
+            "OptionsWrapper(TimeLimit(env, 500)). A wrapper of your own whose step returns what the environment's step "
+            "returned says so by a class attribute, returns_steps_unchanged = True."
+        )
 
 
 def _refuse_change(seen: spaces.Space[Any], given: spaces.Space[Any]) -> NoReturn:

@@ -15,7 +15,12 @@ from stable_baselines3.common.callbacks import (
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, is_vecenv_wrapped
 
-from sb3_options.callbacks.checks import check_gamma, check_replay_buffer, check_wrapped
+from sb3_options.callbacks.checks import (
+    check_gamma,
+    check_nothing_above_changes_steps,
+    check_replay_buffer,
+    check_wrapped,
+)
 from sb3_options.execution.workers import watch_workers
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.option_run import OptionRun
@@ -47,6 +52,7 @@ class PrimitiveStepsCallback(BaseCallback):
         if not any(self.training_env.env_is_wrapped(OptionsWrapper)):
             return  # its own environment's actions take times of their own; the first step shows it
         check_wrapped(self.training_env, "The model's environment")
+        check_nothing_above_changes_steps(self.training_env)
         check_gamma(self.model, self.training_env)
         monitor_primitive_steps(self.training_env)
         if heads.has_heads(self.model.policy):
