@@ -1,4 +1,4 @@
-"""What discovery needs of a model and its environment, checked before training starts."""
+"""Checks of a model and its environment before training starts."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from stable_baselines3.common.vec_env import (
     is_vecenv_wrapped,
 )
 
-from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.execution.wrappers_above import ChangesSteps
 from sb3_options.learning import heads
+from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.macro_q import MacroQ
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 
 
 def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
-    """Refuse what options cannot be discovered for.
+    """Refuse a model or an environment for which no options can be discovered.
 
     Args:
         model: About to be trained.
         venv: Its environment.
 
     Raises:
-        TypeError: Actions are not discrete, or the algorithm has no heads that could be opened.
+        TypeError: Actions are not discrete, or the heads of the policy are not known.
         ValueError: Wrapper, replay buffer, discount or feature map are missing or do not fit. Each text says what
             to change.
     """
@@ -52,27 +52,11 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
         )
 
 
-def check_gamma(model: BaseAlgorithm, venv: VecEnv) -> None:
-    """Refuse a discount that is not the wrapper's.
-
-    Raises:
-        ValueError: They differ.
-    """
-    gammas: list[float] = venv.get_attr("gamma")
-    model_gamma: float = model.gamma  # type: ignore[attr-defined]  # every algorithm that passed until here has it
-    different = [gamma for gamma in gammas if abs(gamma - model_gamma) > 1e-12]
-    if different:
-        raise ValueError(
-            f"OptionsWrapper discounts with gamma={different[0]}, {type(model).__name__} with gamma={model_gamma}: "
-            "give both the same."
-        )
-
-
 def _check_nothing_above_changes_observations(venv: VecEnv) -> None:
-    """Refuse wrappers above `OptionsWrapper` that change observations: options act on what the wrapper sees."""
+    """Refuse wrappers above `OptionsWrapper` that change observations: options act on those that it sees."""
     seen: spaces.Space[Any] = venv.env_method("seen_observation_space", indices=[0])[0]
     while isinstance(venv, VecEnvWrapper):
-        # These three are undone where it matters.
+        # What these three do is undone where options are asked.
         undone = isinstance(venv, (VecNormalize, VecTransposeImage, VecFrameStack))
         if not undone and venv.observation_space != venv.venv.observation_space:
             _refuse_change(venv.venv.observation_space, venv.observation_space)
@@ -106,7 +90,7 @@ def _refuse_change(seen: spaces.Space[Any], given: spaces.Space[Any]) -> NoRetur
 
 
 def _check_deep(model: BaseAlgorithm, venv: VecEnv) -> None:
-    """Refuse an off-policy algorithm without `OptionReplayBuffer`, and any without heads that could be opened."""
+    """Refuse an off-policy algorithm without `OptionReplayBuffer`, and a policy whose heads are not known."""
     check_replay_buffer(model)
     buffer = getattr(model, "replay_buffer", None)
     if isinstance(buffer, OptionReplayBuffer):
@@ -115,7 +99,7 @@ def _check_deep(model: BaseAlgorithm, venv: VecEnv) -> None:
 
 
 def check_replay_buffer(model: BaseAlgorithm) -> None:
-    """Refuse a replay buffer that does not know of durations.
+    """Refuse a replay buffer that discounts every transition with γ.
 
     Raises:
         ValueError: The model has one.
@@ -144,19 +128,6 @@ def _check_stacked_frames(model: BaseAlgorithm, buffer: OptionReplayBuffer, venv
             "The steps inside options are never stacked by VecFrameStack, so that Macro-Q cannot learn from them: pass "
             f"{name}(..., replay_buffer_kwargs={{'macro_q': False}}), or stack beneath the options: "
             "OptionsWrapper(FrameStackObservation(env, n))."
-        )
-
-
-def check_wrapped(venv: VecEnv, whose: str) -> None:
-    """Refuse an environment without `OptionsWrapper`.
-
-    Raises:
-        ValueError: One of the environments is not wrapped.
-    """
-    if not all(venv.env_is_wrapped(OptionsWrapper)):
-        raise ValueError(
-            f"{whose} is not wrapped in OptionsWrapper: use OptionsWrapper(env, max_options=..., gamma=...) or "
-            "make_vec_env(..., wrapper_class=OptionsWrapper)."
         )
 
 

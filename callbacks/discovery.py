@@ -5,17 +5,16 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Figure, TensorBoardOutputFormat
 
 from sb3_options.callbacks.checks import check_model
+from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.primitive_steps import count_inner_steps, monitor_primitive_steps
-from sb3_options.callbacks.records import ClosedOption, DiscoveredOption
-from sb3_options.callbacks.serving import OptionServer
-from sb3_options.callbacks.statistics import OptionStatistics
+from sb3_options.callbacks.records import ClosedOption, DiscoveredOption, OptionStatistics
 from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.discovery.figures import discovery_figures
 from sb3_options.discovery.static_filter import StaticFilter, SuccessRule, reported_success
@@ -25,8 +24,7 @@ from sb3_options.execution.trials import TrialReport, TrialSettings, Verdict
 from sb3_options.execution.workers import watch_workers
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
-from sb3_options.learning.on_policy import option_rollout_buffer
-from sb3_options.learning.rollout_buffer import SMDPAdvantages, passage_of
+from sb3_options.learning.rollout_buffer import SMDPAdvantages, option_rollout_buffer
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.creation import OptionGrowth, learn_further, learn_option
 from sb3_options.options.option import Region, SubgoalOption
@@ -34,38 +32,40 @@ from sb3_options.options.settings import OptionLearningSettings
 
 logger = logging.getLogger("sb3_options")
 
+S = TypeVar("S")
+
 SEGMENTS_PER_LOG = 4
-"""As many episodes are between two entries of SB3's log by default."""
+"""Segments between two dumps of the log; SB3's default is as many episodes."""
 
 
 class SubgoalDiscoveryCallback(BaseCallback):
-    """Lets a model discover options while it trains (McGovern & Barto 2001, Table 1).
+    """Discovers options while a model trains (McGovern & Barto 2001, Table 1).
 
-    At the end of every episode the trajectory becomes a positive or negative bag, diverse density is searched, and a
-    concept that stays a peak becomes the subgoal of a new option: initiation set and policy come from the saved
-    trajectories, the option moves into the next free slot of every environment, and its head in the network opens.
-    In a continuing task, segments between peaks of reward take the place of episodes:
+    Each episode's trajectory becomes a positive or negative bag, and diverse density is searched. A concept that
+    remains a peak becomes the subgoal of a new option, whose initiation set and policy are learned from the saved
+    trajectories. The option is installed in the next empty slot of every environment, and its head in the network is
+    opened. In a continuing task, segments between peaks of reward take the place of episodes:
     ``DiscoverySettings(segmentation="peaks")``.
 
-    Also makes ``num_timesteps`` count primitive steps, serves the environment of an ``EvalCallback`` beside it, and
-    logs to TensorBoard. `bank` holds the options, `discoveries` says when and where each was found, `closed` which of
-    them were closed again, and `episodes` is the number of episodes (or segments) that discovery has seen.
+    The callback also makes ``num_timesteps`` count primitive steps, installs the options in the environment of an
+    ``EvalCallback`` beside it, and logs to TensorBoard. `bank` holds the options, `discoveries` says when and where
+    each was found, `closed` which of them were closed again, and `episodes` is the number of episodes (or segments)
+    that discovery has seen.
 
     Args:
-        settings: How subgoals are found; a mapping of fields is as good as a `DiscoverySettings`.
+        settings: How subgoals are found: a `DiscoverySettings`, or a mapping of its fields.
         option_settings: How options are learned; likewise.
-        success: Which trajectories make positive bags; by default ``info["is_success"]``, or a positive last reward
-            above all earlier ones in a terminal state where the environment does not say.
+        success: Which trajectories make positive bags; by default ``info["is_success"]``, or, in an environment without
+            it, a positive last reward above all earlier ones in a terminal state.
         static_filter: What may be a subgoal; by default not near the start and end of a trajectory.
         max_new_options: Most options to make, not counting closed ones; by default as many as there are slots.
-        max_option_exploration: Largest share of options among the exploratory choices of DQN, QRDQN and OptionDQN; the
-            share of the probability that options open with under MaskablePPO, where primitives are equally likely.
-        interruption: Whether options end where going on is worth less than the best alternative (`interruption`), for
-            algorithms that know the values of options: DQN, QRDQN and OptionDQN.
-        trial: Whether and how options are tried, and closed where they prove harmful (`execution.trials`); by default
-            they are not.
-        save_path: Where to write the options each time one is made; None writes nothing.
-        seed: For option policies that are networks.
+        max_option_exploration: Largest share of options among the exploratory choices of DQN, QRDQN and OptionDQN.
+            MaskablePPO: the share of the probability that an option opens with where primitives are equally likely.
+        interruption: Whether options of DQN, QRDQN and OptionDQN end where going on is worth less than the best
+            alternative (`execution.interruption`).
+        trial: How options are tried, and closed where they prove harmful (`execution.trials`); by default they are not.
+        save_path: File for the options, written each time one is made; None writes nothing.
+        seed: Of option policies that are networks, and of trials.
         verbose: 1 prints each new option.
 
     Raises:
@@ -89,21 +89,15 @@ class SubgoalDiscoveryCallback(BaseCallback):
         verbose: int = 0,
     ) -> None:
         super().__init__(verbose)
-        self.settings = (
-            DiscoverySettings(**settings) if isinstance(settings, Mapping) else settings or DiscoverySettings()
-        )
-        self.option_settings = (
-            OptionLearningSettings(**option_settings)
-            if isinstance(option_settings, Mapping)
-            else option_settings or OptionLearningSettings()
-        )
+        self.settings = _as(DiscoverySettings, settings or {})
+        self.option_settings = _as(OptionLearningSettings, option_settings or {})
         if max_new_options is not None and max_new_options < 0:
             raise ValueError(f"max_new_options must be at least 0, got {max_new_options}.")
         self.success = success
         self.static_filter = static_filter
         self.max_new_options = max_new_options
         self.interruption = interruption
-        self.trial = TrialSettings(**trial) if isinstance(trial, Mapping) else trial
+        self.trial = None if trial is None else _as(TrialSettings, trial)
         if self.trial is not None and self.settings.segmentation == "peaks":
             raise ValueError("A trial compares episodes, and a continuing task has none: pass trial=None with peaks.")
         self.max_option_exploration = checked_share(max_option_exploration)
@@ -118,13 +112,13 @@ class SubgoalDiscoveryCallback(BaseCallback):
         self._generator = torch.Generator().manual_seed(seed)
         self._statistics = OptionStatistics()
         self._growth = OptionGrowth()
-        self._server: OptionServer | None = None
+        self._installer: OptionInstaller | None = None
         self._rollout_buffer: SMDPAdvantages | None = None
 
     @property
     def bank(self) -> OptionBank:
-        """The options there are; an empty bank before training starts."""
-        return OptionBank(1, 0) if self._server is None else self._server.bank
+        """The present options; an empty bank before training starts."""
+        return OptionBank(1, 0) if self._installer is None else self._installer.bank
 
     def _on_training_start(self) -> None:
         venv = self.training_env
@@ -132,7 +126,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
         check_model(self.model, venv)
         self._rollout_buffer = option_rollout_buffer(self.model)
         monitor_primitive_steps(venv)
-        self._server = OptionServer(
+        self._installer = OptionInstaller(
             self.model,
             venv,
             self.locals.get("callback"),
@@ -153,20 +147,28 @@ class SubgoalDiscoveryCallback(BaseCallback):
 
         self._trials = None if self.trial is None else OptionTrials(venv, self.trial, self.seed)
 
-    def _on_rollout_start(self) -> None:
-        self._serving.rollout_starts()
+    @property
+    def _options(self) -> OptionInstaller:
+        assert self._installer is not None  # made when training started
+        return self._installer
 
     @property
-    def _serving(self) -> OptionServer:
-        assert self._server is not None  # made when training started
-        return self._server
+    def _search(self) -> SubgoalDiscovery:
+        assert self.discovery is not None  # made when training started
+        return self.discovery
+
+    def _on_rollout_start(self) -> None:
+        self._options.on_rollout_start()
+
+    def _on_rollout_end(self) -> None:
+        self._options.on_rollout_end()
 
     def _on_step(self) -> bool:
         infos: list[dict[str, Any]] = self.locals["infos"]
         runs = [OptionRun.from_info(info) for info in infos]
         count_inner_steps(self, runs)
         if self._rollout_buffer is not None:
-            self._rollout_buffer.expect(passage_of(self.locals["rewards"], runs))
+            self._rollout_buffer.expect(self.locals["rewards"], runs)
         for info, run in zip(infos, runs, strict=True):
             if run.index >= 0:
                 self._statistics.add(run)
@@ -174,7 +176,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
                 self._episode_ended(info.pop("trajectory"), info.pop("option_trial", None))
             for segment in info.pop("segments", ()):
                 self._episode_ended(segment, None)
-                # An algorithm without rollouts writes its log when episodes end, which may never be.
+                # An algorithm without rollouts dumps its log when episodes end, and there may be no end.
                 if self.episodes % SEGMENTS_PER_LOG == 0 and self._rollout_buffer is None:
                     self.logger.dump(self.num_timesteps)
         return True
@@ -184,46 +186,44 @@ class SubgoalDiscoveryCallback(BaseCallback):
         try:
             if self._trials is not None:
                 success = bool(self.success(trajectory))
-                for slot, why in self._trials.episode_ended(report, success=success, filled=self._serving.staying()):
+                for slot, why in self._trials.episode_ended(report, success=success, filled=self._options.installed()):
                     self._close_option(slot, why)
             self._learn_from(trajectory)
         except ValueError as error:
-            # Training goes on without this episode rather than ending because of it.
+            # One episode that cannot be used is no reason to end training.
             logger.warning("No discovery after episode %d: %s", self.episodes, error)
         self._log()
 
     def _learn_from(self, trajectory: Trajectory) -> None:
-        assert self.discovery is not None  # made when training started
         discovers = self._may_discover()
         if not (discovers or (self.option_settings.goes_on and len(self.bank))):
             return
-        labelled = self.discovery.add(trajectory, self._serving.features_of(trajectory.states))
+        labelled = self._search.add(trajectory, self._options.features_of(trajectory.states))
         if self.option_settings.goes_on:
             self._learn_further(labelled)
         if discovers and (labelled.success or self.settings.negative_bags):
-            subgoal = self.discovery.search()
+            subgoal = self._search.search()
             if subgoal is not None:
                 self._make_option(subgoal)
 
     def _learn_further(self, labelled: LabelledTrajectory) -> None:
         for slot in self.bank.filled:
             option = self.bank[slot]
-            if isinstance(option, SubgoalOption):
-                further = self._further(slot, option, labelled)
-                if further is not option:
-                    self._serving.replace(slot, further)
-
-    def _further(self, slot: int, option: SubgoalOption, labelled: LabelledTrajectory) -> SubgoalOption:
-        if self.option_settings.grow and self._growth.is_due(slot, option.subgoal, labelled):
-            return self._learn(option.subgoal, option.name) or option
-        return learn_further(option, labelled, self.option_settings) if self.option_settings.keep_learning else option
+            if not isinstance(option, SubgoalOption):
+                continue
+            later: SubgoalOption | None = option
+            if self.option_settings.grow and self._growth.is_due(slot, option.subgoal, labelled):
+                later = self._learn(option.subgoal, option.name)
+            elif self.option_settings.keep_learning:
+                later = learn_further(option, labelled, self.option_settings)
+            if later is not None and later is not option:
+                self._options.replace(slot, later)
 
     def _learn(self, subgoal: Region, name: str) -> SubgoalOption | None:
-        assert self.discovery is not None  # made when training started
         return learn_option(
             subgoal,
-            self.discovery.database,
-            self._serving.n_primitive,
+            self._search.database,
+            self._options.n_primitive,
             self.option_settings,
             self._generator,
             name=name,
@@ -235,7 +235,6 @@ class SubgoalDiscoveryCallback(BaseCallback):
         return len(self.bank) < self.bank.max_options
 
     def _make_option(self, subgoal: Region) -> None:
-        assert self.discovery is not None  # made when training started
         centre = subgoal.points[0]
         name = "reach " + ", ".join(f"{x:g}" for x in centre[:4]) + (", …" if len(centre) > 4 else "")
         option = self._learn(subgoal, name)
@@ -243,16 +242,16 @@ class SubgoalDiscoveryCallback(BaseCallback):
             logger.warning("No option for the subgoal at %s: no saved trajectory leads to it.", centre)
             return
         slot = self.bank.slots.index(None)
-        self._serving.put(slot, option)
+        self._options.install(slot, option)
         self._made_here.add(slot)
-        self._growth.made(slot, subgoal, self.discovery.database)
+        self._growth.made(slot, subgoal, self._search.database)
         self.discoveries.append(
             DiscoveredOption(
                 slot,
                 self.episodes,
                 self.num_timesteps,
                 centre,
-                self.discovery.found[-1].log_density,
+                self._search.found[-1].log_density,
                 len(option.initiation_set.points),
             )
         )
@@ -269,41 +268,36 @@ class SubgoalDiscoveryCallback(BaseCallback):
                 logger.warning("The options could not be saved to %s, training goes on: %s", self.save_path, error)
 
     def _close_option(self, slot: int, why: Verdict) -> None:
-        self._serving.remove(slot)
+        self._options.uninstall(slot)
         self._made_here.discard(slot)
         self.closed.append(ClosedOption(slot, self.episodes, self.num_timesteps, why))
         logger.info("The option in slot %d proved %s and is closed, after %d episodes.", slot, why, self.episodes)
         if self.verbose:
             print(f"Option {slot} proved {why} and is closed, after {self.episodes} episodes")
 
-    def _on_rollout_end(self) -> None:
-        self._serving.rollout_ends()
-
     def _log(self) -> None:
-        assert self.discovery is not None  # made when training started
         record = self.logger.record
         record("time/primitive_steps", self.num_timesteps)
         record("options/count", len(self.bank))
         record("options/closed", len(self.closed))
-        record("discovery/seconds", self.discovery.seconds)
-        leading = self.discovery.tracker.leading()
+        record("discovery/seconds", self._search.seconds)
+        leading = self._search.tracker.leading()
         record("discovery/leading_average", 0.0 if leading is None else leading.average)
-        if self.discovery.last.peaks:
-            record("discovery/best_log_density", self.discovery.last.peaks[0].log_density)
+        if self._search.last.peaks:
+            record("discovery/best_log_density", self._search.last.peaks[0].log_density)
         for tag, value in self._statistics.values().items():
             record(tag, value)
 
     def _draw(self) -> None:
         if not any(isinstance(output, TensorBoardOutputFormat) for output in self.logger.output_formats):
             return
-        assert self.discovery is not None  # made when training started
-        for name, figure in discovery_figures(self.discovery, self.bank).items():
+        for name, figure in discovery_figures(self._search, self.bank).items():
             self.logger.record(
                 f"discovery/{name}", Figure(figure, close=True), exclude=("stdout", "log", "json", "csv")
             )
 
     def _on_training_end(self) -> None:
-        self._serving.training_ends()
+        self._options.on_training_end()
         if self._trials is not None:
             self._trials.end()
         if self.closed:
@@ -311,3 +305,8 @@ class SubgoalDiscoveryCallback(BaseCallback):
         self._draw()
         if self.logger.name_to_value:  # rl-zoo3 ends training twice, and an empty dump warns
             self.logger.dump(self.num_timesteps)
+
+
+def _as(settings: type[S], given: S | Mapping[str, Any]) -> S:
+    """The settings themselves, or those with the given fields."""
+    return settings(**given) if isinstance(given, Mapping) else given

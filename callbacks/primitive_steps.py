@@ -15,18 +15,13 @@ from stable_baselines3.common.callbacks import (
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, is_vecenv_wrapped
 
-from sb3_options.callbacks.checks import (
-    check_gamma,
-    check_nothing_above_changes_steps,
-    check_replay_buffer,
-    check_wrapped,
-)
+from sb3_options.callbacks.checks import check_nothing_above_changes_steps, check_replay_buffer
 from sb3_options.execution.workers import watch_workers
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning import heads
-from sb3_options.learning.on_policy import option_rollout_buffer
-from sb3_options.learning.rollout_buffer import passage_of
+from sb3_options.learning.checks import check_gamma, check_wrapped
+from sb3_options.learning.rollout_buffer import option_rollout_buffer
 from sb3_options.options.bank import OptionBank
 
 logger = logging.getLogger("sb3_options")
@@ -36,10 +31,10 @@ class PrimitiveStepsCallback(BaseCallback):
     """Makes ``num_timesteps``, and with it budget, schedules and every x-axis, count primitive steps.
 
     SB3 counts calls of ``step``; an option of k primitive steps is one call, so k − 1 are added. A progress bar among
-    the other callbacks is moved along, and the rollout buffer of an on-policy algorithm learns how long every action
-    took. Use it alone with hand-made options, or with an environment of your own whose actions take different times
-    (it leaves ``info["option"] = {"index": -1, "duration": k, "discount": gamma**k}``); `SubgoalDiscoveryCallback`
-    does the same.
+    the other callbacks is advanced too, and the rollout buffer of an on-policy algorithm gets the duration of every
+    action. Use it with hand-made options, or with a custom SMDP environment whose actions have durations of their own
+    (it leaves ``info["option"] = {"index": -1, "duration": k, "discount": gamma**k}``). `SubgoalDiscoveryCallback` does
+    the same, so that it is not needed beside it.
 
     Raises:
         ValueError: When training starts: the environment reports no durations, or buffer or discount do not fit.
@@ -50,7 +45,7 @@ class PrimitiveStepsCallback(BaseCallback):
         check_replay_buffer(self.model)
         watch_workers(self.training_env)
         if not any(self.training_env.env_is_wrapped(OptionsWrapper)):
-            return  # its own environment's actions take times of their own; the first step shows it
+            return  # a custom SMDP environment; its infos are checked in _on_step
         check_wrapped(self.training_env, "The model's environment")
         check_nothing_above_changes_steps(self.training_env)
         check_gamma(self.model, self.training_env)
@@ -64,13 +59,13 @@ class PrimitiveStepsCallback(BaseCallback):
     def _on_step(self) -> bool:
         runs = [OptionRun.from_info(info) for info in self.locals["infos"]]
         if self._rollout_buffer is not None:
-            self._rollout_buffer.expect(passage_of(self.locals["rewards"], runs))
+            self._rollout_buffer.expect(self.locals["rewards"], runs)
         count_inner_steps(self, runs)
         return True
 
 
 def count_inner_steps(callback: BaseCallback, runs: Sequence[OptionRun]) -> None:
-    """Add to the model's ``num_timesteps`` what one call of ``step`` left out."""
+    """Add the primitive steps that SB3 did not count in one call of ``step`` to the model's ``num_timesteps``."""
     extra = sum(run.duration for run in runs) - len(runs)
     if extra == 0:
         return
@@ -97,21 +92,21 @@ def all_callbacks(root: BaseCallback | None) -> Iterator[BaseCallback]:
 
 
 def monitor_primitive_steps(venv: VecEnv) -> None:
-    """Move a ``Monitor`` that stands above the `OptionsWrapper` beneath it.
+    """Move a ``Monitor`` from above the `OptionsWrapper` to beneath it.
 
     SB3 puts a ``Monitor`` around an environment that has none. There it would count decisions and sum discounted
-    rewards; beneath the options it counts primitive steps and undiscounted rewards. A ``VecMonitor`` cannot be moved:
-    there is a warning.
+    rewards; beneath the options it counts primitive steps and undiscounted rewards. A ``VecMonitor`` cannot be moved,
+    and there is a warning.
     """
     if is_vecenv_wrapped(venv, VecMonitor):
-        # It writes an episode down before any callback could set the last step right.
+        # It records an episode before a callback could correct the last step.
         logger.warning(
             "VecMonitor above OptionsWrapper counts decisions and sums discounted rewards: leave it out and put a "
             "Monitor beneath, as make_vec_env(..., wrapper_class=OptionsWrapper) does."
         )
     inner = venv.unwrapped
     if not isinstance(inner, DummyVecEnv):
-        return  # worker processes make their own environments, and SB3 puts no Monitor around those
+        return  # SB3 puts no Monitor around environments in worker processes
     for i, env in enumerate(inner.envs):
         if isinstance(env, Monitor) and isinstance(env.env, OptionsWrapper):
             options = env.env

@@ -1,11 +1,18 @@
-"""What `SubgoalDiscoveryCallback` remembers of the options it made and closed."""
+"""Records of the options that `SubgoalDiscoveryCallback` made and closed, and statistics of their use."""
 
 from __future__ import annotations
 
+from collections import Counter, deque
 from dataclasses import dataclass
+
+import numpy as np
 
 from sb3_options.execution.trials import Verdict
 from sb3_options.experience.observations import FloatArray
+from sb3_options.experience.option_run import OptionRun
+
+WINDOW = 100
+"""Durations and terminations are averaged over this many last runs of a slot."""
 
 
 @dataclass(frozen=True)
@@ -44,3 +51,30 @@ class ClosedOption:
     episode: int
     timestep: int
     why: Verdict
+
+
+class OptionStatistics:
+    """Runs of each slot, with durations and terminations of the last ones, for TensorBoard."""
+
+    def __init__(self) -> None:
+        self._uses: Counter[int] = Counter()
+        self._last: dict[int, deque[tuple[int, str]]] = {}
+        self._endings: dict[int, set[str]] = {}
+
+    def add(self, run: OptionRun) -> None:
+        """Count one run of an option."""
+        self._uses[run.index] += 1
+        self._last.setdefault(run.index, deque(maxlen=WINDOW)).append((run.duration, run.termination))
+        self._endings.setdefault(run.index, set()).add(run.termination)
+
+    def values(self) -> dict[str, float]:
+        """By tag: number of runs; mean duration and the share of each termination over the last ones."""
+        values: dict[str, float] = {}
+        for slot, last in self._last.items():
+            values[f"options/slot_{slot}/uses"] = self._uses[slot]
+            values[f"options/slot_{slot}/mean_duration"] = float(np.mean([duration for duration, _ in last]))
+            count = Counter(why for _, why in last)
+            # A termination that has left the window is logged as 0, so that TensorBoard does not keep its last share.
+            for ending in sorted(self._endings[slot]):
+                values[f"options/slot_{slot}/ended_{ending}"] = count[ending] / len(last)
+        return values

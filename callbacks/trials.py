@@ -1,4 +1,4 @@
-"""Trying the options of all environments, and saying which of them to close."""
+"""The randomised trials of all options, over all training environments."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from stable_baselines3.common.vec_env import VecEnv
 from sb3_options.execution.trials import OptionTrial, TrialReport, TrialSettings, Verdict
 
 TRIAL_SEED = 0x7121A1
-"""Mixed into the seed, so that trials draw from streams of their own."""
+"""Mixed into the seed, so that the draws of trials are independent of everything else that is seeded."""
 
 
 class OptionTrials:
     """One trial for each option, over all training environments.
 
     Args:
-        venv: Where episodes run; evaluation environments never withhold anything.
-        settings: How.
+        venv: Where episodes run. In evaluation environments nothing is withheld.
+        settings: Of every trial.
         seed: Of the draws.
     """
 
@@ -32,7 +32,7 @@ class OptionTrials:
     def episode_ended(
         self, report: TrialReport | None, *, success: bool, filled: Iterable[int]
     ) -> list[tuple[int, Verdict]]:
-        """Count one episode.
+        """Add one episode to the trials of its options.
 
         Args:
             report: Of `OptionsWrapper`; None if no option was tried in the episode.
@@ -59,12 +59,12 @@ class OptionTrials:
         return closing
 
     def forget(self, slot: int) -> None:
-        """The slot holds another option from now on, or none."""
+        """End the trial of a slot whose option was replaced or removed."""
         self.trials.pop(slot, None)
         self._ages.pop(slot, None)
 
     def end(self) -> None:
-        """Withhold nothing any more."""
+        """Stop withholding options."""
         self._shares = {}
         self.venv.env_method("end_trials")
 

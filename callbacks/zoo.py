@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 
 from sb3_options.callbacks.discovery import SubgoalDiscoveryCallback
 from sb3_options.zoo import OPTIONS, ZooOptionsWrapper
-
-logger = logging.getLogger("sb3_options")
 
 
 class ZooDiscoveryCallback(SubgoalDiscoveryCallback):
@@ -37,11 +34,3 @@ class ZooDiscoveryCallback(SubgoalDiscoveryCallback):
     def _on_training_end(self) -> None:
         super()._on_training_end()
         self._save()  # options may have learned further since they were made
-
-    def _save(self) -> None:
-        if self.save_path is None:
-            return
-        try:
-            self.bank.save(self.save_path)
-        except OSError as error:
-            logger.warning("The options could not be saved to %s, training goes on: %s", self.save_path, error)

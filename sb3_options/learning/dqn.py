@@ -7,7 +7,6 @@ from typing import Any, ClassVar, cast
 import numpy as np
 import numpy.typing as npt
 import torch
-from gymnasium import spaces
 from stable_baselines3 import DQN
 from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.policies import BasePolicy
@@ -17,17 +16,17 @@ from stable_baselines3.dqn.policies import DQNPolicy
 from torch.nn import functional
 
 from sb3_options.execution.exploration import CappedActions
-from sb3_options.execution.vec_env import as_wrapper_sees
-from sb3_options.execution.wrapper import OptionsWrapper
-from sb3_options.experience.observations import BoolArray, batch_of_one, batch_size
+from sb3_options.experience.observations import BoolArray, FloatArray
+from sb3_options.learning.checks import check_wrapped
+from sb3_options.learning.masked import MaskedPrediction, n_actions_of
 from sb3_options.learning.replay_buffer import OptionReplayBuffer, OptionReplayBufferSamples
 
 
-class OptionDQN(DQN):
-    """DQN whose greedy, ε-random and warm-up actions and bootstrap targets keep to the available options.
+class OptionDQN(MaskedPrediction, DQN):
+    """DQN whose greedy, ε-random and warm-up actions and bootstrap targets are limited to the available options.
 
-    Stock DQN sees every slot as an action, and its target maximises over all of them. Here an option counts only in
-    the observations of its initiation set, and an empty slot nowhere.
+    Stock DQN takes every slot for an action, and its target is a maximum over all of them. Here an option is available
+    only in its initiation set, and an empty slot never.
 
     Args:
         policy: As for ``DQN``.
@@ -66,13 +65,9 @@ class OptionDQN(DQN):
         self._track_availability(cast("VecEnv", self.env))
 
     def _track_availability(self, env: VecEnv) -> None:
-        if not all(env.env_is_wrapped(OptionsWrapper)):
-            raise ValueError(
-                "OptionDQN needs an environment wrapped in OptionsWrapper: use OptionsWrapper(env, max_options=..., "
-                "gamma=...) or make_vec_env(..., wrapper_class=OptionsWrapper)."
-            )
-        max_options = self._n_actions() - env.get_attr("n_primitive", [0])[0]
-        self._option_buffer().track_availability(max_options)
+        check_wrapped(env, "The environment of OptionDQN")
+        self._n_slots = n_actions_of(self) - env.get_attr("n_primitive", [0])[0]
+        self._option_buffer().track_availability(self._n_slots)
 
     def _setup_learn(self, *args: Any, **kwargs: Any) -> Any:
         result = super()._setup_learn(*args, **kwargs)
@@ -83,61 +78,22 @@ class OptionDQN(DQN):
     def _option_buffer(self) -> OptionReplayBuffer:
         return cast("OptionReplayBuffer", self.replay_buffer)
 
-    def _n_actions(self) -> int:
-        return int(cast("spaces.Discrete", self.action_space).n)
-
-    def _available(self, observation: Any) -> BoolArray:
-        """Masks for a batch of observations as the algorithm sees them, shape (batch, n_actions)."""
-        if self.env is None:
-            return np.ones((batch_size(observation), self._n_actions()), dtype=bool)
-        if self._vec_normalize_env is not None:
-            observation = self._vec_normalize_env.unnormalize_obs(observation)
-        seen = as_wrapper_sees(self.env, observation)
-        mask: BoolArray = self.env.env_method("available", seen, indices=[0])[0]
-        return mask
-
     def _masks_now(self) -> BoolArray:
         """Masks for the current observations of all training environments, shape (n_envs, n_actions)."""
         assert self.env is not None  # there is no collecting without one
         return np.stack(self.env.env_method("action_masks"))
 
-    def predict(
-        self,
-        observation: npt.NDArray[Any] | dict[str, npt.NDArray[Any]],
-        state: tuple[npt.NDArray[Any], ...] | None = None,
-        episode_start: npt.NDArray[Any] | None = None,
-        deterministic: bool = False,
-        action_masks: BoolArray | None = None,
-    ) -> tuple[npt.NDArray[Any], tuple[npt.NDArray[Any], ...] | None]:
-        """ε-greedy (or greedy) among the available actions.
-
-        Args:
-            observation: One, or a batch.
-            state: Passed through.
-            episode_start: Unused.
-            deterministic: Greedy, without ε.
-            action_masks: Which actions may be taken, (n_actions,) or (batch, n_actions); by default asked from the
-                model's own environment, by initiation sets alone (without ``max_runs`` or a trial), and every action
-                where there is no environment.
-
-        Returns:
-            Actions and ``state``.
-        """
+    def _action_values(self, observation: Any) -> tuple[FloatArray, bool]:
         self.policy.set_training_mode(False)
         tensor, vectorized = self.policy.obs_to_tensor(observation)
         with torch.no_grad():
-            values = self.q_net(tensor).cpu().numpy()
-        if action_masks is None:
-            batch = observation if vectorized else batch_of_one(observation)
-            action_masks = self._available(batch)
-        masks = np.asarray(action_masks, dtype=bool).reshape(values.shape)
-        actions = np.where(masks, values, -np.inf).argmax(axis=1)
-        if not deterministic:
-            random = self.action_space.np_random
-            explores = random.random(len(actions)) < self.exploration_rate
-            for i in np.flatnonzero(explores):
-                actions[i] = self._explore(masks[i])
-        return (actions if vectorized else actions[0]), state
+            return self.q_net(tensor).cpu().numpy(), vectorized
+
+    def _explored(self, values: FloatArray, masks: BoolArray, greedy: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        explores = self.action_space.np_random.random(len(greedy)) < self.exploration_rate
+        for i in np.flatnonzero(explores):
+            greedy[i] = self._explore(masks[i])
+        return greedy
 
     def _sample_action(
         self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1

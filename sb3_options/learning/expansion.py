@@ -20,9 +20,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.observations import FeatureMap
 from sb3_options.learning import heads
+from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.joined_linear import JoinedLinear, check_optimizer, widened_linear
-from sb3_options.learning.replay_buffer import OptionReplayBuffer
-from sb3_options.learning.replay_expansion import check_buffer, option_replay_buffer
+from sb3_options.learning.replay_buffer import OptionReplayBuffer, check_stock_buffer
 
 logger = logging.getLogger("sb3_options")
 
@@ -32,15 +32,15 @@ Model = TypeVar("Model", bound=BaseAlgorithm)
 def expand_action_space(
     model: Model, max_options: int = 4, *, env: GymEnv | None = None, feature_map: FeatureMap | None = None
 ) -> Model:
-    """Give a trained model option slots, in place, with everything kept that it has learned.
+    """Add option slots to a trained model, in place, and keep everything that it has learned.
 
-    Weights, target network, optimizer moments, replay data, counters and schedules stay; for every observation the
-    outputs for the old actions are bit for bit what they were, also after options have moved in. The new heads are
+    Weights, target network, optimizer moments, replay data, counters and schedules are kept. For every observation the
+    outputs for the old actions are bit for bit what they were, also after options were installed. The new heads are
     closed. The model's environments are wrapped in `OptionsWrapper` (a ``Monitor`` stays beneath it) and reset when
     training goes on. A stock replay buffer becomes an `OptionReplayBuffer`.
 
-    Then train on with ``model.learn(..., callback=SubgoalDiscoveryCallback(), reset_num_timesteps=False)``. An
-    evaluation environment must be wrapped by hand, with as many slots.
+    Continue with ``model.learn(..., callback=SubgoalDiscoveryCallback(), reset_num_timesteps=False)``. An evaluation
+    environment must be wrapped by hand, with as many slots.
 
     Args:
         model: DQN, QRDQN, PPO, A2C, TRPO, MaskablePPO or RecurrentPPO, trained on an environment without options.
@@ -70,10 +70,11 @@ def expand_action_space(
     for layer, _ in outputs:
         check_optimizer(model.policy.optimizer, layer)
     if isinstance(model, OffPolicyAlgorithm):
-        check_buffer(model.replay_buffer)
+        check_stock_buffer(model.replay_buffer)
     venv = _fitting(model, env, n_primitive, max_options, feature_map)
 
-    actions = spaces.Discrete(n_primitive + max_options, seed=model.action_space.np_random)  # explores on as before
+    # With the same generator, so that exploration continues.
+    actions = spaces.Discrete(n_primitive + max_options, seed=model.action_space.np_random)
     for layer, outputs_per_action in outputs:
         wider = widened_linear(layer, max_options, outputs_per_action, [model.policy.optimizer])
         _put_in_place(model.policy, layer, wider)
@@ -89,7 +90,7 @@ def expand_action_space(
 
 @dataclass(frozen=True)
 class JoinedPolicy:
-    """Builds the policy of an expanded model when SB3 loads it: old and new outputs computed apart as before.
+    """Builds the policy of an expanded model when SB3 loads it, with old and new outputs computed apart.
 
     Args:
         policy_class: The class it is of, or whatever built it.
@@ -133,17 +134,13 @@ def _fitting(
                 f"The model has no environment: give one to {type(model).__name__}.load(..., env=...), or pass "
                 f"expand_action_space(model, {max_options}, env=...) one that is wrapped in OptionsWrapper."
             )
-        # A copy, because what is explored next must not depend on the number of environments.
+        # A copy, so that the next exploratory choices do not depend on the number of environments.
         random = copy.deepcopy(model.action_space.np_random)
         return _wrap(model.env, max_options, gamma, feature_map, random)
     if feature_map is not None:
         raise ValueError("feature_map belongs to OptionsWrapper: with env=... pass it to the wrapper in there.")
     venv = model._wrap_env(env, model.verbose)
-    if not all(venv.env_is_wrapped(OptionsWrapper)):
-        raise ValueError(
-            f"env is not wrapped in OptionsWrapper: use OptionsWrapper(env, {max_options}, gamma={gamma}) or "
-            "make_vec_env(..., wrapper_class=OptionsWrapper)."
-        )
+    check_wrapped(venv, "env", max_options=max_options, gamma=gamma)
     _check_fit(model, venv, n_primitive, max_options, gamma)
     return venv
 
@@ -157,9 +154,7 @@ def _check_fit(model: BaseAlgorithm, venv: VecEnv, n_primitive: int, max_options
         raise ValueError(
             f"env has {n_actions - n_primitive} option slots, max_options is {max_options}: give both the same."
         )
-    different = [g for g in venv.get_attr("gamma") if abs(g - gamma) > 1e-12]
-    if different:
-        raise ValueError(f"OptionsWrapper discounts with gamma={different[0]}, the model with gamma={gamma}.")
+    check_gamma(model, venv)
     if venv.observation_space != model.observation_space:
         raise ValueError(
             f"The model was trained on observations {model.observation_space}, env has {venv.observation_space}."
@@ -201,12 +196,12 @@ def _put_in_place(policy: BasePolicy, layer: torch.nn.Linear, other: torch.nn.Li
 
 
 def _set_action_space(policy: Any, actions: spaces.Discrete) -> None:
-    """Tell the policy, its networks and its distribution of the new actions."""
+    """Set the action space of the policy, its networks and its distribution."""
     for module in policy.modules():
         if isinstance(module, BasePolicy):
             module.action_space = actions
     if hasattr(policy, "net_args"):
-        policy.net_args["action_space"] = actions  # what DQN and QRDQN build their networks from
+        policy.net_args["action_space"] = actions  # of DQN and QRDQN, for building networks
     if hasattr(policy, "action_dist"):
         policy.action_dist.action_dim = int(actions.n)
 
@@ -245,5 +240,5 @@ def _expand_replay(model: OffPolicyAlgorithm, actions: spaces.Discrete) -> None:
             **model.replay_buffer_kwargs,
         )
         if stock is None
-        else option_replay_buffer(stock, actions, model.gamma)
+        else OptionReplayBuffer.from_stock(stock, actions, model.gamma)
     )

@@ -1,8 +1,8 @@
-"""Closed and opened heads: how a stock network learns of option slots without its old outputs changing.
+"""Closed and open heads: the outputs of option slots in a stock network.
 
-While a slot is empty, its outputs are closed: weights 0 and a bias that loses every comparison, so that no greedy
-choice and no bootstrap target ever names it. Its gradient is zero, because no stored transition names it either. When
-an option moves in, the outputs are opened.
+The outputs of an empty slot are closed: weights 0 and a bias that loses every comparison. So no greedy choice and no
+bootstrap target names the slot, and its gradient is zero, because no stored transition names it either. The outputs are
+opened when an option is installed. All other outputs stay bit for bit what they were.
 """
 
 from __future__ import annotations
@@ -29,12 +29,8 @@ def option_outputs(policy: Any) -> list[tuple[torch.nn.Linear, int]]:
     Raises:
         TypeError: The policy is none whose heads are known.
     """
-    networks = [getattr(policy, name, None) for name in ("q_net", "q_net_target")]
-    if all(n is not None for n in networks):
-        return [(_last_linear(n.q_net), 1) for n in networks if n is not None]
-    networks = [getattr(policy, name, None) for name in ("quantile_net", "quantile_net_target")]
-    if all(n is not None for n in networks):
-        return [(_last_linear(n.quantile_net), n.n_quantiles) for n in networks if n is not None]
+    if has_networks(policy):
+        return [(last_layer_of(network), getattr(network, "n_quantiles", 1)) for network in networks(policy)]
     if isinstance(getattr(policy, "action_net", None), torch.nn.Linear):
         return [(policy.action_net, 1)]
     raise TypeError(
@@ -58,9 +54,9 @@ def networks(policy: Any) -> tuple[Any, Any]:
     Raises:
         TypeError: The policy has none that values actions.
     """
-    for online, target in (("q_net", "q_net_target"), ("quantile_net", "quantile_net_target")):
+    for online in ("q_net", "quantile_net"):
         if hasattr(policy, online):
-            return getattr(policy, online), getattr(policy, target)
+            return getattr(policy, online), getattr(policy, f"{online}_target")
     raise TypeError(f"{type(policy).__name__} gives no values of actions; DQN, QRDQN and OptionDQN do.")
 
 
@@ -71,20 +67,23 @@ def has_networks(policy: Any) -> bool:
 
 def body_of(network: Any) -> torch.nn.Sequential:
     """A network of `networks` between its features and its last layer."""
-    layers = network.q_net if hasattr(network, "q_net") else network.quantile_net
-    return torch.nn.Sequential(*list(layers)[:-1])
+    return torch.nn.Sequential(*_layers_of(network)[:-1])
 
 
 def last_layer_of(network: Any) -> torch.nn.Linear:
-    """The last layer of a network of `networks`."""
-    return _last_linear(network.q_net if hasattr(network, "q_net") else network.quantile_net)
+    """The last layer of a network of `networks`.
 
-
-def _last_linear(network: Any) -> torch.nn.Linear:
-    layer = list(network)[-1]
+    Raises:
+        TypeError: It is not linear.
+    """
+    layer = _layers_of(network)[-1]
     if not isinstance(layer, torch.nn.Linear):
         raise TypeError(f"Expected a linear last layer, got {type(layer).__name__}.")
     return layer
+
+
+def _layers_of(network: Any) -> list[torch.nn.Module]:
+    return list(network.q_net if hasattr(network, "q_net") else network.quantile_net)
 
 
 def rows_of(layer: torch.nn.Linear, outputs_per_action: int, action: int) -> torch.Tensor:
@@ -104,7 +103,7 @@ def close_head(policy: Any, action: int) -> None:
 
 @torch.no_grad()
 def forget_moments(policy: Any, action: int) -> None:
-    """Zero what the optimizer remembers of an action's head: momentum would move it after it was closed."""
+    """Zero the optimizer's moments of an action's head, which would move it after it was closed."""
     for layer, outputs in option_outputs(policy):
         rows = rows_of(layer, outputs, action)
         for parameter in (layer.weight, layer.bias):
@@ -115,17 +114,17 @@ def forget_moments(policy: Any, action: int) -> None:
 
 @torch.no_grad()
 def open_head(policy: Any, action: int, n_primitive: int, *, odds: float | None = None) -> None:
-    """Start ``action`` at the mean of the primitive actions' values, or of their logits.
+    """Set the outputs of ``action`` to the mean of the primitive actions' values, or of their logits.
 
-    The mean never exceeds the best primitive's, so that a new option is tried because it is explored and not
-    because of a lucky initialisation. The outputs of all other actions stay what they were, bit for bit.
+    The mean never exceeds the best primitive's value, so that a new option is chosen by exploration and not by a lucky
+    initialisation.
 
     Args:
         policy: Of an SB3 model.
         action: Whose head is closed.
         n_primitive: Number of primitive actions.
-        odds: For logits: how likely the action becomes as against all primitives together, where these are equally
-            likely; None makes it as likely as one of them. The surer the policy is of a primitive, the less likely.
+        odds: For logits: probability of the action over that of all primitives together, where these are equally
+            likely; None makes it as likely as one of them. The more certain the policy, the smaller its probability.
     """
     for layer, outputs in option_outputs(policy):
         primitive = torch.stack([rows_of(layer, outputs, a) for a in range(n_primitive)])

@@ -1,4 +1,4 @@
-"""A last layer that got more outputs later, and whose first ones stay bit for bit what they were."""
+"""A last layer with outputs added later, whose first outputs stay bit for bit what they were."""
 
 from __future__ import annotations
 
@@ -11,18 +11,17 @@ from torch.nn import functional
 
 
 class JoinedLinear(nn.Linear):
-    """A linear layer that computes the outputs it began with apart from those it was given later.
+    """A linear layer that computes its first outputs apart from those that were added later.
 
-    One product with more rows need not repeat the old outputs: which kernel a BLAS takes, and so the order of its
-    sums, depends on the number of rows. Here the old rows are multiplied in the very shape that they had. ``weight``
-    and ``bias`` hold all rows, as in any other ``nn.Linear``, so that files, optimizers and target networks see
-    nothing new.
+    One product with more rows need not repeat the old outputs: the kernel that a BLAS selects, and so the order of its
+    sums, depends on the number of rows. Here the old rows are multiplied in the shape that they had. ``weight`` and
+    ``bias`` hold all rows, as in any other ``nn.Linear``, so that files, optimizers and target networks need no change.
 
     The rows are laid out as (outputs per action, actions), which is how QRDQN has its quantiles.
 
     Args:
         layer: Its parameters become this layer's own.
-        n_first: Number of actions it began with.
+        n_first: Number of actions that it was trained with at first.
         outputs_per_action: Rows for each action.
 
     Raises:

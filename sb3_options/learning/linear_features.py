@@ -27,7 +27,7 @@ class LinearFeatures(Protocol):
 
 
 class OneHot:
-    """One feature a state: a linear value function over it is a table.
+    """One feature per state: a linear value function over it is a table.
 
     Args:
         n_features: Number of states.
@@ -112,8 +112,8 @@ class TileCoding:
 class Concatenated:
     """Several feature sets side by side, each over some of the observation's numbers.
 
-    A tile coding of all numbers at once needs tiles for every combination; one of each group of numbers that belong
-    together needs far fewer, and the value is then a sum of functions of the groups (Sutton & Barto 2018, §9.5.4).
+    A tile coding of all numbers at once needs tiles for every combination. One tile coding per group of numbers needs
+    far fewer, and the value is then a sum of functions of the groups (Sutton & Barto 2018, §9.5.4).
 
     Args:
         parts: Pairs of the numbers' indices in the flat observation, and features of these numbers.

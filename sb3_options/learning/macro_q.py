@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from gymnasium import spaces
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback
 from stable_baselines3.common.utils import safe_mean
@@ -18,6 +17,7 @@ from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.observations import BoolArray, FloatArray
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.linear_features import LinearFeatures, OneHot
+from sb3_options.learning.masked import MaskedPrediction, n_actions_of
 
 
 class LinearPolicy(BasePolicy):
@@ -50,7 +50,7 @@ class LinearPolicy(BasePolicy):
         return torch.as_tensor(self.values(np.asarray(observation)).argmax(axis=1))
 
 
-class MacroQ(BaseAlgorithm):
+class MacroQ(MaskedPrediction):
     """Q-learning (Watkins 1989), and Macro Q-learning once there are options (McGovern & Sutton 1998).
 
     After a primitive action: Q(s, a) ← Q(s, a) + α [r + γ max Q(s', ·) − Q(s, a)]. After an option of k steps the same
@@ -120,7 +120,7 @@ class MacroQ(BaseAlgorithm):
         if self.features is None:
             self.features = default_features(self.observation_space)
         self.policy = LinearPolicy(self.observation_space, self.action_space, self.features)
-        self._n_actions = int(self.action_space.n)
+        self._n_actions = n_actions_of(self)
         self._count_slots()
 
     def set_env(self, env: GymEnv, force_reset: bool = True) -> None:
@@ -145,19 +145,15 @@ class MacroQ(BaseAlgorithm):
         reset_num_timesteps: bool = True,
         progress_bar: bool = False,
     ) -> Self:
-        """Learn for a number of timesteps.
+        """Learn for a number of timesteps; arguments and result are as in SB3.
 
         Args:
-            total_timesteps: How many: primitive steps where a callback of this library is there to count them, and
-                decisions otherwise.
-            callback: Any SB3 callback or list of them.
-            log_interval: Log every so many episodes; None never does.
+            total_timesteps: Primitive steps if a callback of this library counts them, else decisions.
+            callback: One or several.
+            log_interval: Episodes between two entries of the log; None writes none.
             tb_log_name: Name of the run for TensorBoard.
-            reset_num_timesteps: Start counting from 0.
-            progress_bar: Show one.
-
-        Returns:
-            The model.
+            reset_num_timesteps: Whether counting starts from 0.
+            progress_bar: Whether to show one.
         """
         # Callbacks look for each other in the local `callback`, as with SB3's own algorithms.
         total_timesteps, callback = self._setup_learn(
@@ -167,7 +163,8 @@ class MacroQ(BaseAlgorithm):
         assert self.features is not None  # set up with the model
         callback.on_training_start(locals(), globals())
         callback.on_rollout_start()
-        self._begin_learning()
+        self._table = self.policy.table()
+        self._step_size = cast("float", self.learning_rate)  # the constructor takes no schedule
         choices = self._choices()
         active = self._active(self._last_obs)
         goes_on = True
@@ -183,14 +180,14 @@ class MacroQ(BaseAlgorithm):
                 ended = over[i] and not info["TimeLimit.truncated"]
                 self._learn_from(active[i], int(actions[i]), float(rewards[i]), arrived, ended, run)
             self._last_obs, active = new_obs, new_active  # type: ignore[assignment]  # SB3 annotates it as None
-            # After learning: a callback that stops training at the end of an episode loses nothing of it.
+            # After the update, so that a callback that stops training at the end of an episode loses no step.
             callback.update_locals(locals())
             goes_on = callback.on_step()
             self._update_current_progress_remaining(self.num_timesteps, total_timesteps)
             if any(over):
-                self._update_info_buffer(infos, dones)  # infos say something of episodes only at their ends
+                self._update_info_buffer(infos, dones)
                 self._episode_num += sum(over)
-                choices = self._choices()  # options may have come, and the environment was reset
+                choices = self._choices()  # new options, and another state after the reset
                 if log_interval is not None and self._episode_num % log_interval == 0:
                     self._log()
             elif self._n_slots:
@@ -207,7 +204,7 @@ class MacroQ(BaseAlgorithm):
         led: Sequence[int],
         ended: Sequence[bool],
     ) -> None:
-        """Q-learning from primitive steps lived through earlier, in the given order (experience replay, Lin 1992).
+        """Q-learning from earlier primitive steps, in the given order (experience replay, Lin 1992).
 
         Only for features of which one is active, such as `OneHot`; the maximum is taken over primitive actions.
 
@@ -226,10 +223,6 @@ class MacroQ(BaseAlgorithm):
             rows[state][action] += step_size * (target - rows[state][action])
         table[:] = rows
 
-    def _begin_learning(self) -> None:
-        self._table = self.policy.table()
-        self._step_size = cast("float", self.learning_rate)  # the constructor takes no schedule
-
     def _learn_from(
         self,
         began: list[int],
@@ -239,7 +232,7 @@ class MacroQ(BaseAlgorithm):
         ended: bool,
         run: OptionRun | None,
     ) -> None:
-        """Learn from one call of ``step``, and from the primitive steps inside it.
+        """Update the values from one call of ``step`` and from the primitive steps inside it.
 
         Args:
             began: Active features where it began.
@@ -328,41 +321,13 @@ class MacroQ(BaseAlgorithm):
             choices = [a for a in choices if values[a] == best]
         return choices[0] if len(choices) == 1 else choices[int(self._random.random() * len(choices))]
 
-    def predict(
-        self,
-        observation: npt.NDArray[Any] | dict[str, npt.NDArray[Any]],
-        state: tuple[npt.NDArray[Any], ...] | None = None,
-        episode_start: npt.NDArray[Any] | None = None,
-        deterministic: bool = False,
-        action_masks: BoolArray | None = None,
-    ) -> tuple[npt.NDArray[Any], tuple[npt.NDArray[Any], ...] | None]:
-        """Greedy (or ε-greedy) among the available actions.
-
-        Args:
-            observation: One, or a batch.
-            state: Passed through.
-            episode_start: Unused.
-            deterministic: Greedy, without ε, the first of several best.
-            action_masks: Which actions may be taken; by default asked from the model's own environment, by initiation
-                sets alone.
-
-        Returns:
-            Actions and ``state``.
-        """
+    def _action_values(self, observation: Any) -> tuple[FloatArray, bool]:
         vectorized = self.policy.is_vectorized_observation(observation)
-        batch = np.asarray(observation) if vectorized else np.asarray(observation)[None]
-        if action_masks is None:
-            action_masks = np.ones((len(batch), self._n_actions), dtype=bool)
-            if self._n_slots and self.env is not None:
-                action_masks = self.env.env_method("available", batch, indices=[0])[0]
-        masks = np.asarray(action_masks, dtype=bool).reshape(len(batch), -1)
-        values = self.policy.values(batch)
-        if deterministic:
-            actions = np.where(masks, values, -np.inf).argmax(axis=1)
-        else:
-            choices = [mask.nonzero()[0].tolist() for mask in masks]
-            actions = np.array([self._explore(v, c) for v, c in zip(values.tolist(), choices, strict=True)])
-        return (actions if vectorized else actions[0]), state
+        return self.policy.values(np.asarray(observation) if vectorized else np.asarray(observation)[None]), vectorized
+
+    def _explored(self, values: FloatArray, masks: BoolArray, greedy: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        choices = [mask.nonzero()[0].tolist() for mask in masks]
+        return np.array([self._explore(v, c) for v, c in zip(values.tolist(), choices, strict=True)])
 
     def _log(self) -> None:
         if self.ep_info_buffer:

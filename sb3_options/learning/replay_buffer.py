@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, Self, cast
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from gymnasium import spaces
-from stable_baselines3.common.buffers import BaseBuffer, ReplayBuffer
+from stable_baselines3.common.buffers import BaseBuffer, DictReplayBuffer, NStepReplayBuffer, ReplayBuffer
 from stable_baselines3.common.preprocessing import is_image_space
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.common.vec_env import VecNormalize
 
 from sb3_options.experience.observations import BoolArray, Observations, take
 from sb3_options.experience.option_run import OptionRun
-from sb3_options.learning.intra_option import IntraOptionMemory
+from sb3_options.learning.intra_option import ConsistencyTable
 
 Rows = dict[str, npt.NDArray[Any]]
 
-QUANTILE_LESSONS = 0.25
-"""QRDQN takes batches of one size only, so that there at most this share of a batch makes room for lessons."""
+STOCK_BUFFERS = (ReplayBuffer, DictReplayBuffer, NStepReplayBuffer)
+"""Buffers whose rows are single primitive steps; of their subclasses that is not known."""
+
+QUANTILE_SHARE = 0.25
+"""Largest share of a batch of QRDQN, whose size is fixed, that gives way to intra-option rows."""
 
 
 class OptionReplayBufferSamples(NamedTuple):
@@ -34,7 +37,7 @@ class OptionReplayBufferSamples(NamedTuple):
         rewards: Σ γⁱ rᵢ over the k primitive steps, (batch, 1).
         discounts: γᵏ, (batch, 1).
         next_available: Which option slots may start in the next observation, (batch, max_options); None where the
-            buffer was told of no primitive actions.
+            buffer does not track availability.
     """
 
     observations: Any
@@ -51,17 +54,17 @@ class OptionReplayBuffer(ReplayBuffer):
 
     Every transition of k primitive steps is stored with Σ γⁱ rᵢ and sampled with ``discounts`` = γᵏ, which DQN,
     QRDQN and the others put into their targets: SMDP Q-learning (Bradtke & Duff 1995; Sutton, Precup & Singh 1999,
-    §2). What an empty slot really ran is stored as the primitive it was.
+    §2). The random primitive that an empty slot ran is stored as that primitive.
 
     Macro-Q learning (McGovern & Sutton 1998): each primitive step inside an option is stored as well, with its own
-    action and reward and a discount of γ, so that one run of an option teaches k + 1 values.
+    action and reward and a discount of γ, so that one run of an option updates k + 1 values.
 
     Intra-option learning (Sutton, Precup & Singh 1999, §6; `intra_option`): every primitive step of a batch also
-    becomes a transition of each option whose policy would have taken it. Options are known where
-    `SubgoalDiscoveryCallback` trains the model. At most as many such rows are added as were drawn; SB3's loss is a
-    mean over all rows, so that those drawn keep at least half of their weight.
+    becomes a transition of each option that is consistent with it. `SubgoalDiscoveryCallback` says which these are.
+    At most as many such rows are added as were drawn; SB3's loss is a mean over all rows, so that those drawn keep at
+    least half of their weight.
 
-    The rows of all environments stand one behind the other, because their options take different numbers of steps.
+    The rows of all environments are stored in one sequence, because their options take different numbers of steps.
 
     Args:
         buffer_size: Most transitions it holds.
@@ -72,12 +75,14 @@ class OptionReplayBuffer(ReplayBuffer):
         optimize_memory_usage: Not supported.
         handle_timeout_termination: Bootstrap after a timeout instead of taking it for an end.
         macro_q: Whether the steps inside options are stored.
-        intra_option: Whether primitive steps teach the options that would have taken them. Off by default: on the
-            two seeds measured it saved no time (docs/deep.md).
+        intra_option: Whether options are updated from primitive steps they are consistent with. Off by default: on
+            the two seeds measured it saved no time (docs/deep.md).
 
     Raises:
         ValueError: ``optimize_memory_usage`` is set.
     """
+
+    consistency: ConsistencyTable | None = None
 
     def __init__(
         self,
@@ -102,7 +107,6 @@ class OptionReplayBuffer(ReplayBuffer):
         self.handle_timeout_termination = handle_timeout_termination
         self.macro_q = macro_q
         self.intra_option = intra_option
-        self.memory: IntraOptionMemory | None = None
         self.written = 0
         self._spaces = (
             observation_space.spaces if isinstance(observation_space, spaces.Dict) else {"": observation_space}
@@ -110,16 +114,63 @@ class OptionReplayBuffer(ReplayBuffer):
         shapes = self.obs_shape if isinstance(self.obs_shape, dict) else {"": self.obs_shape}
         self._shapes: dict[str, tuple[int, ...]] = shapes
 
-        def empty() -> dict[str, npt.NDArray[Any]]:
-            return {k: np.zeros((buffer_size, *s), self._spaces[k].dtype) for k, s in self._shapes.items()}
+        def zeros(dtype: Any, *shape: int) -> npt.NDArray[Any]:
+            return np.zeros((buffer_size, *shape), dtype)
 
-        self._observations, self._next_observations = empty(), empty()
-        self.actions = np.zeros((buffer_size, self.action_dim), dtype=np.int64)
-        self.rewards = np.zeros(buffer_size, dtype=np.float32)
-        self.dones = np.zeros(buffer_size, dtype=np.float32)
-        self.timeouts = np.zeros(buffer_size, dtype=np.float32)
-        self.discounts = np.zeros(buffer_size, dtype=np.float32)
-        self.next_available = np.zeros((buffer_size, 0), dtype=bool)
+        self._observations = {k: zeros(self._spaces[k].dtype, *s) for k, s in self._shapes.items()}
+        self._next_observations = {k: zeros(self._spaces[k].dtype, *s) for k, s in self._shapes.items()}
+        self.actions = zeros(np.int64, self.action_dim)
+        self.rewards, self.dones = zeros(np.float32), zeros(np.float32)
+        self.timeouts, self.discounts = zeros(np.float32), zeros(np.float32)
+        self.next_available = zeros(bool, 0)
+
+    @classmethod
+    def from_stock(cls, stock: ReplayBuffer, action_space: spaces.Space[Any], gamma: float) -> Self:
+        """A buffer with the transitions of one of SB3's own, `check_stock_buffer` permitting.
+
+        SB3 keeps rows of (steps, environments). They are stored one after the other here, so that the oldest are still
+        the first to be overwritten, and the capacity is the same. The arrays are taken over and not copied: ``stock``
+        must not be used any more.
+
+        Args:
+            stock: One of SB3's own.
+            action_space: Augmented actions.
+            gamma: Discount γ of each transition; all are single primitive steps.
+        """
+        made = cls(
+            stock.buffer_size * stock.n_envs,
+            stock.observation_space,
+            action_space,
+            device=stock.device,
+            n_envs=stock.n_envs,
+            handle_timeout_termination=stock.handle_timeout_termination,
+        )
+
+        def flat(rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
+            return rows.reshape(made.buffer_size, *rows.shape[2:])
+
+        observations: Any = stock.observations
+        # A buffer that saves memory keeps a step's next observation as the observation of the step behind it.
+        following: Any = np.roll(observations, -1, axis=0) if stock.optimize_memory_usage else stock.next_observations
+        if not isinstance(stock, DictReplayBuffer):
+            observations, following = {"": observations}, {"": following}
+        made._observations = {key: flat(rows) for key, rows in observations.items()}
+        made._next_observations = {key: flat(rows) for key, rows in following.items()}
+        made.actions, made.rewards = flat(stock.actions), flat(stock.rewards)
+        made.dones, made.timeouts = flat(stock.dones), flat(stock.timeouts)
+        made.discounts[:] = gamma
+        made.pos, made.full = stock.pos * stock.n_envs, stock.full
+        if stock.optimize_memory_usage and stock.full:
+            # The oldest rows, which SB3 does not sample, have lost their observations to the newest.
+            for column in made._columns():
+                column[:] = np.roll(column, -made.pos - stock.n_envs, axis=0)
+            made.pos, made.full = made.buffer_size - stock.n_envs, False
+        return made
+
+    def _columns(self) -> list[npt.NDArray[Any]]:
+        """Every array with one row per transition."""
+        columns = [self.actions, self.rewards, self.dones, self.timeouts, self.discounts, self.next_available]
+        return [*columns, *self._observations.values(), *self._next_observations.values()]
 
     def track_availability(self, max_options: int) -> None:
         """Also keep, for each transition, which of ``max_options`` slots may start in its next observation."""
@@ -139,14 +190,23 @@ class OptionReplayBuffer(ReplayBuffer):
         taken = {k: v[rows] for k, v in stored.items()}
         return self._joined({k: v.reshape(len(v), *(self._spaces[k].shape or ())) for k, v in taken.items()})
 
-    def set_next_available(self, slot: int, available: BoolArray) -> None:
-        """Say of all stored transitions whether ``slot`` may start in their next observations, shape (size,)."""
-        self.next_available[: len(available), slot] = available
+    @property
+    def tracks_availability(self) -> bool:
+        """Whether it stores which slots may start in next observations."""
+        return bool(self.next_available.shape[1])
+
+    def set_next_available(self, slot: int, available: BoolArray | bool) -> None:
+        """Store of all transitions whether ``slot`` may start in their next observations, shape (size,) or one value.
+
+        Without `track_availability` nothing happens.
+        """
+        if self.tracks_availability:
+            self.next_available[: self.size(), slot] = available
 
     def forget_action(self, action: int) -> None:
-        """Put other transitions in the place of those that name ``action``, whose slot is being emptied.
+        """Replace the transitions of ``action``, whose slot was emptied, by copies of others.
 
-        The next stored transition takes the place of each: with Macro-Q that is the first primitive step of the run.
+        Each is replaced by the next transition of another action: with Macro-Q the first primitive step of the run.
         """
         size = self.size()
         named = self.actions[:size, 0] == action
@@ -156,11 +216,10 @@ class OptionReplayBuffer(ReplayBuffer):
             return
         rows = np.flatnonzero(named)
         source = others[np.searchsorted(others, rows) % len(others)]
-        columns = [self.actions, self.rewards, self.dones, self.timeouts, self.discounts, self.next_available]
-        for column in [*columns, *self._observations.values(), *self._next_observations.values()]:
+        for column in self._columns():
             column[rows] = column[source]
-        if self.memory is not None:
-            self.memory.copy(source, rows)
+        if self.consistency is not None:
+            self.consistency.copy_rows(source, rows)
 
     def add(
         self,
@@ -257,10 +316,10 @@ class OptionReplayBuffer(ReplayBuffer):
         if self.handle_timeout_termination:
             self.timeouts[rows] = timeouts
         self.discounts[rows] = discounts
-        if self.next_available.shape[1]:
+        if self.tracks_availability:
             self.next_available[rows] = False if available is None else available
-        if self.memory is not None:
-            self.memory.forget(rows)
+        if self.consistency is not None:
+            self.consistency.clear_rows(rows)
         self.written += n
         self.full = self.full or self.pos + n >= self.buffer_size
         self.pos = (self.pos + n) % self.buffer_size
@@ -279,31 +338,31 @@ class OptionReplayBuffer(ReplayBuffer):
         return BaseBuffer.sample(self, batch_size, env)  # type: ignore[no-any-return]  # SB3 leaves it unannotated
 
     def _get_samples(self, batch_inds: npt.NDArray[Any], env: VecNormalize | None = None) -> ReplayBufferSamples:
-        if self.memory is None:
-            return cast("ReplayBufferSamples", self.rows_as_samples(batch_inds, env))
-        n = len(batch_inds)
-        limit = int(QUANTILE_LESSONS * n) if self.memory.quantiles else n
-        lessons = self.memory.lessons(batch_inds, limit)
-        if lessons is None:
-            return cast("ReplayBufferSamples", self.rows_as_samples(batch_inds, env))
-        drawn = batch_inds[: n - len(lessons.rows)] if self.memory.quantiles else batch_inds
-        samples = self.rows_as_samples(np.concatenate([drawn, lessons.rows]), env)
-        return cast("ReplayBufferSamples", self.memory.teach(samples, lessons))
+        n, table, selected = len(batch_inds), self.consistency, None
+        if table is not None:
+            selected = table.select(batch_inds, int(QUANTILE_SHARE * n) if table.quantiles else n)
+        if table is None or selected is None:
+            return cast("ReplayBufferSamples", self._rows_as_samples(batch_inds, env))
+        drawn = batch_inds[: n - len(selected.rows)] if table.quantiles else batch_inds
+        samples = self._rows_as_samples(np.concatenate([drawn, selected.rows]), env)
+        return cast("ReplayBufferSamples", table.as_option_transitions(samples, selected))
 
-    def rows_as_samples(self, rows: npt.NDArray[Any], env: VecNormalize | None = None) -> OptionReplayBufferSamples:
+    def _rows_as_samples(self, rows: npt.NDArray[Any], env: VecNormalize | None = None) -> OptionReplayBufferSamples:
         """These stored transitions, as the algorithm takes them."""
-        obs = self._normalize_obs(self._joined_rows(self._observations, rows), env)
-        next_obs = self._normalize_obs(self._joined_rows(self._next_observations, rows), env)
+
+        def tensors(stored: Rows) -> Any:
+            seen: Any = self._normalize_obs(cast("Any", take(self._joined(stored), rows)), env)
+            return {k: self.to_torch(v) for k, v in seen.items()} if isinstance(seen, dict) else self.to_torch(seen)
+
         dones = self.dones[rows] * (1 - self.timeouts[rows])
-        available = self.next_available[rows] if self.next_available.shape[1] else None
         return OptionReplayBufferSamples(
-            observations=self._tensors(obs),
+            observations=tensors(self._observations),
             actions=self.to_torch(self.actions[rows]),
-            next_observations=self._tensors(next_obs),
+            next_observations=tensors(self._next_observations),
             dones=self.to_torch(dones.reshape(-1, 1)),
             rewards=self.to_torch(self._normalize_reward(self.rewards[rows].reshape(-1, 1), env)),
             discounts=self.to_torch(self.discounts[rows].reshape(-1, 1)),
-            next_available=None if available is None else self.to_torch(available),
+            next_available=self.to_torch(self.next_available[rows]) if self.tracks_availability else None,
         )
 
     def _split(self, observations: Any) -> Rows:
@@ -314,10 +373,15 @@ class OptionReplayBuffer(ReplayBuffer):
     def _joined(self, rows: Rows) -> Observations:
         return rows.get("", rows)
 
-    def _joined_rows(self, rows: Rows, indices: npt.NDArray[Any]) -> Any:
-        return take(self._joined(rows), indices)
 
-    def _tensors(self, observations: Any) -> Any:
-        if isinstance(observations, dict):
-            return {key: self.to_torch(value) for key, value in observations.items()}
-        return self.to_torch(observations)
+def check_stock_buffer(buffer: ReplayBuffer | None) -> None:
+    """Refuse a buffer whose transitions `OptionReplayBuffer.from_stock` could not take over.
+
+    Raises:
+        TypeError: It is neither one of `STOCK_BUFFERS` nor an `OptionReplayBuffer`.
+    """
+    if buffer is not None and type(buffer) not in STOCK_BUFFERS and not isinstance(buffer, OptionReplayBuffer):
+        raise TypeError(
+            f"The transitions of a {type(buffer).__name__} cannot be taken over, only those of ReplayBuffer and "
+            "DictReplayBuffer: set model.replay_buffer = None to go on with an empty one."
+        )

@@ -3,44 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from gymnasium import spaces
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import DictRolloutBuffer, RolloutBuffer
 
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.option_run import OptionRun
-
-
-class Passage(NamedTuple):
-    """What one step of all environments took, in their order.
-
-    Attributes:
-        rewards: Σ γⁱ rᵢ over the primitive steps, before any bootstrap, (n_envs,).
-        durations: Primitive steps k, (n_envs,).
-        discounts: γᵏ, (n_envs,).
-    """
-
-    rewards: FloatArray
-    durations: FloatArray
-    discounts: FloatArray
-
-
-def passage_of(rewards: npt.NDArray[Any], runs: Sequence[OptionRun]) -> Passage:
-    """What one step took, from what the environments reported.
-
-    Args:
-        rewards: As the VecEnv gave them, (n_envs,).
-        runs: Of each environment.
-    """
-    return Passage(
-        np.array(rewards, dtype=np.float64),
-        np.array([run.duration for run in runs], dtype=np.float64),
-        np.array([run.discount for run in runs], dtype=np.float64),
-    )
 
 
 def smdp_advantages(
@@ -78,15 +51,15 @@ def smdp_advantages(
 
 
 class SMDPAdvantages:
-    """Makes the advantages of an SB3 rollout buffer those of a semi-Markov process; stands before it in the bases.
+    """Advantages of a semi-Markov process for an SB3 rollout buffer, which comes after this class in the bases.
 
     SB3 discounts every transition with γ, and adds γ V(s) to the last reward of an episode that timed out. Here both
-    are γᵏ for a transition of k primitive steps. The buffer sees no infos, so a callback (`PrimitiveStepsCallback`,
-    `SubgoalDiscoveryCallback`) calls `expect` before each `add`.
+    are γᵏ for a transition of k primitive steps. SB3 does not pass infos to the buffer. Hence a callback
+    (`PrimitiveStepsCallback`, `SubgoalDiscoveryCallback`) calls `expect` before each `add`.
 
     """
 
-    # Of the SB3 buffer that stands behind this class in the bases.
+    # Attributes of the SB3 buffer.
     buffer_size: int
     n_envs: int
     gamma: float
@@ -102,12 +75,19 @@ class SMDPAdvantages:
         """Forget the last rollout."""
         self.durations = np.ones((self.buffer_size, self.n_envs))
         self.discounts = np.full((self.buffer_size, self.n_envs), self.gamma)
-        self._expected: Passage | None = None
+        self._expected: tuple[FloatArray, FloatArray, FloatArray] | None = None
         super().reset()  # type: ignore[misc]  # the SB3 buffer's
 
-    def expect(self, passage: Passage) -> None:
-        """Say what the step took that `add` is about to be called for."""
-        self._expected = passage
+    def expect(self, rewards: npt.NDArray[Any], runs: Sequence[OptionRun]) -> None:
+        """Announce the step that `add` is about to be called for.
+
+        Args:
+            rewards: Σ γⁱ rᵢ as the VecEnv gave them, before SB3 adds a bootstrap, (n_envs,).
+            runs: What each environment ran.
+        """
+        durations = np.array([run.duration for run in runs], dtype=np.float64)
+        discounts = np.array([run.discount for run in runs], dtype=np.float64)
+        self._expected = np.array(rewards, dtype=np.float64), durations, discounts
 
     def add(self, *args: Any, **kwargs: Any) -> None:
         """Store one step of every environment.
@@ -118,19 +98,19 @@ class SMDPAdvantages:
             **kwargs: As for the SB3 buffer.
 
         Raises:
-            ValueError: Nobody said how long the actions took.
+            ValueError: `expect` was not called before.
         """
         if self._expected is None:
             raise ValueError(
                 f"{type(self).__name__} was not told how long the actions took: pass PrimitiveStepsCallback() or "
                 "SubgoalDiscoveryCallback() to learn()."
             )
-        passage, self._expected = self._expected, None
+        (plain, durations, discounts), self._expected = self._expected, None
         observations, actions, rewards, *others = args
-        bootstrap = np.asarray(rewards, dtype=np.float64) - passage.rewards
-        rewards = passage.rewards + bootstrap * passage.discounts / self.gamma
-        self.durations[self.pos] = passage.durations
-        self.discounts[self.pos] = passage.discounts
+        bootstrap = np.asarray(rewards, dtype=np.float64) - plain
+        rewards = plain + bootstrap * discounts / self.gamma
+        self.durations[self.pos] = durations
+        self.discounts[self.pos] = discounts
         super().add(observations, actions, rewards, *others, **kwargs)  # type: ignore[misc]  # the SB3 buffer's
 
     def compute_returns_and_advantage(self, last_values: torch.Tensor, dones: npt.NDArray[Any]) -> None:
@@ -159,32 +139,68 @@ class OptionRolloutBuffer(SMDPAdvantages, RolloutBuffer):
     """A rollout buffer that makes PPO, A2C and TRPO learn correctly over options; see `SMDPAdvantages`.
 
     ``PPO("MlpPolicy", env, rollout_buffer_class=OptionRolloutBuffer)``; `SubgoalDiscoveryCallback` and
-    `PrimitiveStepsCallback` put it into a model that was built without. For ``Dict`` observations it is
-    `OptionDictRolloutBuffer`.
+    `PrimitiveStepsCallback` replace the buffer of a model that was built without (`option_rollout_buffer`). For
+    ``Dict`` observations it is `OptionDictRolloutBuffer`.
 
     Args:
-        buffer_size: Decisions per environment.
-        observation_space: No ``Dict``.
-        action_space: Augmented actions.
-        *args: ``device``, ``gae_lambda``, ``gamma`` and ``n_envs``, as for ``RolloutBuffer``.
-        **kwargs: The same by name.
+        *args: As for ``RolloutBuffer``; ``buffer_size`` counts decisions per environment.
+        **kwargs: As for ``RolloutBuffer``.
 
     Raises:
         ValueError: Observations are a ``Dict``.
     """
 
-    def __init__(
-        self,
-        buffer_size: int,
-        observation_space: spaces.Space[Any],
-        action_space: spaces.Space[Any],
-        *args: Any,
-        **kwargs: Any,
-    ) -> None:
-        if isinstance(observation_space, spaces.Dict):
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        if any(isinstance(value, spaces.Dict) for value in (*args, *kwargs.values())):
             raise ValueError("For Dict observations pass rollout_buffer_class=OptionDictRolloutBuffer.")
-        super().__init__(buffer_size, observation_space, action_space, *args, **kwargs)
+        super().__init__(*args, **kwargs)
 
 
 class OptionDictRolloutBuffer(SMDPAdvantages, DictRolloutBuffer):
     """`OptionRolloutBuffer` for ``Dict`` observations."""
+
+
+_derived: dict[type[Any], type[Any]] = {RolloutBuffer: OptionRolloutBuffer, DictRolloutBuffer: OptionDictRolloutBuffer}
+"""The class that replaces each stock one. sb3-contrib may not be installed, so its buffers are added when met."""
+
+
+def option_rollout_buffer(model: BaseAlgorithm) -> SMDPAdvantages | None:
+    """The model's rollout buffer, after one of SB3 or sb3-contrib was replaced by one that discounts with γᵏ.
+
+    MaskablePPO and RecurrentPPO get a class derived from their own. RecurrentPPO's LSTM sees the observations at
+    decisions only.
+
+    Args:
+        model: Any; before training starts.
+
+    Returns:
+        The buffer that is the model's from now on; None for an algorithm without rollouts.
+
+    Raises:
+        ValueError: The buffer is a class of the user's own, without `SMDPAdvantages`.
+    """
+    buffer = getattr(model, "rollout_buffer", None)
+    if buffer is None or isinstance(buffer, SMDPAdvantages):
+        return buffer
+    stock = type(buffer)
+    if stock.__module__.partition(".")[0] not in ("stable_baselines3", "sb3_contrib"):
+        raise ValueError(
+            f"{type(model).__name__} was built with {stock.__name__}, which discounts an option of k steps with "
+            f"γ instead of γᵏ: derive a class from (SMDPAdvantages, {stock.__name__}) and pass it as "
+            "rollout_buffer_class."
+        )
+    shape = {"hidden_state_shape": buffer.hidden_state_shape} if hasattr(buffer, "hidden_state_shape") else {}
+    if stock not in _derived:
+        _derived[stock] = type(f"Option{stock.__name__}", (SMDPAdvantages, stock), {})
+    made: SMDPAdvantages = _derived[stock](
+        buffer.buffer_size,
+        buffer.observation_space,
+        buffer.action_space,
+        device=buffer.device,
+        gae_lambda=buffer.gae_lambda,
+        gamma=buffer.gamma,
+        n_envs=buffer.n_envs,
+        **shape,
+    )
+    model.rollout_buffer = made  # type: ignore[attr-defined]  # it had one
+    return made

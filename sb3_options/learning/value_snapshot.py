@@ -1,8 +1,9 @@
-"""The action values of a model as they are now, in a form that travels to the environment's process."""
+"""Copies of a model's action values that environments use to interrupt options, also in other processes."""
 
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,12 +18,16 @@ from stable_baselines3.common.vec_env import (
     VecNormalize,
     VecTransposeImage,
     is_vecenv_wrapped,
+    unwrap_vec_wrapper,
 )
 
 from sb3_options.execution.interruption import Interruption
 from sb3_options.experience.observations import FloatArray, batch_of_one, flatten
 from sb3_options.learning import heads
 from sb3_options.learning.dqn import OptionDQN
+
+REFRESH = 500
+"""Primitive steps after which `Interrupter` sends newer values."""
 
 
 class _Scale(NamedTuple):
@@ -37,7 +42,7 @@ class _Scale(NamedTuple):
 
 
 def _scales(normalizer: VecNormalize | None) -> dict[str, _Scale]:
-    """By key, the empty one where observations are no ``Dict``; of none that is left as it is."""
+    """The normalised observations by key; the empty key where observations are no ``Dict``."""
     if normalizer is None or not normalizer.norm_obs:
         return {}
     statistics = normalizer.obs_rms if isinstance(normalizer.obs_rms, dict) else {"": normalizer.obs_rms}
@@ -48,7 +53,7 @@ def _scales(normalizer: VecNormalize | None) -> dict[str, _Scale]:
 
 
 class ValueSnapshot:
-    """Q(s, ·) of DQN, OptionDQN or QRDQN (the mean over quantiles) at the time the snapshot was taken.
+    """Q(s, ·) of DQN, OptionDQN or QRDQN (the mean over quantiles) when the snapshot was taken.
 
     A multilayer perceptron with ReLU over flat observations is evaluated by numpy, which for one observation is
     several times faster than torch; any other network is copied.
@@ -69,15 +74,12 @@ class ValueSnapshot:
     def __call__(self, observation: Any) -> FloatArray:
         """Q(s, ·) of one observation as `OptionsWrapper` sees it, (n_actions,)."""
         batch: Any = batch_of_one(observation)
-        if "" in self._transposed:
-            batch = np.moveaxis(batch, -1, 1)
-        elif self._transposed:
-            batch = {k: np.moveaxis(v, -1, 1) if k in self._transposed else v for k, v in batch.items()}
-        if isinstance(batch, dict):
-            batch = {k: self._scales[k](v) if k in self._scales else v for k, v in batch.items()}
-        elif self._scales:
-            batch = self._scales[""](batch)
-        return self._by_numpy(batch) if self._layers else self._by_torch(batch)
+        parts = batch if isinstance(batch, dict) else {"": batch}
+        for key in self._transposed:
+            parts[key] = np.moveaxis(parts[key], -1, 1)
+        for key, scale in self._scales.items():
+            parts[key] = scale(parts[key])
+        return self._by_numpy(parts[""]) if self._layers else self._by_torch(parts)
 
     def _by_numpy(self, batch: Any) -> FloatArray:
         hidden = np.eye(self._states)[np.ravel(batch)] if self._states else flatten(batch)
@@ -88,32 +90,55 @@ class ValueSnapshot:
         return values
 
     @torch.no_grad()
-    def _by_torch(self, batch: Any) -> FloatArray:
+    def _by_torch(self, parts: dict[str, Any]) -> FloatArray:
         assert self._network is not None  # there are no layers
-        tensors = (
-            {k: torch.as_tensor(v) for k, v in batch.items()} if isinstance(batch, dict) else torch.as_tensor(batch)
-        )
-        values: FloatArray = self._network(tensors)[0].double().reshape(self._outputs, -1).mean(dim=0).numpy()
+        tensors = {key: torch.as_tensor(part) for key, part in parts.items()}
+        outputs = self._network(tensors.get("", tensors))[0].double()
+        values: FloatArray = outputs.reshape(self._outputs, -1).mean(dim=0).numpy()
         return values
 
 
 def interrupt_options(model: BaseAlgorithm, venv: VecEnv, *, every_choice: bool = True) -> bool:
-    """Let options end in an environment where the model, as it is now, values something else more.
+    """Let options end in an environment where the model, as it is now, gives another action a greater value.
 
     Args:
-        model: Whose values count.
+        model: Gives the values.
         venv: Wrapped in `OptionsWrapper`.
         every_choice: As for `Interruption`; True where the model acts greedily.
 
     Returns:
-        Whether it can be done: DQN, QRDQN and OptionDQN have values of options. Beneath a ``VecFrameStack`` nobody sees
-        the frames that the values are of, and options run to their ends.
+        Whether it can be done. Only DQN, QRDQN and OptionDQN have values of options, and beneath a ``VecFrameStack``
+        the wrapper does not see the frames that the values depend on.
     """
     if not heads.has_networks(model.policy) or is_vecenv_wrapped(venv, VecFrameStack):
         return False
     rule = Interruption(ValueSnapshot(model), masks=isinstance(model, OptionDQN), every_choice=every_choice)
     venv.env_method("set_interruption", rule)
     return True
+
+
+class Interrupter:
+    """Keeps the values in the environments at most `REFRESH` primitive steps behind the model's.
+
+    Args:
+        model: Being trained.
+        venv: Its environment, where an option is interrupted if it was the best choice where it began.
+        eval_envs: Where choices are greedy, and every option is interrupted.
+    """
+
+    def __init__(self, model: BaseAlgorithm, venv: VecEnv, eval_envs: Sequence[VecEnv]) -> None:
+        self.model, self.venv, self.eval_envs = model, venv, eval_envs
+        self._refreshed: int | None = None
+
+    def refresh(self, *, at_once: bool = False) -> None:
+        """Send the model's values if the last ones are too old, or ``at_once``."""
+        now = self.model.num_timesteps
+        if not at_once and self._refreshed is not None and now - self._refreshed < REFRESH:
+            return
+        self._refreshed = now
+        interrupt_options(self.model, self.venv, every_choice=False)
+        for eval_env in self.eval_envs:
+            interrupt_options(self.model, eval_env)
 
 
 def _numpy_layers(network: Any, outputs: int) -> list[tuple[FloatArray, FloatArray]]:
@@ -135,9 +160,5 @@ def _numpy_layers(network: Any, outputs: int) -> list[tuple[FloatArray, FloatArr
 
 def _transposed_keys(model: BaseAlgorithm) -> frozenset[str]:
     """The images whose channels SB3 moves to the front, by key; the empty key where observations are no ``Dict``."""
-    venv: Any = model.get_env()
-    while venv is not None and not isinstance(venv, VecTransposeImage):
-        venv = getattr(venv, "venv", None) if hasattr(type(venv), "step_wait") else None
-    if venv is None or venv.skip:
-        return frozenset()
-    return frozenset(getattr(venv, "image_space_keys", [""]))
+    venv = unwrap_vec_wrapper(model.get_env(), VecTransposeImage)  # type: ignore[arg-type]  # None is no wrapper
+    return frozenset() if venv is None or venv.skip else frozenset(getattr(venv, "image_space_keys", [""]))

@@ -8,7 +8,7 @@ from stable_baselines3.common.callbacks import EvalCallback
 
 from sb3_options import MacroQ, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback, TrialSettings
-from sb3_options.callbacks.serving import OptionServer
+from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.learning import heads
 from tests.support.helpers import steady_option
@@ -44,14 +44,14 @@ def test_a_trial_withholds_nothing_after_training() -> None:
     assert env.action_masks()[4]
 
 
-def test_an_option_that_is_leaving_is_not_judged_again() -> None:
+def test_an_option_that_is_being_removed_has_no_second_verdict() -> None:
     env = with_option()
-    server = OptionServer(model_of(env), env_of(model_of(env)), None)
-    assert server.staying() == [0]
-    server.remove(0)
-    assert server.staying() == []
+    installer = OptionInstaller(model_of(env), env_of(model_of(env)), None)
+    assert installer.installed() == [0]
+    installer.uninstall(0)
+    assert installer.installed() == []
     trials = OptionTrials(env_of(model_of(env)), TrialSettings(), 0)
-    assert trials.episode_ended(None, success=True, filled=server.staying()) == []
+    assert trials.episode_ended(None, success=True, filled=installer.installed()) == []
 
 
 def test_a_closed_option_makes_room_for_another() -> None:

@@ -25,7 +25,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from sb3_options import OptionBank, OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
-from sb3_options.callbacks.statistics import WINDOW, OptionStatistics
+from sb3_options.callbacks.records import WINDOW, OptionStatistics
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning import heads
 from sb3_options.options.option import SubgoalOption

@@ -182,7 +182,7 @@ def test_a_harmful_option_leaves_nothing_behind(algorithm: Any) -> None:
     if off_policy:
         buffer = model.replay_buffer
         assert (buffer.actions[: buffer.size()] < action).all()
-        assert not buffer.memory.takes.any()
+        assert not buffer.consistency.consistent.any()
 
 
 def test_its_slot_is_filled_again(monkeypatch: pytest.MonkeyPatch) -> None:

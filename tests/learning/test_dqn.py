@@ -356,7 +356,7 @@ class TestOptionDQN:
         assert model._option_buffer().next_available[: model._option_buffer().size()].any()
 
     def test_needs_the_wrapper(self) -> None:
-        with pytest.raises(ValueError, match=r"OptionDQN needs an environment wrapped in OptionsWrapper: use"):
+        with pytest.raises(ValueError, match="The environment of OptionDQN is not wrapped in OptionsWrapper: use"):
             OptionDQN("MlpPolicy", small_rooms())
 
     def test_needs_the_buffer(self) -> None:

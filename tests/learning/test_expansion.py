@@ -456,12 +456,12 @@ def test_errors_leave_the_model_as_it_was() -> None:
     with pytest.raises(ValueError, match="max_options must be at least 1, got 0"):
         expand_action_space(model, 0)
     with pytest.raises(
-        ValueError, match=r"env is not wrapped in OptionsWrapper: use OptionsWrapper\(env, 4, gamma=0.9"
+        ValueError, match=r"env is not wrapped in OptionsWrapper: use OptionsWrapper\(env, max_options=4, gamma=0.9"
     ):
         expand_action_space(model, env=small_rooms())
     with pytest.raises(ValueError, match="env has 4 option slots, max_options is 3: give both the same"):
         expand_action_space(model, 3, env=optioned_rooms(4))
-    with pytest.raises(ValueError, match=r"OptionsWrapper discounts with gamma=0.5, the model with gamma=0.9"):
+    with pytest.raises(ValueError, match=r"OptionsWrapper discounts with gamma=0.5, DQN with gamma=0.9"):
         expand_action_space(model, 4, env=OptionsWrapper(small_rooms(), 4, gamma=0.5))
     with pytest.raises(ValueError, match=r"chooses among 4 actions, env has 2 primitive actions"):
         expand_action_space(model, 4, env=OptionsWrapper(Corridor(), 4, gamma=GAMMA))

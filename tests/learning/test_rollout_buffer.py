@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import torch
 from sb3_contrib import TRPO, MaskablePPO, RecurrentPPO
+from sb3_contrib.common.maskable.buffers import MaskableRolloutBuffer
+from sb3_contrib.common.recurrent.buffers import RecurrentRolloutBuffer
 from stable_baselines3 import A2C, PPO
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
@@ -16,10 +18,10 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from sb3_options import Option, OptionDictRolloutBuffer, OptionRolloutBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback
-from sb3_options.callbacks.serving import OptionServer
+from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.experience.observations import batch_size
-from sb3_options.learning.contrib_buffers import OptionMaskableRolloutBuffer, OptionRecurrentRolloutBuffer
-from sb3_options.learning.rollout_buffer import Passage, SMDPAdvantages, smdp_advantages
+from sb3_options.experience.option_run import OptionRun
+from sb3_options.learning.rollout_buffer import SMDPAdvantages, smdp_advantages
 from tests.support.helpers import DictEnv, place_of, steady_option
 from tests.support.sb3_helpers import Corridor, StepLog, env_of
 
@@ -146,7 +148,7 @@ def test_without_options_it_is_the_stock_buffer() -> None:
     kwargs: dict[str, Any] = {"device": "cpu", "gae_lambda": LAMBDA, "gamma": GAMMA, "n_envs": 3}
     stock = RolloutBuffer(50, *spaces, **kwargs)
     ours = OptionRolloutBuffer(50, *spaces, **kwargs)
-    callback_like = np.full(3, 1.0), np.full(3, GAMMA)
+    runs = [OptionRun(-1, 1, GAMMA, GAMMA, "primitive")] * 3
     for _ in range(50):
         reward = rng.normal(size=3).astype(np.float32)
         step = (
@@ -154,7 +156,7 @@ def test_without_options_it_is_the_stock_buffer() -> None:
             torch.as_tensor(rng.normal(size=3), dtype=torch.float32), torch.zeros(3),
         )  # fmt: skip
         stock.add(*step)
-        ours.expect(Passage(reward.astype(np.float64), *callback_like))
+        ours.expect(reward, runs)
         ours.add(*step)
     last, dones = torch.as_tensor(rng.normal(size=(3, 1)), dtype=torch.float32), np.array([True, False, False])
     stock.compute_returns_and_advantage(last, dones)
@@ -227,15 +229,18 @@ def test_dict_observations() -> None:
 @pytest.mark.parametrize(
     ("algorithm", "expected"),
     [
-        (MaskablePPO, OptionMaskableRolloutBuffer),
-        (RecurrentPPO, OptionRecurrentRolloutBuffer),
-        (TRPO, OptionRolloutBuffer),
+        (MaskablePPO, MaskableRolloutBuffer),
+        (RecurrentPPO, RecurrentRolloutBuffer),
+        (TRPO, RolloutBuffer),
     ],
 )
-def test_contrib_algorithms_get_their_sibling(algorithm: Any, expected: type) -> None:
+def test_contrib_algorithms_get_a_buffer_derived_from_their_own(algorithm: Any, expected: type) -> None:
     model = make(algorithm, DummyVecEnv([lambda: optioned_corridor(20)]))
     model.learn(64, callback=PrimitiveStepsCallback())
-    assert type(model.rollout_buffer) is expected
+    assert type(model.rollout_buffer).__bases__ == (SMDPAdvantages, expected)
+    made = type(model.rollout_buffer)
+    model.learn(64, callback=PrimitiveStepsCallback())
+    assert type(model.rollout_buffer) is made
 
 
 def test_normalised_rewards_keep_the_bootstrap() -> None:
@@ -256,12 +261,12 @@ def test_an_option_moves_in_between_rollouts_only() -> None:
     env = OptionsWrapper(Corridor(), 1, gamma=GAMMA)
     stock, masked = make(PPO, env), make(MaskablePPO, OptionsWrapper(Corridor(), 1, gamma=GAMMA))
     for model, at_once in ((stock, False), (masked, True)):
-        server = OptionServer(model, env_of(model), None)
-        server.put(0, steady_option(1))
+        installer = OptionInstaller(model, env_of(model), None)
+        installer.install(0, steady_option(1))
         banks = env_of(model).get_attr("bank")
         assert (len(banks[0]) == 1) is at_once
-        assert len(server.bank) == 1
-        server.rollout_starts()
+        assert len(installer.bank) == 1
+        installer.on_rollout_start()
         assert len(env_of(model).get_attr("bank")[0]) == 1
 
 
@@ -302,7 +307,7 @@ def test_an_option_opens_with_its_share_of_the_probability_where_masks_keep_it_i
     with torch.no_grad():
         model.policy.action_net.weight.zero_()
         model.policy.action_net.bias.zero_()
-    OptionServer(model, env_of(model), None, max_option_exploration=share)
+    OptionInstaller(model, env_of(model), None, max_option_exploration=share)
     observation = torch.zeros((1, 2))
     masks = np.array([[True, True, *[True] * n_present, *[False] * (3 - n_present)]])
     probabilities = model.policy.get_distribution(observation, action_masks=masks).distribution.probs[0].detach()
@@ -316,11 +321,11 @@ def test_an_untrained_model_opens_the_heads_of_options_that_are_there_a_trained_
     env.bank.add(steady_option(1))
     model: Any = make(PPO, env)
     head = model.policy.action_net
-    OptionServer(model, env_of(model), None)
+    OptionInstaller(model, env_of(model), None)
     assert torch.equal(head.weight[2], head.weight[:2].mean(dim=0))
     assert torch.equal(head.bias[2], head.bias[:2].mean(dim=0))
     model.learn(64, callback=PrimitiveStepsCallback())
     learned = head.weight[2].clone()
-    OptionServer(model, env_of(model), None)
+    OptionInstaller(model, env_of(model), None)
     assert torch.equal(head.weight[2], learned)
     assert not torch.equal(learned, head.weight[:2].mean(dim=0))

@@ -9,7 +9,7 @@ from stable_baselines3.common.buffers import DictReplayBuffer, ReplayBuffer
 from stable_baselines3.common.utils import set_random_seed
 
 from sb3_options import OptionReplayBuffer
-from sb3_options.learning.replay_expansion import check_buffer, option_replay_buffer
+from sb3_options.learning.replay_buffer import check_stock_buffer
 
 GAMMA = 0.9
 BOX = spaces.Box(0.0, 1000.0, (2,), np.float32)
@@ -53,7 +53,7 @@ def values_of(rows: dict[str, Any]) -> list[int]:
 def test_every_transition_is_kept(kind: str, n_envs: int, n_steps: int) -> None:
     """8 steps find room: some, all, and more."""
     stock = stock_buffer(kind, n_envs, n_steps, 8 * n_envs)
-    buffer = option_replay_buffer(stock, spaces.Discrete(7), GAMMA)
+    buffer = OptionReplayBuffer.from_stock(stock, spaces.Discrete(7), GAMMA)
     assert buffer.buffer_size == 8 * n_envs
     assert buffer.size() == min(n_steps, 8) * n_envs
     assert buffer.full == (n_steps >= 8)
@@ -73,7 +73,7 @@ def test_every_transition_is_kept(kind: str, n_envs: int, n_steps: int) -> None:
 
 @pytest.mark.parametrize("n_steps", [4, 8, 11])
 def test_the_oldest_are_overwritten_first(n_steps: int) -> None:
-    buffer = option_replay_buffer(stock_buffer("box", 2, n_steps, 16), spaces.Discrete(7), GAMMA)
+    buffer = OptionReplayBuffer.from_stock(stock_buffer("box", 2, n_steps, 16), spaces.Discrete(7), GAMMA)
     before = set(values_of(buffer._observations))
     info = {"option": {"index": -1, "duration": 1, "discount": GAMMA, "termination": "primitive"}}
     new = np.array([900, 901])
@@ -86,7 +86,7 @@ def test_the_oldest_are_overwritten_first(n_steps: int) -> None:
 
 def test_nothing_is_copied() -> None:
     stock = stock_buffer("image", 2, 4, 16)
-    buffer = option_replay_buffer(stock, spaces.Discrete(7), GAMMA)
+    buffer = OptionReplayBuffer.from_stock(stock, spaces.Discrete(7), GAMMA)
     assert np.shares_memory(stock.observations, buffer._observations[""])
     assert np.shares_memory(stock.next_observations, buffer._next_observations[""])
 
@@ -95,7 +95,7 @@ def test_samples_are_those_of_the_stock_buffer() -> None:
     stock = stock_buffer("box", 1, 11, 8)
     set_random_seed(0)
     expected = stock.sample(64)
-    buffer = option_replay_buffer(stock, spaces.Discrete(7), GAMMA)
+    buffer = OptionReplayBuffer.from_stock(stock, spaces.Discrete(7), GAMMA)
     set_random_seed(0)
     samples: Any = buffer.sample(64)
     for name in ("observations", "actions", "next_observations", "dones", "rewards"):
@@ -109,7 +109,7 @@ def test_a_buffer_that_saves_memory(n_steps: int) -> None:
     stock = stock_buffer(
         "box", 2, n_steps, 16, optimize_memory_usage=True, handle_timeout_termination=False
     )  # fmt: skip
-    buffer = option_replay_buffer(stock, spaces.Discrete(7), GAMMA)
+    buffer = OptionReplayBuffer.from_stock(stock, spaces.Discrete(7), GAMMA)
     n_kept = min(n_steps, 7) if n_steps >= 8 else n_steps
     expected = [10 * t + e for t in range(n_steps - n_kept, n_steps) for e in range(2)]
     size = buffer.size()
@@ -126,6 +126,6 @@ def test_a_buffer_of_unknown_rows_is_refused() -> None:
         pass
 
     with pytest.raises(TypeError, match=r"transitions of a Own cannot be taken over.*model.replay_buffer = None"):
-        check_buffer(Own(8, BOX, spaces.Discrete(4)))
-    check_buffer(OptionReplayBuffer(8, BOX, spaces.Discrete(4)))
-    check_buffer(None)
+        check_stock_buffer(Own(8, BOX, spaces.Discrete(4)))
+    check_stock_buffer(OptionReplayBuffer(8, BOX, spaces.Discrete(4)))
+    check_stock_buffer(None)

@@ -1,0 +1,236 @@
+"""Installing options where they take effect: in every environment, the network's heads and the replay buffer."""
+
+from __future__ import annotations
+
+import inspect
+import logging
+
+import numpy as np
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
+from stable_baselines3.common.vec_env import VecEnv
+
+from sb3_options.callbacks.checks import check_same_slots
+from sb3_options.callbacks.intra_option import IntraOptionUpdater
+from sb3_options.callbacks.primitive_steps import all_callbacks, monitor_primitive_steps
+from sb3_options.execution.exploration import cap_option_exploration
+from sb3_options.execution.vec_env import as_wrapper_sees
+from sb3_options.execution.workers import watch_workers
+from sb3_options.experience.observations import BoolArray, FloatArray, Observations, take
+from sb3_options.learning import heads
+from sb3_options.learning.macro_q import MacroQ
+from sb3_options.learning.replay_buffer import OptionReplayBuffer
+from sb3_options.learning.value_snapshot import Interrupter
+from sb3_options.options.bank import OptionBank
+from sb3_options.options.option import Option, SubgoalOption
+
+AVAILABILITY_CHUNK = 4096
+"""Stored observations are sent to the environment in batches of this many when an option is installed."""
+
+logger = logging.getLogger("sb3_options")
+
+
+class OptionInstaller:
+    """Keeps the options of all environments, the heads of the network and the replay buffer equal to its `bank`.
+
+    Off-policy algorithms get an option at once. Algorithms that sample actions from a policy without masks get it when
+    the next rollout starts: with a head that was closed at the start of a rollout and open at its end, the update
+    would use probabilities that the actions never had.
+
+    Args:
+        model: Being trained.
+        venv: Its environment.
+        callbacks: The tree that ``learn`` was given; environments of an ``EvalCallback`` in it get the options too.
+        max_option_exploration: Largest share of options among exploratory choices.
+        interruption: Whether options end where going on is worth less than the best alternative (`Interruption`).
+    """
+
+    def __init__(
+        self,
+        model: BaseAlgorithm,
+        venv: VecEnv,
+        callbacks: BaseCallback | None,
+        *,
+        max_option_exploration: float = 1.0,
+        interruption: bool = False,
+    ) -> None:
+        self.model, self.venv = model, venv
+        self.eval_envs = [c.eval_env for c in all_callbacks(callbacks) if isinstance(c, EvalCallback)]
+        for eval_env in self.eval_envs:
+            watch_workers(eval_env)
+            check_same_slots(venv, eval_env)
+            monitor_primitive_steps(eval_env)
+        buffer = getattr(model, "replay_buffer", None)
+        self.buffer = buffer if isinstance(buffer, OptionReplayBuffer) else None
+        self.has_heads = not isinstance(model, MacroQ)
+        self.has_rollouts = hasattr(model, "rollout_buffer")
+        masks = "action_masks" in inspect.signature(model.policy.forward).parameters
+        self.waits_for_rollout = self.has_rollouts and not masks
+        self.max_option_exploration = max_option_exploration
+        self._pending: dict[int, Option] = {}
+        self._new: list[int] = []
+        self._closing: set[int] = set()
+        present: OptionBank = venv.get_attr("bank", [0])[0]
+        self.n_primitive = present.n_primitive
+        self.bank = OptionBank(
+            present.n_primitive, present.max_options, feature_map=self.features_of, signature=present.signature
+        )
+        self.explored = cap_option_exploration(model, self.n_primitive, max_option_exploration)
+        self.updater = IntraOptionUpdater(model, venv, self.bank) if IntraOptionUpdater.applies_to(model) else None
+        self.interrupter: Interrupter | None = None
+        if interruption and heads.has_networks(model.policy):
+            self.interrupter = Interrupter(model, venv, self.eval_envs)
+        else:
+            self._call_environments("set_interruption", None)  # an earlier training may have left its own
+        for slot, option in enumerate(present.slots):
+            if option is not None:
+                if self.has_heads and getattr(model, "_n_updates", 1) == 0:
+                    heads.close_head(model.policy, self.n_primitive + slot)  # random weights; it is opened below
+                self._install_now(slot, option)
+            elif self.has_heads:
+                self._close_empty(slot)
+
+    def features_of(self, observations: Observations) -> FloatArray:
+        """φ of a batch of observations, (batch, d); φ may exist in a worker process only."""
+        features: FloatArray = self.venv.env_method("concept_features", observations, indices=[0])[0]
+        return features
+
+    def install(self, slot: int, option: Option) -> None:
+        """Install an option in an empty slot, at once or when the next rollout starts."""
+        if self.waits_for_rollout:
+            self.bank.add(option, slot)
+            self._pending[slot] = option
+        else:
+            self._install_now(slot, option)
+
+    def replace(self, slot: int, option: Option) -> None:
+        """Put a later version of an option into the slot it is in."""
+        if slot in self._pending:
+            self.bank.add(option, slot)
+            self._pending[slot] = option
+            return
+        before = self.bank[slot]
+        self._send(slot, option)
+        if _same_initiation(before, option):
+            if self.updater is not None:
+                self.updater.note_change(slot)
+        elif slot not in self._new:
+            self._new.append(slot)  # its availability has to be computed anew
+
+    def uninstall(self, slot: int) -> None:
+        """Remove an option as soon as nothing that is still to be learned from can name it.
+
+        A replay buffer must have stored the current step, a rollout buffer must have been emptied.
+        """
+        if self._pending.pop(slot, None) is not None:
+            self.bank.remove(slot)  # it never was in an environment
+        else:
+            self._closing.add(slot)
+
+    def installed(self) -> list[int]:
+        """The filled slots without those that are being emptied."""
+        return [slot for slot in self.bank.filled if slot not in self._closing]
+
+    def on_rollout_start(self) -> None:
+        """Install pending options and remove closed ones."""
+        self._uninstall_closed()
+        for slot, option in self._pending.items():
+            self._install_now(slot, option)
+        self._pending.clear()
+
+    def on_rollout_end(self) -> None:
+        """Bring the replay buffer and the environments' values up to date."""
+        if not self.has_rollouts:
+            self._uninstall_closed()
+        # Only now is the step stored at whose end an option was made, and no gradient step was taken in between.
+        if self.buffer is not None and self.buffer.tracks_availability:
+            for slot in self._new:
+                self.buffer.set_next_available(slot, self._availability(self.buffer, self.n_primitive + slot))
+        if self.updater is not None:
+            for slot in self._new:
+                self.updater.compare_all(slot)
+            self.updater.update()
+        if self.interrupter is not None and len(self.bank):
+            self.interrupter.refresh(at_once=bool(self._new))
+        self._new.clear()
+
+    def on_training_end(self) -> None:
+        """Leave no option pending, and the environments with the values that were learned."""
+        self.on_rollout_start()
+        self.on_rollout_end()
+        if self.interrupter is not None and len(self.bank):
+            self.interrupter.refresh(at_once=True)
+
+    def _install_now(self, slot: int, option: Option) -> None:
+        self._send(slot, option)
+        if not self.has_heads:
+            return  # MacroQ asks for what is available in every step
+        action = self.n_primitive + slot
+        if heads.is_closed(self.model.policy, action):
+            heads.open_head(self.model.policy, action, self.n_primitive, odds=self._odds())
+        self._new.append(slot)
+
+    def _odds(self) -> float | None:
+        """Odds of a new option against all primitives, for policies that sample and mask; None for the others."""
+        if not self.has_rollouts or self.waits_for_rollout or self.max_option_exploration == 1.0:
+            return None
+        share = self.max_option_exploration
+        return max(share / (1.0 - share) / len(self.bank), 1e-3)
+
+    def _close_empty(self, slot: int) -> None:
+        """Close the head of a slot that is empty when training starts."""
+        action = self.n_primitive + slot
+        if getattr(self.model, "_n_updates", 0) > 0 and not heads.is_closed(self.model.policy, action):
+            logger.warning(
+                "Slot %d is empty, and the model has learned what an option there is worth: that is forgotten now. If "
+                "the options of an earlier training were meant to be there, load them first: OptionsWrapper(env, "
+                "options_file=...) or env.bank.load(...).",
+                slot,
+            )
+        heads.close_head(self.model.policy, action)
+
+    def _uninstall_closed(self) -> None:
+        for slot in self._closing:
+            action = self.n_primitive + slot
+            self.bank.remove(slot)
+            self._call_environments("set_option", slot, None)
+            if self.explored is not None:
+                self.explored.filled = self.bank.filled
+            if self.has_heads:
+                heads.close_head(self.model.policy, action)
+                heads.forget_moments(self.model.policy, action)
+            if self.buffer is not None:
+                self.buffer.forget_action(action)
+                self.buffer.set_next_available(slot, False)
+            if self.updater is not None:
+                self.updater.clear(slot)
+            if slot in self._new:
+                self._new.remove(slot)
+        self._closing.clear()
+
+    def _send(self, slot: int, option: Option) -> None:
+        self.bank.add(option, slot)
+        if self.explored is not None:
+            self.explored.filled = self.bank.filled
+        # φ stays behind: functions may not travel between processes.
+        self._call_environments("set_option", slot, option.bind(None) if isinstance(option, SubgoalOption) else option)
+
+    def _call_environments(self, method: str, *args: object) -> None:
+        for venv in [self.venv, *self.eval_envs]:
+            venv.env_method(method, *args)
+
+    def _availability(self, buffer: OptionReplayBuffer, action: int) -> BoolArray:
+        """Whether ``action`` may start in each stored next observation, (size,)."""
+        available = [np.zeros(0, dtype=bool)]
+        stored = buffer.next_observations_stored()
+        for start in range(0, buffer.size(), AVAILABILITY_CHUNK):
+            chunk = as_wrapper_sees(self.venv, take(stored, slice(start, start + AVAILABILITY_CHUNK)))
+            available.append(self.venv.env_method("available", chunk, indices=[0])[0][:, action])
+        return np.concatenate(available)
+
+
+def _same_initiation(one: Option | None, other: Option) -> bool:
+    """Whether two options are known to start in the same states."""
+    if not (isinstance(one, SubgoalOption) and isinstance(other, SubgoalOption)):
+        return False
+    return one.initiation_set is other.initiation_set

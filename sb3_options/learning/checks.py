@@ -1,0 +1,48 @@
+"""What learning over options needs of an environment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.vec_env import VecEnv
+
+from sb3_options.execution.wrapper import OptionsWrapper
+
+
+def check_wrapped(venv: VecEnv, whose: str, *, max_options: Any = "...", gamma: Any = "...") -> None:
+    """Refuse an environment without `OptionsWrapper`.
+
+    Args:
+        venv: The environment.
+        whose: Subject of the error's text.
+        max_options: For the text.
+        gamma: For the text.
+
+    Raises:
+        ValueError: One of the environments is not wrapped.
+    """
+    if not all(venv.env_is_wrapped(OptionsWrapper)):
+        raise ValueError(
+            f"{whose} is not wrapped in OptionsWrapper: use OptionsWrapper(env, max_options={max_options}, "
+            f"gamma={gamma}) or make_vec_env(..., wrapper_class=OptionsWrapper)."
+        )
+
+
+def check_gamma(model: BaseAlgorithm, venv: VecEnv) -> None:
+    """Refuse wrappers that discount otherwise than the algorithm.
+
+    Args:
+        model: Of an algorithm that discounts.
+        venv: Wrapped in `OptionsWrapper`.
+
+    Raises:
+        ValueError: Their γ differ.
+    """
+    gamma: float = model.gamma  # type: ignore[attr-defined]  # every algorithm over discrete actions has it
+    different = [g for g in venv.get_attr("gamma") if abs(g - gamma) > 1e-12]
+    if different:
+        raise ValueError(
+            f"OptionsWrapper discounts with gamma={different[0]}, {type(model).__name__} with gamma={gamma}: "
+            "give both the same."
+        )
