@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NoReturn
 
+import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import (
@@ -44,6 +45,7 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
         _check_deep(model, venv)
     _check_nothing_above_changes_observations(venv)
     check_nothing_above_changes_steps(venv)
+    check_normalized_rewards(model)
     check_gamma(model, venv)
     if venv.env_method("feature_kind", indices=[0])[0] is None:
         raise ValueError(
@@ -79,6 +81,31 @@ def check_nothing_above_changes_steps(venv: VecEnv) -> None:
             "which the steps inside options know nothing: put it beneath, for instance "
             "OptionsWrapper(TimeLimit(env, 500)). A wrapper of your own whose step returns what the environment's step "
             "returned says so by a class attribute, returns_steps_unchanged = True."
+        )
+
+
+def check_normalized_rewards(model: BaseAlgorithm) -> None:
+    """Refuse a ``VecNormalize`` whose clip an off-policy algorithm would apply to the sum of an option's rewards.
+
+    A rollout buffer gets sums of normalised rewards (`normalized_rewards`). A replay buffer stores sums, and normalises
+    them when they are drawn, with the σ of that time.
+
+    Raises:
+        ValueError: The model has one.
+    """
+    normalizer = model.get_vec_normalize_env()
+    if normalizer is None:
+        return
+    if isinstance(model, MacroQ):
+        raise ValueError(
+            "MacroQ learns from the steps inside options as the environment gives them, which VecNormalize never sees: "
+            "leave VecNormalize out."
+        )
+    if hasattr(model, "replay_buffer") and normalizer.norm_reward and np.isfinite(normalizer.clip_reward):
+        raise ValueError(
+            f"VecNormalize clips the reward of a whole option at {normalizer.clip_reward}, and with it γ: how long the "
+            "option took would no longer show. Pass VecNormalize(..., clip_reward=np.inf), which only divides, or "
+            "norm_reward=False."
         )
 
 
