@@ -168,7 +168,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
         runs = [OptionRun.from_info(info) for info in infos]
         count_inner_steps(self, runs)
         if self._rollout_buffer is not None:
-            self._rollout_buffer.expect(self.locals["rewards"], runs)
+            self._rollout_buffer.expect(self.locals["rewards"], runs, self.model.get_vec_normalize_env())
         for info, run in zip(infos, runs, strict=True):
             if run.index >= 0:
                 self._statistics.add(run)
