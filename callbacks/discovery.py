@@ -17,21 +17,24 @@ from sb3_options.callbacks.records import ClosedOption, DiscoveredOption
 from sb3_options.callbacks.serving import OptionServer
 from sb3_options.callbacks.statistics import OptionStatistics
 from sb3_options.callbacks.trials import OptionTrials
+from sb3_options.density.regions import Region
 from sb3_options.discovery.figures import discovery_figures
-from sb3_options.discovery.static_filter import StaticFilter, SuccessRule, reported_success
-from sb3_options.discovery.subgoals import DiscoverySettings, SubgoalDiscovery
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.static_filter import StaticFilter
+from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.execution.exploration import checked_share
 from sb3_options.execution.interruption import checked_margin
 from sb3_options.execution.trials import TrialSettings, Verdict
 from sb3_options.execution.withholding import TrialReport
 from sb3_options.execution.workers import watch_workers
+from sb3_options.experience.success import SuccessRule, reported_success
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.learning.on_policy import option_rollout_buffer
 from sb3_options.learning.rollout_buffer import LambdaPer, SMDPAdvantages, passage_of
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.creation import OptionLearningSettings, learn_further, learn_option
 from sb3_options.options.growth import OptionGrowth
-from sb3_options.options.option import Region, SubgoalOption
+from sb3_options.options.option import SubgoalOption
 
 logger = logging.getLogger("sb3_options")
 

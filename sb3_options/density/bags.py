@@ -6,8 +6,10 @@ from typing import Literal, NamedTuple, Self
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from torch import Tensor
+
+from sb3_options.density.arrays import FloatArray
 
 # What a row of the padded layout costs beside its instances, in instances.
 ROW_COST = 8
@@ -90,7 +92,7 @@ class Bags:
         """The dimension d of the feature space."""
         return int(self.instances.shape[1])
 
-    def smallest_positive(self, n: int) -> NDArray[np.float64]:
+    def smallest_positive(self, n: int) -> FloatArray:
         """Distinct instances (m, d) of the `n` positive bags with the fewest, in the order packed."""
         positive = torch.split(self.instances, list(self.lengths))[: self.n_positive]
         smallest = sorted(sorted(range(len(positive)), key=lambda i: self.lengths[i])[:n])
@@ -167,7 +169,7 @@ class Layout(NamedTuple):
         return (bags if self.bag_of_row is None else bags[:, self.bag_of_row])[..., None]
 
 
-def distinct(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def distinct(points: FloatArray) -> FloatArray:
     """Drop repeated rows, keep the order. Adding 0 makes -0 a 0, whose bytes it must share."""
     first = {row.tobytes(): i for i, row in reversed(list(enumerate(points + 0.0)))}
     return points[sorted(first.values())]

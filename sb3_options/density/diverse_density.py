@@ -15,6 +15,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
+from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags, Layout, distinct
 
 # (points × instances) held at once: bounds the memory; larger arrays leave the cache, smaller ones cost calls.
@@ -241,8 +242,8 @@ class Peak(NamedTuple):
         converged: Whether the ascent had come to rest.
     """
 
-    point: NDArray[np.float64]
-    scale: NDArray[np.float64]
+    point: FloatArray
+    scale: FloatArray
     log_density: float
     converged: bool
 
@@ -309,7 +310,7 @@ class DiverseDensity:
             if not holds:
                 raise ValueError(f"{name} must be {expected}, got {getattr(self, name)!r}")
 
-    def log_density(self, points: ArrayLike, bags: Bags) -> NDArray[np.float64]:
+    def log_density(self, points: ArrayLike, bags: Bags) -> FloatArray:
         """Log diverse density, shape (S,), of points (S, d) at the constructor's scale.
 
         Raises:
@@ -364,7 +365,7 @@ class DiverseDensity:
         ]
 
     @torch.no_grad()
-    def _ascend(self, starts: NDArray[np.float64], bags: Bags) -> list[Peak]:
+    def _ascend(self, starts: FloatArray, bags: Bags) -> list[Peak]:
         layout = bags.layout(torch.float32)
         width = np.broadcast_to(np.asarray(self.scale, dtype=np.float64), starts.shape[1:])
 
@@ -418,7 +419,7 @@ class DiverseDensity:
         ]
 
 
-def best_apart(points: NDArray[np.float64], values: NDArray[Any], radius: float, n: int) -> list[int]:
+def best_apart(points: FloatArray, values: NDArray[Any], radius: float, n: int) -> list[int]:
     """Indices of up to `n` points, best first, each further than `radius` from every better one."""
     kept: list[int] = []
     left = np.argsort(-values, kind="stable")

@@ -6,11 +6,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Array, Concept, Frame
-from sb3_options.density.layout import SEGMENT_INSTANCES, BagArrays, Segment, segment_of
+from sb3_options.density.concepts import Concept, Frame
+from sb3_options.density.layout import SEGMENT_INSTANCES, BagArrays, Segment, Workspace, segment_of
 from sb3_options.density.objective import evaluate
-from sb3_options.density.workspace import Workspace
 
 GROWING_INSTANCES = SEGMENT_INSTANCES // 4
 """What is packed again with every bag that is added or removed; more segments cost calls in every evaluation."""
@@ -64,7 +64,7 @@ class Evidence:
         """Sum of the weights of the positive bags."""
         return float(sum(part.weights[part.positive].sum() for part in self._parts))
 
-    def add(self, bag: Array, *, positive: bool = True, weight: float = 1.0) -> None:
+    def add(self, bag: FloatArray, *, positive: bool = True, weight: float = 1.0) -> None:
         """Add a bag (n, d), at the cost of packing one segment.
 
         Raises:
@@ -117,7 +117,7 @@ class Evidence:
         pull.add_(self.concept.pull_back(theta, at.gradient))
         return at.log_density.add_(prior).neg_(), pull.neg_()
 
-    def positive_instances(self) -> Array:
+    def positive_instances(self) -> FloatArray:
         """Scaled instances of all positive bags, (n, m)."""
         return np.concatenate([part.instances[np.repeat(part.positive, part.lengths)] for part in self._parts])
 
@@ -137,6 +137,6 @@ class Evidence:
             device=self.device,
         )
 
-    def scaled(self, instances: Array) -> Array:
+    def scaled(self, instances: FloatArray) -> FloatArray:
         """Features (n, d) in scaled features (n, m)."""
         return (instances[:, self.frame.features] - self.frame.origin) * self.frame.scale

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
+from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags, distinct
 from sb3_options.density.concepts import Point
 from sb3_options.density.diverse_density import Peak, best_apart
 from sb3_options.density.evidence import Evidence
 from sb3_options.density.search import ConceptSearch, Solution
-from sb3_options.experience.observations import FloatArray
 
 FIRST_BAGS = 3
 """The first search starts from instances of this many bags, later ones from those of the newest bag alone."""

@@ -23,8 +23,7 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor
 
-from sb3_options.density.layout import Segment
-from sb3_options.density.workspace import Arrays, Workspace
+from sb3_options.density.layout import Arrays, Segment, Workspace
 
 MAX_PAIRS = 1 << 20
 """Default for (instances × starts) held at once. Such an array is 4 MiB in single precision."""

@@ -16,12 +16,13 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
+from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags, distinct
-from sb3_options.density.concepts import Array, Concept, Frame, Point
+from sb3_options.density.concepts import Concept, Frame, Point
 from sb3_options.density.evidence import Evidence
 from sb3_options.density.lbfgs import Descent
 from sb3_options.density.objective import MAX_PAIRS
-from sb3_options.options.option import Region
+from sb3_options.density.regions import Region
 
 SURVIVORS = 4
 """After every `first_steps` the best quarter of the starts goes on, until `finalists` are left."""
@@ -49,7 +50,7 @@ class Solution(NamedTuple):
     """
 
     concept: Concept
-    theta: Array
+    theta: FloatArray
     frame: Frame
     log_density: float
     converged: bool
@@ -64,13 +65,13 @@ class Solution(NamedTuple):
             raise ValueError(f"level must lie between 0 and 1, got {level}")
         return self.concept.region(self.theta, self.frame, level)
 
-    def probability(self, instances: ArrayLike) -> Array:
+    def probability(self, instances: ArrayLike) -> FloatArray:
         """Pr(x ∈ concept) of instances (n, d), shape (n,)."""
         x = (np.asarray(instances, dtype=np.float64)[:, self.frame.features] - self.frame.origin) * self.frame.scale
         return instance_probabilities(self.concept, self.theta[:, None], x)[:, 0]
 
 
-def instance_probabilities(concept: Concept, theta: Array, scaled: Array) -> Array:
+def instance_probabilities(concept: Concept, theta: FloatArray, scaled: FloatArray) -> FloatArray:
     """Pr(x ∈ concept) of scaled instances (n, m) under every column of θ (P, S): (n, S)."""
     powers = np.concatenate([np.ones((len(scaled), 1)), scaled, scaled**2], axis=1)
     coefficients = concept.coefficients(torch.from_numpy(np.ascontiguousarray(theta))).numpy()
@@ -236,7 +237,7 @@ class ConceptSearch:
         scales = self.start_scales if self.concept.learns_scale else self.start_scales[:1]
         return torch.cat([self.concept.start(points, scale) for scale in scales], dim=1)
 
-    def climb(self, evidence: Evidence, steps: int) -> Array:
+    def climb(self, evidence: Evidence, steps: int) -> FloatArray:
         """Where every start is after ``steps`` evaluations, none dropped and none merged: θ (P, S)."""
         descent = self._descent(self.starts(evidence).float(), evidence)
         descent.run(steps)

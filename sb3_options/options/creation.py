@@ -12,10 +12,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 import torch
 
+from sb3_options.density.regions import Region
 from sb3_options.experience import observations as obs_batch
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray, Observations, flatten
 from sb3_options.experience.trajectories import LabelledTrajectory
-from sb3_options.options.option import Region, SubgoalOption
+from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, OptionPolicy, PolicyInput, TabularPolicy
 
 

@@ -13,8 +13,9 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save as to_safetensors
 
 from sb3_options.atomic import whole_file
+from sb3_options.density.regions import HalfSpace, Region
 from sb3_options.options import policies as option_policy
-from sb3_options.options.option import HalfSpace, Region, SubgoalOption
+from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import PolicyInput
 
 FILE_FORMAT = "sb3-options 1"

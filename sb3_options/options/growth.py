@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from sb3_options.density.regions import Region
 from sb3_options.experience.trajectories import LabelledTrajectory
-from sb3_options.options.option import Region
 
 
 class OptionGrowth:

@@ -17,7 +17,7 @@ import yaml
 
 from sb3_options.runs import algorithms
 from sb3_options.runs.algorithms import AlgorithmName
-from sb3_options.discovery.subgoals import DiscoverySettings
+from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.options.creation import OptionLearningSettings
 
 TUNED_FOLDER = Path(__file__).parent / "tuned"

@@ -19,7 +19,7 @@ from scipy.stats import binomtest, bootstrap
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
 from sb3_options.atomic import whole_file
-from sb3_options.discovery.static_filter import reported_success
+from sb3_options.experience.success import reported_success
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import LONGEST_EPISODE
 from sb3_options.learning.value_snapshot import interrupt_options

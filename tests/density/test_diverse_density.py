@@ -8,13 +8,13 @@ from typing import Literal
 import numpy as np
 import pytest
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sb3_options.density import diverse_density as module
+from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
 from sb3_options.density.diverse_density import DiverseDensity, Peak, log_diverse_density
 
-Array = NDArray[np.float64]
 # A bag's probability of a miss is rounded once, so a log density near 0 carries the rounding of 1.
 ROUNDING = 1e-14
 
@@ -22,8 +22,8 @@ ROUNDING = 1e-14
 def oracle(
     point: ArrayLike,
     scale: ArrayLike,
-    positive: Sequence[Array],
-    negative: Sequence[Array] = (),
+    positive: Sequence[FloatArray],
+    negative: Sequence[FloatArray] = (),
     strength: float = 1.0,
 ) -> Decimal:
     """Log diverse density by its definition, with as many digits as exp(−D) needs."""
@@ -31,7 +31,7 @@ def oracle(
         context.prec, context.Emin = 60, MIN_EMIN
         t, s = (np.broadcast_to(np.asarray(v, float), np.shape(point)).tolist() for v in (point, scale))
 
-        def p(instance: Array) -> Decimal:
+        def p(instance: FloatArray) -> Decimal:
             terms = zip(t, s, instance.tolist(), strict=True)
             return (-sum(((Decimal(b) * (Decimal(x) - Decimal(a))) ** 2 for a, b, x in terms), Decimal(0))).exp()
 
@@ -56,13 +56,17 @@ def oracle(
         return total
 
 
-def random_bags(rng: np.random.Generator, n: int, d: int, spread: float) -> list[Array]:
+def random_bags(rng: np.random.Generator, n: int, d: int, spread: float) -> list[FloatArray]:
     return [rng.normal(scale=spread, size=(rng.integers(1, 6), d)) for _ in range(n)]
 
 
 def density(
-    points: ArrayLike, scale: ArrayLike, positive: Sequence[Array], negative: Sequence[Array] = (), eta: float = 1.0
-) -> Array:
+    points: ArrayLike,
+    scale: ArrayLike,
+    positive: Sequence[FloatArray],
+    negative: Sequence[FloatArray] = (),
+    eta: float = 1.0,
+) -> FloatArray:
     value = log_diverse_density(points, scale, Bags.pack(positive, negative), negative_strength=eta)
     return np.asarray(value.numpy())
 
@@ -189,7 +193,9 @@ def test_a_far_point_is_pulled_by_the_soft_max_of_the_bag() -> None:
     np.testing.assert_allclose(t.grad[0], 2 * weights @ difference, rtol=1e-6)
 
 
-def value_and_gradient(point: Array, positive: Sequence[Array], negative: Sequence[Array] = ()) -> tuple[float, Array]:
+def value_and_gradient(
+    point: FloatArray, positive: Sequence[FloatArray], negative: Sequence[FloatArray] = ()
+) -> tuple[float, FloatArray]:
     t = torch.tensor(point[None], requires_grad=True)
     s = torch.ones(1, len(point), dtype=torch.float64, requires_grad=True)
     value = log_diverse_density(t, s, Bags.pack(positive, negative))
@@ -276,7 +282,7 @@ def test_many_features_agree_with_few() -> None:
     positive, negative = random_bags(rng, 5, 2, 2), random_bags(rng, 2, 2, 2)
     points = np.concatenate([rng.normal(size=(9, 2)), positive[0], positive[1] + 1e-9])
 
-    def widen(x: Array) -> Array:
+    def widen(x: FloatArray) -> FloatArray:
         return np.hstack([x, np.full((len(x), 30), 50.0)])
 
     wide = density(widen(points), 1.0, [widen(b) for b in positive], [widen(b) for b in negative])
@@ -287,7 +293,7 @@ START_RADIUS, GOAL_RADIUS, GOAL, DOOR = 2, 5, (20, 0), (10, 5)
 MOVES = ((1, 0), (-1, 0), (0, 1), (0, -1))
 
 
-def two_room_bag(rng: np.random.Generator, drift: float) -> Array:
+def two_room_bag(rng: np.random.Generator, drift: float) -> FloatArray:
     """First visits of a walk that steps towards door and goal with probability `drift`, filtered.
 
     The rooms are 21 × 10 cells, with a wall in column 10. Starts keep so far from the door that the filter does not.

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from torch import Tensor
 
+from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Array, Concept, Frame, Plane, Point
+from sb3_options.density.concepts import Concept, Frame, Plane, Point
 from sb3_options.density.diverse_density import log_diverse_density
 from sb3_options.density.evidence import Evidence
 from sb3_options.density.objective import MAX_PAIRS
@@ -28,12 +29,14 @@ def evidence_of(
     )
 
 
-def theta_of(points: Array, scales: Array) -> Tensor:
+def theta_of(points: FloatArray, scales: FloatArray) -> Tensor:
     """θ of `Point` with a scale per feature, (2 d, S)."""
     return torch.from_numpy(np.concatenate([(points * scales).T, np.broadcast_to(scales, points.shape).T]))
 
 
-def densities(evidence: Evidence, points: Array, scales: Array, dtype: torch.dtype = torch.float64) -> Array:
+def densities(
+    evidence: Evidence, points: FloatArray, scales: FloatArray, dtype: torch.dtype = torch.float64
+) -> FloatArray:
     return -evidence.loss(theta_of(points, scales).to(dtype))[0].double().numpy()
 
 
@@ -132,7 +135,7 @@ def test_a_plane_at_any_distance(reach: float) -> None:
     theta = torch.from_numpy(np.array([[1.0], [2.0], [reach]]))
     evidence = evidence_of(Bags.pack(positive, negative), Plane(offset=1e9, steepness=1e9))
 
-    def log_p(x: Array) -> Array:
+    def log_p(x: FloatArray) -> FloatArray:
         return np.asarray(-np.logaddexp(0, reach - x @ [1.0, 2.0]))
 
     expected = sum(
@@ -201,7 +204,7 @@ SOME_BAGS = st.lists(arrays(np.float64, st.tuples(st.integers(1, 5), st.just(2))
 @given(positive=SOME_BAGS, negative=SOME_BAGS, point=st.tuples(FEATURE, FEATURE), offset=FEATURE)
 @settings(max_examples=50, deadline=None)
 def test_order_and_origin_change_nothing(
-    positive: list[Array], negative: list[Array], point: tuple[float, float], offset: float
+    positive: list[FloatArray], negative: list[FloatArray], point: tuple[float, float], offset: float
 ) -> None:
     assume(positive or negative)
     at, ones = np.array([point]), np.ones(2)

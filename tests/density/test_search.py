@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 import torch
 
+from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Array, Concept, Plane, Point
+from sb3_options.density.concepts import Concept, Plane, Point
 from sb3_options.density.evidence import Evidence
 from sb3_options.density.lbfgs import Descent
+from sb3_options.density.regions import HalfSpace, Region
 from sb3_options.density.search import ConceptSearch
 from sb3_options.experience.observations import flatten
 from sb3_options.options.bank import OptionBank
-from sb3_options.options.option import HalfSpace, Region, SubgoalOption
+from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from tests.density.test_diverse_density import planted, two_rooms
 
@@ -149,7 +151,7 @@ def test_a_half_space() -> None:
     rng = np.random.default_rng(2)
     normal, scale = np.array([3.0, 4.0]) / 5, np.array([1.0, 0.1])
 
-    def side(n: int, low: float, high: float) -> Array:
+    def side(n: int, low: float, high: float) -> FloatArray:
         along, across = rng.uniform(low, high, n), rng.uniform(-5, 5, n)
         x, y = along * normal[0] - across * normal[1], along * normal[1] + across * normal[0]
         return np.asarray(np.column_stack([x, y]) / scale)
@@ -219,7 +221,7 @@ def test_weak_and_narrow_negatives_tolerate_a_visit() -> None:
 def test_update_follows_added_bags() -> None:
     rng = np.random.default_rng(4)
 
-    def bag() -> Array:
+    def bag() -> FloatArray:
         return np.vstack([rng.uniform(-10, 10, size=(20, 2)), rng.normal([3, -2], 0.3)])
 
     search = ConceptSearch(concept=Point("fixed"))
@@ -234,11 +236,11 @@ def test_update_follows_added_bags() -> None:
     assert np.linalg.norm(peaks[0].region().points[0] - [3, -2]) < 0.5
 
 
-def bags_of(rng: np.random.Generator, n: int) -> list[Array]:
+def bags_of(rng: np.random.Generator, n: int) -> list[FloatArray]:
     return [np.vstack([rng.uniform(-10, 10, (int(rng.integers(1, 40)), 2)), [[3.0, -2.0]]]) for _ in range(n)]
 
 
-def values_at(evidence: Evidence, points: Array, dtype: torch.dtype) -> Array:
+def values_at(evidence: Evidence, points: FloatArray, dtype: torch.dtype) -> FloatArray:
     loss = evidence.loss(torch.from_numpy(evidence.scaled(points).T.copy()).to(dtype))[0]
     return np.asarray(-loss.double().numpy())
 

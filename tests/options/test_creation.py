@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from sb3_options.density.regions import Region
 from sb3_options.experience.observations import flatten
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.options.creation import (
@@ -21,7 +22,7 @@ from sb3_options.options.creation import (
     replay_into_network,
     replay_into_table,
 )
-from sb3_options.options.option import Region, SubgoalOption
+from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
 from tests.support.helpers import ball, labelled, line, trajectory_of
 

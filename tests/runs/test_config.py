@@ -9,7 +9,7 @@ import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options.runs import config as configs
 from sb3_options.runs.algorithms import AlgorithmName
 from sb3_options.runs.config import TrainConfig
-from sb3_options.discovery.subgoals import DiscoverySettings
+from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.options.creation import OptionLearningSettings
 
 EVERY_FIELD_CHANGED = TrainConfig(
@@ -182,7 +182,7 @@ class TestRefuses:
             ),
             (["--algo", "ppo", "--batch-size", "1"], "at least 2, got 128 times 8 and 1."),
             (["--env-kwargs", "map"], "--env-kwargs takes pairs name:value, got map"),
-            (["--discovery.min-positive", "0"], "min_positive must be a whole number of at least 1, got 0"),
+            (["--discovery.min-positive", "0"], "min_positive should be greater than or equal to 1, got 0"),
             (["--option.max-duration", "0"], "max_duration must be a whole number"),
             (["--algo", "sarsa"], "dqn"),
             (["--seed", "many"], "--seed"),
