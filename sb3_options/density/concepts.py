@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from sb3_options.density.arrays import FloatArray, IntArray
-from sb3_options.density.objective import Link
+from sb3_options.density.energies import Link
 from sb3_options.density.regions import HalfSpace, Region
 
 SCALE_BOUNDS = (0.1, 10.0)
@@ -69,6 +69,10 @@ class Concept(ABC):
     @abstractmethod
     def pull_back(self, theta: Tensor, gradient: Tensor) -> Tensor:
         """The gradient in θ from the gradient in the coefficients (K, S): the chain rule."""
+
+    def centre(self, theta: Tensor) -> Tensor:
+        """Where the energy is 0 (d, S), if it is Σ_k c_kk (x_k − centre_k)²; else (0, S)."""
+        return theta[:0]
 
     @abstractmethod
     def start(self, instances: Tensor, scale: float) -> Tensor:
@@ -151,6 +155,11 @@ class Point(Concept):
             return in_a.mul_(2)
         in_s = (s * second).addcmul_(a, first, value=-1)
         return torch.cat([in_a, in_s.sum(0, keepdim=True) if self.scales == "one" else in_s]).mul_(2)
+
+    def centre(self, theta: Tensor) -> Tensor:
+        """T = a / s; not finite where a scale is 0."""
+        a, s = self._split(theta)
+        return a / s
 
     def start(self, instances: Tensor, scale: float) -> Tensor:
         """The instances themselves. A fixed scale stays 1."""

@@ -32,8 +32,8 @@ class Segment(NamedTuple):
     """Some bags, as the kernels read them; R rows, N instances, B positive bags.
 
     Attributes:
-        powers: (N, K): 1, x_k, x_k², for negative instances over the square of their width; and, if negative
-            instances are weakened, a column of log η for those.
+        powers: (N, K): 1, x_k and perhaps x_k², for negative instances over the square of their width; and, if there
+            are negative instances, a column that is 1 for those, else 0.
         powers_by_power: (K, N), the same.
         reach: (K,), the largest magnitude of each power.
         counts: Rows that have a first, second, … instance; their sum is N.
@@ -84,6 +84,12 @@ class BagArrays(NamedTuple):
             np.delete(self.weights, number),
         )
 
+    def take(self, numbers: IntArray) -> BagArrays:
+        """Some of these bags, at least one."""
+        ends = np.cumsum(self.lengths)
+        instances = np.concatenate([self.instances[ends[i] - self.lengths[i] : ends[i]] for i in numbers])
+        return BagArrays(instances, self.lengths[numbers], self.positive[numbers], self.weights[numbers])
+
     def split(self, n_instances: int) -> list[BagArrays]:
         """Parts of up to ``n_instances`` instances, no bag divided between two."""
         ends = np.cumsum(self.lengths)
@@ -98,15 +104,12 @@ class BagArrays(NamedTuple):
         return parts
 
 
-def segment_of(
-    bags: BagArrays, *, n_powers: int, strength: float, width: float, dtype: torch.dtype, device: torch.device
-) -> Segment:
+def segment_of(bags: BagArrays, *, n_powers: int, width: float, dtype: torch.dtype, device: torch.device) -> Segment:
     """Lay out bags that fit one segment.
 
     Args:
         bags: In the units the concept is searched in, near the origin.
         n_powers: 1 for coefficients of 1 and x_k, 2 for those of x_k² too.
-        strength: η in (0, 1] of negative instances.
         width: Of negative instances: their powers, and so their energies, are divided by its square.
         dtype: Precision of the powers.
         device: Where they lie.
@@ -141,8 +144,8 @@ def segment_of(
     negative = np.concatenate([~bags.positive[bag[:count]] for count in counts])[:, None]
     powers = np.concatenate([np.ones((len(x), 1)), x, *([x * x] if n_powers > 1 else [])], axis=1)
     powers *= np.where(negative, width**-2, 1.0)
-    if strength < 1:
-        powers = np.concatenate([powers, np.where(negative, math.log(strength), 0.0)], axis=1)
+    if len(negative_rows):
+        powers = np.concatenate([powers, negative], axis=1)
 
     return Segment(
         powers=tensor(powers).to(dtype),

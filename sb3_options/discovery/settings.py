@@ -29,7 +29,7 @@ class DiscoverySettings:
             Below 1 because an unsuccessful trajectory may well pass a bottleneck (the paper's §8).
         leak: λ in [0, 1): the probability that a trajectory succeeds without the bottleneck, because there is another
             way. Above 0, a trajectory of the other way costs a concept no more than log λ, and with λ = 0.2 what lies
-            on some 60 % of the successful trajectories still reaches a ``min_density`` of 0.5. Not for ``incremental``.
+            on some 60 % of the successful trajectories still reaches a ``min_density`` of 0.5.
         search: ``gradient`` ascent from many starts, ``exhaustive`` over the instances of positive bags, or
             ``incremental``: ascent from the peaks of the last search and the best instances of the newest positive
             bag, over bags that are packed once. With many or long trajectories it takes a small part of the time.
@@ -71,11 +71,6 @@ class DiscoverySettings:
     max_extent: Annotated[float, Field(ge=0)] = math.inf
     subgoal_radius: Annotated[float, Field(ge=0)] = 0.5
     spacing: Annotated[float, Field(ge=0)] = 3.0
-
-    def __post_init__(self) -> None:
-        """Refuse what does not go together."""
-        if self.leak and self.search == "incremental":
-            raise ValueError(f"search='incremental' knows no leak, got leak={self.leak}: use 'gradient'.")
 
     def reward_peaks(self) -> RewardPeaks | None:
         """Where experience is cut; None where episodes end it."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -24,18 +25,41 @@ WARM_STARTS = 4
 """A search also starts from this many peaks of the one before."""
 
 
+@dataclass(frozen=True)
+class FilteredBags:
+    """The filtered bags of a database, oldest first.
+
+    Attributes:
+        positive: Instances (n_i, d) of each successful trajectory.
+        negative: Instances of each unsuccessful one.
+    """
+
+    positive: list[FloatArray]
+    negative: list[FloatArray]
+
+    @cached_property
+    def bags(self) -> Bags:
+        """Packed, when first asked for: an incremental search does without."""
+        return Bags.pack(self.positive, self.negative)
+
+
 class Search(NamedTuple):
     """What one search found.
 
     Attributes:
         peaks: Best first; empty if there was nothing to search.
-        bags: What was searched; None if there was nothing.
+        evidence: What was searched; None if there was nothing.
         seconds: Wall time.
     """
 
     peaks: list[Peak]
-    bags: Bags | None
+    evidence: FilteredBags | None
     seconds: float
+
+    @property
+    def bags(self) -> Bags | None:
+        """What was searched; None if there was nothing."""
+        return None if self.evidence is None else self.evidence.bags
 
 
 class FoundSubgoal(NamedTuple):
@@ -116,38 +140,34 @@ class SubgoalDiscovery:
             A new subgoal, if a concept has become persistent. It counts as taken from then on.
         """
         began = time.perf_counter()
-        chosen = self._chosen()
-        bags: Bags | None = None
+        evidence = self._evidence()
         peaks: list[Peak] = []
-        if chosen is not None:
-            assert self.scale is not None  # set by _chosen()
+        if evidence is not None:
+            assert self.scale is not None  # set by _evidence()
             engine = self.engine()
-            bags = Bags.pack(*chosen)
-            if self._is_incremental:
-                if self._incremental is None:
-                    self._incremental = IncrementalSearch(self.scale, self.settings.negative_strength)
-                peaks = self._incremental.search(*chosen)
-            else:
-                peaks = engine.search(bags, starts=self._warm_starts(engine))
+            peaks = self._peaks(evidence, engine)
             tied = [p.point for p in peaks if p.log_density >= peaks[0].log_density - self.settings.peak_tolerance]
             places, extent = plateau_centres(np.array(tied), self.scale, self.settings.peak_radius)
-            dense = self._is_dense(peaks[0], bags, engine)
             few = len(places) <= self.settings.max_places and extent <= self.settings.max_extent
-            self.tracker.update(places if dense and few else places[:0], self.scale)
-        self.last = Search(peaks, bags, time.perf_counter() - began)
+            found = few and self._is_dense(peaks[0], evidence, engine)
+            self.tracker.update(places if found else places[:0], self.scale)
+        self.last = Search(peaks, evidence, time.perf_counter() - began)
         self.seconds += self.last.seconds
         return self._new_subgoal()
 
-    @property
-    def _is_incremental(self) -> bool:
-        return self.settings.search == "incremental" and self.kind != "categorical"
+    def _peaks(self, evidence: FilteredBags, engine: DiverseDensity) -> list[Peak]:
+        if self.settings.search != "incremental" or engine.method == "exhaustive":
+            return engine.search(evidence.bags, starts=self._warm_starts(engine))
+        if self._incremental is None:
+            self._incremental = IncrementalSearch(engine)
+        return self._incremental.search(evidence.positive, evidence.negative)
 
-    def _is_dense(self, peak: Peak, bags: Bags, engine: DiverseDensity) -> bool:
+    def _is_dense(self, peak: Peak, evidence: FilteredBags, engine: DiverseDensity) -> bool:
         """Whether most positive bags hold the peak: `DiscoverySettings.min_density`."""
-        if self._is_incremental and np.exp(peak.log_density / bags.n_positive) >= self.settings.min_density:
+        if np.exp(peak.log_density / len(evidence.positive)) >= self.settings.min_density:
             return True  # even with the negative bags, which can only lower it
-        log_density = float(engine.log_density(peak.point[None], bags.positive())[0])
-        return bool(np.exp(log_density / bags.n_positive) >= self.settings.min_density)
+        log_density = float(engine.log_density(peak.point[None], evidence.bags.positive())[0])
+        return bool(np.exp(log_density / len(evidence.positive)) >= self.settings.min_density)
 
     def _warm_starts(self, engine: DiverseDensity) -> FloatArray | None:
         """The best peaks of the last search, for a search that can start from them."""
@@ -157,11 +177,11 @@ class SubgoalDiscovery:
 
     def bags(self) -> Bags | None:
         """The bags of the database; None while there are too few positive ones to search."""
-        chosen = self._chosen()
-        return None if chosen is None else Bags.pack(*chosen)
+        evidence = self._evidence()
+        return None if evidence is None else evidence.bags
 
-    def _chosen(self) -> tuple[list[FloatArray], list[FloatArray]] | None:
-        """Positive and negative bags, oldest first; None while there are too few positive ones to search."""
+    def _evidence(self) -> FilteredBags | None:
+        """The bags of the database; None while there are too few positive ones to search."""
         positive = [t for t in self.database if t.success]
         if len(positive) < self.settings.min_positive:
             return None
@@ -176,7 +196,7 @@ class SubgoalDiscovery:
         negative_bags = []
         if self.settings.negative_bags:
             negative_bags = [bag for t in self.database if not t.success and len(bag := self._bag(t))]
-        return positive_bags, negative_bags
+        return FilteredBags(positive_bags, negative_bags)
 
     def engine(self) -> DiverseDensity:
         """The diverse density these settings mean."""
@@ -194,7 +214,7 @@ class SubgoalDiscovery:
         return self._cut[id(labelled)][1]
 
     def _filtered(self, labelled: LabelledTrajectory) -> FloatArray:
-        assert self.scale is not None  # set by _chosen() before any bag is made
+        assert self.scale is not None  # set by _evidence() before any bag is made
         bag = bag_of(labelled.features, int(labelled.trajectory.visits[-1]), self.scale, self._filter)
         for subgoal in [*self.taken, *(finding.subgoal for finding in self.found)]:
             centre = subgoal.points[0]
@@ -213,8 +233,8 @@ class SubgoalDiscovery:
             self.tracker = PeakTracker(
                 decay=self.settings.decay, threshold=self.settings.threshold, radius=self.settings.peak_radius
             )
-            self.last = Search([], self.last.bags, self.last.seconds)
-            self._incremental, self._cut = None, {}  # without what is now too near a subgoal every bag is another
+            self.last = Search([], self.last.evidence, self.last.seconds)
+            self._incremental, self._cut = None, {}  # every bag changes: instances near the subgoal are filtered out
             return subgoal
         return None
 

@@ -232,8 +232,8 @@ class TestSearch:
         assert subgoals[0] is None
         assert subgoals[1] is not None
 
-    @pytest.mark.parametrize("search", ["gradient", "exhaustive"])
-    def test_a_leak_lets_one_of_two_ways_count(self, search: Literal["gradient", "exhaustive"]) -> None:
+    @pytest.mark.parametrize("search", SEARCHES)
+    def test_a_leak_lets_one_of_two_ways_count(self, search: str) -> None:
         ways = [5.0, 25.0, 5.0, 5.0, 25.0, 5.0, 5.0]
 
         def searched(leak: float) -> SubgoalDiscovery:
@@ -424,11 +424,6 @@ def test_settings_out_of_range(name: str, values: tuple[Any, ...], message: str)
     for value in values:
         with pytest.raises(ValueError, match=rf"^DiscoverySettings: {name} {message}.*, got {value!r}$"):
             DiscoverySettings(**{name: value})
-
-
-def test_incremental_search_knows_no_leak() -> None:
-    with pytest.raises(ValueError, match=r"search='incremental' knows no leak, got leak=0\.2: use 'gradient'"):
-        DiscoverySettings(leak=0.2, search="incremental")
 
 
 def test_every_setting_has_a_range() -> None:
