@@ -30,7 +30,7 @@ from stable_baselines3.common.vec_env import (
 from sb3_options import OptionBank, OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.cli import train
-from sb3_options.discovery.subgoals import DiscoverySettings
+from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.execution.vec_env import as_wrapper_sees
 from sb3_options.options.option import SubgoalOption
 from sb3_options.runs.config import DQNConfig
