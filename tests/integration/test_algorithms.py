@@ -1,4 +1,4 @@
-"""Every cell of the table in docs/algorithms.md: each algorithm trains, discovers an option and goes on with it."""
+"""Every cell of the table in docs/concepts/learning.md: each algorithm trains, discovers an option, and goes on."""
 
 import re
 from pathlib import Path
@@ -18,7 +18,7 @@ from sb3_options.learning import heads
 from sb3_options.learning.rollout_buffer import SMDPAdvantages
 from tests.support.sb3_helpers import RANDOM, TINY, fast_callback, optioned_rooms
 
-PAGE = Path(__file__).parents[2] / "docs" / "algorithms.md"
+PAGE = Path(__file__).parents[2] / "docs" / "concepts" / "learning.md"
 ALGORITHMS: dict[str, Any] = {a.__name__: a for a in (DQN, QRDQN, OptionDQN, PPO, A2C, TRPO, RecurrentPPO, MaskablePPO)}
 OFF_POLICY = (DQN, QRDQN, OptionDQN)
 GAMMA = 0.9
@@ -153,16 +153,3 @@ def _option_rows_of_primitive_steps(algorithm: Any) -> int:
 
 def test_every_algorithm_is_in_the_table() -> None:
     assert set(promises()) == set(ALGORITHMS)
-
-
-def test_a_variable_duration_environment_as_the_page_shows() -> None:
-    code = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
-    assert len(code) == 1
-    scope: dict[str, Any] = {}
-    exec(code[0], scope)  # the page's own
-    model = scope["model"]
-    stored = model.replay_buffer
-    actions = stored.actions[: stored.size(), 0]
-    np.testing.assert_allclose(stored.discounts[: stored.size()], np.where(actions == 1, 0.99**8, 0.99), rtol=1e-6)
-    assert model.num_timesteps >= 2000
-    assert stored.size() < 2000  # a crossing by ferry is one transition of 8

@@ -1,0 +1,162 @@
+"""What README and docs show, run: their Python, their commands, their links, their numbers."""
+
+import importlib
+import re
+import shlex
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+import tyro
+
+from experiments.deep import report as deep_report
+from experiments.paper import report as paper_report
+from experiments.pioneer import report as pioneer_report
+from sb3_options import cli
+from sb3_options.runs.flags import parse
+from tests.support import processes
+from tests.support.documents import (
+    PAGES,
+    README,
+    ROOT,
+    anchors_of,
+    commands_of,
+    links_of,
+    name_of,
+    program_of,
+    python_of,
+    text_of,
+)
+
+STUDIES = ROOT / "docs" / "studies"
+RESULTS = ROOT / "docs" / "results"
+
+GUIDING = [page for page in PAGES if page.name != "CHANGELOG.md"]
+"""Pages of the present; the changelog also names what was."""
+
+PYTHON = [page for page in PAGES if python_of(page)]
+"""Pages that show Python."""
+
+CHECKS = {
+    "README.md": "from pathlib import Path; assert list(Path('runs/DQN_1').glob('events*'))",
+    "docs/guide/options-files.md": "assert slot == 0; assert info['option']['index'] == slot",
+    "docs/guide/trained-models.md": "assert (model.num_timesteps, model.action_space.n) == (500, 8)",
+    "docs/guide/your-environment.md": """
+buffer = model.replay_buffer
+stored = buffer.actions[: buffer.size(), 0]
+np.testing.assert_allclose(buffer.discounts[: buffer.size()], np.where(stored == 1, 0.99**8, 0.99), rtol=1e-6)
+assert model.num_timesteps >= 2000 > buffer.size()  # a crossing by ferry is one transition of 8
+""",
+}
+"""What must hold after the Python of a page has run."""
+
+MOST_STEPS = 3_000
+"""Longest training that a page may show without saying how long tests train."""
+
+
+def named(pages: Sequence[Path]) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("page", pages, ids=name_of)
+
+
+def test_readme_fits_on_one_screen() -> None:
+    assert len(text_of(README).splitlines()) <= 60
+
+
+@named(PYTHON)
+def test_python_runs_as_pasted_but_shorter(page: Path, tmp_path: Path) -> None:
+    program = program_of(page)
+    steps = [int(n) for n in re.findall(r"learn\(([\d_]+)", program)]
+    assert max(steps, default=0) <= MOST_STEPS, "end the line with `# tested with N`"
+    strict = "import warnings; warnings.simplefilter('error', UserWarning)"  # in the place of the title
+    result = processes.python("-c", f"{strict}{program}\n{CHECKS.get(name_of(page), '')}", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.slow
+def test_the_example_of_an_environment_discovers_its_gate(tmp_path: Path) -> None:
+    (example,) = (code for code in python_of(ROOT / "docs/guide/your-environment.md") if "Warehouse" in code)
+    check = "assert np.abs(callback.discoveries[0].subgoal - [6, 3]).max() <= 2"
+    result = processes.python("-c", f"{example}\n{check}", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+
+
+@named(PAGES)
+def test_every_link_leads_somewhere(page: Path) -> None:
+    for link in links_of(page):
+        assert link.path.exists(), link.target
+        assert not link.anchor or link.anchor in anchors_of(link.path), link.target
+
+
+def test_every_page_is_a_few_clicks_from_the_readme() -> None:
+    clicks = {README: 0}
+    for page in (queue := [README]):
+        for link in links_of(page):
+            if link.path.suffix == ".md" and link.path not in clicks:
+                clicks[link.path] = clicks[page] + 1
+                queue.append(link.path)
+    assert {page for page in PAGES if page.is_relative_to(ROOT / "docs")} <= set(clicks)
+    assert clicks[ROOT / "docs" / "guide" / "your-environment.md"] == 1
+    assert max(clicks.values()) <= 2
+
+
+def test_every_picture_is_shown() -> None:
+    shown = {link.path for page in PAGES for link in links_of(page)}
+    assert set((ROOT / "docs" / "images").rglob("*.*")) <= shown
+
+
+@named(GUIDING)
+def test_commands_of_train_are_understood(page: Path) -> None:
+    for command in commands_of(page):
+        program, _, arguments = command.removeprefix("python ").partition(" ")
+        words = shlex.split(re.sub(r"--config \S+", "", arguments))  # there is no such file
+        if program != "train.py" or words == ["evaluate"]:
+            continue
+        if words[:1] == ["evaluate"]:
+            tyro.cli(cli.EvaluateConfig, args=words[1:])
+        elif "--help" in words:
+            with pytest.raises(SystemExit, match=r"^0$"):
+                parse(words)
+        else:
+            parse(words)
+
+
+@named(GUIDING)
+def test_commands_of_studies_are_understood(page: Path) -> None:
+    for command in commands_of(page):
+        found = re.fullmatch(r"python -m ((?:experiments|benchmarks)\.[\w.]+)(.*)", command)
+        if not found:
+            continue
+        package = ROOT / found[1].replace(".", "/")
+        module = importlib.import_module(f"{found[1]}.__main__" if package.is_dir() else found[1])
+        flags = next(getattr(module, name) for name in ("Study", "Benchmark", "Tuning") if hasattr(module, name))
+        words = [word.split("|")[-1] for word in shlex.split(found[2])]
+        if words:
+            tyro.cli(flags, args=words if "--out" in words else [*words, "--out", "FOLDER"])
+
+
+def test_make_targets_are_there() -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    targets = {command.split()[1] for page in PAGES for command in commands_of(page) if command.startswith("make ")}
+    assert targets >= {"train", "test", "check", "paper", "architecture"}
+    for target in targets:
+        assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE), target
+
+
+def test_every_abstraction_is_where_the_page_says() -> None:
+    rows = re.findall(r"^\| `(\w+)` \| .* \| `([\w.]+)` \|$", text_of(ROOT / "docs/concepts/index.md"), re.MULTILINE)
+    assert len(rows) > 50
+    for name, module in rows:
+        assert hasattr(importlib.import_module(f"sb3_options.{module}"), name), f"{name} in {module}"
+
+
+def test_numbers_of_studies_are_those_of_their_results(tmp_path: Path) -> None:
+    pages = {name: Path(shutil.copy(STUDIES / f"{name}.md", tmp_path)) for name in ("paper", "pioneer", "deep")}
+    paper_report.main(paper_report.Report(RESULTS / "paper.json", pages["paper"]))
+    pioneer_report.main(
+        pioneer_report.Report(RESULTS / "pioneer.json", RESULTS / "pioneer_benchmark.json", pages["pioneer"])
+    )
+    deep = ("transfer-ppo", "transfer-dqn", "same-ppo", "same-dqn", "transfer-ppo-control", "same-ppo-control")
+    deep_report.main(deep_report.Report(tuple(RESULTS / f"deep-{name}.json" for name in deep), pages["deep"]))
+    for name, page in pages.items():
+        assert text_of(page) == text_of(STUDIES / f"{name}.md"), f"{name}.md: fill it in again by its report"
