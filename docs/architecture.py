@@ -77,7 +77,7 @@ PLACES = {
 }
 """What acts in an environment stands on the left, what is computed from trajectories on the right."""
 
-PURE = [(1.0, 3.0), (119.0, 3.0), (119.0, 54.5), (80.0, 54.5), (80.0, 38.0), (1.0, 38.0)]
+PURE = [(1.0, 3.0), (119.0, 3.0), (119.0, 54.5), (80.0, 54.5), (80.0, 37.0), (1.0, 37.0)]
 """Corners of the area of the folders that import neither Gymnasium nor Stable-Baselines3."""
 
 BENDS = {("runs", "discovery"): 0.44}
@@ -151,7 +151,7 @@ def draw(content: Architecture) -> Figure:
     axes.set_axis_off()
     axes.add_patch(Polygon(PURE, facecolor="#f4faf5", edgecolor="#8fbf9a", linestyle=(0, (4, 3)), zorder=0))
     label: dict[str, Any] = {"fontsize": 10, "style": "italic"}
-    axes.text(2.6, 35.6, "pure: numpy and torch", color="#3d7a4b", **label)
+    axes.text(2.6, 34.6, "pure: numpy and torch", color="#3d7a4b", **label)
     axes.text(2.6, HEIGHT - 5, "on Gymnasium and Stable-Baselines3", color="#4a6fa5", **label)
     _box(axes, "doors", f"import {PACKAGE}", DOORS, [])
     boxes = {
