@@ -199,6 +199,8 @@ class OptionInstaller:
             if self.has_heads:
                 heads.close_head(self.model.policy, action)
                 heads.forget_moments(self.model.policy, action)
+            elif isinstance(self.model, MacroQ):
+                self.model.forget_action(action)
             if self.buffer is not None:
                 self.buffer.forget_action(action)
                 self.buffer.set_next_available(slot, False)
