@@ -12,8 +12,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Figure, TensorBoardOutputFormat
 
 from sb3_options.callbacks.checks import check_model
+from sb3_options.callbacks.counting import count_inner_steps, monitor_primitive_steps
 from sb3_options.callbacks.installer import OptionInstaller
-from sb3_options.callbacks.primitive_steps import count_inner_steps, monitor_primitive_steps
 from sb3_options.callbacks.records import ClosedOption, DiscoveredOption, OptionStatistics
 from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.discovery.figures import discovery_figures
