@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeAlias
 
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import (
     BaseCallback,
     CallbackList,
@@ -20,6 +22,12 @@ from sb3_options.experience.option_run import OptionRun
 
 logger = logging.getLogger("sb3_options")
 
+Schedule: TypeAlias = Callable[[float], float]
+"""A function of the remaining progress, 1 … 0."""
+
+SCHEDULES = ("lr_schedule", "clip_range", "clip_range_vf")
+"""Attributes of SB3 models that hold schedules."""
+
 
 def count_inner_steps(callback: BaseCallback, runs: Sequence[OptionRun]) -> None:
     """Add the primitive steps that SB3 did not count in one call of ``step`` to the model's ``num_timesteps``."""
@@ -31,6 +39,23 @@ def count_inner_steps(callback: BaseCallback, runs: Sequence[OptionRun]) -> None
     for sibling in all_callbacks(callback.locals.get("callback")):
         if isinstance(sibling, ProgressBarCallback):
             sibling.pbar.update(extra)
+
+
+def clip_schedules(model: BaseAlgorithm) -> dict[str, Schedule]:
+    """Let no schedule of a model see a progress below 0, which an option makes of it that ends beyond the budget.
+
+    Returns:
+        The schedules that the model had, by attribute, to be put back when training ends.
+    """
+    schedules = {name: getattr(model, name, None) for name in SCHEDULES}
+    stock = {name: schedule for name, schedule in schedules.items() if callable(schedule)}
+    for name, schedule in stock.items():
+        setattr(model, name, _clipped(schedule))
+    return stock
+
+
+def _clipped(schedule: Schedule) -> Schedule:
+    return lambda progress_remaining: schedule(max(progress_remaining, 0.0))
 
 
 def all_callbacks(root: BaseCallback | None) -> Iterator[BaseCallback]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import logging
+import math
+
 from stable_baselines3.common.callbacks import BaseCallback
 
 from sb3_options.callbacks.checks import (
@@ -9,7 +12,12 @@ from sb3_options.callbacks.checks import (
     check_nothing_above_changes_steps,
     check_replay_buffer,
 )
-from sb3_options.callbacks.counting import count_inner_steps, monitor_primitive_steps
+from sb3_options.callbacks.counting import (
+    all_callbacks,
+    clip_schedules,
+    count_inner_steps,
+    monitor_primitive_steps,
+)
 from sb3_options.execution.workers import watch_workers
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.option_run import OptionRun
@@ -17,6 +25,8 @@ from sb3_options.learning import heads
 from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.rollout_buffer import option_rollout_buffer
 from sb3_options.options.bank import OptionBank
+
+logger = logging.getLogger("sb3_options")
 
 
 class PrimitiveStepsCallback(BaseCallback):
@@ -28,14 +38,18 @@ class PrimitiveStepsCallback(BaseCallback):
     (it leaves ``info["option"] = {"index": -1, "duration": k, "discount": gamma**k}``). `SubgoalDiscoveryCallback` does
     the same, so that it is not needed beside it.
 
+    ``train_freq``, ``target_update_interval``, ``n_steps`` and ``eval_freq`` of an ``EvalCallback`` still count
+    decisions. A rollout of ``n_steps`` decisions may be many more primitive steps. Hence on-policy training ends in the
+    middle of a rollout when the budget is used up (SB3's last rollout is counted in full, as if every action were
+    one step); that rollout is not learned from. No schedule sees a progress below 0.
+
     Raises:
         ValueError: When training starts: the environment reports no durations, or buffer or discount do not fit.
     """
 
     def _on_training_start(self) -> None:
-        self._rollout_buffer = option_rollout_buffer(self.model)
         check_replay_buffer(self.model)
-        watch_workers(self.training_env)
+        self._start_counting()
         if not any(self.training_env.env_is_wrapped(OptionsWrapper)):
             return  # a custom SMDP environment; its infos are checked in _on_step
         check_wrapped(self.training_env, "The model's environment")
@@ -52,9 +66,43 @@ class PrimitiveStepsCallback(BaseCallback):
                 elif heads.is_closed(self.model.policy, action):
                     heads.open_head(self.model.policy, action, bank.n_primitive)
 
-    def _on_step(self) -> bool:
-        runs = [OptionRun.from_info(info) for info in self.locals["infos"]]
+    def _start_counting(self) -> None:
+        watch_workers(self.training_env)
+        self._rollout_buffer = option_rollout_buffer(self.model)
+        counting = (c for c in all_callbacks(self.locals.get("callback")) if isinstance(c, PrimitiveStepsCallback))
+        self._counts = next(counting, self) is self  # the first of several
+        self._stock_schedules = clip_schedules(self.model)
+        self._updates_before = self._n_updates()
+        self._budget = math.inf
         if self._rollout_buffer is not None:
-            self._rollout_buffer.expect(self.locals["rewards"], runs, self.model.get_vec_normalize_env())
-        count_inner_steps(self, runs)
-        return True
+            rollout = self._rollout_buffer.buffer_size * self._rollout_buffer.n_envs
+            done, total = self.model.num_timesteps, self.model._total_timesteps
+            self._budget = done + math.ceil((total - done) / rollout) * rollout
+
+    def _on_step(self) -> bool:
+        return self._count([OptionRun.from_info(info) for info in self.locals["infos"]])
+
+    def _count(self, runs: list[OptionRun]) -> bool:
+        """Count what one step of every environment ran; whether training goes on."""
+        if self._counts:
+            count_inner_steps(self, runs)
+        buffer = self._rollout_buffer
+        if buffer is None:
+            return True
+        buffer.expect(self.locals["rewards"], runs, self.model.get_vec_normalize_env())
+        # A rollout that is complete with this step is still to be learned from.
+        return self.model.num_timesteps < self._budget or buffer.pos + 1 == buffer.buffer_size
+
+    def _on_training_end(self) -> None:
+        for name, schedule in self._stock_schedules.items():
+            setattr(self.model, name, schedule)
+        buffer = self._rollout_buffer
+        if buffer is not None and self.num_timesteps >= self._budget and self._n_updates() == self._updates_before:
+            logger.warning(
+                "Training ended before its first update: its rollouts of n_steps=%d decisions take more primitive "
+                "steps than total_timesteps allows. Choose a smaller n_steps, or train for longer.",
+                buffer.buffer_size,
+            )
+
+    def _n_updates(self) -> int:
+        return int(getattr(self.model, "_n_updates", 0))
