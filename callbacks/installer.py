@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 
-import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
 from stable_baselines3.common.vec_env import VecEnv
@@ -13,18 +12,15 @@ from sb3_options.callbacks.checks import check_same_slots
 from sb3_options.callbacks.counting import all_callbacks, monitor_primitive_steps
 from sb3_options.callbacks.intra_option import IntraOptionUpdater
 from sb3_options.execution.exploration import cap_option_exploration
-from sb3_options.execution.vec_env import as_wrapper_sees
 from sb3_options.execution.workers import watch_workers
-from sb3_options.experience.observations import BoolArray, FloatArray, Observations, take
+from sb3_options.experience.observations import FloatArray, Observations
 from sb3_options.learning import heads
 from sb3_options.learning.macro_q import MacroQ
+from sb3_options.learning.masked import stored_availability
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.learning.value_snapshot import Interrupter
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option, SubgoalOption
-
-AVAILABILITY_CHUNK = 4096
-"""Stored observations are sent to the environment in batches of this many when an option is installed."""
 
 
 class OptionInstaller:
@@ -141,9 +137,10 @@ class OptionInstaller:
         if not self.has_rollouts:
             self._uninstall_closed()
         # Only now is the step stored at whose end an option was made, and no gradient step was taken in between.
-        if self.buffer is not None and self.buffer.tracks_availability:
+        if self._new and self.buffer is not None and self.buffer.tracks_availability and self.buffer.size():
+            available = stored_availability(self.buffer, self.venv)
             for slot in self._new:
-                self.buffer.set_next_available(slot, self._availability(self.buffer, self.n_primitive + slot))
+                self.buffer.set_next_available(slot, available[:, self.n_primitive + slot])
         if self.updater is not None:
             for slot in self._new:
                 self.updater.compare_all(slot)
@@ -206,15 +203,6 @@ class OptionInstaller:
     def _call_environments(self, method: str, *args: object) -> None:
         for venv in [self.venv, *self.eval_envs]:
             venv.env_method(method, *args)
-
-    def _availability(self, buffer: OptionReplayBuffer, action: int) -> BoolArray:
-        """Whether ``action`` may start in each stored next observation, (size,)."""
-        available = [np.zeros(0, dtype=bool)]
-        stored = buffer.next_observations_stored()
-        for start in range(0, buffer.size(), AVAILABILITY_CHUNK):
-            chunk = as_wrapper_sees(self.venv, take(stored, slice(start, start + AVAILABILITY_CHUNK)))
-            available.append(self.venv.env_method("available", chunk, indices=[0])[0][:, action])
-        return np.concatenate(available)
 
 
 def _same_initiation(one: Option | None, other: Option) -> bool:

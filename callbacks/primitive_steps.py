@@ -23,6 +23,7 @@ from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning import heads
 from sb3_options.learning.checks import check_gamma, check_wrapped
+from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.learning.rollout_buffer import option_rollout_buffer
 from sb3_options.options.bank import OptionBank
 
@@ -68,6 +69,11 @@ class PrimitiveStepsCallback(BaseCallback):
 
     def _start_counting(self) -> None:
         watch_workers(self.training_env)
+        if any(self.training_env.env_is_wrapped(OptionsWrapper)):
+            self.training_env.env_method("end_trials")  # an exception may have ended an earlier training
+        buffer = getattr(self.model, "replay_buffer", None)
+        if isinstance(buffer, OptionReplayBuffer):
+            buffer.heads_are_closed = True
         self._rollout_buffer = option_rollout_buffer(self.model)
         counting = (c for c in all_callbacks(self.locals.get("callback")) if isinstance(c, PrimitiveStepsCallback))
         self._counts = next(counting, self) is self  # the first of several

@@ -135,6 +135,8 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self.bank.remove(slot)
         if option is None:
             self._limit.runs[slot] = 0  # the next one begins to count anew; one that has grown does not
+            if self._withholding is not None:
+                self._withholding.forget(slot)
 
     def set_interruption(self, interruption: Interruption | None) -> None:
         """Interrupt options by these values from now on; None lets every option run to its end."""

@@ -161,6 +161,8 @@ class MacroQ(MaskedPrediction):
         )
         assert self.env is not None  # _setup_learn has reset it
         assert self.features is not None  # set up with the model
+        if self._n_slots:
+            self.env.env_method("end_trials")  # an exception may have ended an earlier training
         callback.on_training_start(locals(), globals())
         callback.on_rollout_start()
         self._table = self.policy.table()

@@ -116,3 +116,25 @@ def test_parameters_that_were_set_are_trained_heads(algorithm: Any, callback: An
     again.learn(1, callback=[callback(), ConvertCallback(lambda *_: False)])
     assert again._n_updates == 0
     assert all(torch.equal(expected[name], value) for name, value in again.policy.state_dict().items())
+
+
+@pytest.mark.parametrize("callback", [PrimitiveStepsCallback, lambda: SubgoalDiscoveryCallback(max_new_options=0)])
+def test_a_trial_that_an_exception_ended_withholds_nothing_in_the_next_training(callback: Any) -> None:
+    env = with_option()
+    model = model_of(env)
+    trial = SubgoalDiscoveryCallback(max_new_options=0, trial={"withhold": 0.9, "patience": 1, "success_window": 1})
+
+    class FullDiskError(OSError):
+        pass
+
+    def fail(local: dict[str, Any], _: dict[str, Any]) -> bool:
+        if env.withheld_slots():
+            raise FullDiskError
+        return True
+
+    with pytest.raises(FullDiskError):
+        model.learn(2000, callback=[trial, ConvertCallback(fail)])
+    assert env.withheld_slots() == [0]
+    model.learn(1, callback=callback(), reset_num_timesteps=False)
+    env.reset()
+    assert env.withheld_slots() == []
