@@ -18,7 +18,7 @@ from torch.nn import functional
 from sb3_options.execution.exploration import CappedActions
 from sb3_options.experience.observations import BoolArray, FloatArray
 from sb3_options.learning import heads
-from sb3_options.learning.checks import check_gamma, check_wrapped
+from sb3_options.learning.checks import check_gamma, check_one_step, check_wrapped
 from sb3_options.learning.masked import MaskedPrediction, n_actions_of, stored_availability
 from sb3_options.learning.replay_buffer import OptionReplayBuffer, OptionReplayBufferSamples
 
@@ -36,7 +36,7 @@ class OptionDQN(MaskedPrediction, DQN):
         **kwargs: As for ``DQN``.
 
     Raises:
-        ValueError: The environment is not wrapped, or the buffer is another.
+        ValueError: The environment is not wrapped, the buffer is another, or ``n_steps`` > 1.
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = DQN.policy_aliases
@@ -53,6 +53,7 @@ class OptionDQN(MaskedPrediction, DQN):
             raise ValueError(
                 f"OptionDQN needs replay_buffer_class=OptionReplayBuffer, got {replay_buffer_class.__name__}."
             )
+        check_one_step(kwargs.get("n_steps", 1))
         super().__init__(policy, env, replay_buffer_class=replay_buffer_class, **kwargs)  # type: ignore[arg-type]  # SB3 passes None when loading
 
     def _setup_model(self) -> None:

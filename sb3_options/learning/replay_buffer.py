@@ -16,6 +16,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from sb3_options.experience.observations import BoolArray, Observations, take
 from sb3_options.experience.option_run import OptionRun
+from sb3_options.learning.checks import check_one_step
 from sb3_options.learning.intra_option import ConsistencyTable
 
 logger = logging.getLogger("sb3_options")
@@ -80,9 +81,11 @@ class OptionReplayBuffer(ReplayBuffer):
         macro_q: Whether the steps inside options are stored.
         intra_option: Whether options are updated from primitive steps they are consistent with. Off by default: on
             the two seeds measured it saved no time (docs/deep.md).
+        n_steps: Not supported beyond 1; as for SB3's ``NStepReplayBuffer``.
+        gamma: Unused: every transition has its own discount.
 
     Raises:
-        ValueError: ``optimize_memory_usage`` is set.
+        ValueError: ``optimize_memory_usage`` is set, or ``n_steps`` > 1.
     """
 
     consistency: ConsistencyTable | None = None
@@ -100,7 +103,10 @@ class OptionReplayBuffer(ReplayBuffer):
         *,
         macro_q: bool = True,
         intra_option: bool = False,
+        n_steps: int = 1,
+        gamma: float | None = None,
     ) -> None:
+        check_one_step(n_steps)
         if optimize_memory_usage:
             raise ValueError(
                 "OptionReplayBuffer needs optimize_memory_usage=False: with options the next observation of one "
