@@ -146,7 +146,7 @@ class TestArguments:
             SubgoalDiscoveryCallback({"capacitty": 3})
 
     def test_setting_out_of_range(self) -> None:
-        with pytest.raises(ValueError, match="min_positive must be a whole number of at least 1, got 0"):
+        with pytest.raises(ValueError, match="min_positive should be greater than or equal to 1, got 0"):
             SubgoalDiscoveryCallback({"min_positive": 0})
         with pytest.raises(ValueError, match="max_duration should be greater than or equal to 1, got 0"):
             SubgoalDiscoveryCallback(option_settings={"max_duration": 0})
