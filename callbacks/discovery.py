@@ -168,7 +168,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
 
     def _on_step(self) -> bool:
         infos: list[dict[str, Any]] = self.locals["infos"]
-        runs = [OptionRun.from_info(info) for info in infos]
+        runs = list(map(OptionRun.from_info, infos))
         count_inner_steps(self, runs)
         if self._rollout_buffer is not None:
             self._rollout_buffer.expect(self.locals["rewards"], runs, self.model.get_vec_normalize_env())

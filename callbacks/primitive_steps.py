@@ -62,7 +62,7 @@ class PrimitiveStepsCallback(BaseCallback):
                     heads.close_head(self.model.policy, bank.n_primitive + slot)
 
     def _on_step(self) -> bool:
-        runs = [OptionRun.from_info(info) for info in self.locals["infos"]]
+        runs = list(map(OptionRun.from_info, self.locals["infos"]))
         if self._rollout_buffer is not None:
             self._rollout_buffer.expect(self.locals["rewards"], runs, self.model.get_vec_normalize_env())
         count_inner_steps(self, runs)
@@ -71,7 +71,7 @@ class PrimitiveStepsCallback(BaseCallback):
 
 def count_inner_steps(callback: BaseCallback, runs: Sequence[OptionRun]) -> None:
     """Add the primitive steps that SB3 did not count in one call of ``step`` to the model's ``num_timesteps``."""
-    extra = sum(run.duration for run in runs) - len(runs)
+    extra = sum([run.duration for run in runs]) - len(runs)
     if extra == 0:
         return
     callback.model.num_timesteps += extra

@@ -298,7 +298,7 @@ def test_a_buffer_that_was_taken_away_or_knows_options_already() -> None:
 
 
 def test_environments_are_wrapped_beneath_whatever_stands_above() -> None:
-    venv = VecNormalize(make_vec_env(small_rooms, 2, seed=0), gamma=GAMMA)
+    venv = VecNormalize(make_vec_env(small_rooms, 2, seed=0), gamma=GAMMA, clip_reward=np.inf)
     model = trained("dqn", venv, steps=512)
     count = cast("Any", venv.obs_rms).count
     expand_action_space(model, MAX_OPTIONS)
