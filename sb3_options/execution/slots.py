@@ -147,6 +147,10 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self._withholding = Withholding(seed, self.gamma)
         self._withholding.shares = dict(shares)
 
+    def withheld_slots(self) -> list[int]:
+        """The slots that the current episode does without."""
+        return [] if self._withholding is None else self._withholding.withheld()
+
     def end_trials(self) -> None:
         """Withhold nothing any more, in the current episode either."""
         self._withholding = None
