@@ -17,8 +17,6 @@ import numpy as np
 import torch
 import tyro
 from matplotlib.figure import Figure
-from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -28,7 +26,8 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 import sb3_options.envs  # noqa: F401  # registers them
-from experiments.common.seeds import write_json
+from benchmarks.turns import take_turns
+from experiments.common.study import show, write
 from sb3_options import OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.runs.intervals import mean_interval
@@ -131,9 +130,8 @@ def main(benchmark: Benchmark) -> None:
     command = f"python -m benchmarks.overhead --rounds {benchmark.rounds} --chunk {benchmark.chunk}"
     rates = {scenario: race(scenario, benchmark) for scenario in chosen}
     results = {scenario: summarise(of) for scenario, of in rates.items()}
-    write_json(benchmark.out / "results.json", {"command": command, **results})
-    draw(rates).savefig(benchmark.out / "overhead.png", dpi=110)
-    _print(results, benchmark.out)
+    write(benchmark.out, {"command": command, **results}, {"overhead": draw(rates)}, dpi=110)
+    show(_table(results), f"Results: {benchmark.out / 'results.json'}, {benchmark.out / 'overhead.png'}")
 
 
 def race(scenario: str, benchmark: Benchmark) -> dict[str, list[float]]:
@@ -142,13 +140,12 @@ def race(scenario: str, benchmark: Benchmark) -> dict[str, list[float]]:
     clock = clock_of(scenario)
     for model, callback in contestants.values():
         timed_chunk(model, callback, benchmark.chunk, clock)  # compiled kernels, filled caches
-    rates: dict[str, list[float]] = {kind: [] for kind in contestants}
-    order = list(contestants)
-    for turn in track(range(benchmark.rounds), description=scenario):
-        first = turn % len(order)
-        for kind in order[first:] + order[:first]:
-            model, callback = contestants[kind]
-            rates[kind].append(timed_chunk(model, callback, benchmark.chunk, clock))
+    rates = take_turns(
+        KINDS[scenario],
+        lambda kind: timed_chunk(*contestants[cast("Kind", kind)], benchmark.chunk, clock),
+        benchmark.rounds,
+        description=scenario,
+    )
     for model, _ in contestants.values():
         cast("VecEnv", model.get_env()).close()
     return rates
@@ -182,7 +179,7 @@ def draw(rates: dict[str, dict[str, list[float]]]) -> Figure:
     return figure
 
 
-def _print(results: dict[str, dict[str, Any]], out: Path) -> None:
+def _table(results: dict[str, dict[str, Any]]) -> Table:
     table = Table("", "primitive steps/s (median)", "of stock", "95 % interval", "bar")
     for scenario, of in results.items():
         for kind, rate in of["primitive_steps_per_second"].items():
@@ -191,9 +188,7 @@ def _print(results: dict[str, dict[str, Any]], out: Path) -> None:
             if ratio is not None:
                 cells = (f"{ratio['mean']:.3f}", f"{ratio['low']:.3f} to {ratio['high']:.3f}", f"≥ {ratio['bar']}")
             table.add_row(f"{scenario} {kind}", f"{rate:,.0f}", *cells)
-    console = Console(highlight=False, soft_wrap=True)
-    console.print(table)
-    console.print(f"Results: {out / 'results.json'}, {out / 'overhead.png'}")
+    return table
 
 
 if __name__ == "__main__":

@@ -19,11 +19,10 @@ import numpy as np
 import panda_gym  # noqa: F401  # registers its environments
 import pybullet
 import tyro
-from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
-from experiments.common.seeds import write_json
+from benchmarks.turns import take_turns
+from experiments.common.study import show, write
 from sb3_options.envs.pioneer.env import Pioneer
 from sb3_options.envs.pioneer.robot import CONTROL_RATE, PHYSICS_RATE
 from sb3_options.runs.intervals import mean_interval
@@ -165,17 +164,13 @@ def main(benchmark: Benchmark) -> None:
     players = contestants(benchmark.seed)
     for player in players.values():
         player.turn(min(benchmark.actions, 20))  # filled caches
-    turns: dict[str, list[Turn]] = {name: [] for name in players}
-    order = list(players)
-    for i in track(range(benchmark.rounds), description="Turns"):
-        for name in order[i % len(order) :] + order[: i % len(order)]:
-            turns[name].append(players[name].turn(benchmark.actions))
+    turns = take_turns(list(players), lambda name: players[name].turn(benchmark.actions), benchmark.rounds)
     for player in players.values():
         player.close()
     results = summarise(turns)
     command = f"python -m benchmarks.pioneer --rounds {benchmark.rounds} --actions {benchmark.actions}"
-    write_json(benchmark.out / "results.json", {"command": command, **results})
-    _print(results, benchmark.out)
+    write(benchmark.out, {"command": command, **results}, {})
+    show(_table(results), f"Results: {benchmark.out / 'results.json'}")
 
 
 def summarise(turns: dict[str, list[Turn]]) -> dict[str, Any]:
@@ -209,14 +204,12 @@ def summarise(turns: dict[str, list[Turn]]) -> dict[str, Any]:
     return results
 
 
-def _print(results: dict[str, Any], out: Path) -> None:
+def _table(results: dict[str, Any]) -> Table:
     table = Table("", "mean", "95 % interval")
     for name, value in results.items():
         if isinstance(value, dict):
             table.add_row(name, f"{value['mean']:.4g}", f"{value['low']:.4g} to {value['high']:.4g}")
-    console = Console(highlight=False, soft_wrap=True)
-    console.print(table)
-    console.print(f"Results: {out / 'results.json'}")
+    return table
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import numpy as np
 from sb3_options.envs.pioneer.body import BODY_RADIUS
 from sb3_options.envs.pioneer.bullet import Box, Cylinder
 
-__all__ = ["BALL_RADIUS", "CORNER_SIZE", "OBSTACLE_RADIUS", "Arena", "Layout"]
+__all__ = ["BALL_RADIUS", "CORNER_SIZE", "OBSTACLE_RADIUS", "Arena", "Placement"]
 
 BALL_RADIUS = 0.08
 """m; fits between the gripper's open paddles and is lower than the sonar ring."""
@@ -41,10 +41,10 @@ START_DISTANCE = 0.8
 """Between the robot and a ball, and between two balls, at the start, m."""
 
 N_PROBES = 200
-"""Layouts tried before an arena is said to have no room."""
+"""Placements tried before an arena is said to have no room."""
 
 N_SPOTS = 20
-"""Places tried for one thing of a layout."""
+"""Places tried for one thing of a placement."""
 
 GRIPPER_AHEAD, GRIPPER_RADIUS = 0.28, 0.14
 """A circle around the paddles, m ahead of the axle and m."""
@@ -54,7 +54,7 @@ Distance = tuple[Sequence[Position], float]
 Pose = tuple[float, float, float]
 
 
-class Layout(NamedTuple):
+class Placement(NamedTuple):
     """Where things stand at the start.
 
     Attributes:
@@ -105,7 +105,7 @@ class Arena:
         ]
 
     def given(self, options: dict[str, Any]) -> dict[str, Any]:
-        """What the options of an environment's reset say of a `Layout`.
+        """What the options of an environment's reset say of a `Placement`.
 
         Raises:
             ValueError: There is another key, or the numbers do not have the right shape.
@@ -127,9 +127,9 @@ class Arena:
         return fields
 
     @staticmethod
-    def obstacles(layout: Layout) -> list[Cylinder]:
-        """The obstacles of a layout."""
-        return [Cylinder((x, y, WALL_HEIGHT / 2), OBSTACLE_RADIUS, WALL_HEIGHT) for x, y in layout.obstacles]
+    def obstacles(placement: Placement) -> list[Cylinder]:
+        """The obstacles of a placement."""
+        return [Cylinder((x, y, WALL_HEIGHT / 2), OBSTACLE_RADIUS, WALL_HEIGHT) for x, y in placement.obstacles]
 
     def wall_gap(self, x: float, y: float) -> float:
         """Distance of a point from the nearest wall, m; negative outside."""
@@ -140,36 +140,36 @@ class Arena:
         edge = self.half - CORNER_SIZE
         return x >= edge and y >= edge
 
-    def sample(self, rng: np.random.Generator, **given: Any) -> Layout:
-        """Draws a random layout.
+    def sample(self, rng: np.random.Generator, **given: Any) -> Placement:
+        """Draws a random placement.
 
         Args:
             rng: Source of randomness.
-            given: Fields of the `Layout` that are not to be drawn.
+            given: Fields of the `Placement` that are not to be drawn.
 
         Raises:
             ValueError: What was given overlaps, is outside, or leaves no room for the rest.
         """
-        refusal = f"found no layout in {N_PROBES} tries: enlarge arena_size, {self.size:g} m"
+        refusal = f"found no placement in {N_PROBES} tries: enlarge arena_size, {self.size:g} m"
         for _ in range(N_PROBES):
-            layout = self._draw(rng)
-            if layout is not None and not given:
-                return layout
-            if layout is not None:
-                layout = layout._replace(**given)
-                overlap = self._overlap(layout)
+            placement = self._draw(rng)
+            if placement is not None and not given:
+                return placement
+            if placement is not None:
+                placement = placement._replace(**given)
+                overlap = self._overlap(placement)
                 if not overlap:
-                    return layout
+                    return placement
                 refusal = overlap
         raise ValueError(refusal)
 
-    def _overlap(self, layout: Layout) -> str:
-        """What in a layout is in a wall or in something else; empty if nothing is."""
-        x, y, heading = layout.robot
+    def _overlap(self, placement: Placement) -> str:
+        """What in a placement is in a wall or in something else; empty if nothing is."""
+        x, y, heading = placement.robot
         gripper = (x + GRIPPER_AHEAD * math.cos(heading), y + GRIPPER_AHEAD * math.sin(heading))
         things = [("the robot", (x, y), BODY_RADIUS), ("the robot's gripper", gripper, GRIPPER_RADIUS)]
-        things += [(f"balls[{i}]", ball, BALL_RADIUS) for i, ball in enumerate(layout.balls)]
-        things += [(f"obstacles[{i}]", place, OBSTACLE_RADIUS) for i, place in enumerate(layout.obstacles)]
+        things += [(f"balls[{i}]", ball, BALL_RADIUS) for i, ball in enumerate(placement.balls)]
+        things += [(f"obstacles[{i}]", place, OBSTACLE_RADIUS) for i, place in enumerate(placement.obstacles)]
         for i, (name, place, radius) in enumerate(things):
             where = f"({place[0]:.2f}, {place[1]:.2f})"
             if self.wall_gap(*place) < radius:
@@ -179,8 +179,8 @@ class Arena:
                     return f"{name} at {where} m overlaps {other}"
         return ""
 
-    def _draw(self, rng: np.random.Generator) -> Layout | None:
-        """One try at a layout."""
+    def _draw(self, rng: np.random.Generator) -> Placement | None:
+        """One try at a placement."""
         far_from_obstacles = OBSTACLE_RADIUS + BALL_CLEARANCE
         obstacles = self._scatter(rng, self._n_obstacles, OBSTACLE_RADIUS + PASSAGE, 2 * OBSTACLE_RADIUS + PASSAGE)
         if obstacles is None:
@@ -193,7 +193,7 @@ class Arena:
         )
         if robot is None:
             return None
-        return Layout((*robot, float(rng.uniform(-math.pi, math.pi))), tuple(balls), tuple(obstacles))
+        return Placement((*robot, float(rng.uniform(-math.pi, math.pi))), tuple(balls), tuple(obstacles))
 
     def _scatter(
         self, rng: np.random.Generator, n: int, margin: float, apart: float, others: Sequence[Distance] = ()

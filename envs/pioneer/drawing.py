@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from sb3_options.envs.pioneer.arena import BALL_RADIUS, CORNER_SIZE, OBSTACLE_RADIUS, Layout, Pose, Position
+from sb3_options.envs.pioneer.arena import BALL_RADIUS, CORNER_SIZE, OBSTACLE_RADIUS, Placement, Pose, Position
 from sb3_options.envs.pioneer.body import (
     AXLE_TRACK,
     BODY_RADIUS,
@@ -21,7 +21,7 @@ from sb3_options.envs.pioneer.body import (
 )
 from sb3_options.envs.pioneer.senses import CAMERA_AHEAD, FIELD_OF_VIEW, SONARS, Sensed
 
-__all__ = ["BALL", "BODY", "PICTURE_HEIGHT", "PICTURE_WIDTH", "Scene", "View"]
+__all__ = ["BALL", "BODY", "PICTURE_HEIGHT", "PICTURE_WIDTH", "Renderer", "Scene"]
 
 PICTURE_WIDTH, PICTURE_HEIGHT = 480, 544
 """px; multiples of 16, because video encoders pad other sizes."""
@@ -75,7 +75,7 @@ class Scene(NamedTuple):
     sensed: Sensed
 
 
-class View:
+class Renderer:
     """Draws an arena.
 
     Args:
@@ -91,15 +91,15 @@ class View:
         self._scale = (_SIDE_PX - 2 * _WALL_PX) / (2 * half)
         self._backgrounds: dict[tuple[Position, ...], Image.Image] = {}
 
-    def draw(self, layout: Layout, scene: Scene) -> NDArray[np.uint8]:
+    def draw(self, placement: Placement, scene: Scene) -> NDArray[np.uint8]:
         """Draws a scene.
 
         Returns:
             RGB picture of shape (PICTURE_HEIGHT, PICTURE_WIDTH, 3).
         """
-        if layout.obstacles not in self._backgrounds:
-            self._backgrounds = {layout.obstacles: self._background(layout.obstacles)}
-        image = self._backgrounds[layout.obstacles].copy()
+        if placement.obstacles not in self._backgrounds:
+            self._backgrounds = {placement.obstacles: self._background(placement.obstacles)}
+        image = self._backgrounds[placement.obstacles].copy()
         pen = ImageDraw.Draw(image, "RGBA")
         self._draw_cone(pen, scene.pose)
         self._draw_beams(pen, scene.pose, scene.sensed.ranges)

@@ -14,7 +14,7 @@ from gymnasium.core import RenderFrame
 from numpy.typing import NDArray
 
 from sb3_options.envs.checks import count, number, one_of, step_limit
-from sb3_options.envs.pioneer.arena import BALL_RADIUS, Arena, Layout, Pose, Position
+from sb3_options.envs.pioneer.arena import BALL_RADIUS, Arena, Placement, Pose, Position
 from sb3_options.envs.pioneer.bullet import Bullet
 from sb3_options.envs.pioneer.robot import CONTROL_RATE, PHYSICS_RATE, SOLVER_ITERATIONS, PioneerRobot
 from sb3_options.envs.pioneer.senses import (
@@ -30,7 +30,7 @@ from sb3_options.envs.pioneer.senses import (
 )
 
 if TYPE_CHECKING:
-    from sb3_options.envs.pioneer.drawing import View
+    from sb3_options.envs.pioneer.drawing import Renderer
 
 __all__ = ["ACTIONS", "Deposit", "Motion", "ObservationKind", "Pioneer", "RenderMode"]
 
@@ -167,7 +167,7 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
 
         self._robot = PioneerRobot(self.bullet)
         self._senses = Senses(self.bullet, can_hide=n_obstacles > 0)
-        self._view: View | None = None
+        self._renderer: Renderer | None = None
         self._pictures: list[RenderFrame] = []
         self._ticks = 0
         if self.render_mode == "rgb_array_list":
@@ -175,7 +175,7 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
             self._robot.on_tick = self._film
         elif self.render_mode == "human":
             self._robot.on_tick = _wait
-        self._layout: Layout | None = None
+        self._placement: Placement | None = None
         self._sensed = Sensed([], [])
         self._deposited: list[Position] = []
         self._elapsed = 0
@@ -202,14 +202,14 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
         """
         self._refuse_if_closed("reset")
         super().reset(seed=seed)
-        self._layout = self._arena.sample(self.np_random, **self._arena.given(options or {}))
-        self._robot.build(self._layout, self._arena.walls, self._arena.obstacles(self._layout))
+        self._placement = self._arena.sample(self.np_random, **self._arena.given(options or {}))
+        self._robot.build(self._placement, self._arena.walls, self._arena.obstacles(self._placement))
         self._deposited = []
         self._elapsed = 0
         self._over = False
         observation = self._observe()
         if self.render_mode == "rgb_array_list":
-            self._pictures = [self._picture(self._layout)]
+            self._pictures = [self._picture(self._placement)]
         return observation, {}
 
     def step(self, action: SupportsIndex) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
@@ -228,8 +228,8 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
             gymnasium.error.ClosedEnvironmentError: After `close`.
         """
         self._refuse_if_closed("step")
-        if self._layout is None or self._over:
-            when = "before the first reset()" if self._layout is None else "after the episode's end"
+        if self._placement is None or self._over:
+            when = "before the first reset()" if self._placement is None else "after the episode's end"
             raise gymnasium.error.ResetNeeded(f"step() was called {when}: call reset() first")
         try:
             chosen = index(action)
@@ -247,7 +247,7 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
             self._deposited.append(robot.release())
             observation[GRIPPING] = 0
         if self.render_mode == "rgb_array_list":
-            self._pictures.append(self._picture(self._layout))
+            self._pictures.append(self._picture(self._placement))
         self._elapsed += 1
         terminated = deposited and not robot.balls
         truncated = self._elapsed == self._max_steps and not terminated
@@ -307,10 +307,10 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
             gymnasium.logger.warn("render() does nothing without a render mode: pass render_mode='rgb_array'")
             return None
         self._refuse_if_closed("render")
-        if self._layout is None:
+        if self._placement is None:
             raise gymnasium.error.ResetNeeded("render() was called before the first reset(): call reset() first")
         if self.render_mode == "rgb_array":
-            return self._picture(self._layout)
+            return self._picture(self._placement)
         pictures, self._pictures = self._pictures, []
         return pictures if self.render_mode == "rgb_array_list" else None
 
@@ -330,19 +330,19 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
     def _film(self) -> None:
         """Takes a picture in the middle of an action, now and then."""
         self._ticks += 1
-        if self._ticks % TICKS_PER_PICTURE == 0 and self._layout is not None:
+        if self._ticks % TICKS_PER_PICTURE == 0 and self._placement is not None:
             self._observe()
-            self._pictures.append(self._picture(self._layout))
+            self._pictures.append(self._picture(self._placement))
 
-    def _picture(self, layout: Layout) -> NDArray[np.uint8]:
+    def _picture(self, placement: Placement) -> NDArray[np.uint8]:
         # Imported late: training draws nothing.
-        from sb3_options.envs.pioneer.drawing import Scene, View
+        from sb3_options.envs.pioneer.drawing import Renderer, Scene
 
-        if self._view is None:
-            self._view = View(self._arena.half, DEPOSIT_GAP + BALL_RADIUS, corner_only=self._corner_only)
+        if self._renderer is None:
+            self._renderer = Renderer(self._arena.half, DEPOSIT_GAP + BALL_RADIUS, corner_only=self._corner_only)
         robot = self._robot
         scene = Scene(robot.pose, robot.balls.values(), self._deposited, robot.held is not None, self._sensed)
-        return self._view.draw(layout, scene)
+        return self._renderer.draw(placement, scene)
 
     def _may_deposit(self, ball: Position) -> bool:
         near_wall = self._arena.wall_gap(*ball) - BALL_RADIUS < DEPOSIT_GAP

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from sb3_options.envs.pioneer.arena import BALL_RADIUS, Layout, Pose, Position
+from sb3_options.envs.pioneer.arena import BALL_RADIUS, Placement, Pose, Position
 from sb3_options.envs.pioneer.body import (
     AXLE_TRACK,
     BALL,
@@ -98,16 +98,16 @@ HEADING_CONTROLLER = PDController(p=12.0, d=0.1, top=math.radians(230), accelera
 """In rad. The 2-DX turns up to 300 degrees/s."""
 
 DISTANCE_TOLERANCE = 0.006
-"""An action is settled when the robot is this close to its target, m, ..."""
+"""An action is settled only if the robot is this close to its target, m."""
 
 HEADING_TOLERANCE = math.radians(0.6)
-"""... this close to its heading, rad, ..."""
+"""An action is settled only if the robot is this close to its heading, rad."""
 
 SETTLED_SPEED = 0.05
-"""... slower than this, m/s, ..."""
+"""An action is settled only if the robot is slower than this, m/s."""
 
 SETTLED_TURN_RATE = 0.1
-"""... and turning slower than this, rad/s."""
+"""An action is settled only if the robot turns slower than this, rad/s."""
 
 TIME_LIMIT = 3
 """An action that has not settled is given up after this long, s."""
@@ -145,7 +145,7 @@ class PioneerRobot:
         self._ball_ids: list[int] = []
         self._robot = self._solid = -1
 
-    def build(self, layout: Layout, walls: Sequence[Box], obstacles: Sequence[Cylinder]) -> None:
+    def build(self, placement: Placement, walls: Sequence[Box], obstacles: Sequence[Cylinder]) -> None:
         """Builds the scene anew, everything at rest."""
         bullet = self._bullet
         bullet.clear()
@@ -153,14 +153,14 @@ class PioneerRobot:
         bullet.set_filter(floor, -1, FLOOR, BALL | WHEEL)
         self._solid = bullet.add_static(walls, obstacles)
         bullet.set_filter(self._solid, -1, SOLID, BALL | BODY | RAY)
-        self._ball_ids = [bullet.add_ball(BALL_MASS, BALL_RADIUS, x, y, **BALL_DYNAMICS) for x, y in layout.balls]
+        self._ball_ids = [bullet.add_ball(BALL_MASS, BALL_RADIUS, x, y, **BALL_DYNAMICS) for x, y in placement.balls]
         for ball in self._ball_ids:
             bullet.set_filter(ball, -1, BALL, FLOOR | SOLID | BALL | BODY)
-        self._robot = add_body(bullet, *layout.robot)
+        self._robot = add_body(bullet, *placement.robot)
         self._grips = [self._add_grip(ball) for ball in self._ball_ids]
         self.held = None
-        self.balls = dict(enumerate(layout.balls))
-        self.pose = layout.robot
+        self.balls = dict(enumerate(placement.balls))
+        self.pose = placement.robot
 
     def carry_out(self, distance: float, turn: float) -> bool:
         """Moves ahead, or turns, until the controllers have settled.

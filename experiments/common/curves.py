@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
 
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+
+from experiments.common.seeds import Result
 from sb3_options.experience.observations import FloatArray
 from sb3_options.runs.intervals import CONFIDENCE, mean_interval
 
 N_CURVE_RESAMPLES = 2000
+
+
+Band = tuple[FloatArray, FloatArray, FloatArray]
+"""An estimate at each point, and the ends of its interval."""
+
+
+def curves_of(results: Sequence[Result], column: str) -> FloatArray:
+    """A column of every trial, shape (runs, trials)."""
+    return np.array([r[column] for r in results], dtype=np.float64)
 
 
 def window(curves: FloatArray, first: int, last: int) -> FloatArray:
@@ -17,12 +31,19 @@ def window(curves: FloatArray, first: int, last: int) -> FloatArray:
     return means
 
 
-def curve_interval(curves: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def curve_interval(curves: FloatArray) -> Band:
     """Mean of (runs, trials) for each trial, and its 95 % percentile bootstrap interval."""
     n = len(curves)
     weights = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=N_CURVE_RESAMPLES) / n
     low, high = np.quantile(weights @ curves, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], axis=0)
     return curves.mean(axis=0), low, high
+
+
+def draw_band(axes: Axes, x: npt.ArrayLike, band: Band, colour: str, label: str) -> None:
+    """A curve with its interval."""
+    middle, low, high = band
+    axes.plot(x, middle, color=colour, linewidth=1.2, label=label)
+    axes.fill_between(x, low, high, color=colour, alpha=0.25, linewidth=0)
 
 
 def by_ten(curves: FloatArray) -> list[dict[str, float]]:

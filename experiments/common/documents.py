@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -23,6 +24,17 @@ def fill(document: Path, parts: Mapping[str, str]) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+def described(settings: Any, in_paper: Mapping[str, str | None]) -> dict[str, dict[str, Any]]:
+    """For results.json: the value of each setting of a dataclass, and what the paper says of it (None: nothing)."""
+    values = dataclasses.asdict(settings)
+    return {name: {"value": value, "in_paper": in_paper.get(name)} for name, value in values.items()}
+
+
+def settings_lines(settings: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Each setting, for the screen."""
+    return [f"  {name} = {s['value']} ({s['in_paper'] or 'not in the paper'})" for name, s in settings.items()]
+
+
 def settings_table(settings: dict[str, dict[str, Any]]) -> str:
     """Each setting, and whether the paper gives it."""
     rows = ["| setting | value | in the paper |", "|---|---|---|"]
@@ -30,12 +42,14 @@ def settings_table(settings: dict[str, dict[str, Any]]) -> str:
     return "\n".join(rows)
 
 
-def number(interval: Mapping[str, Any], key: str = "mean", *, decimals: int = 2) -> str:
-    """An estimate with its interval, if it has one."""
+def number(interval: Mapping[str, Any] | None, key: str = "mean", *, form: str = "{:.2f}") -> str:
+    """An estimate with its interval, if it has one; nothing where there is no estimate to make."""
+    if interval is None:
+        return ""
     if interval[key] is None:
         return "–"
-    around = "" if interval["low"] is None else f" ({interval['low']:.{decimals}f} to {interval['high']:.{decimals}f})"
-    return f"{interval[key]:.{decimals}f}{around}"
+    text, *ends = (form.format(interval[k]) for k in (key, "low", "high") if interval[k] is not None)
+    return f"{text} ({' to '.join(ends)})" if ends else text
 
 
 def _filled(text: str, name: str, part: str, document: Path) -> str:

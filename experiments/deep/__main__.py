@@ -11,50 +11,43 @@ import dataclasses
 import time
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 
-from experiments.common.seeds import Part, run_parts, write_json
-from experiments.deep.agents import ALGORITHMS, ARMS, Arm, run
+from experiments.common.documents import number
+from experiments.common.seeds import Part, run_parts
+from experiments.common.study import Flags, show, write
+from experiments.deep.agents import ALGORITHMS, ARMS, Arm
+from experiments.deep.conditions import run
 from experiments.deep.plots import draw
 from experiments.deep.settings import DeepSettings
 from experiments.deep.summary import summarise
 from experiments.deep.tasks import TASKS
 
-DPI = 100
 
-
-@dataclass(frozen=True)
-class Study:
+@dataclass(frozen=True, kw_only=True)
+class Study(Flags):
     """Does an agent learn faster with options that it discovers?
 
     Attributes:
-        out: Folder for results.json, curves.png and one file per finished run.
         task: Learn one task from nothing, or one whose goal has moved, with the options of the old one.
         env: Which gridworlds, with commas between; by default all that have the task.
         algo: Which algorithms, with commas between: dqn and ppo, which with options keep to their initiation sets
             (OptionDQN, MaskablePPO); dqn-unmasked, ppo-unmasked and qrdqn, which do not.
         arms: What is compared, with commas between: stock, options, repeats.
-        runs: Number of seeds.
         control_runs: Seeds of the random repeats; by default as many.
-        first_seed: Seeds count up from here. Settings were chosen on seeds 0 to 99, so none of these.
-        jobs: Processes; by default one a core.
         settings: Of the algorithms and of discovery.
     """
 
-    out: Annotated[Path, tyro.conf.arg(name="out")]
     task: Literal["same", "transfer"] = "same"
     env: str = ""
     algo: str = "dqn,ppo"
     arms: str = "stock,options,repeats"
     runs: int = 20
-    control_runs: int | None = None
     first_seed: int = 2000
-    jobs: int | None = None
+    control_runs: int | None = None
     settings: DeepSettings = field(default_factory=DeepSettings)
 
     def __post_init__(self) -> None:
@@ -88,8 +81,6 @@ def main(study: Study) -> None:
                 runs[key][arm] = results
     lengths = {env: TASKS[study.task, env].n_timesteps for env in environments}
     numbers = {env: {algo: summarise(runs[env, algo], lengths[env]) for algo in algorithms} for env in environments}
-    study.out.mkdir(parents=True, exist_ok=True)
-    draw(study.task, runs, lengths).savefig(study.out / "curves.png", dpi=DPI)
     command = (
         f"python -m experiments.deep --task {study.task} --env {','.join(environments)} --algo {','.join(algorithms)} "
         f"--arms {study.arms} --runs {study.runs} --first-seed {study.first_seed}"
@@ -104,12 +95,17 @@ def main(study: Study) -> None:
         "tasks": {env: dataclasses.asdict(TASKS[study.task, env]) for env in environments},
         "results": numbers,
     }
-    write_json(study.out / "results.json", content)
-    _print(numbers, study)
+    write(study.out, content, {"curves": draw(study.task, runs, lengths)})
+    show(
+        _table(numbers),
+        "Steps to 90 %: interquartile means with 95 % stratified bootstrap intervals; a run that never gets there "
+        "counts with its whole length.",
+        f"Results: {study.out / 'results.json'}, {study.out / 'curves.png'}",
+    )
 
 
 def _run(study: Study, arm: Arm) -> dict[tuple[str, str], Any]:
-    n = study.runs if arm != "repeats" or study.control_runs is None else study.control_runs
+    n = study.control_runs if arm == "repeats" else None
     found: dict[tuple[str, str], Any] = {}
     for algo in study.chosen("algo"):
         parts = []
@@ -118,7 +114,7 @@ def _run(study: Study, arm: Arm) -> dict[tuple[str, str], Any]:
             parts.append(Part(env, partial(run, TASKS[study.task, env], algo, arm, study.settings, folder), folder))
         results = run_parts(
             parts,
-            range(study.first_seed, study.first_seed + n),
+            study.seeds(n),
             settings={**study.settings.of(algo, arm), "task": study.task, "worlds": _worlds(study.task)},
             jobs=study.jobs,
             description=f"{study.task}, {algo}, {arm}",
@@ -131,7 +127,7 @@ def _worlds(task: str) -> dict[str, Any]:
     return {env: dataclasses.asdict(world) for (kind, env), world in TASKS.items() if kind == task}
 
 
-def _print(numbers: dict[str, Any], study: Study) -> None:
+def _table(numbers: dict[str, Any]) -> Table:
     table = Table("", "runs", "steps to 90 %", "of stock", "Pr(faster)", "final steps", "of stock", "never")
     for env, by_algorithm in numbers.items():
         for algo, arms in by_algorithm.items():
@@ -139,27 +135,14 @@ def _print(numbers: dict[str, Any], study: Study) -> None:
                 table.add_row(
                     f"{algo} {env} {arm}",
                     str(of["n_runs"]),
-                    _text(of["steps_to_90"], "{:,.0f}"),
-                    _text(of.get("steps_to_90_of_stock")),
-                    _text(of.get("probability_of_improvement")),
-                    _text(of["final_steps"], "{:.1f}"),
-                    _text(of.get("final_steps_of_stock"), "{:.3f}"),
+                    number(of["steps_to_90"], form="{:,.0f}"),
+                    number(of.get("steps_to_90_of_stock")),
+                    number(of.get("probability_of_improvement")),
+                    number(of["final_steps"], form="{:.1f}"),
+                    number(of.get("final_steps_of_stock"), form="{:.3f}"),
                     str(of["never"]),
                 )
-    console = Console(highlight=False, soft_wrap=True)
-    console.print(table)
-    console.print(
-        "Steps to 90 %: interquartile means with 95 % stratified bootstrap intervals; a run that never gets there "
-        "counts with its whole length."
-    )
-    console.print(f"Results: {study.out / 'results.json'}, {study.out / 'curves.png'}")
-
-
-def _text(interval: dict[str, float] | None, form: str = "{:.2f}") -> str:
-    if interval is None:
-        return ""
-    mean, low, high = (form.format(interval[key]) for key in ("mean", "low", "high"))
-    return f"{mean} ({low} to {high})"
+    return table
 
 
 if __name__ == "__main__":

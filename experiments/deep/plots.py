@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments.common.curves import Band, draw_band
 from experiments.common.seeds import Result
 from experiments.deep.summary import GRID, curve, iqm, iqm_interval, steps_to_success
 from sb3_options.experience.observations import FloatArray
@@ -36,9 +37,8 @@ def draw(task: str, runs: dict[tuple[str, str], dict[str, Sequence[Result]]], le
                 if not results:
                     continue
                 at = np.arange(0, lengths[env] + 1, GRID)
-                middle, low, high = band(np.array([curve(r, lengths[env]) for r in results]))
-                axes.plot(at, middle, color=COLOURS[arm], label=f"{LABELS[arm]} ({len(results)} runs)")
-                axes.fill_between(at, low, high, color=COLOURS[arm], alpha=0.18, linewidth=0)
+                curves = band(np.array([curve(r, lengths[env]) for r in results]))
+                draw_band(axes, at, curves, COLOURS[arm], f"{LABELS[arm]} ({len(results)} runs)")
                 reached = iqm_interval(np.array([steps_to_success(r, lengths[env]) for r in results]))
                 height = 0.9 + APART * list(COLOURS).index(arm)  # side by side where they overlap
                 axes.plot(reached.mean, height, "o", color=COLOURS[arm], markersize=5)
@@ -54,7 +54,7 @@ def draw(task: str, runs: dict[tuple[str, str], dict[str, Sequence[Result]]], le
     return figure
 
 
-def band(curves: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def band(curves: FloatArray) -> Band:
     """Interquartile mean of (runs, points) at each point, and its 95 % percentile bootstrap interval."""
     rng = np.random.default_rng(0)
     drawn = curves[rng.integers(len(curves), size=(N_BANDS, len(curves)))]

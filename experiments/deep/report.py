@@ -75,20 +75,15 @@ def rows(study: dict[str, Any]) -> Iterator[str]:
                     f"{algo.upper()}, {env}: {LABELS[arm]}",
                     str(of["n_runs"]),
                     str(of["with_option"]) if arm == "options" else "",
-                    "{mean:,.0f} ({low:,.0f} to {high:,.0f})".format(**of["steps_to_90"]),
-                    _against_stock(of, "steps_to_90_of_stock"),
-                    _against_stock(of, "probability_of_improvement"),
-                    _against_stock(of, "area_difference"),
+                    number(of["steps_to_90"], form="{:,.0f}"),
+                    number(of.get("steps_to_90_of_stock")),
+                    number(of.get("probability_of_improvement")),
+                    number(of.get("area_difference")),
                     "{mean:.1f}".format(**of["final_steps"]),
-                    _against_stock(of, "final_steps_of_stock", decimals=3),
+                    number(of.get("final_steps_of_stock"), form="{:.3f}"),
                     str(of["never"]),
                 ]
                 yield "| " + " | ".join(cells) + " |"
-
-
-def _against_stock(of: dict[str, Any], name: str, **kwargs: Any) -> str:
-    value = of.get(name)
-    return "" if value is None else number(value, **kwargs)
 
 
 if __name__ == "__main__":

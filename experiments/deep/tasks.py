@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
 from sb3_options.envs import GridWorld
@@ -43,11 +42,6 @@ TASKS = {
     ("transfer", "FourRooms"): Task("sb3_options/FourRooms-v0", {"goal": (11, 8), **MOVED}, {}),
 }
 """The goal moves to another corner of its room."""
-
-
-def world_of(env_id: str, **kwargs: Any) -> GridWorld:
-    """The gridworld itself."""
-    return cast("GridWorld", gym.make(env_id, **kwargs).unwrapped)
 
 
 def optimal_steps(world: GridWorld) -> float:

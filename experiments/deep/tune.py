@@ -16,7 +16,7 @@ import warnings
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import optuna
 import torch
@@ -24,11 +24,13 @@ import tyro
 from joblib import Parallel, delayed
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
-from rich.console import Console
+from rich.json import JSON
 
 import sb3_options.envs  # noqa: F401  # registers them, in worker processes too
 from experiments.common.seeds import Part, Result, run_parts, write_json
-from experiments.deep.agents import discover, reached_at, train
+from experiments.common.study import show
+from experiments.deep.agents import reached_at
+from experiments.deep.conditions import discover, train
 from experiments.deep.settings import DeepSettings
 from experiments.deep.tasks import TASKS, Task
 
@@ -72,7 +74,7 @@ class Tuning:
         jobs: Processes; by default one a core.
     """
 
-    out: Annotated[Path, tyro.conf.arg(name="out")]
+    out: Path
     algo: Literal["dqn", "ppo"] = "ppo"
     arm: Literal["stock", "options"] = "options"
     trials: int = 17
@@ -106,7 +108,7 @@ def main(tuning: Tuning) -> None:
         "best": best.params,
     }
     write_json(tuning.folder / "tuned.json", content)
-    Console().print_json(data=content)
+    show(JSON.from_data(content))
 
 
 def _study(tuning: Tuning) -> optuna.Study:

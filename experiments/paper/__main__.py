@@ -9,14 +9,14 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 
-from experiments.common.seeds import Part, Result, run_parts, write_json
+from experiments.common.documents import settings_lines
+from experiments.common.seeds import Part, Result, run_parts
+from experiments.common.study import Flags, show, write
 from experiments.paper import conditions
 from experiments.paper.claims import Claim, claims_of
 from experiments.paper.plots import draw
@@ -43,24 +43,17 @@ IN_ORDER = (("learning",), ("controls", "transfer", "reuse", "negatives"))
 DPI = 90
 
 
-@dataclass(frozen=True)
-class Study:
+@dataclass(frozen=True, kw_only=True)
+class Study(Flags):
     """Reproduce the gridworld figures of McGovern & Barto (2001).
 
     Attributes:
         figure: Which one, or all.
-        out: Folder for results.json, the pictures and one file per finished seed.
-        runs: Number of seeds.
-        first_seed: Seeds count up from here. Settings were chosen on seeds 0 to 99, so none of these.
-        jobs: Processes; by default one a core.
         settings: Of the task, of learning and of discovery.
     """
 
     figure: tyro.conf.Positional[Literal["all"] | FigureName]
-    out: Annotated[Path, tyro.conf.arg(name="out")]
-    runs: int = 30
     first_seed: int = 4000
-    jobs: int | None = None
     settings: PaperSettings = field(default_factory=PaperSettings)
 
 
@@ -74,9 +67,6 @@ def main(study: Study) -> None:
         groups |= _run(study, [group for group in stage if group in needed])
     numbers: dict[str, dict[str, Any]] = {figure: numbers_of(figure, groups) for figure in figures}
     claims = claims_of(numbers)
-    study.out.mkdir(parents=True, exist_ok=True)
-    for figure in figures:
-        draw(figure, groups).savefig(study.out / f"{figure}.png", dpi=DPI)
     results: dict[str, Any] = {
         "command": f"python -m experiments.paper {study.figure} --runs {study.runs} --first-seed {study.first_seed}",
         "n_runs": study.runs,
@@ -85,8 +75,9 @@ def main(study: Study) -> None:
         "claims": {claim.name: claim._asdict() for claim in claims},
         "figures": numbers,
     }
-    write_json(study.out / "results.json", results)
-    _print(claims, study, results["seconds"])
+    write(study.out, results, {figure: draw(figure, groups) for figure in figures}, dpi=DPI)
+    closing = f"{study.runs} runs in {results['seconds']:.0f} s. Results and pictures: {study.out}"
+    show(_table(claims), *settings_lines(results["settings"]), closing)
 
 
 def _run(study: Study, groups: list[str]) -> dict[str, list[Result]]:
@@ -100,25 +91,20 @@ def _run(study: Study, groups: list[str]) -> dict[str, list[Result]]:
     }
     return run_parts(
         [Part(group, functions[group], study.out / "groups" / group) for group in groups],
-        range(study.first_seed, study.first_seed + study.runs),
+        study.seeds(),
         settings=settings.described(),
         jobs=study.jobs,
         description=", ".join(groups).capitalize(),
     )
 
 
-def _print(claims: list[Claim], study: Study, seconds: float) -> None:
+def _table(claims: list[Claim]) -> Table:
     table = Table("what", "number", "95 % interval", "bar", "reached")
     for c in claims:
         value = "–" if c.value is None else f"{c.value:.3g}"
         interval = "" if c.low is None else f"{c.low:.3g} to {c.high:.3g}"
         table.add_row(c.name, value, interval, c.bar, "yes" if c.reached else "NO")
-    console = Console(highlight=False, soft_wrap=True)
-    console.print(table)
-    for name, setting in study.settings.described().items():
-        source = setting["in_paper"] or "not in the paper"
-        console.print(f"  {name} = {setting['value']} ({source})")
-    console.print(f"{study.runs} runs in {seconds:.0f} s. Results and pictures: {study.out}")
+    return table
 
 
 if __name__ == "__main__":

@@ -1,17 +1,17 @@
-"""The paper's agents: how they are made, live through trials, are forked, and replay experience."""
+"""The paper's agents: how they are made, are forked, and replay experience."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
 from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
-from stable_baselines3.common.callbacks import BaseCallback, CallbackList
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
+from experiments.common.agents import wrapper_of
 from experiments.paper.settings import PaperSettings
 from sb3_options import MacroQ, OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
@@ -19,9 +19,6 @@ from sb3_options.envs import GridWorld
 from sb3_options.experience.observations import BoolArray, FloatArray
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.options.option import SubgoalOption
-
-NO_LIMIT = 10**12
-"""Primitive steps; trials end a run, not steps."""
 
 
 class SingleEnv(DummyVecEnv):
@@ -45,7 +42,7 @@ class SingleEnv(DummyVecEnv):
         done = terminated or truncated
         info["TimeLimit.truncated"] = truncated and not terminated
         if done:
-            info["n_steps"], self._steps = self._steps, 0
+            info["episode"], self._steps = {"l": self._steps}, 0
             info["terminal_observation"] = observation
             observation, self.reset_infos[0] = self.envs[0].reset()
         return observation[None], np.array([reward]), np.array([done]), [info]
@@ -80,11 +77,6 @@ def make_agent(settings: PaperSettings, seed: int, *, slots: bool = True, **worl
     )
 
 
-def wrapper_of(agent: MacroQ) -> OptionsWrapper:
-    """The environment with its option bank."""
-    return cast("OptionsWrapper", cast("SingleEnv", agent.get_env()).envs[0])
-
-
 def world_of(agent: MacroQ) -> GridWorld:
     """The gridworld itself."""
     return cast("GridWorld", wrapper_of(agent).unwrapped)
@@ -97,55 +89,6 @@ def fork(agent: MacroQ) -> MacroQ:
     wrapper.set_option(0, None)
     wrapper.record_trajectories(False)
     return twin
-
-
-class Trials(BaseCallback):
-    """Ends training after some trials.
-
-    Args:
-        n_trials: How many.
-        until: Asked after each trial; True ends training too.
-
-    Attributes:
-        lengths: Primitive steps of each trial.
-        trajectories: Those that were recorded and that no callback before this one took.
-    """
-
-    def __init__(self, n_trials: int, until: Callable[[], bool]) -> None:
-        super().__init__()
-        self.n_trials, self.until = n_trials, until
-        self.lengths: list[int] = []
-        self.trajectories: list[Trajectory] = []
-
-    def _on_step(self) -> bool:
-        info = self.locals["infos"][0]
-        if "n_steps" not in info:
-            return True
-        self.lengths.append(info["n_steps"])
-        if "trajectory" in info:
-            self.trajectories.append(info["trajectory"])
-        return len(self.lengths) < self.n_trials and not self.until()
-
-
-def live(
-    agent: MacroQ, n_trials: int, callback: BaseCallback | None = None, until: Callable[[], bool] = lambda: False
-) -> Trials:
-    """Let an agent learn for some trials, going on where it was.
-
-    Args:
-        agent: Who.
-        n_trials: How many trials; none if not positive.
-        callback: Called before the trials are counted.
-        until: Asked after each trial; True ends it too.
-
-    Returns:
-        What the trials were like.
-    """
-    trials = Trials(n_trials, until)
-    if n_trials > 0:
-        both = trials if callback is None else CallbackList([callback, trials])
-        agent.learn(NO_LIMIT, callback=both, log_interval=None, reset_num_timesteps=False)
-    return trials
 
 
 def discoverer(settings: PaperSettings, seed: int, *, max_new_options: int = 1) -> SubgoalDiscoveryCallback:

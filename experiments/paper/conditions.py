@@ -12,6 +12,8 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import torch
 
+from experiments.common.agents import live, wrapper_of
+from experiments.common.gridworlds import Cell, cell_of, distance_to_doorway
 from experiments.common.seeds import Result
 from experiments.paper import measures
 from experiments.paper.agents import (
@@ -19,22 +21,21 @@ from experiments.paper.agents import (
     SingleEnv,
     discoverer,
     fork,
-    live,
     make_agent,
     steps_in_initiation_set,
     world_of,
-    wrapper_of,
 )
 from experiments.paper.settings import TRANSFER_GOAL, PaperSettings
 from sb3_options import MacroQ
 from sb3_options.atomic import atomic_write
 from sb3_options.callbacks import SubgoalDiscoveryCallback
-from sb3_options.discovery.static_filter import success_by_steps
+from sb3_options.density.regions import Region
 from sb3_options.envs import GridWorld
 from sb3_options.experience.observations import FloatArray
+from sb3_options.experience.success import success_by_steps
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.options.creation import learn_option
-from sb3_options.options.option import Option, Region, SubgoalOption
+from sb3_options.options.option import Option, SubgoalOption
 
 STRICT, SOFT = 1.0, 0.1
 """Strength η of negative bags: a noisy-or that allows no exception, and the library's default."""
@@ -107,7 +108,7 @@ def learning(settings: PaperSettings, artifacts: Path, seed: int) -> Result:
     return {
         "primitive": lengths,
         "discovery": start.lengths + with_option,
-        "option": _subgoal(world, (found[0].episode, measures.cell_of(found[0].subgoal)) if found else None)
+        "option": _subgoal(world, (found[0].episode, cell_of(found[0].subgoal)) if found else None)
         | {"initiation_states": found[0].initiation_states if found else None},
         "visits": {
             "every": measures.visit_counts(world, in_trials, first_only=False).tolist(),
@@ -137,7 +138,7 @@ def _record(agent: MacroQ, n_trials: int, lengths: list[int]) -> list[LabelledTr
     trials = live(agent, n_trials)
     wrapper.record_trajectories(False)
     lengths += trials.lengths
-    return [_labelled(agent, trajectory) for trajectory in trials.trajectories]
+    return [_labelled(agent, info["trajectory"]) for info in trials.infos]
 
 
 def _labelled(agent: MacroQ, trajectory: Trajectory) -> LabelledTrajectory:
@@ -145,11 +146,11 @@ def _labelled(agent: MacroQ, trajectory: Trajectory) -> LabelledTrajectory:
     return LabelledTrajectory(trajectory, features, bool(trajectory.is_success))
 
 
-def _subgoal(world: GridWorld, found: tuple[int, measures.Cell] | None) -> dict[str, Any]:
+def _subgoal(world: GridWorld, found: tuple[int, Cell] | None) -> dict[str, Any]:
     if found is None:
         return {"trial": None, "subgoal": None, "distance": None}
     trial, cell = found
-    return {"trial": trial, "subgoal": list(cell), "distance": measures.distance_to_doorway(world, cell)}
+    return {"trial": trial, "subgoal": list(cell), "distance": distance_to_doorway(world, cell)}
 
 
 def _plain(values: FloatArray | None) -> list[list[float | None]] | None:
@@ -200,7 +201,7 @@ def controls(settings: PaperSettings, seed: int) -> Result:
         result["replayed"][name] = 0 if replay is None else replay.backups
     world = world_of(start.agent)
     random = random_option(settings, start, np.random.default_rng([seed, RANDOM_SUBGOAL_SEED]))
-    result["random_subgoal"] = list(measures.cell_of(random.subgoal.points[0]))
+    result["random_subgoal"] = list(cell_of(random.subgoal.points[0]))
     for name, other in (("handmade", doorway_option(world)), ("random", random)):
         agent = fork(start.agent)
         if option is not None:

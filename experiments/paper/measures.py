@@ -6,32 +6,18 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from experiments.common.gridworlds import Cell, cell_of
 from experiments.paper.settings import PaperSettings
 from sb3_options.density.diverse_density import log_diverse_density
-from sb3_options.discovery.static_filter import SuccessRule, near_start_and_goal, reported_success
+from sb3_options.discovery.static_filter import near_start_and_goal
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.envs import GridWorld
 from sb3_options.experience.observations import FloatArray, IntArray
+from sb3_options.experience.success import SuccessRule, reported_success
 from sb3_options.experience.trajectories import LabelledTrajectory
-
-Cell = tuple[int, int]
-
-NEAR = 1
-"""A subgoal this many steps from the doorway still is at the doorway: every crossing visits it."""
 
 LOWEST_LOG_DENSITY = -200.0
 """In place of −∞ before a mean is taken: a negative bag of full strength gives that."""
-
-
-def cell_of(point: Iterable[float]) -> Cell:
-    """The cell (x, y) of a point of concept space."""
-    x, y = point
-    return round(float(x)), round(float(y))
-
-
-def distance_to_doorway(world: GridWorld, cell: Cell) -> int:
-    """Steps without walls."""
-    return min(abs(cell[0] - x) + abs(cell[1] - y) for x, y in world.doorways)
 
 
 def visit_counts(world: GridWorld, trajectories: Iterable[LabelledTrajectory], *, first_only: bool) -> IntArray:

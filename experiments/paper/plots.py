@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +10,8 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.common.curves import curve_interval
+from experiments.common.curves import curve_interval, curves_of, draw_band
+from experiments.common.gridworlds import counts_of, frame_doorways
 from experiments.common.seeds import Result
 from sb3_options.envs import GridWorld
 from sb3_options.experience.observations import FloatArray
@@ -71,12 +71,10 @@ def _curves(name: str, groups: Groups) -> Figure:
     axes = figure.subplots()
     for (group, condition, label), colour in zip(CURVES[name], COLOURS, strict=False):
         curves = curves_of(groups[group], condition)[:, : LAST_TRIAL[name]]
-        mean, low, high = curve_interval(curves)
-        trials = np.arange(1, len(mean) + 1)
-        axes.plot(trials, mean, color=colour, linewidth=1.2, label=label)
-        axes.fill_between(trials, low, high, color=colour, alpha=0.25, linewidth=0)
+        trials = np.arange(1, curves.shape[1] + 1)
+        draw_band(axes, trials, curve_interval(curves), colour, label)
         if name == "figure3":
-            deviation = curves.std(axis=0)
+            mean, deviation = curves.mean(axis=0), curves.std(axis=0)
             axes.fill_between(trials, np.maximum(mean - deviation, 1), mean + deviation, color=colour, alpha=0.08)
     axes.set_yscale("log")
     axes.set_ylim(bottom=SHORTEST)
@@ -87,11 +85,6 @@ def _curves(name: str, groups: Groups) -> Figure:
     axes.set_title(f"mean of {n} runs, {band}", fontsize=10)
     axes.legend(fontsize=8, frameon=False)
     return figure
-
-
-def curves_of(results: list[Result], condition: str) -> FloatArray:
-    """Steps of every trial, shape (runs, trials)."""
-    return np.array([r[condition] for r in results], dtype=np.float64)
 
 
 def _histograms(groups: Groups) -> Figure:
@@ -114,7 +107,7 @@ def _densities(groups: Groups) -> Figure:
         "baseline: most visits": [r["baselines"]["every"]["subgoal"] for r in runs],
     }
     for axes, (title, cells) in zip(panels[1:], subgoals.items(), strict=True):
-        _map(figure, axes, _counts(cells), f"{title} ({sum(c is not None for c in cells)} runs)")
+        _map(figure, axes, counts_of(GridWorld(), cells), f"{title} ({sum(c is not None for c in cells)} runs)")
     return figure
 
 
@@ -128,10 +121,10 @@ def _negatives(groups: Groups) -> Figure:
         _map(figure, panels[0, column], density, f"step limit: mean log diverse density, {words}")
         cells = [r[strength]["subgoal"] for r in limited]
         found = sum(c is not None for c in cells)
-        _map(figure, panels[1, column], _counts(cells), f"step limit: subgoals ({found} runs), {words}")
+        _map(figure, panels[1, column], counts_of(GridWorld(), cells), f"step limit: subgoals ({found} runs), {words}")
         cells = [r[strength]["subgoal"] for r in noisy]
         found = sum(c is not None for c in cells)
-        _map(figure, panels[2, column], _counts(cells), f"noisy bags: subgoals ({found} runs), {words}")
+        _map(figure, panels[2, column], counts_of(GridWorld(), cells), f"noisy bags: subgoals ({found} runs), {words}")
     return figure
 
 
@@ -141,15 +134,6 @@ def mean_map(maps: list[list[list[float | None]] | None]) -> npt.NDArray[np.floa
     return np.mean(there, axis=0) if there else None
 
 
-def _counts(cells: list[Any]) -> FloatArray:
-    world = GridWorld()
-    counts = np.zeros(world.walls.shape)
-    for cell in cells:
-        if cell is not None:
-            counts[cell[1], cell[0]] += 1
-    return counts
-
-
 def _map(figure: Figure, axes: Axes, values: FloatArray | None, title: str) -> None:
     """Lighter is more, as in the paper; the doorway is framed."""
     world = GridWorld()
@@ -157,8 +141,7 @@ def _map(figure: Figure, axes: Axes, values: FloatArray | None, title: str) -> N
     image = axes.imshow(shown, cmap=colormaps["gray"].with_extremes(bad=WALL_COLOUR))
     if values is not None:
         figure.colorbar(image, ax=axes, shrink=0.7)
-    for x, y in world.doorways:
-        axes.plot(x, y, "s", markersize=14, markerfacecolor="none", markeredgecolor="#d62728")
+    frame_doorways(axes, world)
     axes.text(*world.goal, "G", color="#d62728", ha="center", va="center", fontsize=8)
     axes.set_title(title, fontsize=10)
     axes.set_xticks([])

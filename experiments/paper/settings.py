@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from sb3_options.discovery.subgoals import DiscoverySettings
+from experiments.common.documents import described
+from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.options.settings import OptionLearningSettings
 
 TRANSFER_GOAL = (20, 0)
@@ -94,9 +94,8 @@ class PaperSettings:
         )
 
     def described(self) -> dict[str, dict[str, Any]]:
-        """For results.json: the value of each setting, and what the paper says of it (None: nothing)."""
-        values = dataclasses.asdict(self)
-        return {name: {"value": values[name], "in_paper": IN_PAPER[name]} for name in values}
+        """For results.json."""
+        return described(self, IN_PAPER)
 
 
 IN_PAPER: dict[str, str | None] = {

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common.curves import by_ten, window
+from experiments.common.curves import by_ten, curves_of, window
+from experiments.common.gridworlds import NEAR
 from experiments.common.seeds import Result
-from experiments.paper.measures import NEAR
-from experiments.paper.plots import CURVES, Groups, curves_of
+from experiments.paper.plots import CURVES, Groups
 from sb3_options.envs import GridWorld
 from sb3_options.experience.observations import FloatArray
 from sb3_options.runs.intervals import mean_interval, ratio_interval, share_interval

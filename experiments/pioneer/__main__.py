@@ -12,14 +12,14 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Any, Literal, cast
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 
-from experiments.common.seeds import Result, run_seeds, write_json
+from experiments.common.documents import settings_lines
+from experiments.common.seeds import Result, run_seeds
+from experiments.common.study import Flags, show, write
 from experiments.pioneer import conditions
 from experiments.pioneer.plots import draw
 from experiments.pioneer.settings import MAIN_TASK, PioneerSettings
@@ -37,32 +37,22 @@ GROUPS: dict[FigureName, tuple[str, ...]] = {
 }
 """What each figure is made from; later groups take up what earlier ones left."""
 
-DPI = 100
 
-
-@dataclass(frozen=True)
-class Study:
+@dataclass(frozen=True, kw_only=True)
+class Study(Flags):
     """The simulated robot of McGovern & Barto (2001), §7.
 
     Attributes:
         figure: Which one, or all.
-        out: Folder for results.json, the pictures and one file per finished seed.
-        runs: Number of seeds.
-        first_seed: Seeds count up from here. Settings were chosen on seeds 0 to 7, so none of these.
         transfer_runs: Number of seeds for the transfer tasks, which take longer; by default all of them.
         dqn_runs: Number of seeds for DQN, which takes longest.
-        jobs: Processes; by default one a core.
         settings: Of the task, of learning and of discovery.
         dqn: Of training DQN; seed, folder, `discover` and `progress` are the study's.
     """
 
     figure: tyro.conf.Positional[Literal["all"] | FigureName]
-    out: Annotated[Path, tyro.conf.arg(name="out")]
-    runs: int = 30
-    first_seed: int = 1000
     transfer_runs: int | None = None
     dqn_runs: int = 5
-    jobs: int | None = None
     settings: PioneerSettings = field(default_factory=PioneerSettings)
     dqn: DQNConfig = field(default_factory=lambda: cast("DQNConfig", tuned(MAIN_TASK)))
 
@@ -76,9 +66,6 @@ def main(study: Study) -> None:
         if any(name in GROUPS[figure] for figure in figures):
             groups[name] = _run(study, name)
     numbers: dict[str, dict[str, Any]] = {figure: numbers_of(figure, groups) for figure in figures if GROUPS[figure]}
-    study.out.mkdir(parents=True, exist_ok=True)
-    for figure in figures:
-        draw(figure, groups).savefig(study.out / f"{figure}.png", dpi=DPI)
     results: dict[str, Any] = {
         "command": f"python -m experiments.pioneer {study.figure} --runs {study.runs} --first-seed {study.first_seed}"
         f" --transfer-runs {study.transfer_runs or study.runs} --dqn-runs {study.dqn_runs}",
@@ -87,8 +74,10 @@ def main(study: Study) -> None:
         "dqn_settings": json.loads(json.dumps(dataclasses.asdict(study.dqn), default=str)),
         "figures": numbers,
     }
-    write_json(study.out / "results.json", results)
-    _print(numbers, study, time.perf_counter() - began)
+    write(study.out, results, {figure: draw(figure, groups) for figure in figures})
+    if numbers:
+        show(_table(numbers), *settings_lines(results["settings"]))
+    show(f"{time.perf_counter() - began:.0f} s. Results and pictures: {study.out}")
 
 
 def _run(study: Study, name: str) -> list[Result]:
@@ -103,7 +92,7 @@ def _run(study: Study, name: str) -> list[Result]:
     }
     return run_seeds(
         functions[name],
-        range(study.first_seed, study.first_seed + runs),
+        study.seeds(runs),
         study.out / "groups" / name,
         settings=dataclasses.asdict(study.dqn) if name == "dqn" else settings.described(),
         jobs=study.jobs,
@@ -111,19 +100,14 @@ def _run(study: Study, name: str) -> list[Result]:
     )
 
 
-def _print(numbers: dict[str, dict[str, Any]], study: Study, seconds: float) -> None:
+def _table(numbers: dict[str, dict[str, Any]]) -> Table:
     table = Table("figure", "what", "number", "95 % interval", "bar", "reached")
     for figure, values in numbers.items():
         for name, value in _intervals(values):
             reached = {True: "yes", False: "NO", None: ""}[value.get("reached")]
             interval = f"{value['low']:.3g} to {value['high']:.3g}"
             table.add_row(figure, name, f"{value['mean']:.3g}", interval, str(value.get("bar", "")), reached)
-    console = Console(highlight=False, soft_wrap=True)
-    if numbers:
-        console.print(table)
-        for name, setting in study.settings.described().items():
-            console.print(f"  {name} = {setting['value']} ({setting['in_paper'] or 'not in the paper'})")
-    console.print(f"{seconds:.0f} s. Results and pictures: {study.out}")
+    return table
 
 
 def _intervals(values: dict[str, Any], prefix: str = "") -> list[tuple[str, dict[str, Any]]]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
+from experiments.common.agents import wrapper_of
 from experiments.common.seeds import Result
 from experiments.pioneer.settings import PioneerSettings
 from sb3_options import MacroQ, OptionsWrapper
@@ -20,9 +20,6 @@ from sb3_options.envs.pioneer.senses import FIELD_OF_VIEW, MAX_WIDTH, SONAR_MIN
 from sb3_options.experience.observations import BoolArray, FloatArray
 from sb3_options.learning.linear_features import Concatenated, TileCoding
 from sb3_options.runs.evaluation import greedy_episodes
-
-NO_LIMIT = 10**12
-"""Primitive steps; trials end a run, not steps."""
 
 
 class CountTouches(gym.Wrapper[Any, Any, Any, Any]):
@@ -83,11 +80,6 @@ def make_agent(settings: PioneerSettings, env_id: str, seed: int) -> MacroQ:
     )
 
 
-def wrapper_of(agent: MacroQ) -> OptionsWrapper:
-    """The environment with its option bank."""
-    return cast("OptionsWrapper", cast("DummyVecEnv", agent.get_env()).envs[0])
-
-
 def ball_in_sight(scaled: FloatArray, start: FloatArray, end: FloatArray) -> BoolArray:
     """The static filter: without a ball on the retina there is no width or displacement to speak of."""
     seen: BoolArray = scaled[:, 1] > 0
@@ -105,44 +97,11 @@ def discoverer(settings: PioneerSettings, seed: int, *, max_new_options: int) ->
     )
 
 
-class Trials(BaseCallback):
-    """Ends training after some trials, and remembers them.
-
-    Args:
-        n_trials: How many.
-
-    Attributes:
-        episodes: What `Monitor` said of each.
-    """
-
-    def __init__(self, n_trials: int) -> None:
-        super().__init__()
-        self.n_trials = n_trials
-        self.episodes: list[dict[str, Any]] = []
-
-    def _on_step(self) -> bool:
-        info = self.locals["infos"][0]
-        if "episode" in info:
-            self.episodes.append(info["episode"])
-        return len(self.episodes) < self.n_trials
-
-
-def live(agent: MacroQ, n_trials: int, callback: BaseCallback) -> Result:
-    """Let an agent learn for some trials.
-
-    Returns:
-        Primitive ``steps``, ``returns``, ``successes`` and wall ``touches`` of every trial.
-    """
-    trials = Trials(n_trials)
-    agent.learn(NO_LIMIT, callback=CallbackList([callback, trials]), log_interval=None)
-    return described(trials.episodes)
-
-
 def evaluate(agent: MacroQ, n_trials: int, epsilon: float, seed: int) -> Result:
     """Trials without learning, almost greedy: a robot that never errs may circle for ever where two views look alike.
 
     Returns:
-        As `live`.
+        As `described`.
     """
     env = agent.get_env()
     assert env is not None  # made with one
@@ -156,7 +115,7 @@ def evaluate(agent: MacroQ, n_trials: int, epsilon: float, seed: int) -> Result:
 
 
 def described(episodes: Sequence[dict[str, Any]]) -> Result:
-    """Columns that JSON can hold."""
+    """Primitive ``steps``, ``returns``, ``successes`` and wall ``touches`` of every trial, for JSON."""
     return {
         "steps": [int(e["l"]) for e in episodes],
         "returns": [float(e["r"]) for e in episodes],

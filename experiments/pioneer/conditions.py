@@ -10,8 +10,9 @@ from shutil import rmtree
 
 import numpy as np
 
+from experiments.common.agents import live, wrapper_of
 from experiments.common.seeds import Result
-from experiments.pioneer.agents import discoverer, evaluate, live, make_agent, wrapper_of
+from experiments.pioneer.agents import described, discoverer, evaluate, make_agent
 from experiments.pioneer.settings import MAIN_TASK, TASKS, PioneerSettings
 from sb3_options.atomic import atomic_write
 from sb3_options.cli import train
@@ -35,7 +36,7 @@ def learning(settings: PioneerSettings, artifacts: Path, seed: int) -> Result:
     for name, max_new_options in (("primitive", 0), ("discovery", settings.options_per_run)):
         agent = make_agent(settings, MAIN_TASK, seed)
         callback = discoverer(settings, seed, max_new_options=max_new_options)
-        result[name] = live(agent, settings.trials, callback)
+        result[name] = described(live(agent, settings.trials, callback).episodes)
         result[f"{name}_evaluation"] = evaluate(
             agent, settings.evaluation_trials, settings.evaluation_epsilon, EVALUATION_SEED + seed
         )
@@ -64,7 +65,8 @@ def transfer(settings: PioneerSettings, artifacts: Path, seed: int) -> Result:
             agent = make_agent(settings, env_id, seed)
             if name == "option":
                 wrapper_of(agent).bank.load(_file(artifacts, seed))
-            result[task][name] = live(agent, settings.transfer_trials, discoverer(settings, seed, max_new_options=0))
+            callback = discoverer(settings, seed, max_new_options=0)
+            result[task][name] = described(live(agent, settings.transfer_trials, callback).episodes)
             agent.env.close()  # type: ignore[union-attr]  # made with one
     return result
 

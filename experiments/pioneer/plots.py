@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.common.curves import curve_interval
+from experiments.common.curves import curve_interval, curves_of, draw_band
 from experiments.common.seeds import Result
 from experiments.pioneer.settings import TASKS
-from experiments.pioneer.summary import DEAD_AHEAD, NEAR, Groups, curves_of
+from experiments.pioneer.summary import DEAD_AHEAD, NEAR, Groups
 from sb3_options.envs.pioneer.env import Pioneer
 from sb3_options.envs.pioneer.senses import FIELD_OF_VIEW, MAX_WIDTH
 from sb3_options.experience.observations import FloatArray
@@ -107,9 +107,7 @@ def _dqn(groups: Groups) -> Figure:
         ends = [np.cumsum(r[name]["steps"]) for r in runs]
         steps = np.linspace(0, min(e[-1] for e in ends), N_POINTS)
         done = np.array([np.searchsorted(e, steps, side="right") for e in ends], dtype=np.float64)
-        mean, low, high = curve_interval(done)
-        axes.plot(steps, mean, color=colour, linewidth=1.2, label=label)
-        axes.fill_between(steps, low, high, color=colour, alpha=0.25, linewidth=0)
+        draw_band(axes, steps, curve_interval(done), colour, label)
     axes.set_xlabel("primitive steps")
     axes.set_ylabel("trials done")
     axes.set_title(f"mean of {len(runs)} runs, 95 % intervals", fontsize=10)
@@ -118,10 +116,8 @@ def _dqn(groups: Groups) -> Figure:
 
 
 def _curve(axes: Axes, results: list[Result], column: str, colour: str, label: str) -> None:
-    mean, low, high = curve_interval(_smooth(curves_of(results, column)))
-    trials = (np.arange(len(mean)) + 0.5) * TRIALS_PER_POINT
-    axes.plot(trials, mean, color=colour, linewidth=1.2, label=label)
-    axes.fill_between(trials, low, high, color=colour, alpha=0.25, linewidth=0)
+    smooth = _smooth(curves_of(results, column))
+    draw_band(axes, (np.arange(smooth.shape[1]) + 0.5) * TRIALS_PER_POINT, curve_interval(smooth), colour, label)
 
 
 def _smooth(curves: FloatArray) -> FloatArray:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from sb3_options.discovery.subgoals import DiscoverySettings
+from experiments.common.documents import described
+from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.options.settings import OptionLearningSettings
 
 TASKS = {
@@ -86,12 +86,11 @@ class PioneerSettings:
         )
 
     def described(self) -> dict[str, dict[str, Any]]:
-        """For results.json: the value of each setting, and what the paper says of it (None: nothing)."""
-        values = dataclasses.asdict(self)
-        return {name: {"value": values[name], "in_paper": IN_PAPER.get(name)} for name in values}
+        """For results.json."""
+        return described(self, IN_PAPER)
 
 
-IN_PAPER = {
+IN_PAPER: dict[str, str | None] = {
     "options_per_run": "§7: one",
     "n_tilings": "§7: a CMAC, no sizes",
     "gamma": "§3: 0.9, for the gridworlds",

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common.curves import by_ten, window
+from experiments.common.curves import by_ten, curves_of, window
 from experiments.common.seeds import Result
 from experiments.pioneer.settings import TASKS
 from sb3_options.envs.pioneer.senses import MAX_WIDTH
@@ -34,11 +34,6 @@ WINDOWS = {"0_19": (0, 19), "20_49": (20, 49), "50_99": (50, 99), "100_199": (10
 def numbers_of(figure: str, groups: Groups) -> dict[str, Any]:
     """Everything that is said of one figure."""
     return {"figure8": _figure8, "learning": _learning, "transfer": _transfer, "dqn": _dqn}[figure](groups)
-
-
-def curves_of(results: list[Result], column: str) -> FloatArray:
-    """A column of every trial, shape (runs, trials)."""
-    return np.array([r[column] for r in results], dtype=np.float64)
 
 
 def is_near_and_ahead(option: Result) -> bool:

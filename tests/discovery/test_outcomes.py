@@ -9,7 +9,8 @@ import pytest
 from sb3_options.density.bags import Bags
 from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.discovery.outcomes import SILENT_TRAJECTORIES
-from sb3_options.discovery.subgoals import DiscoverySettings, SubgoalDiscovery
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.options.bank import OptionBank
 from tests.support.helpers import trajectory_of
 

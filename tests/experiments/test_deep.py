@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from experiments.common.gridworlds import world_of
 from experiments.deep import __main__ as deep
-from experiments.deep import agents, report, tasks, tune
+from experiments.deep import conditions, report, tasks, tune
 from experiments.deep.repeats import LONGEST, RandomRepeat
 from experiments.deep.settings import DeepSettings
 from experiments.deep.summary import (
@@ -31,91 +32,93 @@ def result(steps: list[int], success: list[float], length: float = 20.0, **kwarg
     return {"steps": steps, "success": success, "final_length": length, "final_success": 1.0, "options": []} | kwargs
 
 
-class TestNumbers:
-    def test_interquartile_mean(self) -> None:
-        assert iqm(np.array([100.0, 2.0, 3.0, 4.0, 5.0, -50.0, 3.0, 4.0])) == pytest.approx((3 + 4 + 3 + 4) / 4)
-
-    def test_steps_to_success(self) -> None:
-        lucky_once = result([0, 1000, 2000, 3000, 4000], [0.0, 0.9, 0.5, 1.0, 0.9])
-        assert steps_to_success(lucky_once, 9000) == 3000
-        assert steps_to_success(result([0, 1000, 2000], [0.0, 0.85, 1.0]), 9000) == 9000
-
-    def test_a_curve_holds_its_last_value(self) -> None:
-        np.testing.assert_array_equal(curve(result([0, 900, 1500], [0.0, 0.4, 1.0]), 2500), [0, 0, 0.4, 1, 1, 1])
-
-    def test_ratio_of_interquartile_means(self) -> None:
-        ratio = iqm_ratio(np.full(8, 3.0), np.full(8, 6.0))
-        assert ratio == (0.5, 0.5, 0.5)
-        rng = np.random.default_rng(0)
-        ours, theirs = rng.normal(5.0, 1.0, 20), rng.normal(10.0, 1.0, 20)
-        noisy = iqm_ratio(ours, theirs)
-        assert noisy.low < noisy.mean < noisy.high
-        assert noisy.low > 0.4
-        assert noisy.high < 0.6
-
-    def test_probability_of_improvement_counts_ties_half(self) -> None:
-        assert probability_of_improvement(np.array([1.0, 2.0]), np.array([2.0, 3.0])).mean == pytest.approx(3.5 / 4)
-
-    def test_summary(self) -> None:
-        stock = [result([0, 2000, 3000], [0.0, 1.0, 1.0], 20.0) for _ in range(4)]
-        ours = [result([0, 1000, 2000], [0.0, 1.0, 1.0], 22.0, brought=[[1.0, 2.0]]) for _ in range(3)]
-        ours.append(result([0, 1000], [0.0, 0.2], 22.0))
-        numbers = summarise({"stock": stock, "options": ours}, 4000)
-        assert numbers["stock"]["steps_to_90"]["mean"] == 2000
-        assert numbers["options"]["steps_to_90"]["mean"] == 1000  # the interquartile mean leaves the failure out
-        assert numbers["options"]["mean_steps_to_90"]["mean"] == 1750
-        assert numbers["options"]["never"] == 1
-        assert numbers["options"]["with_option"] == 3
-        assert numbers["options"]["steps_to_90_of_stock"]["mean"] == 0.5
-        assert numbers["options"]["probability_of_improvement"]["mean"] == 0.75
-        assert numbers["options"]["final_steps_of_stock"]["mean"] == pytest.approx(1.1)
+def test_interquartile_mean() -> None:
+    assert iqm(np.array([100.0, 2.0, 3.0, 4.0, 5.0, -50.0, 3.0, 4.0])) == pytest.approx((3 + 4 + 3 + 4) / 4)
 
 
-class TestTasks:
-    def test_steps_of_the_best_policy_in_a_corridor(self) -> None:
-        # From 3 cells away with certain moves; half as certain, every step is one of 4 directions half of the time.
-        assert tasks.optimal_steps(GridWorld("S..G", success_probability=1.0)) == pytest.approx(3.0)
-        lone = GridWorld("SG", success_probability=0.0)
-        assert tasks.optimal_steps(lone) == pytest.approx(4.0)  # one direction of four
-
-    def test_the_moved_goal_stays_in_its_room(self) -> None:
-        for (kind, _), task in tasks.TASKS.items():
-            if kind == "transfer":
-                assert task.source is not None
-                target, source = (tasks.world_of(task.env, **kwargs) for kwargs in (task.target, task.source))
-                assert target.goal != source.goal
-                assert target.observation_space == source.observation_space
+def test_steps_to_success() -> None:
+    lucky_once = result([0, 1000, 2000, 3000, 4000], [0.0, 0.9, 0.5, 1.0, 0.9])
+    assert steps_to_success(lucky_once, 9000) == 3000
+    assert steps_to_success(result([0, 1000, 2000], [0.0, 0.85, 1.0]), 9000) == 9000
 
 
-class TestRandomRepeats:
-    def test_lengths_are_drawn_anew_and_heavy_tailed(self) -> None:
-        env = OptionsWrapper(CountingEnv(), 1, gamma=1.0)
-        env.bank.add(RandomRepeat(1, np.random.default_rng(0)))
-        env.reset()
-        durations = []
-        for _ in range(2000):
-            info = env.step(2)[4]["option"]
-            assert (info["actions"] == 1).all()
-            durations.append(info["duration"])
-        # Of a zeta distribution with exponent 2: 6/π² are 1, a quarter of that 2.
-        assert np.mean(np.array(durations) == 1) == pytest.approx(6 / np.pi**2, abs=0.04)
-        assert np.mean(np.array(durations) == 2) == pytest.approx(1.5 / np.pi**2, abs=0.03)
-        assert LONGEST >= max(durations) > 20
+def test_a_curve_holds_its_last_value() -> None:
+    np.testing.assert_array_equal(curve(result([0, 900, 1500], [0.0, 0.4, 1.0]), 2500), [0, 0, 0.4, 1, 1, 1])
 
 
-class TestArguments:
-    @pytest.mark.parametrize(
-        ("arguments", "text"),
-        [
-            ({"env": "ThreeRooms"}, "--env: there is no 'ThreeRooms' for --task same, choose from TwoRooms, KeyDoor"),
-            ({"env": "KeyDoor", "task": "transfer"}, "no 'KeyDoor' for --task transfer, choose from TwoRooms, FourR"),
-            ({"algo": "dqn,sac"}, "--algo: there is no 'sac'"),
-            ({"arms": "stock,magic"}, "--arms: there is no 'magic'"),
-        ],
-    )
-    def test_what_there_is_not(self, tmp_path: Path, arguments: dict[str, Any], text: str) -> None:
-        with pytest.raises(SystemExit, match=text):
-            deep.Study(out=tmp_path, **arguments)
+def test_ratio_of_interquartile_means() -> None:
+    ratio = iqm_ratio(np.full(8, 3.0), np.full(8, 6.0))
+    assert ratio == (0.5, 0.5, 0.5)
+    rng = np.random.default_rng(0)
+    ours, theirs = rng.normal(5.0, 1.0, 20), rng.normal(10.0, 1.0, 20)
+    noisy = iqm_ratio(ours, theirs)
+    assert noisy.low < noisy.mean < noisy.high
+    assert noisy.low > 0.4
+    assert noisy.high < 0.6
+
+
+def test_probability_of_improvement_counts_ties_half() -> None:
+    assert probability_of_improvement(np.array([1.0, 2.0]), np.array([2.0, 3.0])).mean == pytest.approx(3.5 / 4)
+
+
+def test_summary_by_hand() -> None:
+    stock = [result([0, 2000, 3000], [0.0, 1.0, 1.0], 20.0) for _ in range(4)]
+    ours = [result([0, 1000, 2000], [0.0, 1.0, 1.0], 22.0, brought=[[1.0, 2.0]]) for _ in range(3)]
+    ours.append(result([0, 1000], [0.0, 0.2], 22.0))
+    numbers = summarise({"stock": stock, "options": ours}, 4000)
+    assert numbers["stock"]["steps_to_90"]["mean"] == 2000
+    assert numbers["options"]["steps_to_90"]["mean"] == 1000  # the interquartile mean leaves the failure out
+    assert numbers["options"]["mean_steps_to_90"]["mean"] == 1750
+    assert numbers["options"]["never"] == 1
+    assert numbers["options"]["with_option"] == 3
+    assert numbers["options"]["steps_to_90_of_stock"]["mean"] == 0.5
+    assert numbers["options"]["probability_of_improvement"]["mean"] == 0.75
+    assert numbers["options"]["final_steps_of_stock"]["mean"] == pytest.approx(1.1)
+
+
+def test_steps_of_the_best_policy_in_a_corridor() -> None:
+    # From 3 cells away with certain moves; half as certain, every step is one of 4 directions half of the time.
+    assert tasks.optimal_steps(GridWorld("S..G", success_probability=1.0)) == pytest.approx(3.0)
+    lone = GridWorld("SG", success_probability=0.0)
+    assert tasks.optimal_steps(lone) == pytest.approx(4.0)  # one direction of four
+
+
+def test_the_moved_goal_stays_in_its_room() -> None:
+    for (kind, _), task in tasks.TASKS.items():
+        if kind == "transfer":
+            assert task.source is not None
+            target, source = (world_of(task.env, **kwargs) for kwargs in (task.target, task.source))
+            assert target.goal != source.goal
+            assert target.observation_space == source.observation_space
+
+
+def test_random_repeats_are_drawn_anew_and_heavy_tailed() -> None:
+    env = OptionsWrapper(CountingEnv(), 1, gamma=1.0)
+    env.bank.add(RandomRepeat(1, np.random.default_rng(0)))
+    env.reset()
+    durations = []
+    for _ in range(2000):
+        info = env.step(2)[4]["option"]
+        assert (info["actions"] == 1).all()
+        durations.append(info["duration"])
+    # Of a zeta distribution with exponent 2: 6/π² are 1, a quarter of that 2.
+    assert np.mean(np.array(durations) == 1) == pytest.approx(6 / np.pi**2, abs=0.04)
+    assert np.mean(np.array(durations) == 2) == pytest.approx(1.5 / np.pi**2, abs=0.03)
+    assert LONGEST >= max(durations) > 20
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"env": "ThreeRooms"}, "--env: there is no 'ThreeRooms' for --task same, choose from TwoRooms, KeyDoor"),
+        ({"env": "KeyDoor", "task": "transfer"}, "no 'KeyDoor' for --task transfer, choose from TwoRooms, FourR"),
+        ({"algo": "dqn,sac"}, "--algo: there is no 'sac'"),
+        ({"arms": "stock,magic"}, "--arms: there is no 'magic'"),
+    ],
+)
+def test_what_there_is_not_is_named(tmp_path: Path, arguments: dict[str, Any], text: str) -> None:
+    with pytest.raises(SystemExit, match=text):
+        deep.Study(out=tmp_path, **arguments)
 
 
 def test_report_fills_its_document(tmp_path: Path) -> None:
@@ -194,12 +197,12 @@ def test_options_are_tried_in_the_target_only(monkeypatch: pytest.MonkeyPatch) -
             tried.append(kwargs["trial"])
             super().__init__(*args, **kwargs)
 
-    monkeypatch.setattr(agents, "SubgoalDiscoveryCallback", Recorded)
+    monkeypatch.setattr(conditions, "SubgoalDiscoveryCallback", Recorded)
     full = tasks.TASKS["transfer", "TwoRooms"]
     task = tasks.Task(full.env, full.target, full.source, 300, 300)
     settings = DeepSettings(evaluation_episodes=2, final_evaluations=1)
-    agents.discover(task, "ppo", settings, 0)
-    agents.train(task, "ppo", "options", settings, 0)
+    conditions.discover(task, "ppo", settings, 0)
+    conditions.train(task, "ppo", "options", settings, 0)
     assert tried == [None, TrialSettings(withhold=0.3)]
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from experiments.discovery import __main__ as discovery
+from experiments.discovery.summary import EARLY, summarise
 
 
 def result(episode: int | None, distance: int | None) -> dict[str, object]:
@@ -21,7 +22,7 @@ def result(episode: int | None, distance: int | None) -> dict[str, object]:
 
 
 def test_summary_counts_near_and_early_runs_only() -> None:
-    summary = discovery.summarise([result(20, 0), result(59, 1), result(60, 0), result(20, 2), result(None, None)])
+    summary = summarise([result(20, 0), result(59, 1), result(60, 0), result(20, 2), result(None, None)])
     assert summary["n_near_and_early"] == 2
     assert summary["n_with_option"] == 4
     assert summary["median_episode"] == 39.5
@@ -30,7 +31,7 @@ def test_summary_counts_near_and_early_runs_only() -> None:
 
 
 def test_summary_of_no_option_at_all() -> None:
-    assert discovery.summarise([result(None, None)])["n_with_option"] == 0
+    assert summarise([result(None, None)])["n_with_option"] == 0
 
 
 def test_study_writes_results_and_picture(tmp_path: Path) -> None:
@@ -47,6 +48,6 @@ def test_the_main_job_finds_the_doorway_early(tmp_path: Path) -> None:
     content = json.loads((tmp_path / "results.json").read_text())
     (run,) = content["runs"]
     assert run["distance"] <= 1
-    assert run["episode"] < discovery.EARLY
+    assert run["episode"] < EARLY
     assert run["primitive_step"] <= 16_000
     assert content["share_near_and_early"]["mean"] == 1.0

@@ -11,6 +11,7 @@ import pytest
 
 pytest.importorskip("pybullet")
 
+from experiments.common.agents import live
 from experiments.pioneer import agents, conditions, summary
 from experiments.pioneer.__main__ import GROUPS, Study, main
 from experiments.pioneer.report import Report
@@ -37,7 +38,9 @@ def test_all_figures_with_their_numbers_and_again_from_what_was_kept(
     tuned_dqn = tuned(MAIN_TASK)
     assert isinstance(tuned_dqn, DQNConfig)
     dqn = dataclasses.replace(tuned_dqn, n_timesteps=300, learning_starts=100, env_kwargs={"max_steps": 20})
-    study = Study("all", tmp_path, runs=2, transfer_runs=1, dqn_runs=1, first_seed=0, jobs=1, settings=TINY, dqn=dqn)
+    study = Study(
+        figure="all", out=tmp_path, runs=2, transfer_runs=1, dqn_runs=1, first_seed=0, jobs=1, settings=TINY, dqn=dqn
+    )
     main(study)
     results = json.loads((tmp_path / "results.json").read_text())
     assert {path.stem for path in tmp_path.glob("*.png")} == set(GROUPS)
@@ -79,7 +82,7 @@ def test_agents_of_a_seed_are_the_same_until_the_option(tmp_path: Path) -> None:
 
 def test_touches_are_counted_and_paid_for() -> None:
     agent = agents.make_agent(TINY, MAIN_TASK, 0)
-    trials = agents.live(agent, 2, agents.discoverer(TINY, 0, max_new_options=0))
+    trials = agents.described(live(agent, 2, agents.discoverer(TINY, 0, max_new_options=0)).episodes)
     for steps, total, success, touches in zip(*(trials[c] for c in trials), strict=True):
         assert total == pytest.approx(10 * success - 0.1 * steps - touches)
         assert conditions.touches_of(success, steps, total) == pytest.approx(touches)

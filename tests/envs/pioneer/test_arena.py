@@ -16,29 +16,29 @@ from sb3_options.envs.pioneer.arena import (
 )
 
 
-def test_layouts_keep_their_distances(rng: np.random.Generator) -> None:
+def test_placements_keep_their_distances(rng: np.random.Generator) -> None:
     arena = Arena(4.0, n_obstacles=3, n_balls=2)
     for _ in range(200):
-        layout = arena.sample(rng)
-        robot = layout.robot[:2]
-        assert len(layout.obstacles) == 3
-        assert len(layout.balls) == 2
-        assert -math.pi <= layout.robot[2] <= math.pi
+        placement = arena.sample(rng)
+        robot = placement.robot[:2]
+        assert len(placement.obstacles) == 3
+        assert len(placement.balls) == 2
+        assert -math.pi <= placement.robot[2] <= math.pi
         assert arena.wall_gap(*robot) >= ROBOT_CLEARANCE
-        assert math.dist(*layout.balls) >= START_DISTANCE
-        for ball in layout.balls:
+        assert math.dist(*placement.balls) >= START_DISTANCE
+        for ball in placement.balls:
             assert arena.wall_gap(*ball) >= BALL_CLEARANCE
             assert math.dist(ball, robot) >= START_DISTANCE
-        for i, obstacle in enumerate(layout.obstacles):
+        for i, obstacle in enumerate(placement.obstacles):
             assert arena.wall_gap(*obstacle) >= OBSTACLE_RADIUS + PASSAGE
             assert math.dist(obstacle, robot) >= OBSTACLE_RADIUS + ROBOT_CLEARANCE
-            for ball in layout.balls:
+            for ball in placement.balls:
                 assert math.dist(obstacle, ball) >= OBSTACLE_RADIUS + BALL_CLEARANCE
-            for other in layout.obstacles[:i]:
+            for other in placement.obstacles[:i]:
                 assert math.dist(obstacle, other) >= 2 * OBSTACLE_RADIUS + PASSAGE
 
 
-def test_layouts_fill_the_arena(rng: np.random.Generator) -> None:
+def test_placements_fill_the_arena(rng: np.random.Generator) -> None:
     arena = Arena(4.0, n_obstacles=0, n_balls=1)
     robots = np.array([arena.sample(rng).robot for _ in range(500)])
     reach = 2 - ROBOT_CLEARANCE
@@ -49,9 +49,9 @@ def test_layouts_fill_the_arena(rng: np.random.Generator) -> None:
 
 def test_what_is_given_stays(rng: np.random.Generator) -> None:
     arena = Arena(4.0, n_obstacles=1, n_balls=1)
-    layout = arena.sample(rng, robot=(0.1, 0.2, 0.3))
-    assert layout.robot == (0.1, 0.2, 0.3)
-    assert arena.sample(rng, robot=(0.1, 0.2, 0.3)).balls != layout.balls
+    placement = arena.sample(rng, robot=(0.1, 0.2, 0.3))
+    assert placement.robot == (0.1, 0.2, 0.3)
+    assert arena.sample(rng, robot=(0.1, 0.2, 0.3)).balls != placement.balls
 
 
 def test_places() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sb3_options.envs.pioneer.drawing import BALL, BODY, PICTURE_HEIGHT, PICTURE_WIDTH, View
+from sb3_options.envs.pioneer.drawing import BALL, BODY, PICTURE_HEIGHT, PICTURE_WIDTH, Renderer
 from sb3_options.envs.pioneer.env import Pioneer
 from sb3_options.envs.pioneer.senses import SONARS
 
@@ -124,13 +124,13 @@ def test_a_list_of_pictures_shows_the_way() -> None:
 def test_the_pictures_of_an_episode_share_their_background(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing it anew would make a video slow."""
     drawn: list[Any] = []
-    background = View._background
+    background = Renderer._background
 
-    def counted(view: View, obstacles: Any) -> Any:
+    def counted(renderer: Renderer, obstacles: Any) -> Any:
         drawn.append(obstacles)
-        return background(view, obstacles)
+        return background(renderer, obstacles)
 
-    monkeypatch.setattr(View, "_background", counted)
+    monkeypatch.setattr(Renderer, "_background", counted)
     env = Pioneer(render_mode="rgb_array")
     env.reset(seed=0)
     for _ in range(3):

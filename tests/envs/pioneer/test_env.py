@@ -36,304 +36,328 @@ def env() -> Iterator[Pioneer]:
     env.close()
 
 
-class TestProtocol:
-    @pytest.mark.parametrize("kind", ["sensors", "retina"])
-    @pytest.mark.parametrize("name", NAMES)
-    def test_gymnasium_check_env(self, name: str, kind: str) -> None:
-        # It would open Bullet's window: "human" has a test of its own.
-        check_env(make(name, observation=kind), skip_render_check=True)
-
-    @pytest.mark.parametrize("name", NAMES)
-    def test_sb3_check_env(self, name: str) -> None:
-        sb3_check_env(make(name))
-
-    def test_all_tasks_have_the_same_spaces(self) -> None:
-        """Options learned in one can be used in another."""
-        for kind, size in (("sensors", 11), ("retina", 11 + N_PIXELS)):
-            spaces = [(env.observation_space, env.action_space) for env in (make(n, observation=kind) for n in NAMES)]
-            assert spaces[0][0].shape == (size,)
-            assert spaces[0][0].dtype == np.float32
-            assert all(pair == spaces[0] for pair in spaces)
-
-    def test_actions_are_three_distances_and_two_angles_each_way(self) -> None:
-        assert [(m.distance, round(math.degrees(m.turn))) for m in ACTIONS] == [
-            (0.1, 0),
-            (0.25, 0),
-            (0.6, 0),
-            (0, 10),
-            (0, 45),
-            (0, -10),
-            (0, -45),
-        ]
-
-    def test_reload_registers_nothing_twice(self) -> None:
-        before = gymnasium.spec("sb3_options/Pioneer-v0")
-        importlib.reload(sb3_options.envs)
-        assert gymnasium.spec("sb3_options/Pioneer-v0") is before
-
-    def test_environments_are_registered_without_pybullet(self) -> None:
-        code = (
-            "import sys; sys.modules['pybullet'] = None; import gymnasium, sb3_options.envs; "
-            "assert 'sb3_options/PioneerCorner-v0' in gymnasium.registry"
-        )
-        result = processes.python("-c", code)
-        assert result.returncode == 0, result.stderr
-
-    def test_why_an_episode_ended(self) -> None:
-        env = make("PioneerCorner", max_steps=2)
-        env.reset(options={"robot": (1.2, 1.75, 0), "balls": [(1.75, 1.75)]})
-        assert env.step(MIDDLE)[4]["cause"] == ""
-        assert env.step(LEFT_10)[4]["cause"] == "corner"
-        env.reset(options={"robot": (0, 0, 0), "balls": [(-1, 0)]})
-        assert [env.step(SHORT)[4]["cause"] for _ in range(2)] == ["", "step limit"]
-        env.close()
-
-    def test_the_step_that_deposits_still_shows_the_ball(self) -> None:
-        env = make("PioneerTwoBalls")
-        env.reset(options={"robot": (1.2, 0, 0), "balls": [(1.75, 0), (-1, -1)]})
-        env.step(MIDDLE)
-        observation, _, terminated, _, info = env.step(LEFT_10)
-        assert info["deposited"]
-        assert not terminated
-        assert observation[VISIBLE] == 1
-        assert observation[GRIPPING] == 0
-        assert env.step(LEFT_10)[0][VISIBLE] == 0
-        env.close()
-
-    def test_options_wrapper_finds_the_concept_features(self, env: Pioneer) -> None:
-        wrapped = OptionsWrapper(env, max_options=2, gamma=0.99)
-        observation, _ = wrapped.reset(seed=0)
-        features = wrapped.get_wrapper_attr("concept_features")(observation[None])
-        assert features.tolist() == [[observation[8], observation[9]]]
+@pytest.mark.parametrize("kind", ["sensors", "retina"])
+@pytest.mark.parametrize("name", NAMES)
+def test_gymnasium_check_env(name: str, kind: str) -> None:
+    # It would open Bullet's window: "human" has a test of its own.
+    check_env(make(name, observation=kind), skip_render_check=True)
 
 
-class TestTask:
-    def test_rewards_from_start_to_success(self, env: Pioneer) -> None:
-        """Find the ball, grip it, leave it at the wall: worked out by hand."""
-        env.reset(options={"robot": (0, 0, 0), "balls": [(0.8, 0)]})
-        idle = {"is_success": False, "deposited": False, "touched_wall": False, "cause": ""}
-        assert env.step(SHORT)[1:] == (-0.1, False, False, {**idle, "gripping": False})
-        assert env.step(LONG)[1:] == (-0.1, False, False, {**idle, "gripping": True})
-        assert env.step(MIDDLE)[1:] == (-0.1, False, False, {**idle, "gripping": True})
-        # The ball's centre is at 0.95 + 0.31 m, its surface 0.66 m from the wall.
-        assert env.step(MIDDLE)[1:] == (-0.1, False, False, {**idle, "gripping": True})
-        observation, reward, terminated, truncated, info = env.step(MIDDLE)
-        assert (terminated, truncated) == (True, False)
-        assert reward == pytest.approx(9.9)
-        assert info == {
-            "is_success": True,
-            "deposited": True,
-            "gripping": False,
-            "touched_wall": False,
-            "cause": "wall",
-        }
-        assert observation[GRIPPING] == 0
-
-    def test_a_ball_is_deposited_no_earlier_than_the_action_after_it_was_gripped(self, env: Pioneer) -> None:
-        """So that every successful trajectory shows the robot with the ball in its gripper."""
-        env.reset(options={"robot": (1.2, 0, 0), "balls": [(1.75, 0)]})
-        observation, reward, terminated, _, info = env.step(MIDDLE)
-        assert info["gripping"]
-        assert observation[GRIPPING] == 1
-        assert not terminated
-        assert reward == pytest.approx(-0.1)
-        assert env.step(LEFT_10)[2]
-
-    def test_touching_with_the_ball_costs_and_still_deposits(self, env: Pioneer) -> None:
-        env.reset(options={"robot": (0.85, 0, 0), "balls": [(1.4, 0)]})
-        assert env.step(MIDDLE)[4]["gripping"]
-        _, reward, terminated, _, info = env.step(LONG)
-        assert info["touched_wall"]
-        assert terminated
-        assert reward == pytest.approx(10 - 1 - 0.1)
-
-    def test_a_ball_without_grip_at_the_wall_is_nothing(self, env: Pioneer) -> None:
-        env.reset(options={"robot": (0, 0, 0), "balls": [(1.9, 1.9)]})
-        assert env.step(LEFT_45)[2:] == (
-            False,
-            False,
-            {"is_success": False, "deposited": False, "gripping": False, "touched_wall": False, "cause": ""},
-        )
-
-    def test_only_the_marked_corner_counts(self) -> None:
-        env = make("PioneerCorner")
-        for x, success in ((0.0, False), (1.5, True), (-1.5, False)):
-            env.reset(options={"robot": (x, 0.6, math.pi / 2), "balls": [(x, 1.2)]})
-            env.step(MIDDLE)
-            _, reward, terminated, _, info = env.step(MIDDLE)
-            while not terminated and not info["touched_wall"]:
-                _, reward, terminated, _, info = env.step(SHORT)
-            assert terminated == success
-            assert (reward > 9) == success
-            assert info["gripping"] == (not success)
-        env.close()
-
-    def test_an_obstacle_is_no_wall_to_deposit_at(self) -> None:
-        env = Pioneer(n_obstacles=1)
-        env.reset(options={"robot": (-0.6, 0, 0), "balls": [(0, 0)], "obstacles": [(0.6, 0)]})
-        assert env.step(MIDDLE)[4]["gripping"]
-        info = env.step(MIDDLE)[4]
-        assert info["gripping"]
-        assert not info["deposited"]
-        env.close()
-
-    def test_two_balls_are_deposited_one_after_the_other(self) -> None:
-        env = make("PioneerTwoBalls")
-        expert = Expert()
-        observation, _ = env.reset(seed=1)
-        rewards = []
-        for _ in range(200):
-            observation, reward, terminated, _, info = env.step(expert.act(observation))
-            rewards.append(reward)
-            if info["deposited"]:
-                assert info["is_success"] == terminated == (len(env.ball_positions) == 0)
-            if terminated:
-                break
-        assert sum(reward > 8 for reward in rewards) == 2
-        env.close()
-
-    @pytest.mark.parametrize("name", NAMES)
-    def test_an_expert_solves_it(self, name: str) -> None:
-        env = make(name)
-        expert = Expert(corner=name == "PioneerCorner")
-        outcomes = [play(env, expert, seed)[0] for seed in range(10)]
-        assert sum(outcomes) >= 9
-        env.close()
-
-    @pytest.mark.slow
-    @pytest.mark.parametrize("name", NAMES)
-    def test_an_expert_solves_95_percent(self, name: str) -> None:
-        env = make(name)
-        expert = Expert(corner=name == "PioneerCorner")
-        assert np.mean([play(env, expert, seed)[0] for seed in range(1000, 1100)]) >= 0.95
-        env.close()
-
-    def test_truncates_by_itself(self) -> None:
-        env = make("Pioneer", max_steps=3)
-        for _ in range(2):
-            env.reset(seed=0)
-            assert [env.step(LEFT_10)[2:4] for _ in range(3)] == [(False, False), (False, False), (False, True)]
-        env.close()
-
-    def test_success_on_the_last_step_is_no_truncation(self) -> None:
-        env = make("Pioneer", max_steps=2)
-        env.reset(options={"robot": (1.2, 0, 0), "balls": [(1.75, 0)]})
-        env.step(MIDDLE)
-        assert env.step(LEFT_10)[2:4] == (True, False)
-        env.close()
+@pytest.mark.parametrize("name", NAMES)
+def test_sb3_check_env(name: str) -> None:
+    sb3_check_env(make(name))
 
 
-class TestConceptFeatures:
-    def test_displacement_and_width(self, env: Pioneer) -> None:
-        batch = np.stack([env.reset(seed=seed)[0] for seed in range(8)])
-        features = env.concept_features(batch)
-        assert features.shape == (8, 2)
-        assert features.dtype == np.float64
-        np.testing.assert_array_equal(features, batch[:, 8:10])
-        np.testing.assert_array_equal(features[batch[:, 7] == 0], 0)
-        assert (features[batch[:, 7] == 1, 1] > 0).all()
-        assert (features[:, 1] <= np.float32(MAX_WIDTH)).all()
-
-    def test_retina_observations_have_them_too(self) -> None:
-        env = make("Pioneer", observation="retina")
-        batch = np.stack([env.reset(seed=seed)[0] for seed in range(3)])
-        np.testing.assert_array_equal(env.concept_features(batch), batch[:, 8:10])
-        assert env.concept_features(np.empty((0, 11 + N_PIXELS))).shape == (0, 2)
-        env.close()
-
-    def test_unbatched_observation_is_refused(self, env: Pioneer) -> None:
-        with pytest.raises(ValueError, match=r"observations of shape \(11,\) each, got shape \(11,\)"):
-            env.concept_features(env.reset(seed=0)[0])
+def test_all_tasks_have_the_same_spaces() -> None:
+    """Options learned in one can be used in another."""
+    for kind, size in (("sensors", 11), ("retina", 11 + N_PIXELS)):
+        spaces = [(env.observation_space, env.action_space) for env in (make(n, observation=kind) for n in NAMES)]
+        assert spaces[0][0].shape == (size,)
+        assert spaces[0][0].dtype == np.float32
+        assert all(pair == spaces[0] for pair in spaces)
 
 
-class TestErrors:
-    @pytest.mark.parametrize(
-        ("kwargs", "error", "message"),
-        [
-            ({"arena_size": 1.2}, ValueError, r"arena_size 1\.2 m has no room for the robot, 1 ball\(s\) and 0 obst"),
-            ({"n_obstacles": 40}, ValueError, r"no room for .* 40 obstacle\(s\): enlarge arena_size, or lower"),
-            ({"n_balls": 60}, ValueError, r"no room for the robot, 60 ball\(s\)"),
-            ({"arena_size": math.nan}, ValueError, r"arena_size must be in 0..100.0, got nan"),
-            ({"arena_size": "big"}, TypeError, r"arena_size must be a number, got 'big'"),
-            ({"n_balls": 0}, ValueError, r"n_balls must be at least 1, got 0"),
-            ({"n_obstacles": 1.5}, TypeError, r"n_obstacles must be an integer, got 1\.5"),
-            ({"deposit": "door"}, ValueError, r"deposit must be one of 'wall', 'corner', got 'door'"),
-            ({"observation": "rgb"}, ValueError, r"observation must be one of 'sensors', 'retina', got 'rgb'"),
-            ({"max_steps": 0}, ValueError, r"max_steps must be at least 1, or None for no limit, got 0"),
-            (
-                {"render_mode": "ansi"},
-                ValueError,
-                r"render_mode must be one of 'human', 'rgb_array', 'rgb_array_li",
-            ),
-        ],
+def test_actions_are_three_distances_and_two_angles_each_way() -> None:
+    assert [(m.distance, round(math.degrees(m.turn))) for m in ACTIONS] == [
+        (0.1, 0),
+        (0.25, 0),
+        (0.6, 0),
+        (0, 10),
+        (0, 45),
+        (0, -10),
+        (0, -45),
+    ]
+
+
+def test_reload_registers_nothing_twice() -> None:
+    before = gymnasium.spec("sb3_options/Pioneer-v0")
+    importlib.reload(sb3_options.envs)
+    assert gymnasium.spec("sb3_options/Pioneer-v0") is before
+
+
+def test_environments_are_registered_without_pybullet() -> None:
+    code = (
+        "import sys; sys.modules['pybullet'] = None; import gymnasium, sb3_options.envs; "
+        "assert 'sb3_options/PioneerCorner-v0' in gymnasium.registry"
     )
-    def test_bad_arguments(self, kwargs: dict[str, Any], error: type[Exception], message: str) -> None:
-        with pytest.raises(error, match=message):
-            Pioneer(**kwargs)
+    result = processes.python("-c", code)
+    assert result.returncode == 0, result.stderr
 
-    @pytest.mark.parametrize(
-        ("options", "message"),
-        [
-            ({"ball": (0, 0)}, r"options has the unknown key 'ball': only 'robot', 'balls', 'obstacles'"),
-            ({"balls": (1, 1)}, r"options\['balls'\] must be finite numbers of shape \(1, 2\), got \(1, 1\)"),
-            ({"robot": (0, 0, math.nan)}, r"options\['robot'\] must be finite numbers of shape \(3,\)"),
-            ({"robot": "here"}, r"options\['robot'\] must be finite numbers of shape \(3,\), got 'here'"),
-            ({"obstacles": [(0, 0)]}, r"options\['obstacles'\] must be finite numbers of shape \(0, 2\)"),
-            (
-                {"robot": (1.9, 0, 3.1)},
-                r"the robot at \(1\.90, 0\.00\) m is in a wall of the arena, which ends at ±2 m",
-            ),
-            ({"robot": (1.7, 0, 0)}, r"the robot's gripper at \(1\.98, 0\.00\) m is in a wall"),
-            ({"robot": (0, 0, 0), "balls": [(0.2, 0)]}, r"balls\[0\] at \(0\.20, 0\.00\) m overlaps the robot"),
-        ],
+
+def test_why_an_episode_ended() -> None:
+    env = make("PioneerCorner", max_steps=2)
+    env.reset(options={"robot": (1.2, 1.75, 0), "balls": [(1.75, 1.75)]})
+    assert env.step(MIDDLE)[4]["cause"] == ""
+    assert env.step(LEFT_10)[4]["cause"] == "corner"
+    env.reset(options={"robot": (0, 0, 0), "balls": [(-1, 0)]})
+    assert [env.step(SHORT)[4]["cause"] for _ in range(2)] == ["", "step limit"]
+    env.close()
+
+
+def test_the_step_that_deposits_still_shows_the_ball() -> None:
+    env = make("PioneerTwoBalls")
+    env.reset(options={"robot": (1.2, 0, 0), "balls": [(1.75, 0), (-1, -1)]})
+    env.step(MIDDLE)
+    observation, _, terminated, _, info = env.step(LEFT_10)
+    assert info["deposited"]
+    assert not terminated
+    assert observation[VISIBLE] == 1
+    assert observation[GRIPPING] == 0
+    assert env.step(LEFT_10)[0][VISIBLE] == 0
+    env.close()
+
+
+def test_options_wrapper_finds_the_concept_features(env: Pioneer) -> None:
+    wrapped = OptionsWrapper(env, max_options=2, gamma=0.99)
+    observation, _ = wrapped.reset(seed=0)
+    features = wrapped.get_wrapper_attr("concept_features")(observation[None])
+    assert features.tolist() == [[observation[8], observation[9]]]
+
+
+def test_rewards_from_start_to_success(env: Pioneer) -> None:
+    """Find the ball, grip it, leave it at the wall: worked out by hand."""
+    env.reset(options={"robot": (0, 0, 0), "balls": [(0.8, 0)]})
+    idle = {"is_success": False, "deposited": False, "touched_wall": False, "cause": ""}
+    assert env.step(SHORT)[1:] == (-0.1, False, False, {**idle, "gripping": False})
+    assert env.step(LONG)[1:] == (-0.1, False, False, {**idle, "gripping": True})
+    assert env.step(MIDDLE)[1:] == (-0.1, False, False, {**idle, "gripping": True})
+    # The ball's centre is at 0.95 + 0.31 m, its surface 0.66 m from the wall.
+    assert env.step(MIDDLE)[1:] == (-0.1, False, False, {**idle, "gripping": True})
+    observation, reward, terminated, truncated, info = env.step(MIDDLE)
+    assert (terminated, truncated) == (True, False)
+    assert reward == pytest.approx(9.9)
+    assert info == {
+        "is_success": True,
+        "deposited": True,
+        "gripping": False,
+        "touched_wall": False,
+        "cause": "wall",
+    }
+    assert observation[GRIPPING] == 0
+
+
+def test_a_ball_is_deposited_no_earlier_than_the_action_after_it_was_gripped(env: Pioneer) -> None:
+    """So that every successful trajectory shows the robot with the ball in its gripper."""
+    env.reset(options={"robot": (1.2, 0, 0), "balls": [(1.75, 0)]})
+    observation, reward, terminated, _, info = env.step(MIDDLE)
+    assert info["gripping"]
+    assert observation[GRIPPING] == 1
+    assert not terminated
+    assert reward == pytest.approx(-0.1)
+    assert env.step(LEFT_10)[2]
+
+
+def test_touching_with_the_ball_costs_and_still_deposits(env: Pioneer) -> None:
+    env.reset(options={"robot": (0.85, 0, 0), "balls": [(1.4, 0)]})
+    assert env.step(MIDDLE)[4]["gripping"]
+    _, reward, terminated, _, info = env.step(LONG)
+    assert info["touched_wall"]
+    assert terminated
+    assert reward == pytest.approx(10 - 1 - 0.1)
+
+
+def test_a_ball_without_grip_at_the_wall_is_nothing(env: Pioneer) -> None:
+    env.reset(options={"robot": (0, 0, 0), "balls": [(1.9, 1.9)]})
+    assert env.step(LEFT_45)[2:] == (
+        False,
+        False,
+        {"is_success": False, "deposited": False, "gripping": False, "touched_wall": False, "cause": ""},
     )
-    def test_bad_reset_options(self, env: Pioneer, options: dict[str, Any], message: str) -> None:
-        with pytest.raises(ValueError, match=message):
-            env.reset(seed=0, options=options)
 
-    @pytest.mark.parametrize("action", [-1, 7, 1.0, math.nan, None, np.float32(1), np.array([1, 2]), "1"])
-    def test_bad_actions(self, env: Pioneer, action: Any) -> None:
-        env.reset(seed=0)
-        with pytest.raises(gymnasium.error.InvalidAction, match=r"action must be an integer in 0\.\.6, got "):
-            env.step(action)
 
-    @pytest.mark.parametrize("action", [3, np.int64(3), np.array(3), np.array([3])[0]])
-    def test_integers_of_all_kinds_are_actions(self, env: Pioneer, action: Any) -> None:
+def test_only_the_marked_corner_counts() -> None:
+    env = make("PioneerCorner")
+    for x, success in ((0.0, False), (1.5, True), (-1.5, False)):
+        env.reset(options={"robot": (x, 0.6, math.pi / 2), "balls": [(x, 1.2)]})
+        env.step(MIDDLE)
+        _, reward, terminated, _, info = env.step(MIDDLE)
+        while not terminated and not info["touched_wall"]:
+            _, reward, terminated, _, info = env.step(SHORT)
+        assert terminated == success
+        assert (reward > 9) == success
+        assert info["gripping"] == (not success)
+    env.close()
+
+
+def test_an_obstacle_is_no_wall_to_deposit_at() -> None:
+    env = Pioneer(n_obstacles=1)
+    env.reset(options={"robot": (-0.6, 0, 0), "balls": [(0, 0)], "obstacles": [(0.6, 0)]})
+    assert env.step(MIDDLE)[4]["gripping"]
+    info = env.step(MIDDLE)[4]
+    assert info["gripping"]
+    assert not info["deposited"]
+    env.close()
+
+
+def test_two_balls_are_deposited_one_after_the_other() -> None:
+    env = make("PioneerTwoBalls")
+    expert = Expert()
+    observation, _ = env.reset(seed=1)
+    rewards = []
+    for _ in range(200):
+        observation, reward, terminated, _, info = env.step(expert.act(observation))
+        rewards.append(reward)
+        if info["deposited"]:
+            assert info["is_success"] == terminated == (len(env.ball_positions) == 0)
+        if terminated:
+            break
+    assert sum(reward > 8 for reward in rewards) == 2
+    env.close()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_expert_solves_it(name: str) -> None:
+    env = make(name)
+    expert = Expert(corner=name == "PioneerCorner")
+    outcomes = [play(env, expert, seed)[0] for seed in range(10)]
+    assert sum(outcomes) >= 9
+    env.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_an_expert_solves_95_percent(name: str) -> None:
+    env = make(name)
+    expert = Expert(corner=name == "PioneerCorner")
+    assert np.mean([play(env, expert, seed)[0] for seed in range(1000, 1100)]) >= 0.95
+    env.close()
+
+
+def test_truncates_by_itself() -> None:
+    env = make("Pioneer", max_steps=3)
+    for _ in range(2):
         env.reset(seed=0)
+        assert [env.step(LEFT_10)[2:4] for _ in range(3)] == [(False, False), (False, False), (False, True)]
+    env.close()
+
+
+def test_success_on_the_last_step_is_no_truncation() -> None:
+    env = make("Pioneer", max_steps=2)
+    env.reset(options={"robot": (1.2, 0, 0), "balls": [(1.75, 0)]})
+    env.step(MIDDLE)
+    assert env.step(LEFT_10)[2:4] == (True, False)
+    env.close()
+
+
+def test_displacement_and_width(env: Pioneer) -> None:
+    batch = np.stack([env.reset(seed=seed)[0] for seed in range(8)])
+    features = env.concept_features(batch)
+    assert features.shape == (8, 2)
+    assert features.dtype == np.float64
+    np.testing.assert_array_equal(features, batch[:, 8:10])
+    np.testing.assert_array_equal(features[batch[:, 7] == 0], 0)
+    assert (features[batch[:, 7] == 1, 1] > 0).all()
+    assert (features[:, 1] <= np.float32(MAX_WIDTH)).all()
+
+
+def test_retina_observations_have_them_too() -> None:
+    env = make("Pioneer", observation="retina")
+    batch = np.stack([env.reset(seed=seed)[0] for seed in range(3)])
+    np.testing.assert_array_equal(env.concept_features(batch), batch[:, 8:10])
+    assert env.concept_features(np.empty((0, 11 + N_PIXELS))).shape == (0, 2)
+    env.close()
+
+
+def test_unbatched_observation_is_refused(env: Pioneer) -> None:
+    with pytest.raises(ValueError, match=r"observations of shape \(11,\) each, got shape \(11,\)"):
+        env.concept_features(env.reset(seed=0)[0])
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "error", "message"),
+    [
+        ({"arena_size": 1.2}, ValueError, r"arena_size 1\.2 m has no room for the robot, 1 ball\(s\) and 0 obst"),
+        ({"n_obstacles": 40}, ValueError, r"no room for .* 40 obstacle\(s\): enlarge arena_size, or lower"),
+        ({"n_balls": 60}, ValueError, r"no room for the robot, 60 ball\(s\)"),
+        ({"arena_size": math.nan}, ValueError, r"arena_size must be in 0..100.0, got nan"),
+        ({"arena_size": "big"}, TypeError, r"arena_size must be a number, got 'big'"),
+        ({"n_balls": 0}, ValueError, r"n_balls must be at least 1, got 0"),
+        ({"n_obstacles": 1.5}, TypeError, r"n_obstacles must be an integer, got 1\.5"),
+        ({"deposit": "door"}, ValueError, r"deposit must be one of 'wall', 'corner', got 'door'"),
+        ({"observation": "rgb"}, ValueError, r"observation must be one of 'sensors', 'retina', got 'rgb'"),
+        ({"max_steps": 0}, ValueError, r"max_steps must be at least 1, or None for no limit, got 0"),
+        (
+            {"render_mode": "ansi"},
+            ValueError,
+            r"render_mode must be one of 'human', 'rgb_array', 'rgb_array_li",
+        ),
+    ],
+)
+def test_bad_arguments(kwargs: dict[str, Any], error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        Pioneer(**kwargs)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"ball": (0, 0)}, r"options has the unknown key 'ball': only 'robot', 'balls', 'obstacles'"),
+        ({"balls": (1, 1)}, r"options\['balls'\] must be finite numbers of shape \(1, 2\), got \(1, 1\)"),
+        ({"robot": (0, 0, math.nan)}, r"options\['robot'\] must be finite numbers of shape \(3,\)"),
+        ({"robot": "here"}, r"options\['robot'\] must be finite numbers of shape \(3,\), got 'here'"),
+        ({"obstacles": [(0, 0)]}, r"options\['obstacles'\] must be finite numbers of shape \(0, 2\)"),
+        (
+            {"robot": (1.9, 0, 3.1)},
+            r"the robot at \(1\.90, 0\.00\) m is in a wall of the arena, which ends at ±2 m",
+        ),
+        ({"robot": (1.7, 0, 0)}, r"the robot's gripper at \(1\.98, 0\.00\) m is in a wall"),
+        ({"robot": (0, 0, 0), "balls": [(0.2, 0)]}, r"balls\[0\] at \(0\.20, 0\.00\) m overlaps the robot"),
+    ],
+)
+def test_bad_reset_options(env: Pioneer, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        env.reset(seed=0, options=options)
+
+
+@pytest.mark.parametrize("action", [-1, 7, 1.0, math.nan, None, np.float32(1), np.array([1, 2]), "1"])
+def test_bad_actions(env: Pioneer, action: Any) -> None:
+    env.reset(seed=0)
+    with pytest.raises(gymnasium.error.InvalidAction, match=r"action must be an integer in 0\.\.6, got "):
         env.step(action)
 
-    def test_step_before_reset_and_after_the_end(self) -> None:
-        env = make("Pioneer", max_steps=1)
-        with pytest.raises(gymnasium.error.ResetNeeded, match=r"step\(\) was called before the first reset\(\)"):
-            env.step(0)
-        env.reset(seed=0)
+
+@pytest.mark.parametrize("action", [3, np.int64(3), np.array(3), np.array([3])[0]])
+def test_integers_of_all_kinds_are_actions(env: Pioneer, action: Any) -> None:
+    env.reset(seed=0)
+    env.step(action)
+
+
+def test_step_before_reset_and_after_the_end() -> None:
+    env = make("Pioneer", max_steps=1)
+    with pytest.raises(gymnasium.error.ResetNeeded, match=r"step\(\) was called before the first reset\(\)"):
         env.step(0)
-        with pytest.raises(gymnasium.error.ResetNeeded, match=r"after the episode's end: call reset\(\) first"):
-            env.step(0)
-        env.close()
+    env.reset(seed=0)
+    env.step(0)
+    with pytest.raises(gymnasium.error.ResetNeeded, match=r"after the episode's end: call reset\(\) first"):
+        env.step(0)
+    env.close()
 
-    def test_closed(self) -> None:
-        env = make("Pioneer", render_mode="rgb_array")
+
+def test_closed() -> None:
+    env = make("Pioneer", render_mode="rgb_array")
+    env.reset(seed=0)
+    env.close()
+    env.close()
+    for call in (env.reset, lambda: env.step(0), env.render):
+        with pytest.raises(gymnasium.error.ClosedEnvironmentError, match=r"\(\) was called after close\(\): make"):
+            call()
+
+
+def test_close_before_reset() -> None:
+    make("Pioneer").close()
+
+
+def test_without_pybullet(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    importlib.reload(sb3_options.envs)
+    with pytest.raises(gymnasium.error.DependencyNotInstalled, match=r'pip install "sb3-options\[pioneer\]"'):
+        Pioneer()
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="X11 only")
+def test_window_without_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    env = Pioneer(render_mode="human")
+    with pytest.raises(gymnasium.error.Error, match="there is no display: use render_mode='rgb_array'"):
         env.reset(seed=0)
-        env.close()
-        env.close()
-        for call in (env.reset, lambda: env.step(0), env.render):
-            with pytest.raises(gymnasium.error.ClosedEnvironmentError, match=r"\(\) was called after close\(\): make"):
-                call()
-
-    def test_close_before_reset(self) -> None:
-        make("Pioneer").close()
-
-    def test_without_pybullet(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setitem(sys.modules, "pybullet", None)
-        importlib.reload(sb3_options.envs)
-        with pytest.raises(gymnasium.error.DependencyNotInstalled, match=r'pip install "sb3-options\[pioneer\]"'):
-            Pioneer()
-
-    @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="X11 only")
-    def test_window_without_a_display(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.delenv("DISPLAY", raising=False)
-        env = Pioneer(render_mode="human")
-        with pytest.raises(gymnasium.error.Error, match="there is no display: use render_mode='rgb_array'"):
-            env.reset(seed=0)
-        env.close()
+    env.close()

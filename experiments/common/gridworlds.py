@@ -1,0 +1,49 @@
+"""What the studies in gridworlds share: how near the doorway a subgoal is, and maps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+from matplotlib.axes import Axes
+
+from sb3_options.envs import GridWorld
+from sb3_options.experience.observations import FloatArray
+
+Cell = tuple[int, int]
+
+NEAR = 1
+"""A subgoal this many steps from the doorway still is at the doorway: every crossing visits it."""
+
+
+def world_of(env_id: str, **kwargs: Any) -> GridWorld:
+    """The gridworld itself."""
+    return cast("GridWorld", gym.make(env_id, **kwargs).unwrapped)
+
+
+def cell_of(point: Iterable[float]) -> Cell:
+    """The cell (x, y) of a point of concept space."""
+    x, y = point
+    return round(float(x)), round(float(y))
+
+
+def distance_to_doorway(world: GridWorld, cell: Sequence[int]) -> int:
+    """Steps without walls."""
+    return min(abs(cell[0] - x) + abs(cell[1] - y) for x, y in world.doorways)
+
+
+def counts_of(world: GridWorld, cells: Iterable[Sequence[int] | None]) -> FloatArray:
+    """How often each cell is there, shape (height, width)."""
+    counts = np.zeros(world.walls.shape)
+    for cell in cells:
+        if cell is not None:
+            counts[cell[1], cell[0]] += 1
+    return counts
+
+
+def frame_doorways(axes: Axes, world: GridWorld) -> None:
+    """Mark them in a map."""
+    for x, y in world.doorways:
+        axes.plot(x, y, "s", markersize=14, markerfacecolor="none", markeredgecolor="#d62728")

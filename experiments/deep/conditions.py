@@ -1,0 +1,142 @@
+"""What is run for every seed: an arm in a task, with the options of the old task where there is one."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList, EvalCallback
+
+from experiments.common.gridworlds import world_of
+from experiments.common.seeds import Result
+from experiments.deep.agents import Arm, Evaluations, greedy, make_env, make_model
+from experiments.deep.settings import DeepSettings, family
+from experiments.deep.tasks import SLACK, Task, optimal_steps
+from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback, TrialSettings
+
+SOURCE_SEED, EVAL_SEED, FINAL_SEED = 300_000, 500_000, 10_000_000
+"""Added to a run's seed for the old task, for its evaluations, and for those at its end."""
+
+
+class Served(EvalCallback):
+    """Lets the discovery callback see an evaluation environment, and evaluates nothing itself."""
+
+    def _on_step(self) -> bool:
+        return True
+
+
+def train(
+    task: Task,
+    algo: str,
+    arm: Arm,
+    settings: DeepSettings,
+    seed: int,
+    *,
+    options: Path | None = None,
+    steps_after: int | None = None,
+) -> tuple[Result, SubgoalDiscoveryCallback | None]:
+    """Train once in the target.
+
+    Args:
+        task: Which.
+        algo: Of `ALGORITHMS`.
+        arm: Stock, discovered options, or random repeats in their place.
+        settings: Of everything.
+        seed: Of everything random.
+        options: A file of options to begin with, in which case none are discovered.
+        steps_after: In place of the settings'.
+
+    Returns:
+        ``steps``, ``success`` and ``length`` of each evaluation, ``final_success`` and ``final_length``, and what was
+        discovered; the callback that discovered it.
+    """
+    limit = round(SLACK * optimal_steps(world_of(task.env, **task.target)))
+    venv = make_env(task, algo, arm, settings, seed, settings.n_envs)
+    eval_env = make_env(task, algo, arm, settings, EVAL_SEED + seed, settings.evaluation_episodes, max_steps=limit)
+    if options is not None:
+        for each in (venv, eval_env):
+            for wrapper in each.envs:  # type: ignore[attr-defined]  # a DummyVecEnv
+                wrapper.bank.load(options)
+    model = make_model(algo, venv, arm, settings, seed)
+    if steps_after is None:
+        steps_after = settings.steps_after[family(algo)]
+    evaluations = Evaluations(eval_env, settings.evaluate_every, steps_after, EVAL_SEED + seed)
+    discovery = None
+    callbacks: list[BaseCallback] = [evaluations]
+    if arm == "options":
+        withhold = settings.withhold[family(algo)]
+        discovery = SubgoalDiscoveryCallback(
+            settings.discovery,
+            settings.option,
+            max_new_options=settings.max_new_options if options is None else 0,
+            max_option_exploration=settings.max_option_exploration[family(algo)],
+            trial=TrialSettings(withhold=withhold) if withhold else None,
+            seed=seed,
+            **settings.callback,
+        )
+        callbacks = [discovery, *callbacks, Served(eval_env)]
+    elif arm == "repeats":
+        callbacks = [PrimitiveStepsCallback(), *callbacks]
+    model.learn(task.n_timesteps, callback=CallbackList(callbacks))
+    steps, success, lengths = zip(*evaluations.points, strict=True)
+    last = [
+        greedy(model, eval_env, FINAL_SEED + seed * settings.final_evaluations + i)
+        for i in range(settings.final_evaluations)
+    ]
+    result: Result = {
+        "seed": seed,
+        "steps": list(steps),
+        "success": list(success),
+        "length": list(lengths),
+        "final_success": float(np.mean([success for success, _ in last])),
+        "final_length": float(np.mean([length for _, length in last])),
+        "options": [
+            {"episode": d.episode, "timestep": d.timestep, "subgoal": [float(x) for x in d.subgoal]}
+            for d in (discovery.discoveries if discovery else [])
+        ],
+    }
+    return result, discovery
+
+
+def discover(task: Task, algo: str, settings: DeepSettings, seed: int) -> SubgoalDiscoveryCallback:
+    """Train in the old task of a transfer, for its options.
+
+    Args:
+        task: Which has a source.
+        algo: As for `train`.
+        settings: Of everything; but options are not tried there, as what does harm may help where the goal has moved.
+        seed: Of the run in the target; the source has one of its own.
+
+    Returns:
+        The callback that holds the options.
+    """
+    source = Task(task.env, task.source or {}, n_timesteps=task.source_timesteps)
+    untried = dataclasses.replace(settings, withhold=dict.fromkeys(settings.withhold, 0.0))
+    discovery = train(source, algo, "options", untried, SOURCE_SEED + seed, steps_after=source.n_timesteps)[1]
+    assert discovery is not None  # of this arm
+    return discovery
+
+
+def run(task: Task, algo: str, arm: Arm, settings: DeepSettings, folder: Path, seed: int) -> Result:
+    """One run of one arm.
+
+    Args:
+        task: Which; with a source, options are discovered there by the same algorithm and brought along.
+        algo: As for `train`.
+        arm: As for `train`.
+        settings: Of everything.
+        folder: For the options of the source.
+        seed: Of everything random; the source has one of its own.
+
+    Returns:
+        As of `train`; with ``brought``, the subgoals of the options brought along.
+    """
+    if task.source is None or arm != "options":
+        return train(task, algo, arm, settings, seed)[0]
+    discovery = discover(task, algo, settings, seed)
+    options = folder / "options" / f"{seed}.safetensors"
+    options.parent.mkdir(parents=True, exist_ok=True)
+    discovery.bank.save(options)
+    subgoals = [[float(x) for x in d.subgoal] for d in discovery.discoveries]
+    return {**train(task, algo, arm, settings, seed, options=options)[0], "brought": subgoals}
