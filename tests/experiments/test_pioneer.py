@@ -21,7 +21,7 @@ from sb3_options.envs.pioneer.env import DISPLACEMENT, GRIPPING, VISIBLE, WIDTH
 from sb3_options.runs.config import DQNConfig, tuned
 
 TINY = PioneerSettings(
-    trials=8,
+    trials=5,
     transfer_trials=1,
     evaluation_trials=1,
     step_limit=300,
