@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NoReturn
 
+import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import (
@@ -15,6 +16,7 @@ from stable_baselines3.common.vec_env import (
     is_vecenv_wrapped,
 )
 
+from sb3_options.execution.wrappers_above import ChangesSteps
 from sb3_options.learning import heads
 from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.macro_q import MacroQ
@@ -41,8 +43,10 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
     check_wrapped(venv, "The model's environment")
     if not isinstance(model, MacroQ):
         _check_deep(model, venv)
-    check_gamma(model, venv)
     _check_nothing_above_changes_observations(venv)
+    check_nothing_above_changes_steps(venv)
+    check_normalized_rewards(model)
+    check_gamma(model, venv)
     if venv.env_method("feature_kind", indices=[0])[0] is None:
         raise ValueError(
             f"There is no default feature map for {venv.observation_space}: pass OptionsWrapper(env, "
@@ -61,6 +65,48 @@ def _check_nothing_above_changes_observations(venv: VecEnv) -> None:
         venv = venv.venv
     if seen != venv.observation_space:
         _refuse_change(seen, venv.observation_space)
+
+
+def check_nothing_above_changes_steps(venv: VecEnv) -> None:
+    """Refuse Gymnasium wrappers above `OptionsWrapper` that change rewards, observations or the ends of episodes.
+
+    Raises:
+        ValueError: There is one.
+    """
+    changed = venv.env_is_wrapped(ChangesSteps)  # type: ignore[arg-type]  # a kind of wrapper
+    if any(changed):
+        chain = venv.env_method("__str__", indices=[changed.index(True)])[0]
+        raise ValueError(
+            f"In {chain} something above OptionsWrapper may change rewards, observations or the ends of episodes, of "
+            "which the steps inside options know nothing: put it beneath, for instance "
+            "OptionsWrapper(TimeLimit(env, 500)). A wrapper of your own whose step returns what the environment's step "
+            "returned says so by a class attribute, returns_steps_unchanged = True."
+        )
+
+
+def check_normalized_rewards(model: BaseAlgorithm) -> None:
+    """Refuse a ``VecNormalize`` whose clip an off-policy algorithm would apply to the sum of an option's rewards.
+
+    A rollout buffer gets sums of normalised rewards (`normalized_rewards`). A replay buffer stores sums, and normalises
+    them when they are drawn, with the σ of that time.
+
+    Raises:
+        ValueError: The model has one.
+    """
+    normalizer = model.get_vec_normalize_env()
+    if normalizer is None:
+        return
+    if isinstance(model, MacroQ):
+        raise ValueError(
+            "MacroQ learns from the steps inside options as the environment gives them, which VecNormalize never sees: "
+            "leave VecNormalize out."
+        )
+    if hasattr(model, "replay_buffer") and normalizer.norm_reward and np.isfinite(normalizer.clip_reward):
+        raise ValueError(
+            f"VecNormalize clips the reward of a whole option at {normalizer.clip_reward}, and with it γ: how long the "
+            "option took would no longer show. Pass VecNormalize(..., clip_reward=np.inf), which only divides, or "
+            "norm_reward=False."
+        )
 
 
 def _refuse_change(seen: spaces.Space[Any], given: spaces.Space[Any]) -> NoReturn:

@@ -15,7 +15,11 @@ from stable_baselines3.common.callbacks import (
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, is_vecenv_wrapped
 
-from sb3_options.callbacks.checks import check_replay_buffer
+from sb3_options.callbacks.checks import (
+    check_normalized_rewards,
+    check_nothing_above_changes_steps,
+    check_replay_buffer,
+)
 from sb3_options.execution.workers import watch_workers
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.option_run import OptionRun
@@ -47,6 +51,8 @@ class PrimitiveStepsCallback(BaseCallback):
         if not any(self.training_env.env_is_wrapped(OptionsWrapper)):
             return  # a custom SMDP environment; its infos are checked in _on_step
         check_wrapped(self.training_env, "The model's environment")
+        check_nothing_above_changes_steps(self.training_env)
+        check_normalized_rewards(self.model)
         check_gamma(self.model, self.training_env)
         monitor_primitive_steps(self.training_env)
         if heads.has_heads(self.model.policy):
@@ -58,7 +64,7 @@ class PrimitiveStepsCallback(BaseCallback):
     def _on_step(self) -> bool:
         runs = [OptionRun.from_info(info) for info in self.locals["infos"]]
         if self._rollout_buffer is not None:
-            self._rollout_buffer.expect(self.locals["rewards"], runs)
+            self._rollout_buffer.expect(self.locals["rewards"], runs, self.model.get_vec_normalize_env())
         count_inner_steps(self, runs)
         return True
 

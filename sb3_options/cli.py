@@ -111,6 +111,7 @@ def train(config: TrainConfig) -> Path:
     runs.check_env_id(config.env)
     with Interrupts() as interrupts:
         with closing(runs.make_env(config, 1, config.seed)) as env:  # what cannot be made leaves no folder
+            runs.check_observations(env, config.env)
             bank: OptionBank = env.get_attr("bank")[0]
             started_with = [f"{slot} ({option.name})" for slot, option in enumerate(bank.slots) if option is not None]
         discovery = SubgoalDiscoveryCallback(
@@ -193,14 +194,26 @@ def _save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
         bank.save(folder / runs.OPTIONS)
 
 
+def _why_nothing(discovery: SubgoalDiscoveryCallback) -> str | None:
+    """What to say where nothing was discovered."""
+    if discovery.discoveries:
+        return None
+    if discovery.max_new_options == 0:
+        return "Discovery was switched off."
+    if len(discovery.bank) == discovery.bank.max_options:
+        return "There was no free slot for an option."
+    assert discovery.discovery is not None  # training has started
+    return discovery.discovery.why_nothing()
+
+
 def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path) -> None:
-    if discovery.discovery is None:
-        return
+    assert discovery.discovery is not None  # training has started
     if config.vec_env == "subproc":  # φ was in a process that has ended
         env = runs.make_env(config, 1, config.seed)
         discovery.bank.bind(lambda observations: env.env_method("concept_features", observations)[0])
     with atomic_write(folder / runs.SUBGOALS) as temporary:
-        subgoals_figure(discovery.discovery, discovery.bank).savefig(temporary, dpi=FIGURE_DPI)
+        figure = subgoals_figure(discovery.discovery, discovery.bank, _why_nothing(discovery))
+        figure.savefig(temporary, dpi=FIGURE_DPI)
 
 
 def _report(discovery: SubgoalDiscoveryCallback, folder: Path, unit: str) -> None:
@@ -217,10 +230,8 @@ def _report(discovery: SubgoalDiscoveryCallback, folder: Path, unit: str) -> Non
             )
         console.print("Subgoals discovered:")
         console.print(table)
-    elif discovery.max_new_options == 0:
-        console.print("Discovery was switched off.")
     else:
-        console.print("No subgoal was discovered: no peak of diverse density persisted long enough.")
+        console.print(escape(_why_nothing(discovery) or ""))
     path = escape(str(folder))
     console.print(f"Run folder:   {path}")
     python = escape(_python())

@@ -11,8 +11,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Array, Concept, Point
+from sb3_options.density.concepts import Concept, Point
 from sb3_options.density.search import ConceptSearch, instance_probabilities
 
 CHUNK = 1 << 20
@@ -126,7 +127,7 @@ class DiverseDensityClassifier:
         self._theta = search.climb(evidence, self.steps)
         return self
 
-    def predict_proba(self, bags: Sequence[ArrayLike]) -> Array:
+    def predict_proba(self, bags: Sequence[ArrayLike]) -> FloatArray:
         """Probabilities of the two labels, in the order of `classes_`, shape (n_bags, 2).
 
         Raises:
@@ -154,7 +155,7 @@ class DiverseDensityClassifier:
             Point(scale_bounds=(0, math.inf), prior="small", prior_width=0.5) if self.concept is None else self.concept
         )
 
-    def _positive(self, bag: Array) -> float:
+    def _positive(self, bag: FloatArray) -> float:
         scaled = (bag[:, self._frame.features] - self._frame.origin) * self._frame.scale
         none = np.ones(self._theta.shape[1])
         for part in np.array_split(scaled, -(-scaled.size // CHUNK)):
@@ -162,7 +163,7 @@ class DiverseDensityClassifier:
         return float(1 - none.mean())
 
 
-def _checked(bags: Sequence[ArrayLike]) -> list[Array]:
+def _checked(bags: Sequence[ArrayLike]) -> list[FloatArray]:
     arrays = [np.asarray(bag, dtype=np.float64) for bag in bags]
     if not arrays:
         raise ValueError("there are no bags: pass at least one")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable
 
 import numpy as np
@@ -11,14 +12,18 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
+from sb3_options.density.regions import Region
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray, IntArray, batch_size
 from sb3_options.options.bank import OptionBank
-from sb3_options.options.option import Region, SubgoalOption
+from sb3_options.options.option import SubgoalOption
 
 PANEL_SIZE = (6.4, 3.6)
 WORST_SHOWN = 60.0
 """Log densities this far below the best share the darkest colour, in nats."""
+
+TEXT_WIDTH = 80
+"""Characters of a line of text."""
 
 SUBGOAL_COLOUR = "#d62728"
 MARGIN = 0.75
@@ -46,16 +51,20 @@ def discovery_figures(discovery: SubgoalDiscovery, bank: OptionBank) -> dict[str
     return figures
 
 
-def subgoals_figure(discovery: SubgoalDiscovery, bank: OptionBank) -> Figure:
+def subgoals_figure(discovery: SubgoalDiscovery, bank: OptionBank, text: str | None = None) -> Figure:
     """All panels in one figure: for a run folder.
 
     Args:
         discovery: What was found.
         bank: The options made.
+        text: Said above the panels; by default why nothing was found, where that is so.
 
     Returns:
-        A figure; it says so where nothing was searched yet.
+        A figure; only the text where nothing was searched.
     """
+    if text is None and not discovery.found:
+        text = discovery.why_nothing()
+    text = textwrap.fill(text or "", TEXT_WIDTH)
     panels = _panels(discovery, bank)
     columns = min(2, max(1, len(panels)))
     rows = max(1, -(-len(panels) // columns))
@@ -65,7 +74,9 @@ def subgoals_figure(discovery: SubgoalDiscovery, bank: OptionBank) -> Figure:
     if not panels:
         axes = figure.add_subplot()
         axes.set_axis_off()
-        axes.text(0.5, 0.5, "No search yet: too few successful trajectories.", ha="center", va="center")
+        axes.text(0.5, 0.5, text, ha="center", va="center")
+    elif text:
+        figure.suptitle(text, fontsize="medium")
     return figure
 
 

@@ -54,15 +54,16 @@ def networks(policy: Any) -> tuple[Any, Any]:
     Raises:
         TypeError: The policy has none that values actions.
     """
-    for online in ("q_net", "quantile_net"):
-        if hasattr(policy, online):
-            return getattr(policy, online), getattr(policy, f"{online}_target")
+    for name in ("q_net", "quantile_net"):
+        online, target = getattr(policy, name, None), getattr(policy, f"{name}_target", None)
+        if online is not None and target is not None:
+            return online, target
     raise TypeError(f"{type(policy).__name__} gives no values of actions; DQN, QRDQN and OptionDQN do.")
 
 
 def has_networks(policy: Any) -> bool:
     """Whether the policy gives values of actions, as DQN's and QRDQN's do."""
-    return hasattr(policy, "q_net") or hasattr(policy, "quantile_net")
+    return any(getattr(policy, f"{name}_target", None) is not None for name in ("q_net", "quantile_net"))
 
 
 def body_of(network: Any) -> torch.nn.Sequential:

@@ -11,6 +11,7 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import DictRolloutBuffer, RolloutBuffer
+from stable_baselines3.common.vec_env import VecNormalize
 
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.option_run import OptionRun
@@ -50,6 +51,30 @@ def smdp_advantages(
     return advantages
 
 
+def normalized_rewards(
+    rewards: npt.NDArray[Any], runs: Sequence[OptionRun], normalizer: VecNormalize | None
+) -> FloatArray:
+    """Σ γⁱ r̃ᵢ over the primitive steps of each run, with r̃ = clip(r / σ, ±``clip_reward``) as ``VecNormalize`` says.
+
+    ``VecNormalize`` itself clips what it is given, which of an option is the sum: beyond the clip nothing of γ would be
+    left, and an option that reaches the goal in 120 steps would be worth as much as one that takes 1.
+
+    Args:
+        rewards: As the VecEnv gave them, (n_envs,).
+        runs: Of each environment.
+        normalizer: In force; None leaves rewards as they are.
+
+    Returns:
+        (n_envs,).
+    """
+    normalized = np.array(rewards, dtype=np.float64)
+    if normalizer is not None and normalizer.norm_reward:
+        for i, run in enumerate(runs):
+            if run.rewards is not None:
+                normalized[i] = run.gamma ** np.arange(run.duration) @ normalizer.normalize_reward(run.rewards)
+    return normalized
+
+
 class SMDPAdvantages:
     """Advantages of a semi-Markov process for an SB3 rollout buffer, which comes after this class in the bases.
 
@@ -75,19 +100,23 @@ class SMDPAdvantages:
         """Forget the last rollout."""
         self.durations = np.ones((self.buffer_size, self.n_envs))
         self.discounts = np.full((self.buffer_size, self.n_envs), self.gamma)
-        self._expected: tuple[FloatArray, FloatArray, FloatArray] | None = None
+        self._expected: tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None = None
         super().reset()  # type: ignore[misc]  # the SB3 buffer's
 
-    def expect(self, rewards: npt.NDArray[Any], runs: Sequence[OptionRun]) -> None:
+    def expect(
+        self, rewards: npt.NDArray[Any], runs: Sequence[OptionRun], normalizer: VecNormalize | None = None
+    ) -> None:
         """Announce the step that `add` is about to be called for.
 
         Args:
             rewards: Σ γⁱ rᵢ as the VecEnv gave them, before SB3 adds a bootstrap, (n_envs,).
             runs: What each environment ran.
+            normalizer: Of rewards, if there is one (`normalized_rewards`).
         """
         durations = np.array([run.duration for run in runs], dtype=np.float64)
         discounts = np.array([run.discount for run in runs], dtype=np.float64)
-        self._expected = np.array(rewards, dtype=np.float64), durations, discounts
+        given = np.array(rewards, dtype=np.float64)
+        self._expected = given, normalized_rewards(rewards, runs, normalizer), durations, discounts
 
     def add(self, *args: Any, **kwargs: Any) -> None:
         """Store one step of every environment.
@@ -105,9 +134,9 @@ class SMDPAdvantages:
                 f"{type(self).__name__} was not told how long the actions took: pass PrimitiveStepsCallback() or "
                 "SubgoalDiscoveryCallback() to learn()."
             )
-        (plain, durations, discounts), self._expected = self._expected, None
+        (given, plain, durations, discounts), self._expected = self._expected, None
         observations, actions, rewards, *others = args
-        bootstrap = np.asarray(rewards, dtype=np.float64) - plain
+        bootstrap = np.asarray(rewards, dtype=np.float64) - given
         rewards = plain + bootstrap * discounts / self.gamma
         self.durations[self.pos] = durations
         self.discounts[self.pos] = discounts

@@ -67,6 +67,8 @@ def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> Ba
         policy_kwargs={"net_arch": list(config.net_arch)},
         **settings,
     )
+    # SB3 seeds environment i with seed + i, so that the runs of seeds 0 and 1 would share all but one of them.
+    env.seed(config.seed * env.num_envs)
     return model
 
 

@@ -15,8 +15,9 @@ from rich.progress import track
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_options.discovery.static_filter import reported_success
+from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.recording import LONGEST_EPISODE
+from sb3_options.experience.success import reported_success
 from sb3_options.learning.value_snapshot import interrupt_options
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
@@ -79,7 +80,7 @@ def greedy_episodes(
         actions, memory = model.predict(observations, memory, starts, deterministic=True, **masks)  # type: ignore[arg-type]  # a batch, as reset gives it
         observations, _, starts, infos = venv.step(actions if explore is None else explore(actions))
         for i, info in enumerate(infos):
-            steps[i] += info["option"]["duration"] if "option" in info else 1
+            steps[i] += OptionRun.from_info(info).duration if "option" in info else 1
             if starts[i]:
                 steps[i] = 0
                 if left[i]:

@@ -9,6 +9,7 @@ from typing import Any
 
 import gymnasium as gym
 from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.preprocessing import get_obs_shape
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from sb3_options.execution.wrapper import OptionsWrapper
@@ -21,6 +22,17 @@ MODEL = "model.zip"
 OPTIONS = "options.safetensors"
 MONITOR = "monitor"
 SUBGOALS = "subgoals.png"
+
+PACKAGES = {
+    "ALE/": ("ale-py", "ale_py"),
+    "BabyAI-": ("minigrid", "minigrid"),
+    "MiniGrid-": ("minigrid", "minigrid"),
+    "highway-": ("highway-env", "highway_env"),
+}
+"""Package and module that register environments, by how their ids begin."""
+
+ALIKE = 0.6
+"""Least similarity of an id that is suggested in place of another, as `difflib` measures it."""
 
 OWN_NAMESPACE = "sb3_options/"
 """Of the environments that come with the library."""
@@ -47,7 +59,7 @@ def new_run_folder(config: TrainConfig) -> Path:
 
 
 def check_env_id(env_id: str) -> None:
-    """Refuse an id that Gymnasium does not know, and name the nearest one it does.
+    """Refuse an id that Gymnasium does not know, and name the package that registers it, or one that is alike.
 
     Raises:
         ValueError: The id is not registered.
@@ -55,8 +67,27 @@ def check_env_id(env_id: str) -> None:
     # An id may name the module that registers it, as in "module:Env-v0".
     if env_id in gym.registry or ":" in env_id:
         return
-    near = difflib.get_close_matches(env_id, gym.registry, n=1, cutoff=0.0)
-    raise ValueError(f"There is no environment {env_id!r}. Did you mean {near[0]!r}?")
+    near = difflib.get_close_matches(env_id, gym.registry, n=1, cutoff=ALIKE)
+    hint = f"Did you mean {near[0]!r}?" if near else "If a package registers it, name its module: --env module:ID."
+    for prefix, (package, module) in PACKAGES.items():
+        if env_id.startswith(prefix):
+            hint = f"The package {package} registers it: pip install {package}, and pass --env {module}:{env_id}."
+    raise ValueError(f"There is no environment {env_id!r}. {hint}")
+
+
+def check_observations(venv: VecEnv, env_id: str) -> None:
+    """Refuse observations that SB3 cannot learn from.
+
+    Raises:
+        ValueError: The environment has such observations.
+    """
+    try:
+        get_obs_shape(venv.observation_space)
+    except NotImplementedError as error:
+        raise ValueError(
+            f"{env_id} has observations that Stable-Baselines3 cannot learn from, {venv.observation_space}: register "
+            "an environment that flattens them (gymnasium.wrappers.FlattenObservation), and pass --env module:ID."
+        ) from error
 
 
 def options_file(config: TrainConfig) -> Path | None:

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from benchmarks.diverse_density.classifier import DiverseDensityClassifier
-from sb3_options.density.concepts import Array, Plane, Point
+from sb3_options.density.arrays import BoolArray, FloatArray
+from sb3_options.density.concepts import Plane, Point
 
 MUSK = Path(os.environ.get("SB3_OPTIONS_MUSK1", "../shared/data/musk1.npz"))
 
 
-def bags_and_labels(seed: int, n: int = 30) -> tuple[list[Array], NDArray[np.bool_]]:
+def bags_and_labels(seed: int, n: int = 30) -> tuple[list[FloatArray], BoolArray]:
     """Noise, with an instance near (1, −1, 1, …) in the first half of the features of every positive bag."""
     rng = np.random.default_rng(seed)
     bags = [rng.normal(scale=2, size=(int(rng.integers(2, 8)), 6)) for _ in range(n)]
@@ -106,7 +106,7 @@ def test_scikit_learn_clones_splits_scores_and_selects() -> None:
         ([np.zeros((1, 2))] * 2, [0, 1], "no feature varies"),
     ],
 )
-def test_bad_bags(bags: list[Array], labels: list[int], text: str) -> None:
+def test_bad_bags(bags: list[FloatArray], labels: list[int], text: str) -> None:
     with pytest.raises(ValueError, match=re.escape(text)):
         DiverseDensityClassifier().fit(bags, labels)
 

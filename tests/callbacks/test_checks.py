@@ -9,12 +9,14 @@ from stable_baselines3 import DQN, PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
-from stable_baselines3.common.vec_env import DummyVecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper
+from sb3_options import MacroQ, OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.learning import heads
-from tests.support.helpers import DictEnv, place_of, steady_option
+from sb3_options.learning.linear_features import OneHot
+from tests.learning.test_replay_buffer import all_samples
+from tests.support.helpers import CountingEnv, DictEnv, place_of, steady_option
 from tests.support.sb3_helpers import optioned_rooms, small_rooms
 
 DQN_KWARGS: dict[str, Any] = {"gamma": 0.9, "buffer_size": 200, "learning_starts": 10, "seed": 0}
@@ -167,3 +169,33 @@ def test_hand_made_options_alone_close_the_heads_of_empty_slots() -> None:
     model = dqn(env)
     model.learn(20, callback=PrimitiveStepsCallback())
     assert [heads.is_closed(model.policy, 4 + slot) for slot in range(4)] == [True, False, True, True]
+
+
+@pytest.mark.parametrize("callback", [SubgoalDiscoveryCallback, PrimitiveStepsCallback])
+def test_a_clip_of_summed_rewards_is_refused(callback: Any) -> None:
+    def normalized(**kwargs: Any) -> VecNormalize:
+        return VecNormalize(DummyVecEnv([optioned_rooms]), gamma=0.9, **kwargs)
+
+    text = r"^VecNormalize clips the reward of a whole option at 10\.0, .+ clip_reward=np\.inf.+norm_reward=False"
+    with pytest.raises(ValueError, match=text):
+        dqn(normalized()).learn(20, callback=callback())
+    dqn(normalized(clip_reward=np.inf)).learn(20, callback=callback())
+    dqn(normalized(norm_reward=False)).learn(20, callback=callback())
+    with pytest.raises(ValueError, match=r"^MacroQ learns from the steps inside options.+leave VecNormalize out\.$"):
+        MacroQ(normalized(), gamma=0.9, features=OneHot(45, coded=True)).learn(20, callback=callback())
+
+
+def test_divided_rewards_of_an_option_are_those_of_its_steps_summed() -> None:
+    """With the remedy γ shows: the row of a run is the discounted sum of the rows of its steps."""
+    env = OptionsWrapper(CountingEnv(truncate_at=30), 1, gamma=0.9)
+    env.bank.add(steady_option(1, max_duration=7))
+    venv = VecNormalize(DummyVecEnv([lambda: env]), gamma=0.9, clip_reward=np.inf)
+    model = dqn(venv)
+    model.learn(100, callback=PrimitiveStepsCallback())
+    buffer = model.replay_buffer
+    assert isinstance(buffer, OptionReplayBuffer)
+    starts = np.flatnonzero(buffer.discounts[: buffer.size() - 7] == np.float32(0.9**7))
+    rewards = all_samples(buffer, venv).rewards.numpy().ravel()
+    assert len(starts) > 2
+    for start in starts:
+        np.testing.assert_allclose(rewards[start], 0.9 ** np.arange(7) @ rewards[start + 1 : start + 8], rtol=1e-5)

@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
 from sb3_options.discovery.figures import discovery_figures, subgoals_figure
-from sb3_options.discovery.subgoals import DiscoverySettings, SubgoalDiscovery
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.creation import learn_option
@@ -174,7 +175,9 @@ def test_before_any_search_there_is_nothing_to_draw() -> None:
     empty = SubgoalDiscovery()
     assert discovery_figures(empty, OptionBank(4, 2)) == {}
     (text,) = subgoals_figure(empty, OptionBank(4, 2)).axes[0].texts
-    assert "No search yet: too few successful trajectories" in text.get_text()
+    assert text.get_text() == "No subgoal was discovered: no episode has ended."
+    (text,) = subgoals_figure(empty, OptionBank(4, 2), "Discovery was switched off.").axes[0].texts
+    assert text.get_text() == "Discovery was switched off."
 
 
 def test_before_any_option_there_are_two_maps() -> None:

@@ -13,10 +13,12 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 import torch
+from matplotlib.figure import Figure
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator  # type: ignore[import-untyped]  # no stubs
 
 from sb3_options import OptionBank, cli
 from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.execution.trials import TrialSettings
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
@@ -137,6 +139,31 @@ class TestTrain:
         board = re.search(rf"TensorBoard:  (\S+) -m tensorboard.main --logdir {shown}\n", run.printed)
         assert board is not None
         assert f"{board[1]} train.py evaluate {shown} --video {shown}/video.mp4" in run.printed
+
+    @pytest.mark.parametrize(
+        ("args", "text"),
+        [
+            (["--n-timesteps", "30"], "No subgoal was discovered: no episode has ended."),
+            (["--env", "CliffWalking-v1"], "No subgoal was discovered: none of the"),
+            (["--no-discover"], "Discovery was switched off."),
+            (["--max-options", "0"], "There was no free slot for an option."),
+        ],
+    )
+    def test_says_why_there_is_no_option_as_the_picture_does(
+        self, args: list[str], text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+        monkeypatch: pytest.MonkeyPatch,
+    ) -> None:  # fmt: skip
+        drawn: list[str] = []
+
+        def draw(discovery: Any, bank: OptionBank, text: str) -> Figure:
+            drawn.append(text)
+            return subgoals_figure(discovery, bank, text)
+
+        monkeypatch.setattr(cli, "subgoals_figure", draw)
+        cli.main(["--n-timesteps", "1500", "--no-progress", "--tensorboard-log", str(tmp_path), *args])
+        printed = capsys.readouterr().out
+        assert text in drawn[0]
+        assert f"{drawn[0]}\n" in printed
 
     def test_makes_a_new_folder_each_time(self, tmp_path: Path) -> None:
         config = DQNConfig(tensorboard_log=tmp_path, env="a/B-v0")
@@ -331,6 +358,10 @@ class TestErrors:
         ("args", "expected"),
         [
             (["--env", "Pendulum-v1"], "OptionsWrapper needs a Discrete action space, got Box"),
+            (
+                ["--env", "Blackjack-v1"],
+                "Blackjack-v1 has observations that Stable-Baselines3 cannot learn from, Tuple(",
+            ),
             (["--env-kwargs", "mapp:1"], "mapp"),
             (["--env-kwargs", "success_probability:2"], "success_probability must be in 0..1, got 2"),
             (["--env-kwargs", "observation:smell"], "observation"),

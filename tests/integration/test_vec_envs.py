@@ -30,7 +30,7 @@ from stable_baselines3.common.vec_env import (
 from sb3_options import OptionBank, OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.cli import train
-from sb3_options.discovery.subgoals import DiscoverySettings
+from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.execution.vec_env import as_wrapper_sees
 from sb3_options.options.option import SubgoalOption
 from sb3_options.runs.config import DQNConfig
@@ -153,12 +153,12 @@ def stacked(venv: VecEnv) -> VecEnv:
 
 
 AROUND: dict[str, Callable[[VecEnv], VecEnv]] = {
-    "VecNormalize": lambda venv: VecNormalize(venv, gamma=0.9),
+    "VecNormalize": lambda venv: VecNormalize(venv, gamma=0.9, clip_reward=np.inf),
     "VecFrameStack": stacked,
     "VecCheckNan": lambda venv: VecCheckNan(venv, raise_exception=True),
-    "VecNormalize(VecFrameStack)": lambda venv: VecNormalize(stacked(venv), gamma=0.9),
+    "VecNormalize(VecFrameStack)": lambda venv: VecNormalize(stacked(venv), gamma=0.9, clip_reward=np.inf),
     "VecCheckNan(VecNormalize(VecFrameStack))": lambda venv: VecCheckNan(
-        VecNormalize(stacked(venv), gamma=0.9), raise_exception=True
+        VecNormalize(stacked(venv), gamma=0.9, clip_reward=np.inf), raise_exception=True
     ),
 }
 

@@ -1,6 +1,7 @@
 """Advantages over options against an oracle that works them out from the primitive steps, one env at a time."""
 
 from fractions import Fraction
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -22,7 +23,7 @@ from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.experience.observations import batch_size
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.rollout_buffer import SMDPAdvantages, smdp_advantages
-from tests.support.helpers import DictEnv, place_of, steady_option
+from tests.support.helpers import CountingEnv, DictEnv, place_of, steady_option
 from tests.support.sb3_helpers import Corridor, StepLog, env_of
 
 GAMMA, LAMBDA = 0.9, 0.8
@@ -244,7 +245,7 @@ def test_contrib_algorithms_get_a_buffer_derived_from_their_own(algorithm: Any, 
 
 
 def test_normalised_rewards_keep_the_bootstrap() -> None:
-    venv = VecNormalize(DummyVecEnv([lambda: optioned_corridor(13)]), gamma=GAMMA)
+    venv = VecNormalize(DummyVecEnv([lambda: optioned_corridor(13)]), gamma=GAMMA, clip_reward=np.inf)
     model = make(PPO, venv)
     kept = Rollouts()
     model.learn(64, callback=CallbackList([PrimitiveStepsCallback(), kept]))
@@ -252,7 +253,7 @@ def test_normalised_rewards_keep_the_bootstrap() -> None:
     timeouts = np.array([s["timeout_values"] for s in kept.steps]).reshape(-1)
     plain = np.array([s["rewards"] for s in kept.steps]).reshape(-1)
     k = np.array([s["durations"] for s in kept.steps]).reshape(-1)
-    np.testing.assert_allclose(buffer.rewards.reshape(-1), plain + GAMMA**k * timeouts, atol=1e-6)
+    np.testing.assert_allclose(buffer.rewards.reshape(-1), plain + GAMMA**k * timeouts, rtol=1e-6, atol=1e-6)
     assert (timeouts != 0).any()
 
 
@@ -329,3 +330,29 @@ def test_an_untrained_model_opens_the_heads_of_options_that_are_there_a_trained_
     OptionInstaller(model, env_of(model), None)
     assert torch.equal(head.weight[2], learned)
     assert not torch.equal(learned, head.weight[:2].mean(dim=0))
+
+
+def rewarded_at_the_end(k: int) -> OptionsWrapper:
+    """Its option reaches the goal, rewarded with 1, in k steps."""
+    env = OptionsWrapper(
+        CountingEnv(step=lambda env, _: (np.array([env.time / k]), float(env.time == k), env.time == k, False, {})),
+        1,
+        gamma=GAMMA,
+    )
+    env.bank.add(steady_option(1, max_duration=200))
+    return env
+
+
+def test_rewards_inside_options_are_normalised_before_they_are_summed() -> None:
+    """A clipped sum would be the same however long the option took."""
+    lengths = (1, 20, 60)
+    venv = VecNormalize(DummyVecEnv([partial(rewarded_at_the_end, k) for k in lengths]), gamma=GAMMA, training=False)
+    venv.ret_rms.var = np.array(1e-4)  # a reward of 1 is 100 standard deviations, and clipped at 10
+    model = make(PPO, venv)
+    model.learn(64, callback=PrimitiveStepsCallback())
+    buffer: Any = model.rollout_buffer
+    actions = buffer.actions.reshape(64, 3)
+    for env, k in enumerate(lengths):
+        whole = (actions[:, env] == 2) & (buffer.durations[:, env] == k)
+        assert whole.any()
+        np.testing.assert_allclose(buffer.rewards[whole, env], 10 * GAMMA ** (k - 1), rtol=1e-6)

@@ -122,6 +122,8 @@ class StepLog(gym.Wrapper[Any, Any, Any, Any]):
 class ActionLog(gym.Wrapper[Any, Any, Any, Any]):
     """Keeps every augmented action; stands above the options."""
 
+    returns_steps_unchanged = True
+
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         super().__init__(env)
         self.chosen: list[int] = []

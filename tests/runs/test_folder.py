@@ -1,0 +1,40 @@
+import gymnasium as gym
+import pytest
+
+import sb3_options.envs  # noqa: F401  # registers them
+from sb3_options.runs import folder as runs
+from sb3_options.runs.algorithms import make_model
+from sb3_options.runs.config import A2CConfig, DQNConfig, TrainConfig
+
+
+@pytest.mark.parametrize("of", [DQNConfig, A2CConfig])
+@pytest.mark.parametrize("n_envs", [1, 3])
+def test_runs_of_different_seeds_share_no_environment(of: type[TrainConfig], n_envs: int) -> None:
+    seeds: list[int] = []
+    for seed in range(3):
+        config = of(seed=seed, n_envs=n_envs, device="cpu")  # type: ignore[call-arg]  # algo has a default
+        env = runs.make_env(config, n_envs, seed)
+        make_model(config, env)
+        env.reset()
+        seeds += env.get_attr("np_random_seed")
+        env.close()
+    assert seeds == list(range(3 * n_envs))
+
+
+@pytest.mark.parametrize(
+    ("env_id", "hint"),
+    [
+        ("ALE/Pong-v5", "The package ale-py registers it: pip install ale-py, and pass --env ale_py:ALE/Pong-v5."),
+        (
+            "MiniGrid-DoorKey-5x5-v0",
+            "The package minigrid registers it: pip install minigrid, and pass --env minigrid:MiniGrid-DoorKey-5x5-v0.",
+        ),
+        ("TwoRoms-v0", "Did you mean 'sb3_options/TwoRooms-v0'?"),
+        ("my/Puzzle-v3", "If a package registers it, name its module: --env module:ID."),
+    ],
+)
+def test_an_unknown_environment(env_id: str, hint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gym, "registry", {key: spec for key, spec in gym.registry.items() if key != env_id})
+    with pytest.raises(ValueError, match="There is no environment") as error:
+        runs.check_env_id(env_id)
+    assert str(error.value) == f"There is no environment {env_id!r}. {hint}"
