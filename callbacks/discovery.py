@@ -16,16 +16,19 @@ from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
 from sb3_options.callbacks.records import ClosedOption, DiscoveredOption, OptionStatistics
 from sb3_options.callbacks.trials import OptionTrials
+from sb3_options.density.regions import Region
 from sb3_options.discovery.figures import discovery_figures
-from sb3_options.discovery.static_filter import StaticFilter, SuccessRule, reported_success
-from sb3_options.discovery.subgoals import DiscoverySettings, SubgoalDiscovery
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.static_filter import StaticFilter
+from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.execution.exploration import checked_share
 from sb3_options.execution.trials import TrialReport, TrialSettings, Verdict
 from sb3_options.experience.option_run import OptionRun
+from sb3_options.experience.success import SuccessRule, reported_success
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.creation import OptionGrowth, learn_further, learn_option
-from sb3_options.options.option import Region, SubgoalOption
+from sb3_options.options.option import SubgoalOption
 from sb3_options.options.settings import OptionLearningSettings
 
 logger = logging.getLogger("sb3_options")
@@ -161,7 +164,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     def _on_step(self) -> bool:
         infos: list[dict[str, Any]] = self.locals["infos"]
-        runs = [OptionRun.from_info(info) for info in infos]
+        runs = list(map(OptionRun.from_info, infos))
         goes_on = self._count(runs)
         for info, run in zip(infos, runs, strict=True):
             if run.index >= 0:

@@ -86,7 +86,7 @@ class PrimitiveStepsCallback(BaseCallback):
             self._budget = done + math.ceil((total - done) / rollout) * rollout
 
     def _on_step(self) -> bool:
-        return self._count([OptionRun.from_info(info) for info in self.locals["infos"]])
+        return self._count(list(map(OptionRun.from_info, self.locals["infos"])))
 
     def _count(self, runs: list[OptionRun]) -> bool:
         """Count what one step of every environment ran; whether training goes on."""

@@ -6,24 +6,23 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sb3_options.density.arrays import BoolArray, FloatArray
 
 
 class LabelledBags(NamedTuple):
     """Bags (n_i, d), and whether each is positive."""
 
-    bags: list[Array]
-    labels: NDArray[np.bool_]
+    bags: list[FloatArray]
+    labels: BoolArray
 
     @property
-    def positive(self) -> list[Array]:
+    def positive(self) -> list[FloatArray]:
         """The positive bags."""
         return [bag for bag, label in zip(self.bags, self.labels, strict=True) if label]
 
     @property
-    def negative(self) -> list[Array]:
+    def negative(self) -> list[FloatArray]:
         """The negative bags."""
         return [bag for bag, label in zip(self.bags, self.labels, strict=True) if not label]
 
@@ -51,7 +50,7 @@ def uneven(rng: np.random.Generator, d: int, n_bags: int = 180, shortest: int = 
     return LabelledBags(bags, np.arange(n_bags) < n_bags // 2)
 
 
-def planted(rng: np.random.Generator, n_bags: int, n_instances: int, reach: float = 20.0) -> list[Array]:
+def planted(rng: np.random.Generator, n_bags: int, n_instances: int, reach: float = 20.0) -> list[FloatArray]:
     """Noise over a square of side 2 ``reach``, with one instance a bag around a place common to all."""
     place = np.array([3.0, -2.0])
     return [

@@ -15,13 +15,15 @@ import torch
 from rich.progress import track
 
 from benchmarks.diverse_density.classifier import DiverseDensityClassifier
-from benchmarks.diverse_density.data import Array, LabelledBags, planted, uneven
+from benchmarks.diverse_density.data import LabelledBags, planted, uneven
 from benchmarks.diverse_density.references import BagByBag, Vectorised, descend
+from sb3_options.density.arrays import BoolArray, FloatArray
 from sb3_options.density.bags import Bags
 from sb3_options.density.concepts import Point
 from sb3_options.density.diverse_density import log_diverse_density
 from sb3_options.density.search import ConceptSearch
-from sb3_options.discovery.subgoals import DiscoverySettings, SubgoalDiscovery
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.runs.intervals import mean_interval
 
@@ -74,7 +76,7 @@ def against_references(data: LabelledBags, rounds: int, loop_starts: int) -> dic
     def ours() -> None:
         best["ours"] = min(best["ours"], -quick.search(bags)[0].log_density)
 
-    def reference(name: str, objective: Vectorised | BagByBag, numbers: Array) -> None:
+    def reference(name: str, objective: Vectorised | BagByBag, numbers: FloatArray) -> None:
         for i in numbers:
             best[name] = min(best[name], descend(objective, starts[int(i)], START_SCALE).value)
 
@@ -103,7 +105,7 @@ def against_references(data: LabelledBags, rounds: int, loop_starts: int) -> dic
     return result
 
 
-def _agreement(point: Array, bags: Bags, *references: Vectorised | BagByBag) -> float:
+def _agreement(point: FloatArray, bags: Bags, *references: Vectorised | BagByBag) -> float:
     """Largest error of the references against the library's most exact function, value and gradient."""
     theta = np.concatenate([point + 0.1, np.full_like(point, START_SCALE)])
     t, s = (torch.from_numpy(part.copy())[None].requires_grad_() for part in np.split(theta, 2))
@@ -171,7 +173,7 @@ def cross_validation(data: LabelledBags, repetitions: int, nested: int) -> dict[
     return result
 
 
-def _scores(runs: list[Array], labels: np.typing.NDArray[np.bool_]) -> dict[str, dict[str, float]]:
+def _scores(runs: list[FloatArray], labels: BoolArray) -> dict[str, dict[str, float]]:
     """Mean and, over several repetitions, standard deviation of accuracy and area under the curve."""
     values = {
         "accuracy": [float(np.mean((positive >= 0.5) == labels)) for positive in runs],
@@ -199,7 +201,7 @@ def _chosen_within(train: LabelledBags) -> DiverseDensityClassifier:
 
 def _out_of_fold(
     data: LabelledBags, seed: int, folds: int, make: Callable[[LabelledBags], DiverseDensityClassifier]
-) -> Array:
+) -> FloatArray:
     """Probability that each bag is positive from a classifier fitted without its fold, folds stratified."""
     rng = np.random.default_rng(seed)
     fold = np.empty(len(data.labels), dtype=np.int64)
@@ -215,7 +217,7 @@ def _out_of_fold(
     return positive
 
 
-def area_under_curve(score: Array, labels: Array | np.typing.NDArray[np.bool_]) -> float:
+def area_under_curve(score: FloatArray, labels: FloatArray | BoolArray) -> float:
     """Probability that a positive scores above a negative, ties counting half."""
     above = score[labels.astype(bool)][:, None] - score[~labels.astype(bool)]
     return float(np.mean((above > 0) + 0.5 * (above == 0)))
@@ -267,7 +269,7 @@ def _one_more_bag(n_bags: int, n_instances: int, added: int, seed: int) -> dict[
     }
 
 
-def _trajectory(rng: np.random.Generator, n_instances: int) -> tuple[Trajectory, Array]:
+def _trajectory(rng: np.random.Generator, n_instances: int) -> tuple[Trajectory, FloatArray]:
     """A success that visits the planted place at some time, and its features."""
     bag = rng.permutation(planted(rng, 1, n_instances)[0])
     n = len(bag) - 1

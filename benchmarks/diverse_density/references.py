@@ -10,16 +10,15 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-Array = NDArray[np.float64]
+from sb3_options.density.arrays import FloatArray
 
 LARGEST_P = 1 - 1e-16
 SMALLEST_HIT = 1e-300
 """Keep logarithms finite; no start of the benchmark comes near either."""
 
-Objective = Callable[[Array], tuple[float, Array]]
+Objective = Callable[[FloatArray], tuple[float, FloatArray]]
 
 
 class Descended(NamedTuple):
@@ -29,7 +28,7 @@ class Descended(NamedTuple):
     evaluations: int
 
 
-def descend(objective: Objective, point: Array, scale: float) -> Descended:
+def descend(objective: Objective, point: FloatArray, scale: float) -> Descended:
     """L-BFGS-B from one start, with scipy's tolerances and as many steps as it wants."""
     start = np.concatenate([point, np.full_like(point, scale)])
     found = minimize(objective, start, jac=True, method="L-BFGS-B", options={"maxiter": 15_000, "maxfun": 50_000})
@@ -42,7 +41,7 @@ class Vectorised:
     The strongest form found: with differences x − t written out an evaluation on Musk1 takes several times as long.
     """
 
-    def __init__(self, positive: Sequence[Array], negative: Sequence[Array]) -> None:
+    def __init__(self, positive: Sequence[FloatArray], negative: Sequence[FloatArray]) -> None:
         self._x = np.concatenate([*positive, *negative])
         self._squares = self._x**2
         self._d = self._x.shape[1]
@@ -50,7 +49,7 @@ class Vectorised:
         self._first = np.cumsum(self._lengths) - self._lengths
         self._n = int(self._lengths.sum())
 
-    def __call__(self, theta: Array) -> tuple[float, Array]:
+    def __call__(self, theta: FloatArray) -> tuple[float, FloatArray]:
         """Value and gradient at (t, s)."""
         t, s = theta[: self._d], theta[self._d :]
         squares = s * s
@@ -71,10 +70,10 @@ class Vectorised:
 class BagByBag:
     """One bag after the other, the way the formula reads."""
 
-    def __init__(self, positive: Sequence[Array], negative: Sequence[Array]) -> None:
+    def __init__(self, positive: Sequence[FloatArray], negative: Sequence[FloatArray]) -> None:
         self._bags = [(bag, True) for bag in positive] + [(bag, False) for bag in negative]
 
-    def __call__(self, theta: Array) -> tuple[float, Array]:
+    def __call__(self, theta: FloatArray) -> tuple[float, FloatArray]:
         """Value and gradient at (t, s)."""
         t, s = np.split(theta, 2)
         value, in_t, in_s = 0.0, np.zeros_like(t), np.zeros_like(s)

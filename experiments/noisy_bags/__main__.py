@@ -23,7 +23,6 @@ import numpy as np
 import torch
 import tyro
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -31,11 +30,11 @@ from scipy.stats import binomtest
 
 from experiments.common.seeds import write_json
 from experiments.noisy_bags.em_dd import ExpectationMaximisation
+from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
 from sb3_options.density.concepts import Point
 from sb3_options.density.search import ConceptSearch
 
-Array = NDArray[np.float64]
 PLACE = np.array([3.0, -2.0])
 REACH = 10.0
 SPREAD = 0.2
@@ -67,19 +66,19 @@ class Study:
 class Task(NamedTuple):
     """Bags, and how successful each negative one was."""
 
-    positive: list[Array]
-    negative: list[Array]
-    success: Array
+    positive: list[FloatArray]
+    negative: list[FloatArray]
+    success: FloatArray
 
 
 def make(seed: int, share: float, n_bags: int, n_instances: int) -> Task:
     """Bags of one run. The noise is the same for every share."""
     rng = np.random.default_rng(seed)
 
-    def noise() -> list[Array]:
+    def noise() -> list[FloatArray]:
         return [rng.uniform(-REACH, REACH, (n_instances, 2)) for _ in range(n_bags)]
 
-    def near() -> Array:
+    def near() -> FloatArray:
         return rng.normal(PLACE, SPREAD, (1, 2))
 
     positive = [np.vstack([bag, near()]) for bag in noise()]

@@ -17,7 +17,7 @@ from torch import Tensor
 from sb3_options.density.bags import Bags
 from sb3_options.density.concepts import Concept
 from sb3_options.density.evidence import Evidence
-from sb3_options.density.lbfgs import Descent
+from sb3_options.density.lbfgs import BatchedLBFGS
 from sb3_options.density.search import ConceptSearch, Solution
 
 
@@ -62,7 +62,7 @@ class ExpectationMaximisation:
         rested = torch.zeros(theta.shape[1], dtype=torch.bool, device=theta.device)
         for _ in range(self.rounds):
             loss, _ = likelihood.loss(theta, selected)
-            descent = Descent(
+            descent = BatchedLBFGS(
                 lambda t, chosen=selected: likelihood.loss(t, chosen),  # type: ignore[misc]  # mypy 2: default of lambda
                 theta,
                 self.search.concept.bounds(len(evidence.frame.features)),

@@ -29,12 +29,13 @@ from experiments.paper.settings import TRANSFER_GOAL, PaperSettings
 from sb3_options import MacroQ
 from sb3_options.atomic import atomic_write
 from sb3_options.callbacks import SubgoalDiscoveryCallback
-from sb3_options.discovery.static_filter import success_by_steps
+from sb3_options.density.regions import Region
 from sb3_options.envs import GridWorld
 from sb3_options.experience.observations import FloatArray
+from sb3_options.experience.success import success_by_steps
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.options.creation import learn_option
-from sb3_options.options.option import Option, Region, SubgoalOption
+from sb3_options.options.option import Option, SubgoalOption
 
 STRICT, SOFT = 1.0, 0.1
 """Strength η of negative bags: a noisy-or that allows no exception, and the library's default."""

@@ -9,10 +9,11 @@ import numpy as np
 from experiments.common.gridworlds import Cell, cell_of
 from experiments.paper.settings import PaperSettings
 from sb3_options.density.diverse_density import log_diverse_density
-from sb3_options.discovery.static_filter import SuccessRule, near_start_and_goal, reported_success
+from sb3_options.discovery.static_filter import near_start_and_goal
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.envs import GridWorld
 from sb3_options.experience.observations import FloatArray, IntArray
+from sb3_options.experience.success import SuccessRule, reported_success
 from sb3_options.experience.trajectories import LabelledTrajectory
 
 LOWEST_LOG_DENSITY = -200.0

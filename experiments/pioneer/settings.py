@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from experiments.common.documents import described
-from sb3_options.discovery.subgoals import DiscoverySettings
+from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.options.settings import OptionLearningSettings
 
 TASKS = {

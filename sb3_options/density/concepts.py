@@ -14,13 +14,11 @@ from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from sb3_options.density.objective import Link
-from sb3_options.options.option import HalfSpace, Region
-
-Array = NDArray[np.float64]
+from sb3_options.density.arrays import FloatArray, IntArray
+from sb3_options.density.energies import Link
+from sb3_options.density.regions import HalfSpace, Region
 
 SCALE_BOUNDS = (0.1, 10.0)
 """Default smallest and largest learned scale, as factors of the scale given.
@@ -40,12 +38,12 @@ class Frame(NamedTuple):
         n_features: All there are, d.
     """
 
-    features: NDArray[np.int64]
-    origin: Array
-    scale: Array
+    features: IntArray
+    origin: FloatArray
+    scale: FloatArray
     n_features: int
 
-    def spread(self, values: Array) -> Array:
+    def spread(self, values: FloatArray) -> FloatArray:
         """Values of the features that count (m,) among zeros for the others (d,)."""
         out = np.zeros(self.n_features)
         out[self.features] = values
@@ -72,6 +70,10 @@ class Concept(ABC):
     def pull_back(self, theta: Tensor, gradient: Tensor) -> Tensor:
         """The gradient in θ from the gradient in the coefficients (K, S): the chain rule."""
 
+    def centre(self, theta: Tensor) -> Tensor:
+        """Where the energy is 0 (d, S), if it is Σ_k c_kk (x_k − centre_k)²; else (0, S)."""
+        return theta[:0]
+
     @abstractmethod
     def start(self, instances: Tensor, scale: float) -> Tensor:
         """θ of concepts at scaled instances (S, d), with one scale for all: (n_parameters, S)."""
@@ -81,7 +83,7 @@ class Concept(ABC):
         """Smallest and largest θ, each (n_parameters, 1), in double precision."""
 
     @abstractmethod
-    def region(self, theta: Array, frame: Frame, level: float) -> Region:
+    def region(self, theta: FloatArray, frame: Frame, level: float) -> Region:
         """Where Pr(x ∈ concept) ≥ level, in features, for one θ (n_parameters,)."""
 
     def canonical(self, theta: Tensor) -> Tensor:
@@ -154,6 +156,11 @@ class Point(Concept):
         in_s = (s * second).addcmul_(a, first, value=-1)
         return torch.cat([in_a, in_s.sum(0, keepdim=True) if self.scales == "one" else in_s]).mul_(2)
 
+    def centre(self, theta: Tensor) -> Tensor:
+        """T = a / s; not finite where a scale is 0."""
+        a, s = self._split(theta)
+        return a / s
+
     def start(self, instances: Tensor, scale: float) -> Tensor:
         """The instances themselves. A fixed scale stays 1."""
         if self.scales == "fixed":
@@ -193,7 +200,7 @@ class Point(Concept):
         sign = torch.where(s < 0, -1.0, 1.0).to(theta.dtype)
         return torch.cat([a * sign, (s * sign)[:1] if self.scales == "one" else s * sign])
 
-    def point_and_scale(self, theta: Array) -> tuple[Array, Array]:
+    def point_and_scale(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Point t and scales s ≥ 0 in scaled features, each (m, ...); where s is 0, t is 0."""
         a, s = (part.numpy() for part in self._split(torch.from_numpy(theta.reshape(len(theta), -1))))
         s = np.broadcast_to(s, a.shape)
@@ -201,7 +208,7 @@ class Point(Concept):
         shape = (len(a), *theta.shape[1:])
         return t.reshape(shape), np.abs(s).reshape(shape)
 
-    def region(self, theta: Array, frame: Frame, level: float) -> Region:
+    def region(self, theta: FloatArray, frame: Frame, level: float) -> Region:
         """The ellipsoid ‖s (x − t)‖² ≤ −log level; a feature with scale 0 may be anything."""
         t, s = self.point_and_scale(theta)
         centre = frame.spread(t / frame.scale + frame.origin)
@@ -274,7 +281,7 @@ class Plane(Concept):
         gradient = -precision * theta
         return (gradient * theta).sum(0) / 2, gradient
 
-    def region(self, theta: Array, frame: Frame, level: float) -> HalfSpace:
+    def region(self, theta: FloatArray, frame: Frame, level: float) -> HalfSpace:
         """Where v·x ≥ b + log(level / (1 − level))."""
         v, offset = theta[:-1], float(theta[-1]) + math.log(level / (1 - level))
         nearest = v * (offset / max(float(v @ v), np.finfo(np.float64).tiny))  # of the boundary, to the origin

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import copy
+import functools
+from typing import Any
+
 import numpy as np
 import torch
 from torch import Tensor
 
+from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Array, Concept, Frame
-from sb3_options.density.layout import SEGMENT_INSTANCES, BagArrays, Segment, segment_of
+from sb3_options.density.concepts import Concept, Frame
+from sb3_options.density.energies import Columns, Evaluation, Likelihood
+from sb3_options.density.layout import SEGMENT_INSTANCES, BagArrays, Segment, Workspace, segment_of
 from sb3_options.density.objective import evaluate
-from sb3_options.density.workspace import Workspace
 
 GROWING_INSTANCES = SEGMENT_INSTANCES // 4
 """What is packed again with every bag that is added or removed; more segments cost calls in every evaluation."""
@@ -23,7 +28,7 @@ class Evidence:
         bags: What there is at first.
         concept: The class of concepts they are evidence for.
         frame: Scaled features.
-        negative_strength: η of `ConceptSearch`.
+        likelihood: What they say.
         negative_width: Width of negative instances of `ConceptSearch`.
         max_pairs: (instances × starts) held at once.
     """
@@ -34,19 +39,15 @@ class Evidence:
         concept: Concept,
         frame: Frame,
         *,
-        negative_strength: float,
+        likelihood: Likelihood,
         negative_width: float,
         max_pairs: int,
     ) -> None:
         self.concept, self.frame = concept, frame
         self.device = bags.instances.device
-        self._strength, self._width, self._max_pairs = negative_strength, negative_width, max_pairs
+        self._likelihood, self._width, self._max_pairs = likelihood, negative_width, max_pairs
         self._workspace = Workspace()
-        positive = np.arange(len(bags.lengths)) < bags.n_positive
-        whole = BagArrays(
-            self.scaled(bags.instances.cpu().numpy()), np.array(bags.lengths), positive, np.array(bags.bag_weights)
-        )
-        self._parts = whole.split(SEGMENT_INSTANCES)
+        self._parts = bags.arrays(self.scaled).split(SEGMENT_INSTANCES)
         self._segments: dict[torch.dtype, list[Segment]] = {}
 
     @property
@@ -64,7 +65,7 @@ class Evidence:
         """Sum of the weights of the positive bags."""
         return float(sum(part.weights[part.positive].sum() for part in self._parts))
 
-    def add(self, bag: Array, *, positive: bool = True, weight: float = 1.0) -> None:
+    def add(self, bag: FloatArray, *, positive: bool = True, weight: float = 1.0) -> None:
         """Add a bag (n, d), at the cost of packing one segment.
 
         Raises:
@@ -103,21 +104,44 @@ class Evidence:
         for dtype, segments in self._segments.items():
             segments[at : at + 1] = [self._packed(rest, dtype) for rest in left]
 
+    def sample(self, n: int) -> Evidence:
+        """Evidence of up to ``n`` positive and ``n`` negative bags, evenly spaced."""
+        positive = np.concatenate([part.positive for part in self._parts])
+        chosen = np.concatenate([evenly(np.flatnonzero(positive == sign), n) for sign in (True, False)])
+        ends = np.cumsum([len(part.lengths) for part in self._parts])
+        some = [
+            part.take(inside)
+            for part, end in zip(self._parts, ends, strict=True)
+            if len(inside := chosen[(chosen >= end - len(part.lengths)) & (chosen < end)] - end + len(part.lengths))
+        ]
+        sample = copy.copy(self)
+        sample._parts, sample._segments, sample._workspace = [functools.reduce(BagArrays.joined, some)], {}, Workspace()
+        return sample
+
     @torch.inference_mode()
     def loss(self, theta: Tensor) -> tuple[Tensor, Tensor]:
         """−log DD − log prior of every column of θ (P, S), shape (S,), and its gradient (P, S)."""
-        at = evaluate(
-            self.concept.coefficients(theta),
-            self.segments(theta.dtype),
-            self.concept.link,
-            self._workspace,
-            max_pairs=self._max_pairs,
-        )
+        columns = Columns(self.concept.coefficients(theta), self.concept.centre(theta))
+        at = evaluate(columns, self.segments(theta.dtype), self._likelihood, self._workspace, max_pairs=self._max_pairs)
         prior, pull = self.concept.log_prior(theta)
         pull.add_(self.concept.pull_back(theta, at.gradient))
         return at.log_density.add_(prior).neg_(), pull.neg_()
 
-    def positive_instances(self) -> Array:
+    @torch.inference_mode()
+    def value(self, theta: Tensor) -> Tensor:
+        """The loss alone, (S,); in double precision small energies are measured exactly."""
+        at = self._evaluate(theta, gradient=False, exact=theta.dtype == torch.float64)
+        return at.log_density.add_(self.concept.log_prior(theta)[0]).neg_()
+
+    def _evaluate(self, theta: Tensor, *, gradient: bool = True, exact: bool = False) -> Evaluation:
+        centre = self.concept.centre(theta)
+        columns = Columns(self.concept.coefficients(theta), centre, exact and len(centre) > 0)
+        segments = self.segments(theta.dtype)
+        return evaluate(
+            columns, segments, self._likelihood, self._workspace, gradient=gradient, max_pairs=self._max_pairs
+        )
+
+    def positive_instances(self) -> FloatArray:
         """Scaled instances of all positive bags, (n, m)."""
         return np.concatenate([part.instances[np.repeat(part.positive, part.lengths)] for part in self._parts])
 
@@ -131,12 +155,16 @@ class Evidence:
         return segment_of(
             part,
             n_powers=self.concept.n_powers,
-            strength=self._strength,
             width=self._width,
             dtype=dtype,
             device=self.device,
         )
 
-    def scaled(self, instances: Array) -> Array:
+    def scaled(self, instances: FloatArray) -> FloatArray:
         """Features (n, d) in scaled features (n, m)."""
         return (instances[:, self.frame.features] - self.frame.origin) * self.frame.scale
+
+
+def evenly(rows: Any, n: int) -> Any:
+    """Up to ``n`` rows of an array, evenly spaced."""
+    return rows if len(rows) <= n else rows[np.linspace(0, len(rows) - 1, n).round().astype(np.int64)]

@@ -16,19 +16,24 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from sb3_options.density.arrays import BoolArray, FloatArray, IntArray
+
 SEGMENT_INSTANCES = 1 << 17
 """Instances a segment holds, unless one bag alone has more: 8 starts at once then fill `MAX_PAIRS`."""
 
 SHORTEST_WIDTH = 16
 """Rows are at least this wide: every place costs three calls, every row a share of the work on rows."""
 
+FEW_STARTS = 9
+"""Below this many starts arrays are stored start by start: products with so few columns are slow."""
+
 
 class Segment(NamedTuple):
     """Some bags, as the kernels read them; R rows, N instances, B positive bags.
 
     Attributes:
-        powers: (N, K): 1, x_k, x_k², for negative instances over the square of their width; and, if negative
-            instances are weakened, a column of log η for those.
+        powers: (N, K): 1, x_k and perhaps x_k², for negative instances over the square of their width; and, if there
+            are negative instances, a column that is 1 for those, else 0.
         powers_by_power: (K, N), the same.
         reach: (K,), the largest magnitude of each power.
         counts: Rows that have a first, second, … instance; their sum is N.
@@ -59,10 +64,10 @@ class Segment(NamedTuple):
 class BagArrays(NamedTuple):
     """Bags as arrays: instances (N, m) bag after bag, lengths (n,), which are positive (n,), and weights (n,)."""
 
-    instances: NDArray[np.float64]
-    lengths: NDArray[np.int64]
-    positive: NDArray[np.bool_]
-    weights: NDArray[np.float64]
+    instances: FloatArray
+    lengths: IntArray
+    positive: BoolArray
+    weights: FloatArray
 
     def joined(self, other: BagArrays) -> BagArrays:
         """These bags and then those."""
@@ -79,6 +84,12 @@ class BagArrays(NamedTuple):
             np.delete(self.weights, number),
         )
 
+    def take(self, numbers: IntArray) -> BagArrays:
+        """Some of these bags, at least one."""
+        ends = np.cumsum(self.lengths)
+        instances = np.concatenate([self.instances[ends[i] - self.lengths[i] : ends[i]] for i in numbers])
+        return BagArrays(instances, self.lengths[numbers], self.positive[numbers], self.weights[numbers])
+
     def split(self, n_instances: int) -> list[BagArrays]:
         """Parts of up to ``n_instances`` instances, no bag divided between two."""
         ends = np.cumsum(self.lengths)
@@ -93,15 +104,12 @@ class BagArrays(NamedTuple):
         return parts
 
 
-def segment_of(
-    bags: BagArrays, *, n_powers: int, strength: float, width: float, dtype: torch.dtype, device: torch.device
-) -> Segment:
+def segment_of(bags: BagArrays, *, n_powers: int, width: float, dtype: torch.dtype, device: torch.device) -> Segment:
     """Lay out bags that fit one segment.
 
     Args:
         bags: In the units the concept is searched in, near the origin.
         n_powers: 1 for coefficients of 1 and x_k, 2 for those of x_k² too.
-        strength: η in (0, 1] of negative instances.
         width: Of negative instances: their powers, and so their energies, are divided by its square.
         dtype: Precision of the powers.
         device: Where they lie.
@@ -136,8 +144,8 @@ def segment_of(
     negative = np.concatenate([~bags.positive[bag[:count]] for count in counts])[:, None]
     powers = np.concatenate([np.ones((len(x), 1)), x, *([x * x] if n_powers > 1 else [])], axis=1)
     powers *= np.where(negative, width**-2, 1.0)
-    if strength < 1:
-        powers = np.concatenate([powers, np.where(negative, math.log(strength), 0.0)], axis=1)
+    if len(negative_rows):
+        powers = np.concatenate([powers, negative], axis=1)
 
     return Segment(
         powers=tensor(powers).to(dtype),
@@ -153,3 +161,79 @@ def segment_of(
         rows_by_bag=rows_by_bag,
         rows_of_bags=torch.split(rows_by_bag, row_counts) if row_counts else (),
     )
+
+
+class Arrays(NamedTuple):
+    """What one evaluation writes into, for N instances in R rows and S starts."""
+
+    p: Tensor  # (N, S)
+    rows: Tensor  # (2, R, S): probabilities of a hit in each row, and of none
+    divisor: Tensor  # (R, S)
+    divisors: Tensor  # (B + 1, S), the last one 1
+    ends: Tensor  # (2, 1, 1): what a hit makes of both probabilities, 1 and 0
+    p_blocks: tuple[Tensor, ...]  # views of the first instances of all rows, of the second ones, and so on
+    rows_blocks: tuple[Tensor, ...]  # views of the rows that have a first instance, a second one, and so on
+    divisor_blocks: tuple[Tensor, ...]
+    spare_blocks: tuple[Tensor, ...]  # of no meaning
+    by_bag: Tensor  # (2, R of positive bags, S): their rows, the first of every bag, then the second, and so on
+    hit_by_bag: tuple[Tensor, ...]  # views of those, and of the bags that have them
+    miss_by_bag: tuple[Tensor, ...]
+    hit_of_bags: tuple[Tensor, ...]
+    miss_of_bags: tuple[Tensor, ...]
+
+
+class Workspace:
+    """Arrays that every evaluation writes into: fresh memory and fresh views cost as much as the arithmetic."""
+
+    VIEWS = 64
+    """Shapes whose views are kept."""
+
+    def __init__(self) -> None:
+        self._flat = torch.empty(0)
+        self._views: dict[tuple[int, int, torch.dtype], tuple[Segment, Arrays]] = {}
+
+    def take(self, segment: Segment, n_starts: int, like: Tensor) -> Arrays:
+        """Uninitialised arrays with the precision and the device of ``like``."""
+        key = (id(segment), n_starts, like.dtype)
+        known = self._views.get(key)
+        if known is not None and known[0] is segment:
+            return known[1]
+        n = len(segment.powers) * n_starts
+        flat = self._flat
+        if len(flat) < n or flat.dtype != like.dtype or flat.device != like.device:
+            self._flat = like.new_empty(n)
+            self._views.clear()
+        if len(self._views) == self.VIEWS:
+            self._views.clear()
+        p = _columns(self._flat[:n], n_starts)
+        n_rows = segment.counts[0]
+        divisor, spare = (_columns(like.new_empty(n_rows * n_starts), n_starts) for _ in range(2))
+        rows = like.new_empty(2, n_rows, n_starts)
+        if not divisor.is_contiguous():
+            rows = like.new_empty(2, n_starts, n_rows).transpose(1, 2)
+        of_bags = [len(numbers) for numbers in segment.rows_of_bags]
+        by_bag = like.new_empty(2, sum(of_bags), n_starts)
+        hits, misses = (torch.split(part, of_bags) if of_bags else () for part in by_bag)
+        arrays = Arrays(
+            p=p,
+            rows=rows,
+            divisor=divisor,
+            divisors=like.new_ones(len(segment.bag_weight) + 1, n_starts),
+            ends=like.new_tensor([1, 0]).view(2, 1, 1),
+            p_blocks=torch.split(p, list(segment.counts)),
+            spare_blocks=tuple(spare[:count] for count in segment.counts),
+            rows_blocks=tuple(rows[:, :count] for count in segment.counts),
+            divisor_blocks=tuple(divisor[:count] for count in segment.counts),
+            by_bag=by_bag,
+            hit_by_bag=tuple(hits),
+            miss_by_bag=tuple(misses),
+            hit_of_bags=tuple(by_bag[0, :count] for count in of_bags),
+            miss_of_bags=tuple(by_bag[1, :count] for count in of_bags),
+        )
+        self._views[key] = (segment, arrays)
+        return arrays
+
+
+def _columns(flat: Tensor, n_starts: int) -> Tensor:
+    """As (rows, S), stored row by row or, for few starts, start by start."""
+    return flat.view(-1, n_starts) if n_starts >= FEW_STARTS else flat.view(n_starts, -1).T

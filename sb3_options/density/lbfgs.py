@@ -6,6 +6,7 @@ all; after Bertsekas (1982), parameters at a bound that the gradient pushes agai
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 import torch
@@ -33,7 +34,7 @@ Objective = Callable[[Tensor], tuple[Tensor, Tensor]]
 """Parameters (P, S) → values (S,) to be minimised and gradients (P, S)."""
 
 
-class Descent:
+class BatchedLBFGS:
     """Many starts on their way down.
 
     Every call of the objective moves every start: those whose step decreased their value go on from there, the
@@ -71,18 +72,30 @@ class Descent:
         self._bounded = bool(self._low.isfinite().any() or self._high.isfinite().any())
         self.theta = theta.clamp(self._low, self._high) if self._bounded else theta
         self.value, self._gradient = objective(self.theta)
-        self._pairs = Pairs(theta, 0.0 if curvature is None else 1 / curvature)
+        self._pairs = CurvaturePairs(theta, 0.0 if curvature is None else 1 / curvature)
         self._length = torch.ones_like(self.value)
         self._idle = torch.zeros_like(self.value)
-        self.converged = torch.zeros_like(self.value, dtype=torch.bool)
         self.evaluations = 1
-        self._direction = self._pairs.direction(self._gradient, self._free())
+        free = self._free()
+        self.converged = self._flat(free)
+        self._direction = self._pairs.direction(self._gradient, free)
 
     @torch.inference_mode()
-    def run(self, steps: int) -> None:
-        """Go on for at most ``steps`` calls of the objective."""
+    def run(self, steps: int, *, contest: bool = False) -> None:
+        """Go on for at most ``steps`` calls of the objective.
+
+        Args:
+            steps: How many.
+            contest: Stop as soon as no start promises to reach the best value so far, or to improve by more than the
+                tolerance. What it promises is twice the decrease of a quadratic: its slope along the direction.
+        """
         for _ in range(steps):
-            if bool(self.converged.all()):
+            done = self.converged
+            if contest:
+                promise = -(self._gradient * self._direction).sum(0)
+                self.converged |= promise <= self._tolerance_of(promise) * self.value.abs().clamp(min=1)
+                done = self.converged | (self.value - promise > self.value.min())
+            if bool(done.all()):
                 return
             self._step()
 
@@ -114,19 +127,33 @@ class Descent:
         slope = (self._gradient * moved).sum(0)
         enough = self.value + SUFFICIENT * slope + torch.finfo(size.dtype).eps * size
         better = (value <= enough) & gradient.sum(0).isfinite()
-        tolerance = max(self._tolerance, FINEST * torch.finfo(size.dtype).eps)
-        small = (self.value - value).abs() <= tolerance * size
-        self._idle = torch.where(better, (self._idle + 1) * small, self._idle)
-        self._pairs.add(moved * better, torch.where(better, gradient - self._gradient, 0))
-        self.theta = torch.where(better, tried, self.theta)
-        self.value = torch.where(better, value, self.value)
-        self._gradient = torch.where(better, gradient, self._gradient)
-        self._length = torch.where(better, 1.0, self._length * SHORTEN)
+        small = (self.value - value).abs() <= self._tolerance_of(size) * size
+        idle, length = (self._idle + 1) * small, torch.ones_like(size)
+        if not bool(better.all()):
+            tried, value, idle, length, gradient = (
+                torch.where(better, new, old)
+                for new, old in (
+                    (tried, self.theta),
+                    (value, self.value),
+                    (idle, self._idle),
+                    (length, self._length * SHORTEN),
+                    (gradient, self._gradient),
+                )
+            )
+            moved = moved * better
+        self._pairs.add(moved, gradient - self._gradient)
+        self.theta, self.value, self._idle, self._length, self._gradient = tried, value, idle, length, gradient
         free = self._free()
         self._direction = torch.where(better, self._pairs.direction(self._gradient, free), self._direction)
+        self.converged = (self._idle >= 2) | (self._length < SHORTEST) | self._flat(free)
+
+    def _flat(self, free: Tensor | None) -> Tensor:
+        """Where nothing is left of the gradient that a parameter may follow: (S,)."""
         steepest = self._gradient if free is None else torch.where(free, self._gradient, 0)
-        flat = steepest.abs().amax(0) <= tolerance
-        self.converged = (self._idle >= 2) | (self._length < SHORTEST) | flat
+        return steepest.abs().amax(0) <= self._tolerance_of(self.value)
+
+    def _tolerance_of(self, value: Tensor) -> float:
+        return max(self._tolerance, FINEST * torch.finfo(value.dtype).eps)
 
     def _free(self) -> Tensor | None:
         """Where a parameter may follow its gradient: (P, S), or None for everywhere."""
@@ -136,7 +163,16 @@ class Descent:
         return ~(held_low | ((self.theta >= self._high) & (self._gradient < 0)))
 
 
-class Pairs:
+@functools.cache
+def _ring_orders(device: torch.device) -> tuple[list[Tensor], list[Tensor]]:
+    """For every place of the oldest pair in the rings: the order of s and then y by age, and the way back."""
+    place = torch.arange(PAIRS, device=device)
+    rings = [(place + i) % PAIRS for i in range(PAIRS)]
+    by_age = [torch.cat([ring, ring + PAIRS]) for ring in rings]
+    return by_age, [order.argsort() for order in by_age]
+
+
+class CurvaturePairs:
     """The last steps s and changes of gradient y of every start, and the direction they make of a gradient.
 
     In the compact form of Byrd, Nocedal & Schnabel (1994, theorem 2.2), which takes a few products of small matrices
@@ -153,10 +189,7 @@ class Pairs:
         self._good = torch.zeros_like(self._sy[:, :, :1])  # (S, n, 1): 1 for a pair that says something, else 0
         self._size = theta.new_full((n_starts,), size)  # γ = s·y / y·y of the last good pair; 0 if none is known
         self._n = 0
-        place = torch.arange(n, device=theta.device)
-        rings = [(place + i) % n for i in range(n)]
-        self._oldest_first = [torch.cat([ring, ring + n]) for ring in rings]
-        self._as_stored = [order.argsort() for order in self._oldest_first]
+        self._oldest_first, self._as_stored = _ring_orders(theta.device)
 
     def keep(self, columns: list[int], dtype: torch.dtype) -> None:
         """These starts only, in this precision."""
@@ -173,11 +206,12 @@ class Pairs:
         new = self._both[:, at::PAIRS]
         torch.mul(torch.stack([step, change]), good, out=new.permute(1, 2, 0))
         with_y = self._products(new[:, 1:])[..., 0]
-        self._sy, self._yy = self._sy.roll((-1, -1), (1, 2)), self._yy.roll((-1, -1), (1, 2))
-        self._good = self._good.roll(-1, 1)
+        for old in (self._sy, self._yy):
+            old[:, :-1, :-1] = old[:, 1:, 1:].clone()
+        self._good[:, :-1] = self._good[:, 1:].clone()
         self._good[:, -1, 0] = good
         self._sy[:, :, -1] = with_y[:, :PAIRS]
-        self._sy[:, -1, -1] += ~good
+        self._sy[:, -1, -1] += ~good  # what lies below the diagonal is never read
         self._yy[:, :, -1] = self._yy[:, -1] = with_y[:, PAIRS:]
 
     def direction(self, gradient: Tensor, free: Tensor | None) -> Tensor:

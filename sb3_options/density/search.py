@@ -9,28 +9,36 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
+from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags, distinct
-from sb3_options.density.concepts import Array, Concept, Frame, Point
-from sb3_options.density.evidence import Evidence
-from sb3_options.density.lbfgs import Descent
+from sb3_options.density.concepts import Concept, Frame, Point
+from sb3_options.density.energies import Likelihood
+from sb3_options.density.evidence import Evidence, evenly
+from sb3_options.density.lbfgs import BatchedLBFGS
 from sb3_options.density.objective import MAX_PAIRS
-from sb3_options.options.option import Region
+from sb3_options.density.regions import Region
 
 SURVIVORS = 4
 """After every `first_steps` the best quarter of the starts goes on, until `finalists` are left."""
+
+SAMPLE, PROMISING = 3, 8
+"""`ConceptSearch.shortlist` judges all by this many positive and negative bags, and one in so many by so many more."""
 
 UPDATE_PAIRS = 1 << 21
 UPDATE_STARTS = 8
 UPDATE_FINALISTS = 4
 """What `ConceptSearch.update` may cost: (instances × starts) of an evaluation; and if that would be fewer, starts that
 are tried and starts that climb."""
+
+SORTING_STEPS = 3
+"""Steps after which `ConceptSearch.ascend` merges starts that lie close."""
 
 UPDATE_STEPS = 2
 UPDATE_MOST_STEPS = 6
@@ -49,7 +57,7 @@ class Solution(NamedTuple):
     """
 
     concept: Concept
-    theta: Array
+    theta: FloatArray
     frame: Frame
     log_density: float
     converged: bool
@@ -64,13 +72,13 @@ class Solution(NamedTuple):
             raise ValueError(f"level must lie between 0 and 1, got {level}")
         return self.concept.region(self.theta, self.frame, level)
 
-    def probability(self, instances: ArrayLike) -> Array:
+    def probability(self, instances: ArrayLike) -> FloatArray:
         """Pr(x ∈ concept) of instances (n, d), shape (n,)."""
         x = (np.asarray(instances, dtype=np.float64)[:, self.frame.features] - self.frame.origin) * self.frame.scale
         return instance_probabilities(self.concept, self.theta[:, None], x)[:, 0]
 
 
-def instance_probabilities(concept: Concept, theta: Array, scaled: Array) -> Array:
+def instance_probabilities(concept: Concept, theta: FloatArray, scaled: FloatArray) -> FloatArray:
     """Pr(x ∈ concept) of scaled instances (n, m) under every column of θ (P, S): (n, S)."""
     powers = np.concatenate([np.ones((len(scaled), 1)), scaled, scaled**2], axis=1)
     coefficients = concept.coefficients(torch.from_numpy(np.ascontiguousarray(theta))).numpy()
@@ -97,12 +105,13 @@ class ConceptSearch:
         finalists: Most starts that climb to the end.
         first_steps: Evaluations before each cut.
         final_steps: Most evaluations afterwards, in each precision.
-        tolerance: Of `lbfgs.Descent`, in nats relative to the value.
+        tolerance: Of `BatchedLBFGS`, in nats relative to the value.
         merge_radius: A peak this close to a better one is merged into it, in parameters: for points, in widths.
         negative_strength: η in (0, 1]: log(1 − η p) of every negative instance. For a half-space η multiplies the
             odds of p.
         negative_width: Energies of negative instances are divided by its square: below 1 they reach less far (the
             paper's "decrease the influence of each negative instance through the width of the Gaussians", §8).
+        leak: λ in [0, 1): the probability that a bag is positive for a reason other than the concept.
         max_pairs: (instances × starts) held at once; bounds the memory, 4 bytes each.
 
     Raises:
@@ -121,6 +130,7 @@ class ConceptSearch:
     merge_radius: float = 0.5
     negative_strength: float = 1.0
     negative_width: float = 1.0
+    leak: float = 0.0
     max_pairs: int = MAX_PAIRS
 
     def __post_init__(self) -> None:
@@ -148,6 +158,7 @@ class ConceptSearch:
             "merge_radius": ("at least 0", self.merge_radius >= 0),
             "negative_strength": ("in (0, 1]", 0 < self.negative_strength <= 1),
             "negative_width": ("positive and finite", 0 < self.negative_width < math.inf),
+            "leak": ("in [0, 1)", 0 <= self.leak < 1),
             "max_pairs": ("at least 1", self.max_pairs >= 1),
         }
         for name, (expected, holds) in checks.items():
@@ -179,9 +190,9 @@ class ConceptSearch:
         while n > self.finalists:
             descent.run(self.first_steps)
             n = max(self.finalists, n // SURVIVORS)
-            descent.keep(self._best_apart(descent, n), torch.float32)
+            descent.keep(self._best_apart(descent.theta, descent.value, n), torch.float32)
         descent.run(self.final_steps)
-        descent.keep(self._best_apart(descent, n), torch.float64)
+        descent.keep(self._best_apart(descent.theta, descent.value, n), torch.float64)
         descent.run(self.final_steps)
         return self._solutions(descent, evidence)
 
@@ -196,7 +207,7 @@ class ConceptSearch:
         Args:
             evidence: As it is now.
             warm: Peaks of the search before; the best `update_starts`.
-            starts: (m, d) new points, such as instances of the new bag; `update_starts` of them, evenly spaced.
+            starts: (m, d) new points, such as instances of the new bag; a `shortlist` of `update_starts` of them.
             steps: Most evaluations of those that climb; the more evidence, the fewer by default.
 
         Raises:
@@ -204,24 +215,72 @@ class ConceptSearch:
         """
         most = self.update_starts(evidence)
         known = [self._in_frame(solution, evidence)[:, None] for solution in warm[:most]]
-        points = _evenly(self._start_points(evidence, starts), most)
-        theta = torch.cat([*known, self.concept.start(points, self.start_scales[0])], dim=1).float()
+        new = self.concept.start(self._start_points(evidence, starts), self.start_scales[0])
+        theta = torch.cat([*known, self.shortlist(evidence, new, most)], dim=1).float()
         if not theta.shape[1]:
             raise ValueError("there is nothing to search from: pass starts or warm")
+        climbing = min(self.finalists, max(UPDATE_FINALISTS, most // 4))
+        steps = min(UPDATE_MOST_STEPS, max(UPDATE_STEPS, most // 16)) if steps is None else steps
+        return self.ascend(evidence, theta, most, climbing=climbing, steps=steps, forget=True)
+
+    def shortlist(self, evidence: Evidence, theta: Tensor, n: int) -> Tensor:
+        """Up to ``n`` columns of θ (P, S): the best by a few of the bags, of which the best by more of them."""
+        for n_bags in (SAMPLE, SAMPLE * PROMISING):
+            if theta.shape[1] > n:
+                loss = evidence.sample(n_bags).value(theta.float())
+                theta = theta[:, loss.argsort()[: max(n, len(loss) // PROMISING)]]
+        return theta[:, :n]
+
+    def ascend(
+        self,
+        evidence: Evidence,
+        theta: Tensor,
+        n: int,
+        *,
+        steps: int,
+        climbing: int | None = None,
+        ties: float = 0.0,
+        forget: bool = False,
+        least: float = -math.inf,
+    ) -> list[Solution]:
+        """Evaluate concepts, and let the best climb a few steps.
+
+        Args:
+            evidence: What they are evaluated on.
+            theta: (P, S), in the precision in which they climb.
+            n: Most that are returned: the best that lie apart.
+            steps: Most evaluations of those that climb.
+            climbing: How many of the best climb; the others rest. By default all.
+            ties: Concepts this close to the best are as good, and come in the order given.
+            forget: Leave out what is so far from the best that it cannot become as good.
+            least: −log density − log prior that nothing can be below; where one is there already, none climbs.
+        """
         # Of a point whose every bag pulls with all its weight: a step is then never much too long.
         curvature = 2 * max(1.0, evidence.positive_weight)
-        descent = self._descent(theta, evidence, curvature=curvature)
-        best = self._best_apart(descent, most)
-        # Twice what a point loses within `merge_radius` of a peak: below that it cannot become as good as the best.
-        reach = curvature * self.merge_radius**2
-        best = [i for i in best if descent.value[i] <= descent.value[best[0]] + reach]
-        n = min(self.finalists, max(UPDATE_FINALISTS, most // 4))
-        climbing, resting = best[:n], best[n:]
-        still = (theta[:, resting], descent.value[resting], descent.converged[resting])
-        descent.keep(climbing, torch.float32)
-        descent.run(min(UPDATE_MOST_STEPS, max(UPDATE_STEPS, most // 16)) if steps is None else steps)
-        moved = (descent.theta, descent.value, descent.converged)
-        theta, loss, converged = (torch.cat(pair, dim=-1) for pair in zip(moved, still, strict=True))
+        loss = evidence.value(theta)
+        tied = loss <= loss.min() + ties
+        best = self._best_apart(theta, torch.where(tied, loss.min(), loss), max(n, int(tied.sum())))
+        if forget:
+            # Twice what a point loses within `merge_radius` of a peak.
+            reach = curvature * self.merge_radius**2
+            best = [i for i, near in zip(best, (loss[best] <= loss[best[0]] + reach).tolist(), strict=True) if near]
+        theta, loss = theta[:, best], loss[best]
+        converged = torch.zeros_like(loss, dtype=torch.bool)
+        if loss[0] > least:
+            n_climbing = len(best) if climbing is None else min(climbing, len(best))
+            descent = self._descent(theta[:, :n_climbing], evidence, curvature=curvature)
+            descent.run(min(steps, SORTING_STEPS))
+            kept = self._best_apart(descent.theta, descent.value, n)
+            descent.keep(kept, theta.dtype)
+            descent.run(max(0, steps - SORTING_STEPS), contest=True)
+            better = descent.value < loss[kept]
+            theta[:, kept] = torch.where(better, descent.theta, theta[:, kept])
+            loss[kept] = torch.where(better, descent.value, loss[kept])
+            converged[kept] = descent.converged
+            left = [*kept, *range(n_climbing, len(best))]
+            theta, loss, converged = theta[:, left], loss[left], converged[left]
+        else:
+            converged |= loss <= least
         return self.solutions(theta.double(), loss.double(), converged, evidence)
 
     def update_starts(self, evidence: Evidence) -> int:
@@ -236,7 +295,7 @@ class ConceptSearch:
         scales = self.start_scales if self.concept.learns_scale else self.start_scales[:1]
         return torch.cat([self.concept.start(points, scale) for scale in scales], dim=1)
 
-    def climb(self, evidence: Evidence, steps: int) -> Array:
+    def climb(self, evidence: Evidence, steps: int) -> FloatArray:
         """Where every start is after ``steps`` evaluations, none dropped and none merged: θ (P, S)."""
         descent = self._descent(self.starts(evidence).float(), evidence)
         descent.run(steps)
@@ -261,7 +320,7 @@ class ConceptSearch:
             bags,
             self.concept,
             Frame(features, origin, scale, d),
-            negative_strength=self.negative_strength,
+            likelihood=Likelihood(self.concept.link, self.negative_strength, self.leak),
             negative_width=self.negative_width,
             max_pairs=self.max_pairs,
         )
@@ -271,7 +330,7 @@ class ConceptSearch:
         if starts is None:
             instances = evidence.positive_instances()
             points = instances[np.sort(np.unique(instances, axis=0, return_index=True)[1])]
-            points = points if self.max_starts is None else _evenly(points, self.max_starts)
+            points = points if self.max_starts is None else evenly(points, self.max_starts)
         else:
             given = np.asarray(starts, dtype=np.float64)
             if given.ndim != 2 or given.shape[1] != evidence.frame.n_features or not np.isfinite(given).all():
@@ -279,53 +338,49 @@ class ConceptSearch:
             points = distinct(evidence.scaled(given))
         return torch.from_numpy(points).to(evidence.device)
 
-    def _descent(self, theta: Tensor, evidence: Evidence, curvature: float | None = None) -> Descent:
+    def _descent(self, theta: Tensor, evidence: Evidence, curvature: float | None = None) -> BatchedLBFGS:
         bounds = self.concept.bounds(len(evidence.frame.features))
-        return Descent(evidence.loss, theta, bounds, tolerance=self.tolerance, curvature=curvature)
+        return BatchedLBFGS(evidence.loss, theta, bounds, tolerance=self.tolerance, curvature=curvature)
 
-    def _best_apart(self, descent: Descent, n: int) -> list[int]:
-        return _best_apart(self.concept.canonical(descent.theta), descent.value, self.merge_radius, n)
+    def _best_apart(self, theta: Tensor, loss: Tensor, n: int) -> list[int]:
+        points = self.concept.canonical(theta).T.contiguous().cpu().numpy()
+        return best_apart(points, loss.cpu().numpy(), self.merge_radius, n)
 
     def _in_frame(self, solution: Solution, evidence: Evidence) -> Tensor:
         if solution.concept != self.concept:
             raise ValueError(f"warm holds a {solution.concept}, this search is for a {self.concept}")
         known, frame = solution.frame, evidence.frame
-        if not (
-            np.array_equal(known.features, frame.features)
-            and np.array_equal(known.origin, frame.origin)
-            and np.array_equal(known.scale, frame.scale)
-        ):
+        if known is not frame and not all(map(np.array_equal, known[:3], frame[:3])):
             raise ValueError(
                 "warm comes from other scaled features: keep the evidence of the first search, add bags to it, and "
                 "search that"
             )
         return torch.from_numpy(solution.theta).to(evidence.device)
 
-    def _solutions(self, descent: Descent, evidence: Evidence) -> list[Solution]:
+    def _solutions(self, descent: BatchedLBFGS, evidence: Evidence) -> list[Solution]:
         theta = descent.theta.double()
         return self.solutions(theta, evidence.loss(theta)[0], descent.converged, evidence)
 
     def solutions(self, theta: Tensor, loss: Tensor, converged: Tensor, evidence: Evidence) -> list[Solution]:
         """Solutions at θ (P, S), smallest loss first, merged; the loss is −log density − log prior, (S,)."""
         theta = self.concept.canonical(theta)
-        density = -loss - self.concept.log_prior(theta)[0]
+        density = (-loss - self.concept.log_prior(theta)[0]).tolist()
+        columns, rested = theta.T.cpu().numpy(), converged.tolist()
         return [
-            Solution(self.concept, theta[:, i].cpu().numpy(), evidence.frame, float(density[i]), bool(converged[i]))
-            for i in _best_apart(theta, loss, self.merge_radius, theta.shape[1])
+            Solution(self.concept, columns[i].copy(), evidence.frame, density[i], rested[i])
+            for i in self._best_apart(theta, loss, len(columns))
         ]
 
 
-def _evenly(points: Any, n: int) -> Any:
-    """Up to ``n`` rows, evenly spaced."""
-    return points if len(points) <= n else points[np.linspace(0, len(points) - 1, n).round().astype(np.int64)]
-
-
-def _best_apart(theta: Tensor, loss: Tensor, radius: float, n: int) -> list[int]:
-    """Columns of up to ``n`` concepts, best first, each further than ``radius`` from every better one."""
-    kept: list[int] = []
-    for i in loss.argsort().tolist():
-        if len(kept) == n:
-            break
-        if not kept or float((theta[:, kept] - theta[:, i : i + 1]).norm(dim=0).min()) > radius:
-            kept.append(i)
+def best_apart(points: FloatArray, loss: FloatArray, radius: float, n: int) -> list[int]:
+    """Rows of up to ``n`` points (S, P), smallest loss first, each further than ``radius`` from every better one."""
+    order = np.argsort(loss, kind="stable")
+    points, apart, kept = points[order], np.ones(len(order), dtype=bool), list[int]()
+    for i, number in enumerate(order.tolist()):
+        if apart[i]:
+            kept.append(number)
+            if len(kept) == n:
+                break
+            difference = points[i + 1 :] - points[i]
+            apart[i + 1 :] &= np.einsum("ij,ij->i", difference, difference) > radius**2
     return kept

@@ -3,6 +3,7 @@
 `DiscoverySettings` and `SubgoalDiscovery` are what users name.
 """
 
-from sb3_options.discovery.subgoals import DiscoverySettings, SubgoalDiscovery
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.subgoals import SubgoalDiscovery
 
 __all__ = ["DiscoverySettings", "SubgoalDiscovery"]

@@ -12,10 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
+from sb3_options.density.regions import Region
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray, IntArray, batch_size
 from sb3_options.options.bank import OptionBank
-from sb3_options.options.option import Region, SubgoalOption
+from sb3_options.options.option import SubgoalOption
 
 PANEL_SIZE = (6.4, 3.6)
 WORST_SHOWN = 60.0

@@ -26,6 +26,8 @@ def plateau_centres(points: FloatArray, scale: FloatArray, radius: float) -> tup
         The medoid of each plateau, the first where several are equally central, shape (m, d), in order of first peak;
         and the farthest that any peak is from the medoid of its plateau.
     """
+    if len(points) == 1:
+        return points.copy(), 0.0
     distances = cdist(points * scale, points * scale)
     n_plateaus, plateau = connected_components(distances <= radius, directed=False)
     centres, extent = [], 0.0

@@ -8,41 +8,9 @@ from typing import TypeAlias
 import numpy as np
 
 from sb3_options.experience.observations import BoolArray, FloatArray
-from sb3_options.experience.trajectories import Trajectory
-
-SuccessRule: TypeAlias = Callable[[Trajectory], bool]
-"""Whether a trajectory's bag is positive."""
 
 StaticFilter: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], BoolArray]
 """Scaled features (m, d), those of the start (d,) and of the end (d,) → which may be subgoals, shape (m,)."""
-
-
-def reported_success(trajectory: Trajectory) -> bool:
-    """What the environment says in ``info["is_success"]``.
-
-    For one that does not say: whether it ended in a terminal state with a positive reward that exceeds all earlier
-    ones, the reward peak of Iba (1989) that McGovern & Barto (2001, §2) take over.
-    """
-    if trajectory.is_success is not None:
-        return trajectory.is_success
-    rewards = trajectory.rewards
-    return trajectory.terminated and len(rewards) > 0 and float(rewards[-1]) > float(rewards[:-1].max(initial=0.0))
-
-
-def success_by_return(threshold: float) -> SuccessRule:
-    """Success is an undiscounted return of at least ``threshold``."""
-    return lambda trajectory: float(trajectory.rewards.sum()) >= threshold
-
-
-def success_by_steps(limit: int) -> SuccessRule:
-    """Success is reported success within ``limit`` primitive steps (McGovern & Barto 2001, §4).
-
-    Raises:
-        ValueError: ``limit`` < 1.
-    """
-    if limit < 1:
-        raise ValueError(f"limit must be at least 1 primitive step, got {limit}.")
-    return lambda trajectory: reported_success(trajectory) and len(trajectory) <= limit
 
 
 def near_start_and_goal(start_radius: float = 2.0, goal_radius: float = 5.0) -> StaticFilter:

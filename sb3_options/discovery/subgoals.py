@@ -2,155 +2,46 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from numbers import Integral
-from typing import Literal, NamedTuple
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from sb3_options.density.bags import Bags
 from sb3_options.density.diverse_density import DiverseDensity, Peak
 from sb3_options.density.incremental import IncrementalSearch
+from sb3_options.density.regions import Region
 from sb3_options.discovery.outcomes import Outcomes
 from sb3_options.discovery.peaks import PeakTracker, plateau_centres
-from sb3_options.discovery.static_filter import StaticFilter, SuccessRule, bag_of, near_start_and_goal, reported_success
+from sb3_options.discovery.settings import DiscoverySettings, default_scale
+from sb3_options.discovery.static_filter import StaticFilter, bag_of, near_start_and_goal
 from sb3_options.experience.observations import FloatArray, batch_size
-from sb3_options.experience.recording import RewardPeaks
+from sb3_options.experience.success import SuccessRule, reported_success
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory, TrajectoryDatabase
-from sb3_options.options.option import Region
-
-
-@dataclass(frozen=True)
-class DiscoverySettings:
-    """How subgoals are found (McGovern & Barto 2001, §4–5). Distances are in scaled units of concept space.
-
-    Attributes:
-        segmentation: What a trajectory is: one of the ``episodes``, or, for continuing tasks, a segment between two
-            ``peaks`` of reward (`continuing.RewardPeaks`).
-        peak_reward: The least reward of a peak; None takes any that is positive.
-        max_segment: Primitive steps without a peak that make an unsuccessful segment; more than random exploration
-            takes from peak to peak.
-        capacity: How many trajectories are kept: the last n.
-        min_positive: Positive bags needed before the first search: over a few bags, accidents tie with bottlenecks.
-        negative_bags: Whether unsuccessful trajectories become negative bags.
-        negative_strength: η in (0, 1]: how strongly an instance of a negative bag speaks against a concept near it.
-            Below 1 because an unsuccessful trajectory may well pass a bottleneck (the paper's §8).
-        leak: λ in [0, 1): the probability that a trajectory succeeds without the bottleneck, because there is another
-            way. Above 0, a trajectory of the other way costs a concept no more than log λ, and with λ = 0.2 what lies
-            on some 60 % of the successful trajectories still reaches a ``min_density`` of 0.5. Not for ``incremental``.
-        search: ``gradient`` ascent from many starts, ``exhaustive`` over the instances of positive bags, or
-            ``incremental``: ascent from the peaks of the last search and the best instances of the newest positive
-            bag, over bags that are packed once. With many or long trajectories it takes a small part of the time.
-        scale: Factor for every feature, 1/width of the Gaussians; None takes `default_scale`.
-        start_radius: The default static filter keeps subgoals this far from where a trajectory began.
-        goal_radius: … and this far from where it ended.
-        decay: λ of the running averages.
-        threshold: Share of the limit λ/(1−λ) that makes a concept persistent.
-        peak_radius: A peak belongs to the nearest known concept within this distance.
-        peak_tolerance: Peaks whose log diverse density is within this of the best one count as found, in nats.
-        min_density: Geometric mean over the positive bags of Pr(t | bag) that a peak must reach to count as found: a
-            bottleneck lies on nearly every successful trajectory. 0 lets every peak count.
-        max_places: If the best diverse density is shared by more separate places than this, they are accidents of few
-            or long trajectories, and none counts as found.
-        max_extent: A plateau of tied peaks that reaches farther than this from its middle is open space that all
-            trajectories happened to cross, no bottleneck: a search whose best peaks include one finds nothing.
-        subgoal_radius: The subgoal is everything within this distance of the persistent peak.
-        spacing: A new subgoal must be farther than this from those that have an option.
-    """
-
-    segmentation: Literal["episodes", "peaks"] = "episodes"
-    peak_reward: float | None = None
-    max_segment: int = 10_000
-    capacity: int = 100
-    min_positive: int = 8
-    negative_bags: bool = True
-    negative_strength: float = 0.1
-    leak: float = 0.0
-    search: Literal["gradient", "exhaustive", "incremental"] = "gradient"
-    scale: float | None = None
-    start_radius: float = 2.0
-    goal_radius: float = 5.0
-    decay: float = 0.9
-    threshold: float = 0.6
-    peak_radius: float = 1.5
-    peak_tolerance: float = 1e-3
-    min_density: float = 0.5
-    max_places: int = 2
-    max_extent: float = math.inf
-    subgoal_radius: float = 0.5
-    spacing: float = 3.0
-
-    def __post_init__(self) -> None:
-        """Refuse values out of range, by name."""
-        for name in ("capacity", "min_positive", "max_places"):
-            if not isinstance(getattr(self, name), Integral) or getattr(self, name) < 1:
-                raise ValueError(f"{name} must be a whole number of at least 1, got {getattr(self, name)}.")
-        for name in (
-            "start_radius",
-            "goal_radius",
-            "peak_radius",
-            "peak_tolerance",
-            "max_extent",
-            "subgoal_radius",
-            "spacing",
-        ):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} must be at least 0, got {getattr(self, name)}.")
-        if self.scale is not None and not 0 < self.scale < math.inf:
-            raise ValueError(f"scale must be positive and finite, got {self.scale}.")
-        if not 0.0 < self.negative_strength <= 1.0:
-            raise ValueError(f"negative_strength must be in (0, 1], got {self.negative_strength}.")
-        if not 0.0 <= self.leak < 1.0:
-            raise ValueError(f"leak must be in [0, 1), got {self.leak}.")
-        if self.leak and self.search == "incremental":
-            raise ValueError(f"search='incremental' knows no leak, got leak={self.leak}: use 'gradient'.")
-        if not 0.0 <= self.min_density <= 1.0:
-            raise ValueError(f"min_density must be in [0, 1], got {self.min_density}.")
-        if self.search not in ("gradient", "exhaustive", "incremental"):
-            raise ValueError(f"search must be 'gradient', 'exhaustive' or 'incremental', got {self.search!r}.")
-        if self.segmentation not in ("episodes", "peaks"):
-            raise ValueError(f"segmentation must be 'episodes' or 'peaks', got {self.segmentation!r}.")
-        # These refuse what is out of their range.
-        PeakTracker(decay=self.decay, threshold=self.threshold)
-        RewardPeaks(self.peak_reward, self.max_segment)
-
-    def reward_peaks(self) -> RewardPeaks | None:
-        """Where experience is cut; None where episodes end it."""
-        return RewardPeaks(self.peak_reward, self.max_segment) if self.segmentation == "peaks" else None
-
-
-CATEGORICAL_SCALE = 6.0
-"""One-hot codes of two states are then 6√2 = 8.5 units apart, farther than any default radius: equal or not."""
-
-UNITS_PER_RANGE = 20.0
-"""Features nobody scaled are taken to have this many distinguishable values along the range seen so far."""
-
-
-def default_scale(kind: str | None, features: FloatArray) -> FloatArray:
-    """The scale that makes one unit of concept space one step, as far as that can be known.
-
-    Args:
-        kind: Where φ comes from (`features.FeatureKind`). A user's φ and an environment's own are taken to be in
-            such units already.
-        features: All that was seen so far, shape (m, d).
-
-    Returns:
-        Factors, shape (d,): 1, or `CATEGORICAL_SCALE`, or `UNITS_PER_RANGE` over the range of each feature.
-    """
-    d = features.shape[1]
-    if kind == "categorical":
-        return np.full(d, CATEGORICAL_SCALE)
-    if kind == "identity":
-        extent = np.ptp(features, axis=0)
-        return UNITS_PER_RANGE / np.where(extent > 0, extent, UNITS_PER_RANGE)
-    return np.ones(d)
-
 
 WARM_STARTS = 4
 """A search also starts from this many peaks of the one before."""
+
+
+@dataclass(frozen=True)
+class FilteredBags:
+    """The filtered bags of a database, oldest first.
+
+    Attributes:
+        positive: Instances (n_i, d) of each successful trajectory.
+        negative: Instances of each unsuccessful one.
+    """
+
+    positive: list[FloatArray]
+    negative: list[FloatArray]
+
+    @cached_property
+    def bags(self) -> Bags:
+        """Packed, when first asked for: an incremental search does without."""
+        return Bags.pack(self.positive, self.negative)
 
 
 class Search(NamedTuple):
@@ -158,16 +49,21 @@ class Search(NamedTuple):
 
     Attributes:
         peaks: Best first; empty if there was nothing to search.
-        bags: What was searched; None if there was nothing.
+        evidence: What was searched; None if there was nothing.
         seconds: Wall time.
     """
 
     peaks: list[Peak]
-    bags: Bags | None
+    evidence: FilteredBags | None
     seconds: float
 
+    @property
+    def bags(self) -> Bags | None:
+        """What was searched; None if there was nothing."""
+        return None if self.evidence is None else self.evidence.bags
 
-class Finding(NamedTuple):
+
+class FoundSubgoal(NamedTuple):
     """A subgoal, with the bags it was found in.
 
     Attributes:
@@ -204,7 +100,7 @@ class SubgoalDiscovery:
         s = self.settings
         self.database = TrajectoryDatabase(s.capacity)
         self.tracker = PeakTracker(decay=s.decay, threshold=s.threshold, radius=s.peak_radius)
-        self.found: list[Finding] = []
+        self.found: list[FoundSubgoal] = []
         unit = "episode" if s.segmentation == "episodes" else "segment"
         self.outcomes = Outcomes(unit, self.success is not reported_success)
         self.last = Search([], None, 0.0)
@@ -248,38 +144,34 @@ class SubgoalDiscovery:
             A new subgoal, if a concept has become persistent. It counts as taken from then on.
         """
         began = time.perf_counter()
-        chosen = self._chosen()
-        bags: Bags | None = None
+        evidence = self._evidence()
         peaks: list[Peak] = []
-        if chosen is not None:
-            assert self.scale is not None  # set by _chosen()
+        if evidence is not None:
+            assert self.scale is not None  # set by _evidence()
             engine = self.engine()
-            bags = Bags.pack(*chosen)
-            if self._is_incremental:
-                if self._incremental is None:
-                    self._incremental = IncrementalSearch(self.scale, self.settings.negative_strength)
-                peaks = self._incremental.search(*chosen)
-            else:
-                peaks = engine.search(bags, starts=self._warm_starts(engine))
+            peaks = self._peaks(evidence, engine)
             tied = [p.point for p in peaks if p.log_density >= peaks[0].log_density - self.settings.peak_tolerance]
             places, extent = plateau_centres(np.array(tied), self.scale, self.settings.peak_radius)
-            dense = self._is_dense(peaks[0], bags, engine)
             few = len(places) <= self.settings.max_places and extent <= self.settings.max_extent
-            self.tracker.update(places if dense and few else places[:0], self.scale)
-        self.last = Search(peaks, bags, time.perf_counter() - began)
+            found = few and self._is_dense(peaks[0], evidence, engine)
+            self.tracker.update(places if found else places[:0], self.scale)
+        self.last = Search(peaks, evidence, time.perf_counter() - began)
         self.seconds += self.last.seconds
         return self._new_subgoal()
 
-    @property
-    def _is_incremental(self) -> bool:
-        return self.settings.search == "incremental" and self.kind != "categorical"
+    def _peaks(self, evidence: FilteredBags, engine: DiverseDensity) -> list[Peak]:
+        if self.settings.search != "incremental" or engine.method == "exhaustive":
+            return engine.search(evidence.bags, starts=self._warm_starts(engine))
+        if self._incremental is None:
+            self._incremental = IncrementalSearch(engine)
+        return self._incremental.search(evidence.positive, evidence.negative)
 
-    def _is_dense(self, peak: Peak, bags: Bags, engine: DiverseDensity) -> bool:
+    def _is_dense(self, peak: Peak, evidence: FilteredBags, engine: DiverseDensity) -> bool:
         """Whether most positive bags hold the peak: `DiscoverySettings.min_density`."""
-        if self._is_incremental and np.exp(peak.log_density / bags.n_positive) >= self.settings.min_density:
+        if np.exp(peak.log_density / len(evidence.positive)) >= self.settings.min_density:
             return True  # even with the negative bags, which can only lower it
-        log_density = float(engine.log_density(peak.point[None], bags.positive())[0])
-        return bool(np.exp(log_density / bags.n_positive) >= self.settings.min_density)
+        log_density = float(engine.log_density(peak.point[None], evidence.bags.positive())[0])
+        return bool(np.exp(log_density / len(evidence.positive)) >= self.settings.min_density)
 
     def _warm_starts(self, engine: DiverseDensity) -> FloatArray | None:
         """The best peaks of the last search, for a search that can start from them."""
@@ -306,11 +198,11 @@ class SubgoalDiscovery:
 
     def bags(self) -> Bags | None:
         """The bags of the database; None while there are too few positive ones to search."""
-        chosen = self._chosen()
-        return None if chosen is None else Bags.pack(*chosen)
+        evidence = self._evidence()
+        return None if evidence is None else evidence.bags
 
-    def _chosen(self) -> tuple[list[FloatArray], list[FloatArray]] | None:
-        """Positive and negative bags, oldest first; None while there are too few positive ones to search."""
+    def _evidence(self) -> FilteredBags | None:
+        """The bags of the database; None while there are too few positive ones to search."""
         positive = [t for t in self.database if t.success]
         if len(positive) < self.settings.min_positive:
             return None
@@ -325,7 +217,7 @@ class SubgoalDiscovery:
         negative_bags = []
         if self.settings.negative_bags:
             negative_bags = [bag for t in self.database if not t.success and len(bag := self._bag(t))]
-        return positive_bags, negative_bags
+        return FilteredBags(positive_bags, negative_bags)
 
     def engine(self) -> DiverseDensity:
         """The diverse density these settings mean."""
@@ -343,7 +235,7 @@ class SubgoalDiscovery:
         return self._cut[id(labelled)][1]
 
     def _filtered(self, labelled: LabelledTrajectory) -> FloatArray:
-        assert self.scale is not None  # set by _chosen() before any bag is made
+        assert self.scale is not None  # set by _evidence() before any bag is made
         bag = bag_of(labelled.features, int(labelled.trajectory.visits[-1]), self.scale, self._filter)
         for subgoal in [*self.taken, *(finding.subgoal for finding in self.found)]:
             centre = subgoal.points[0]
@@ -358,12 +250,12 @@ class SubgoalDiscovery:
             assert self.scale is not None  # a concept is tracked only after a search
             assert self.last.bags is not None
             subgoal = Region(point[None], self.scale, self.settings.subgoal_radius)
-            self.found.append(Finding(subgoal, self.last.bags, self.last.peaks[0].log_density))
+            self.found.append(FoundSubgoal(subgoal, self.last.bags, self.last.peaks[0].log_density))
             self.tracker = PeakTracker(
                 decay=self.settings.decay, threshold=self.settings.threshold, radius=self.settings.peak_radius
             )
-            self.last = Search([], self.last.bags, self.last.seconds)
-            self._incremental, self._cut = None, {}  # without what is now too near a subgoal every bag is another
+            self.last = Search([], self.last.evidence, self.last.seconds)
+            self._incremental, self._cut = None, {}  # every bag changes: instances near the subgoal are filtered out
             return subgoal
         return None
 

@@ -177,10 +177,10 @@ class MacroQ(MaskedPrediction):
             new_active = self._active(new_obs)
             over: list[bool] = dones.tolist()
             runs = [OptionRun.from_info(info) if "option" in info else None for info in infos]
-            for i, (info, run) in enumerate(zip(infos, runs, strict=True)):
+            for i, info in enumerate(infos):
                 arrived = self._active(np.asarray(info["terminal_observation"])[None])[0] if over[i] else new_active[i]
                 ended = over[i] and not info["TimeLimit.truncated"]
-                self._learn_from(active[i], int(actions[i]), float(rewards[i]), arrived, ended, run)
+                self._learn_from(active[i], int(actions[i]), float(rewards[i]), arrived, ended, runs[i])
             self._last_obs, active = new_obs, new_active  # type: ignore[assignment]  # SB3 annotates it as None
             # After the update, so that a callback that stops training at the end of an episode loses no step.
             callback.update_locals(locals())

@@ -80,7 +80,7 @@ class OptionReplayBuffer(ReplayBuffer):
         handle_timeout_termination: Bootstrap after a timeout instead of taking it for an end.
         macro_q: Whether the steps inside options are stored.
         intra_option: Whether options are updated from primitive steps they are consistent with. Off by default: on
-            the two seeds measured it saved no time (docs/deep.md).
+            the two seeds measured it saved no time (docs/studies/deep.md).
         n_steps: Not supported beyond 1; as for SB3's ``NStepReplayBuffer``.
         gamma: Unused: every transition has its own discount.
 

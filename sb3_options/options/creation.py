@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from sb3_options.density.regions import Region
 from sb3_options.experience.observations import BoolArray
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.options.initiation import Transitions, initiation_set, option_transitions
-from sb3_options.options.option import Region, SubgoalOption
+from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import OptionPolicy, TabularPolicy
 from sb3_options.options.replay import replay_into_network, replay_into_table
 from sb3_options.options.settings import OptionLearningSettings

@@ -14,8 +14,9 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save as to_safetensors
 
 from sb3_options.atomic import atomic_write
+from sb3_options.density.regions import HalfSpace, Region
 from sb3_options.options import policies
-from sb3_options.options.option import HalfSpace, Option, Region, SubgoalOption
+from sb3_options.options.option import Option, SubgoalOption
 from sb3_options.options.policies import PolicyInput
 
 FILE_FORMAT = "sb3-options 1"

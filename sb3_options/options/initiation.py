@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sb3_options.density.regions import Region
 from sb3_options.experience import observations as obs_batch
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray, Observations
 from sb3_options.experience.trajectories import LabelledTrajectory
-from sb3_options.options.option import Region
 from sb3_options.options.settings import OptionLearningSettings
 
 

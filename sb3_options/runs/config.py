@@ -16,7 +16,7 @@ from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
 from sb3_options.atomic import atomic_write
 from sb3_options.checked import Field, readable, settings
-from sb3_options.discovery.subgoals import DiscoverySettings
+from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.runs import yaml_file
 

@@ -15,9 +15,9 @@ from rich.progress import track
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_options.discovery.static_filter import reported_success
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.recording import LONGEST_EPISODE
+from sb3_options.experience.success import reported_success
 from sb3_options.learning.value_snapshot import interrupt_options
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs

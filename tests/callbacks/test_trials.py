@@ -168,6 +168,8 @@ def test_a_harmful_option_leaves_nothing_behind(algorithm: Any) -> None:
     replay = TINY | RANDOM | intra_option
     # A policy that learns would leave the option alone by itself.
     kwargs = replay if off_policy else {"n_steps": 64, "seed": 0, "device": "cpu", "learning_rate": 1e-9}
+    if algorithm is PPO:
+        kwargs["n_epochs"] = 1
     model = algorithm("MlpPolicy", DummyVecEnv([dragged, dragged]), gamma=GAMMA, **kwargs)
     callback = SubgoalDiscoveryCallback(FAST_DISCOVERY, max_new_options=0, interruption=False, trial=QUICK)
     model.learn(200, callback=callback)

@@ -11,6 +11,7 @@ from sb3_options.experience.observations import FloatArray
 
 PLACE = np.array([3.0, -2.0])
 STRENGTH = 0.1
+ENGINE = DiverseDensity(negative_strength=STRENGTH)
 
 
 def bags_of(rng: np.random.Generator, n: int) -> list[FloatArray]:
@@ -21,8 +22,7 @@ def bags_of(rng: np.random.Generator, n: int) -> list[FloatArray]:
 
 
 def density(point: FloatArray, positive: list[FloatArray], negative: list[FloatArray]) -> float:
-    engine = DiverseDensity(negative_strength=STRENGTH)
-    return float(engine.log_density(point[None], Bags.pack(positive, negative))[0])
+    return float(ENGINE.log_density(point[None], Bags.pack(positive, negative))[0])
 
 
 @pytest.mark.parametrize("pairs", [1 << 21, 1])  # all instances of a bag are tried, or a few
@@ -30,11 +30,11 @@ def test_bags_that_come_and_go(monkeypatch: pytest.MonkeyPatch, pairs: int) -> N
     monkeypatch.setattr(concept_search, "UPDATE_PAIRS", pairs)
     rng = np.random.default_rng(0)
     positive, negative = bags_of(rng, 40), [rng.uniform(-10, 10, (30, 2)) for _ in range(40)]
-    grown, scale = IncrementalSearch(np.ones(2), STRENGTH), np.ones(2)
+    grown = IncrementalSearch(ENGINE)
     for n in range(10, 41):
         last = slice(max(0, n - 20), n)
         peaks = grown.search(positive[last], negative[last])
-        best = IncrementalSearch(scale, STRENGTH).search(positive[last], negative[last])[0]
+        best = IncrementalSearch(ENGINE).search(positive[last], negative[last])[0]
         reference = max(best.log_density, density(peaks[0].point, positive[last], negative[last]))
         assert np.linalg.norm(peaks[0].point - PLACE) < 0.5
         assert peaks[0].log_density == pytest.approx(reference, abs=0.01)
@@ -44,7 +44,7 @@ def test_bags_that_come_and_go(monkeypatch: pytest.MonkeyPatch, pairs: int) -> N
 
 def test_a_bag_is_packed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     bags = bags_of(np.random.default_rng(1), 12)
-    grown = IncrementalSearch(np.ones(2), STRENGTH)
+    grown = IncrementalSearch(ENGINE)
     grown.search(bags[:10])
     monkeypatch.setattr(concept_search.ConceptSearch, "evidence", None)  # not made anew
     assert grown.search(bags[2:])
@@ -53,13 +53,14 @@ def test_a_bag_is_packed_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_other_bags_are_searched_anew() -> None:
     first, second = bags_of(np.random.default_rng(2), 10), [bag + 50 for bag in bags_of(np.random.default_rng(3), 10)]
-    grown = IncrementalSearch(np.ones(2), STRENGTH)
+    grown = IncrementalSearch(ENGINE)
     grown.search(first)
-    peaks, again = grown.search(second), IncrementalSearch(np.ones(2), STRENGTH).search(second)
+    peaks, again = grown.search(second), IncrementalSearch(ENGINE).search(second)
     assert [peak.point.tolist() for peak in peaks] == [peak.point.tolist() for peak in again]
 
 
 def test_scaled_features() -> None:
     scale = np.array([10.0, 0.1])
-    peaks = IncrementalSearch(scale, STRENGTH).search([bag / scale for bag in bags_of(np.random.default_rng(4), 20)])
+    engine = DiverseDensity(scale=scale, negative_strength=STRENGTH)
+    peaks = IncrementalSearch(engine).search([bag / scale for bag in bags_of(np.random.default_rng(4), 20)])
     assert np.linalg.norm(peaks[0].point * scale - PLACE) < 0.5

@@ -10,30 +10,39 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from torch import Tensor
 
+from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Array, Concept, Frame, Plane, Point
+from sb3_options.density.concepts import Concept, Frame, Plane, Point
 from sb3_options.density.diverse_density import log_diverse_density
+from sb3_options.density.energies import Likelihood
 from sb3_options.density.evidence import Evidence
 from sb3_options.density.objective import MAX_PAIRS
 from tests.density.test_diverse_density import oracle, random_bags
 
 
 def evidence_of(
-    bags: Bags, concept: Concept | None = None, eta: float = 1.0, width: float = 1.0, max_pairs: int = MAX_PAIRS
+    bags: Bags,
+    concept: Concept | None = None,
+    eta: float = 1.0,
+    width: float = 1.0,
+    max_pairs: int = MAX_PAIRS,
+    leak: float = 0.0,
 ) -> Evidence:
     d = bags.n_features
     frame = Frame(np.arange(d), np.zeros(d), np.ones(d), d)
-    return Evidence(
-        bags, concept or Point(prior=None), frame, negative_strength=eta, negative_width=width, max_pairs=max_pairs
-    )
+    concept = concept or Point(prior=None)
+    likelihood = Likelihood(concept.link, eta, leak)
+    return Evidence(bags, concept, frame, likelihood=likelihood, negative_width=width, max_pairs=max_pairs)
 
 
-def theta_of(points: Array, scales: Array) -> Tensor:
+def theta_of(points: FloatArray, scales: FloatArray) -> Tensor:
     """θ of `Point` with a scale per feature, (2 d, S)."""
     return torch.from_numpy(np.concatenate([(points * scales).T, np.broadcast_to(scales, points.shape).T]))
 
 
-def densities(evidence: Evidence, points: Array, scales: Array, dtype: torch.dtype = torch.float64) -> Array:
+def densities(
+    evidence: Evidence, points: FloatArray, scales: FloatArray, dtype: torch.dtype = torch.float64
+) -> FloatArray:
     return -evidence.loss(theta_of(points, scales).to(dtype))[0].double().numpy()
 
 
@@ -125,6 +134,41 @@ def test_gradient_of_every_concept(concept: Concept, eta: float, width: float) -
     check_gradient(evidence, theta + torch.from_numpy(0.1 * rng.normal(size=theta.shape)))
 
 
+@pytest.mark.parametrize("concept", [Point(prior=None), Point("fixed"), Plane(offset=1e9, steepness=1e9)])
+@pytest.mark.parametrize("reach", [1.0, 40.0, 1e3])  # bags that are too far to be quick
+def test_gradient_with_a_leak(concept: Concept, reach: float) -> None:
+    rng = np.random.default_rng(12)
+    bags = Bags.pack(random_bags(rng, 4, 3, 1.5), random_bags(rng, 3, 3, 1.5), weights=rng.uniform(0, 2, size=7))
+    evidence = evidence_of(bags, concept, eta=0.3, leak=0.2)
+    theta = concept.start(torch.from_numpy(rng.normal(scale=reach, size=(5, 3))), 0.7)
+    check_gradient(evidence, theta)
+    assert (-evidence.loss(theta)[0] >= math.log(0.2) * sum(bags.bag_weights) - 10).all()
+
+
+def test_one_leak_in_every_precision_and_way() -> None:
+    rng = np.random.default_rng(13)
+    bags = Bags.pack(random_bags(rng, 5, 2, 2.0), random_bags(rng, 2, 2, 2.0))
+    points = np.concatenate([rng.normal(scale=3, size=(8, 2)), bags.instances[:2].numpy(), [[1e3, 0.0]]])
+    expected = log_diverse_density(points, 1.0, bags, negative_strength=0.5, leak=0.2).numpy()
+    evidence = evidence_of(bags, eta=0.5, leak=0.2)
+    theta = theta_of(points, np.ones(2))
+    for value in (evidence.value(theta), evidence.value(theta.float()), evidence.loss(theta)[0]):
+        np.testing.assert_allclose(-value.double().numpy(), expected, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("eta", [1.0, 0.2])
+def test_weak_negatives_of_a_plane_are_weak_at_any_distance(eta: float) -> None:
+    """η multiplies the odds of p; a positive bag far away makes the kernel take its careful way."""
+    near, far = np.array([[0.5, 0.0]]), np.array([[-1e3, 0.0]])
+    theta = torch.tensor([[1.0], [0.0], [0.0]], dtype=torch.float64)
+    flat = Plane(offset=1e9, steepness=1e9)
+    alone = evidence_of(Bags.pack([], [near]), flat, eta)
+    both = evidence_of(Bags.pack([far], [near]), flat, eta)
+    expected = -math.log1p(eta * math.exp(0.5))
+    assert -alone.loss(theta)[0].item() == pytest.approx(expected, rel=1e-9)
+    assert -both.loss(theta)[0].item() == pytest.approx(expected - 1e3, rel=1e-9)
+
+
 @pytest.mark.parametrize("reach", [1.0, 300.0])
 def test_a_plane_at_any_distance(reach: float) -> None:
     rng = np.random.default_rng(7)
@@ -132,7 +176,7 @@ def test_a_plane_at_any_distance(reach: float) -> None:
     theta = torch.from_numpy(np.array([[1.0], [2.0], [reach]]))
     evidence = evidence_of(Bags.pack(positive, negative), Plane(offset=1e9, steepness=1e9))
 
-    def log_p(x: Array) -> Array:
+    def log_p(x: FloatArray) -> FloatArray:
         return np.asarray(-np.logaddexp(0, reach - x @ [1.0, 2.0]))
 
     expected = sum(
@@ -201,7 +245,7 @@ SOME_BAGS = st.lists(arrays(np.float64, st.tuples(st.integers(1, 5), st.just(2))
 @given(positive=SOME_BAGS, negative=SOME_BAGS, point=st.tuples(FEATURE, FEATURE), offset=FEATURE)
 @settings(max_examples=50, deadline=None)
 def test_order_and_origin_change_nothing(
-    positive: list[Array], negative: list[Array], point: tuple[float, float], offset: float
+    positive: list[FloatArray], negative: list[FloatArray], point: tuple[float, float], offset: float
 ) -> None:
     assume(positive or negative)
     at, ones = np.array([point]), np.ones(2)

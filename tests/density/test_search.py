@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 import torch
 
+from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Array, Concept, Plane, Point
+from sb3_options.density.concepts import Concept, Plane, Point
 from sb3_options.density.evidence import Evidence
-from sb3_options.density.lbfgs import Descent
+from sb3_options.density.lbfgs import BatchedLBFGS
+from sb3_options.density.regions import HalfSpace, Region
 from sb3_options.density.search import ConceptSearch
 from sb3_options.experience.observations import flatten
 from sb3_options.options.bank import OptionBank
-from sb3_options.options.option import HalfSpace, Region, SubgoalOption
+from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from tests.density.test_diverse_density import planted, two_rooms
 
@@ -28,10 +30,10 @@ def rosenbrock(theta: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     return value, torch.stack([-2 * (1 - x) - 400 * x * (y - x * x), 200 * (y - x * x)])
 
 
-class TestDescent:
+class TestBatchedLBFGS:
     def test_every_start_reaches_the_valley_floor(self) -> None:
         start = torch.tensor([[-1.2, 0.0, 2.0, -3.0], [1.0, 0.0, -2.0, 5.0]], dtype=torch.float64)
-        descent = Descent(rosenbrock, start, FREE, tolerance=1e-14)
+        descent = BatchedLBFGS(rosenbrock, start, FREE, tolerance=1e-14)
         descent.run(300)
         assert descent.converged.all()
         torch.testing.assert_close(descent.theta, torch.ones_like(start), atol=1e-5, rtol=0)
@@ -39,13 +41,13 @@ class TestDescent:
 
     def test_bounds_hold_and_the_rest_is_minimised(self) -> None:
         low, high = torch.tensor([[-torch.inf], [-1.0]]), torch.tensor([[0.5], [torch.inf]])
-        descent = Descent(rosenbrock, torch.zeros(2, 1, dtype=torch.float64), (low, high), tolerance=1e-12)
+        descent = BatchedLBFGS(rosenbrock, torch.zeros(2, 1, dtype=torch.float64), (low, high), tolerance=1e-12)
         descent.run(300)
         torch.testing.assert_close(descent.theta[:, 0], torch.tensor([0.5, 0.25]).double(), atol=1e-6, rtol=0)
 
     def test_narrowing_forgets_nothing(self) -> None:
         start = torch.tensor([[-1.2, 0.0, 2.0], [1.0, 0.0, -2.0]], dtype=torch.float64)
-        whole, part = (Descent(rosenbrock, start, FREE, tolerance=1e-14) for _ in range(2))
+        whole, part = (BatchedLBFGS(rosenbrock, start, FREE, tolerance=1e-14) for _ in range(2))
         part.run(10)
         part.keep([2, 0], torch.float64)
         part.run(10)
@@ -53,7 +55,7 @@ class TestDescent:
         torch.testing.assert_close(part.theta, whole.theta[:, [2, 0]], rtol=1e-9, atol=1e-9)
 
     def test_too_few_steps_are_reported(self) -> None:
-        descent = Descent(rosenbrock, torch.tensor([[-1.2], [1.0]]).double(), FREE, tolerance=1e-12)
+        descent = BatchedLBFGS(rosenbrock, torch.tensor([[-1.2], [1.0]]).double(), FREE, tolerance=1e-12)
         descent.run(5)
         assert not descent.converged.any()
 
@@ -62,7 +64,7 @@ class TestDescent:
             value = torch.where(x[0] > 1, torch.inf, x[0] ** 2)
             return value, 2 * x
 
-        descent = Descent(objective, torch.tensor([[1.5]]).double(), FREE, tolerance=1e-12)
+        descent = BatchedLBFGS(objective, torch.tensor([[1.5]]).double(), FREE, tolerance=1e-12)
         descent.run(50)
         assert descent.value.item() < 1e-12
 
@@ -149,7 +151,7 @@ def test_a_half_space() -> None:
     rng = np.random.default_rng(2)
     normal, scale = np.array([3.0, 4.0]) / 5, np.array([1.0, 0.1])
 
-    def side(n: int, low: float, high: float) -> Array:
+    def side(n: int, low: float, high: float) -> FloatArray:
         along, across = rng.uniform(low, high, n), rng.uniform(-5, 5, n)
         x, y = along * normal[0] - across * normal[1], along * normal[1] + across * normal[0]
         return np.asarray(np.column_stack([x, y]) / scale)
@@ -219,7 +221,7 @@ def test_weak_and_narrow_negatives_tolerate_a_visit() -> None:
 def test_update_follows_added_bags() -> None:
     rng = np.random.default_rng(4)
 
-    def bag() -> Array:
+    def bag() -> FloatArray:
         return np.vstack([rng.uniform(-10, 10, size=(20, 2)), rng.normal([3, -2], 0.3)])
 
     search = ConceptSearch(concept=Point("fixed"))
@@ -234,11 +236,11 @@ def test_update_follows_added_bags() -> None:
     assert np.linalg.norm(peaks[0].region().points[0] - [3, -2]) < 0.5
 
 
-def bags_of(rng: np.random.Generator, n: int) -> list[Array]:
+def bags_of(rng: np.random.Generator, n: int) -> list[FloatArray]:
     return [np.vstack([rng.uniform(-10, 10, (int(rng.integers(1, 40)), 2)), [[3.0, -2.0]]]) for _ in range(n)]
 
 
-def values_at(evidence: Evidence, points: Array, dtype: torch.dtype) -> Array:
+def values_at(evidence: Evidence, points: FloatArray, dtype: torch.dtype) -> FloatArray:
     loss = evidence.loss(torch.from_numpy(evidence.scaled(points).T.copy()).to(dtype))[0]
     return np.asarray(-loss.double().numpy())
 
@@ -298,6 +300,15 @@ def test_update_climbs_from_a_peak_that_a_bag_moved() -> None:
     np.testing.assert_allclose(moved.region().points[0], np.concatenate(bags).mean(0), atol=1e-4)
 
 
+def test_with_a_leak_a_bag_without_the_concept_hardly_counts() -> None:
+    rng = np.random.default_rng(9)
+    most = [np.vstack([rng.uniform(-10, 10, (5, 2)), rng.normal([3, -2], 0.1)]) for _ in range(9)]
+    few = [rng.normal([-7, 7], 0.1, size=(5, 2)) for _ in range(4)]
+    best = ConceptSearch(concept=Point("fixed"), leak=0.2).search(Bags.pack([*most, *few]))[0]
+    assert np.linalg.norm(best.region().points[0] - [3, -2]) < 0.3
+    assert best.log_density > 4 * np.log(0.2) - 1
+
+
 def test_several_start_scales_are_no_worse() -> None:
     bags = planted(5, 5)
     one = ConceptSearch(start_scales=(1.0,)).search(bags)[0].log_density
@@ -340,6 +351,7 @@ def test_cuda_finds_the_same(concept: Concept) -> None:
         ({"finalists": 0}, "finalists must be at least 1, got 0"),
         ({"negative_width": 0.0}, "negative_width must be positive and finite, got 0.0"),
         ({"tolerance": 0.0}, "tolerance must be above 0, got 0.0"),
+        ({"leak": 1.0}, "leak must be in [0, 1), got 1.0"),
     ],
 )
 def test_bad_settings(arguments: dict[str, object], text: str) -> None:

@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
 from sb3_options.discovery.figures import discovery_figures, subgoals_figure
-from sb3_options.discovery.subgoals import DiscoverySettings, SubgoalDiscovery
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.creation import learn_option

@@ -9,7 +9,8 @@ import pytest
 from sb3_options.density.bags import Bags
 from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.discovery.outcomes import SILENT_TRAJECTORIES
-from sb3_options.discovery.subgoals import DiscoverySettings, SubgoalDiscovery
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.options.bank import OptionBank
 from tests.support.helpers import trajectory_of
 
@@ -30,7 +31,7 @@ def add(discovery: SubgoalDiscovery, n: int = 1, **kwargs: Any) -> None:
             'returns from -101 to -101; the environment reports no info["is_success"], and no terminal state brought '
             "a positive reward above all earlier ones. Say what success is: "
             "SubgoalDiscoveryCallback(success=lambda trajectory: trajectory.terminated), or "
-            "success=success_by_return(threshold).",
+            "sb3_options.experience.success.success_by_return(threshold).",
         ),
         (
             {},

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 import sb3_options.envs  # noqa: F401  # registers them
-from sb3_options.discovery.static_filter import success_by_steps
-from sb3_options.discovery.subgoals import CATEGORICAL_SCALE, DiscoverySettings, SubgoalDiscovery, default_scale
+from sb3_options.discovery.settings import CATEGORICAL_SCALE, DiscoverySettings, default_scale
+from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.recording import EpisodeRecorder
+from sb3_options.experience.success import success_by_steps
 from sb3_options.experience.trajectories import Trajectory
 from tests.support.helpers import ball, trajectory_of
 
@@ -95,7 +96,7 @@ class TestTwoRooms:
     ) -> None:
         """The first subgoal of every training, within a cell and an episode; a capacity of 20 evicts."""
         same = 0
-        for trajectories in walks[:5]:
+        for trajectories in walks[:4]:
             firsts = []
             for search in SEARCHES[1:]:
                 discovery = SubgoalDiscovery(DiscoverySettings(search=search, capacity=capacity), kind="environment")
@@ -108,7 +109,7 @@ class TestTwoRooms:
                         break
             (one, place), (other, again) = firsts
             same += abs(one - other) <= 1 and bool(np.linalg.norm(place - again) <= 1.0)
-        assert same >= 4
+        assert same >= 3
 
     @pytest.mark.parametrize("search", ["gradient", "incremental"])
     def test_one_seed_one_result(
@@ -232,8 +233,8 @@ class TestSearch:
         assert subgoals[0] is None
         assert subgoals[1] is not None
 
-    @pytest.mark.parametrize("search", ["gradient", "exhaustive"])
-    def test_a_leak_lets_one_of_two_ways_count(self, search: Literal["gradient", "exhaustive"]) -> None:
+    @pytest.mark.parametrize("search", SEARCHES)
+    def test_a_leak_lets_one_of_two_ways_count(self, search: str) -> None:
         ways = [5.0, 25.0, 5.0, 5.0, 25.0, 5.0, 5.0]
 
         def searched(leak: float) -> SubgoalDiscovery:
@@ -392,13 +393,11 @@ class TestScale:
         assert subgoal.contains(np.eye(10)).tolist() == [i == 5 for i in range(10)]
 
 
+WHOLE = r"should be (greater than or equal to 1|a valid integer|a finite number)"
 RANGES: list[tuple[str, tuple[Any, ...], str]] = [
+    *((name, (0, -1, 2.5, math.nan), WHOLE) for name in ("capacity", "min_positive", "max_places", "max_segment")),
     *(
-        (name, (0, -1, 2.5, math.nan), "must be a whole number of at least 1, got ")
-        for name in ("capacity", "min_positive", "max_places")
-    ),
-    *(
-        (name, (-0.1, math.nan), "must be at least 0, got ")
+        (name, (-0.1, math.nan), "should be greater than or equal to 0")
         for name in (
             "start_radius",
             "goal_radius",
@@ -409,29 +408,23 @@ RANGES: list[tuple[str, tuple[Any, ...], str]] = [
             "spacing",
         )
     ),
-    ("scale", (0.0, -1.0, math.nan, math.inf), "must be positive and finite, got "),
-    ("negative_strength", (0.0, -0.5, 1.5, math.nan), r"must be in \(0, 1\], got "),
-    ("leak", (-0.1, 1.0, math.nan), r"must be in \[0, 1\), got "),
-    ("search", ("random", None), "must be 'gradient', 'exhaustive' or 'incremental', got "),
-    ("segmentation", ("lives", None), "must be 'episodes' or 'peaks', got "),
-    ("peak_reward", (math.nan, math.inf), "should be a finite number, got "),
-    ("max_segment", (0, -1), "should be greater than or equal to 1, got "),
-    ("min_density", (-0.1, 1.5, math.nan), r"must be in \[0, 1\], got "),
-    ("decay", (0.0, 1.0, -0.1, math.nan), r"\(λ\) must be in \(0, 1\), got "),
-    ("threshold", (1.0, -0.1, math.nan), r"must be a share of the limit λ/\(1−λ\), in \[0, 1\), got "),
+    ("scale", (0.0, -1.0, math.nan, math.inf), "should be (greater than 0|a finite number)"),
+    ("negative_strength", (0.0, -0.5, 1.5, math.nan), "should be (greater than 0|less than or equal to 1)"),
+    ("leak", (-0.1, 1.0, math.nan), "should be (greater than or equal to 0|less than 1)"),
+    ("search", ("random", None), "should be 'gradient', 'exhaustive' or 'incremental'"),
+    ("segmentation", ("lives", None), "should be 'episodes' or 'peaks'"),
+    ("peak_reward", (math.nan, math.inf), "should be a finite number"),
+    ("min_density", (-0.1, 1.5, math.nan), "should be (greater|less) than or equal to [01]"),
+    ("decay", (0.0, 1.0, -0.1, math.nan), "should be (greater than 0|less than 1)"),
+    ("threshold", (1.0, -0.1, math.nan), "should be (greater than or equal to 0|less than 1)"),
 ]
 
 
 @pytest.mark.parametrize(("name", "values", "message"), RANGES)
 def test_settings_out_of_range(name: str, values: tuple[Any, ...], message: str) -> None:
     for value in values:
-        with pytest.raises(ValueError, match=rf"^(RewardPeaks: )?{name} {message}{value!r}\.?$"):
+        with pytest.raises(ValueError, match=rf"^DiscoverySettings: {name} {message}.*, got {value!r}$"):
             DiscoverySettings(**{name: value})
-
-
-def test_incremental_search_knows_no_leak() -> None:
-    with pytest.raises(ValueError, match=r"search='incremental' knows no leak, got leak=0\.2: use 'gradient'"):
-        DiscoverySettings(leak=0.2, search="incremental")
 
 
 def test_every_setting_has_a_range() -> None:

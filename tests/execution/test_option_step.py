@@ -13,8 +13,9 @@ from scipy.stats import chisquare
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import Option, OptionsWrapper
+from sb3_options.density.regions import Region
 from sb3_options.execution.slots import EMPTY_SLOT_SEED
-from sb3_options.options.option import Region, SubgoalOption
+from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from tests.support.helpers import CountingEnv, DictEnv, TableEnv, ball, equal, place_of, steady_option, table_option
 

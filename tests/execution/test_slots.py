@@ -10,7 +10,8 @@ from gymnasium import spaces
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import OptionsWrapper
-from sb3_options.options.option import Region, SubgoalOption
+from sb3_options.density.regions import Region
+from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from tests.support.helpers import CountingEnv, DictEnv, ball, equal, place_of, steady_option, table_option
 

@@ -13,7 +13,8 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import OptionsWrapper
-from sb3_options.options.option import Region, SubgoalOption
+from sb3_options.density.regions import Region
+from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from tests.support.helpers import CountingEnv, DictEnv, ball, equal, place_of, steady_option
 

@@ -30,7 +30,7 @@ from stable_baselines3.common.vec_env import (
 from sb3_options import OptionBank, OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.cli import train
-from sb3_options.discovery.subgoals import DiscoverySettings
+from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.execution.vec_env import as_wrapper_sees
 from sb3_options.options.option import SubgoalOption
 from sb3_options.runs.config import DQNConfig
@@ -83,7 +83,7 @@ def ppo(venv: VecEnv, **kwargs: Any) -> PPO:
 def doorway() -> SubgoalOption:
     """The option that discovery makes of the doorway."""
     callback = fast_callback()
-    dqn(DummyVecEnv([optioned_rooms])).learn(3000, callback=callback)
+    dqn(DummyVecEnv([optioned_rooms])).learn(1500, callback=callback)
     option = callback.bank[0]
     assert isinstance(option, SubgoalOption)
     return option.bind(None)
@@ -226,7 +226,7 @@ class TestStackedFrames:
         with rooms("dummy", 2) as bare:
             model = dqn(stacked(bare), OptionDQN, replay_buffer_kwargs={"macro_q": False})
             callback = fast_callback()
-            model.learn(3000, callback=callback)
+            model.learn(2000, callback=callback)
             buffer = model.replay_buffer
             newest: Any = as_wrapper_sees(model.env, buffer.next_observations_stored())
             assert newest.shape == (buffer.size(), 45)
@@ -334,7 +334,7 @@ class TestEvaluationEnvironment:
                 assert all(state == states[0] for state in states)
                 versions.add(states[0])
 
-            model.learn(2500, callback=[evaluation, discovery, Spy(compare)])
+            model.learn(2000, callback=[evaluation, discovery, Spy(compare)])
             assert len(discovery.discoveries) == 1
             assert len(versions) > 2  # none, the first, one that has learned further
 

@@ -13,10 +13,11 @@ from safetensors import safe_open
 from safetensors.numpy import load as from_safetensors
 from safetensors.numpy import save as to_safetensors
 
+from sb3_options.density.regions import HalfSpace, Region
 from sb3_options.experience.observations import FloatArray, Observations, flatten
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.file import FILE_FORMAT, digest
-from sb3_options.options.option import HalfSpace, Region, SubgoalOption
+from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
 from tests.support import processes
 from tests.support.helpers import steady_option

@@ -5,10 +5,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sb3_options.density.regions import Region
 from sb3_options.experience.observations import flatten
 from sb3_options.experience.trajectories import LabelledTrajectory
-from sb3_options.options.creation import OptionGrowth, learn_further, learn_option
-from sb3_options.options.option import Region, SubgoalOption
+from sb3_options.options.creation import (
+    OptionGrowth,
+    learn_further,
+    learn_option,
+)
+from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
 from sb3_options.options.settings import OptionLearningSettings
 from tests.options.corridor import DOOR, LEFT, RIGHT, generator, known_values, walk

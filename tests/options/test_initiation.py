@@ -4,10 +4,10 @@ from typing import Literal
 import numpy as np
 import pytest
 
+from sb3_options.density.regions import Region
 from sb3_options.experience.observations import flatten
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.options.initiation import initiation_set, option_transitions
-from sb3_options.options.option import Region
 from sb3_options.options.settings import OptionLearningSettings
 from tests.options.corridor import DOOR, LEFT, RIGHT, walk
 from tests.support.helpers import ball

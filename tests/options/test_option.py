@@ -4,8 +4,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sb3_options.density.regions import Region
 from sb3_options.experience.observations import Observations
-from sb3_options.options.option import Option, Region, SubgoalOption
+from sb3_options.options.option import Option, SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from tests.support.helpers import ball, place_of, steady_option, table_option
 

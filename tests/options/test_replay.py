@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 import torch
 
+from sb3_options.density.regions import Region
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.options.creation import learn_option
 from sb3_options.options.initiation import Transitions, option_transitions
-from sb3_options.options.option import Region, SubgoalOption
+from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
 from sb3_options.options.replay import replay_into_network, replay_into_table
 from sb3_options.options.settings import OptionLearningSettings

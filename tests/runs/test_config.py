@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 import sb3_options.envs  # noqa: F401  # registers them
-from sb3_options.discovery.subgoals import DiscoverySettings
+from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.runs import config as configs
 from sb3_options.runs.config import (

@@ -8,9 +8,10 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from sb3_options.density.regions import Region
 from sb3_options.experience.observations import FloatArray, Observations, stack
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
-from sb3_options.options.option import Option, Region
+from sb3_options.options.option import Option
 
 StepFunction = Callable[["CountingEnv", int], tuple[Any, float, bool, bool, dict[str, Any]]]
 

@@ -1,0 +1,136 @@
+"""What the kernels of the objective share: concepts a column each, and energies measured where products cancel."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from sb3_options.density.layout import Segment
+
+CLOSE = 1 / 3
+"""An energy below the precision to this power, relative to the squares that it is the difference of, is measured again.
+
+The rounding of an energy above is then less than 1e-10 of it in double precision.
+"""
+
+CLOSE_PAIRS = 1 << 18
+"""Numbers held at once while energies are measured again."""
+
+LOG2_E = math.log2(math.e)
+
+Link = Literal["gaussian", "logistic"]
+
+
+class Likelihood(NamedTuple):
+    """What bags say of a concept.
+
+    Attributes:
+        link: How an energy becomes a probability.
+        strength: η in (0, 1] of negative instances. For "logistic" it multiplies the odds of p.
+        leak: λ in [0, 1).
+    """
+
+    link: Link = "gaussian"
+    strength: float = 1.0
+    leak: float = 0.0
+
+
+class Columns(NamedTuple):
+    """Concepts as the kernels read them, one a column.
+
+    Attributes:
+        coefficients: (K, S), of 1, x_k and perhaps x_k².
+        centre: (d, S), if the energy is Σ_k c_kk (x_k − centre_k)², so that small energies can be measured without
+            cancellation; a column that is not finite is not. (0, S) if the energy is no such sum.
+        exact: Whether small energies are measured so for every start, in double precision, and their part of the
+            gradient comes in `Evaluation.near`; else only for starts that are done carefully.
+    """
+
+    coefficients: Tensor
+    centre: Tensor
+    exact: bool = False
+
+    def take(self, numbers: Tensor | slice) -> Columns:
+        """Some of them."""
+        return Columns(self.coefficients[:, numbers], self.centre[:, numbers], self.exact)
+
+
+class Evaluation(NamedTuple):
+    """Log densities and their gradients.
+
+    Attributes:
+        log_density: (S,), in nats.
+        gradient: (K, S), in the coefficients; (0, S) if it is not wanted.
+        near: What is left out of the gradient of exact columns (2 d, S): Σ_j w_j (x_j − centre) and
+            Σ_j w_j (x_j − centre)² over the instances close to the centre, with w_j = ∂ log DD / ∂z_j. In the gradient
+            their moments would cancel. (0, S) if nothing is.
+    """
+
+    log_density: Tensor
+    gradient: Tensor
+    near: Tensor
+
+
+def exponents(columns: Columns, segment: Segment, likelihood: Likelihood, factor: float) -> Tensor:
+    """``factor`` times the coefficients; where there are weak negative instances, with a row that makes p of it η p."""
+    scaled = columns.coefficients * factor
+    if likelihood.strength < 1 and len(segment.negative_rows):
+        strength = scaled.new_full((1, scaled.shape[1]), -factor * math.log(likelihood.strength))
+        scaled = torch.cat([scaled, strength])
+    return scaled
+
+
+Pairs = tuple[Tensor, Tensor]
+"""Numbers of instances, and of starts."""
+
+
+def measure_close_pairs(log2_p: Tensor, columns: Columns, segment: Segment, likelihood: Likelihood) -> Pairs:
+    """Energies near 0, where the products cancel, once more as Σ_k c_kk (x_k − centre_k)²: in place, and which.
+
+    A weak negative instance is no more likely than η, and is left as it is where that is far from 1.
+    """
+    size = columns.coefficients[0].abs().add_(1).mul_(-(torch.finfo(log2_p.dtype).eps ** CLOSE))
+    size = torch.where(columns.centre.isfinite().all(0), size, math.inf)
+    pairs = (log2_p > size).nonzero()
+    for place, start in _parts(pairs, columns):
+        rows = segment.powers[place]
+        square = columns.coefficients[-len(columns.centre) :, start].T
+        energy = (square * _difference(place, start, columns, segment).square_()).sum(1).mul_(rows[:, 0])
+        if len(segment.negative_rows):
+            energy -= rows[:, -1] * math.log(likelihood.strength)
+        log2_p[place, start] = energy.mul_(-LOG2_E)
+    return pairs[:, 0], pairs[:, 1]
+
+
+def take_near(weights: Tensor, close: Pairs, columns: Columns, segment: Segment) -> Tensor:
+    """`Evaluation.near` of these pairs, whose weights in ``weights`` (N, S) are set to 0."""
+    d = len(columns.centre)
+    near = weights.new_zeros(2 * d, weights.shape[1])
+    for place, start in _parts(torch.stack(close, dim=1), columns):
+        difference = _difference(place, start, columns, segment).T
+        weight = weights[place, start] * segment.powers[place, 0]
+        near.index_add_(1, start, torch.cat([weight * difference, weight * difference.square()]))
+    weights[close] = 0
+    return near
+
+
+def _parts(pairs: Tensor, columns: Columns) -> Iterator[Pairs]:
+    for part in torch.split(pairs, max(1, CLOSE_PAIRS // len(columns.centre))):
+        yield part[:, 0], part[:, 1]
+
+
+def _difference(place: Tensor, start: Tensor, columns: Columns, segment: Segment) -> Tensor:
+    """Of instances and centres, (pairs, d)."""
+    rows = segment.powers[place]
+    return rows[:, 1 : len(columns.centre) + 1] / rows[:, :1] - columns.centre[:, start].T
+
+
+def moments(segment: Segment, p: Tensor, k: int) -> Tensor:
+    """Sums over instances of the weights in p times the first k powers, (k, S)."""
+    if p.is_contiguous():
+        return torch.mm(segment.powers_by_power[:k], p)
+    return torch.mm(p.T, segment.powers_by_power[:k].T).T

@@ -1,0 +1,104 @@
+"""How subgoals are found."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+import numpy as np
+
+from sb3_options.checked import Field, settings
+from sb3_options.experience.observations import FloatArray
+from sb3_options.experience.recording import RewardPeaks
+
+
+@settings
+class DiscoverySettings:
+    """How subgoals are found (McGovern & Barto 2001, §4–5). Distances are in scaled units of concept space.
+
+    Attributes:
+        segmentation: What a trajectory is: one of the ``episodes``, or, for continuing tasks, a segment between two
+            ``peaks`` of reward (`continuing.RewardPeaks`).
+        peak_reward: The least reward of a peak; None takes any that is positive.
+        max_segment: Primitive steps without a peak that make an unsuccessful segment; more than random exploration
+            takes from peak to peak.
+        capacity: How many trajectories are kept: the last n.
+        min_positive: Positive bags needed before the first search: over a few bags, accidents tie with bottlenecks.
+        negative_bags: Whether unsuccessful trajectories become negative bags.
+        negative_strength: η in (0, 1]: how strongly an instance of a negative bag speaks against a concept near it.
+            Below 1 because an unsuccessful trajectory may well pass a bottleneck (the paper's §8).
+        leak: λ in [0, 1): the probability that a trajectory succeeds without the bottleneck, because there is another
+            way. Above 0, a trajectory of the other way costs a concept no more than log λ, and with λ = 0.2 what lies
+            on some 60 % of the successful trajectories still reaches a ``min_density`` of 0.5.
+        search: ``gradient`` ascent from many starts, ``exhaustive`` over the instances of positive bags, or
+            ``incremental``: ascent from the peaks of the last search and the best instances of the newest positive
+            bag, over bags that are packed once. With many or long trajectories it takes a small part of the time.
+        scale: Factor for every feature, 1/width of the Gaussians; None takes `default_scale`.
+        start_radius: The default static filter keeps subgoals farther than this from where a trajectory began.
+        goal_radius: The default static filter keeps subgoals farther than this from where a trajectory ended.
+        decay: λ of the running averages.
+        threshold: Share of the limit λ/(1−λ) that makes a concept persistent.
+        peak_radius: A peak belongs to the nearest known concept within this distance.
+        peak_tolerance: Peaks whose log diverse density is within this of the best one count as found, in nats.
+        min_density: Geometric mean over the positive bags of Pr(t | bag) that a peak must reach to count as found: a
+            bottleneck lies on nearly every successful trajectory. 0 lets every peak count.
+        max_places: If the best diverse density is shared by more separate places than this, they are accidents of few
+            or long trajectories, and none counts as found.
+        max_extent: A plateau of tied peaks that reaches farther than this from its middle is open space that all
+            trajectories happened to cross, no bottleneck: a search whose best peaks include one finds nothing.
+        subgoal_radius: The subgoal is everything within this distance of the persistent peak.
+        spacing: A new subgoal must be farther than this from those that have an option.
+    """
+
+    segmentation: Literal["episodes", "peaks"] = "episodes"
+    peak_reward: Annotated[float, Field(allow_inf_nan=False)] | None = None
+    max_segment: Annotated[int, Field(ge=1)] = 10_000
+    capacity: Annotated[int, Field(ge=1)] = 100
+    min_positive: Annotated[int, Field(ge=1)] = 8
+    negative_bags: bool = True
+    negative_strength: Annotated[float, Field(gt=0, le=1)] = 0.1
+    leak: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    search: Literal["gradient", "exhaustive", "incremental"] = "gradient"
+    scale: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    start_radius: Annotated[float, Field(ge=0)] = 2.0
+    goal_radius: Annotated[float, Field(ge=0)] = 5.0
+    decay: Annotated[float, Field(gt=0, lt=1)] = 0.9
+    threshold: Annotated[float, Field(ge=0, lt=1)] = 0.6
+    peak_radius: Annotated[float, Field(ge=0)] = 1.5
+    peak_tolerance: Annotated[float, Field(ge=0)] = 1e-3
+    min_density: Annotated[float, Field(ge=0, le=1)] = 0.5
+    max_places: Annotated[int, Field(ge=1)] = 2
+    max_extent: Annotated[float, Field(ge=0)] = math.inf
+    subgoal_radius: Annotated[float, Field(ge=0)] = 0.5
+    spacing: Annotated[float, Field(ge=0)] = 3.0
+
+    def reward_peaks(self) -> RewardPeaks | None:
+        """Where experience is cut; None where episodes end it."""
+        return RewardPeaks(self.peak_reward, self.max_segment) if self.segmentation == "peaks" else None
+
+
+CATEGORICAL_SCALE = 6.0
+"""One-hot codes of two states are then 6√2 = 8.5 units apart, farther than any default radius: equal or not."""
+
+UNITS_PER_RANGE = 20.0
+"""Features nobody scaled are taken to have this many distinguishable values along the range seen so far."""
+
+
+def default_scale(kind: str | None, features: FloatArray) -> FloatArray:
+    """The scale that makes one unit of concept space one step, as far as that can be known.
+
+    Args:
+        kind: Where φ comes from (`features.FeatureKind`). A user's φ and an environment's own are taken to be in
+            such units already.
+        features: All that was seen so far, shape (m, d).
+
+    Returns:
+        Factors, shape (d,): 1, or `CATEGORICAL_SCALE`, or `UNITS_PER_RANGE` over the range of each feature.
+    """
+    d = features.shape[1]
+    if kind == "categorical":
+        return np.full(d, CATEGORICAL_SCALE)
+    if kind == "identity":
+        extent = np.ptp(features, axis=0)
+        return UNITS_PER_RANGE / np.where(extent > 0, extent, UNITS_PER_RANGE)
+    return np.ones(d)

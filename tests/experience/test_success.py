@@ -1,0 +1,43 @@
+import pytest
+
+from sb3_options.experience.success import reported_success, success_by_return, success_by_steps
+from sb3_options.experience.trajectories import Trajectory
+from tests.support.helpers import trajectory_of
+
+
+def episode(rewards: list[float], *, terminated: bool = True, is_success: bool | None = None) -> Trajectory:
+    return trajectory_of(range(len(rewards) + 1), rewards=rewards, terminated=terminated, is_success=is_success)
+
+
+@pytest.mark.parametrize(
+    ("trajectory", "success"),
+    [
+        (episode([-1.0], is_success=True), True),
+        (episode([1.0], is_success=False), False),
+        (episode([0.0, 1.0]), True),
+        (episode([1.0, 0.0]), False),
+        (episode([0.0, -1.0]), False),
+        (episode([0.0, 1.0], terminated=False), False),
+        (episode([0.0, 1.0], terminated=False, is_success=True), True),
+        (episode([], terminated=False), False),
+        (episode([]), False),
+        (episode([1.0, 1.0]), False),
+    ],
+)
+def test_reported_success(trajectory: Trajectory, success: bool) -> None:
+    assert reported_success(trajectory) is success
+
+
+@pytest.mark.parametrize(("threshold", "success"), [(2.5, True), (2.51, False), (-1.0, True)])
+def test_success_by_return_is_not_discounted(threshold: float, success: bool) -> None:
+    assert success_by_return(threshold)(episode([1.0, 2.0, -0.5], is_success=False)) is success
+
+
+@pytest.mark.parametrize(("limit", "is_success", "success"), [(3, True, True), (2, True, False), (3, False, False)])
+def test_success_by_steps(limit: int, is_success: bool, success: bool) -> None:
+    assert success_by_steps(limit)(episode([0.0] * 3, is_success=is_success)) is success
+
+
+def test_success_by_steps_out_of_range() -> None:
+    with pytest.raises(ValueError, match=r"^limit must be at least 1 primitive step, got 0\.$"):
+        success_by_steps(0)
