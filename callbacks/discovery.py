@@ -48,7 +48,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     opened. In a continuing task, segments between peaks of reward take the place of episodes:
     ``DiscoverySettings(segmentation="peaks")``.
 
-    The callback also makes ``num_timesteps`` count primitive steps, installs the options in the environment of an
+    The callback also makes ``num_timesteps`` count primitive steps (`PrimitiveStepsCallback` says what still counts
+    decisions), installs the options in the environment of an
     ``EvalCallback`` beside it, and logs to TensorBoard. `bank` holds the options, `discoveries` says when and where
     each was found, `closed` which of them were closed again, and `episodes` is the number of episodes (or segments)
     that discovery has seen.
@@ -60,8 +61,11 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             it, a positive last reward above all earlier ones in a terminal state.
         static_filter: What may be a subgoal; by default not near the start and end of a trajectory.
         max_new_options: Most options to make, not counting closed ones; by default as many as there are slots.
-        max_option_exploration: Largest share of options among the exploratory choices of DQN, QRDQN and OptionDQN.
-            MaskablePPO: the share of the probability that an option opens with where primitives are equally likely.
+        max_option_exploration: Largest share of all options together among the exploratory choices of DQN, QRDQN and
+            OptionDQN.
+        opening_share: MaskablePPO: share of the probability that the first option opens with where primitives are
+            equally likely. The odds of the k-th against the primitives are 1/k of those. It is no cap on all options
+            together: three at 0.5 open with 0.65. By default ``max_option_exploration``.
         interruption: Whether options of DQN, QRDQN and OptionDQN end where going on is worth less than the best
             alternative (`execution.interruption`).
         trial: How options are tried, and closed where they prove harmful (`execution.trials`); by default they are not.
@@ -83,6 +87,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         static_filter: StaticFilter | None = None,
         max_new_options: int | None = None,
         max_option_exploration: float = 0.5,
+        opening_share: float | None = None,
         interruption: bool = True,
         trial: TrialSettings | Mapping[str, Any] | None = None,
         save_path: str | os.PathLike[str] | None = None,
@@ -102,6 +107,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         if self.trial is not None and self.settings.segmentation == "peaks":
             raise ValueError("A trial compares episodes, and a continuing task has none: pass trial=None with peaks.")
         self.max_option_exploration = checked_share(max_option_exploration)
+        self.opening_share = checked_share(max_option_exploration if opening_share is None else opening_share)
         self.save_path = save_path
         self.episodes = 0
         self.discoveries: list[DiscoveredOption] = []
@@ -130,6 +136,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             venv,
             self.locals.get("callback"),
             max_option_exploration=self.max_option_exploration,
+            opening_share=self.opening_share,
             interruption=self.interruption,
         )
         if self.discovery is None:

@@ -22,6 +22,9 @@ from sb3_options.learning.value_snapshot import Interrupter
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option, SubgoalOption
 
+MIN_ODDS = 1e-3
+"""Odds that any option opens with: a head of probability 0 would never be learned."""
+
 
 class OptionInstaller:
     """Keeps the options of all environments, the heads of the network and the replay buffer equal to its `bank`.
@@ -35,6 +38,7 @@ class OptionInstaller:
         venv: Its environment.
         callbacks: The tree that ``learn`` was given; environments of an ``EvalCallback`` in it get the options too.
         max_option_exploration: Largest share of options among exploratory choices.
+        opening_share: Of a first option under MaskablePPO; 1 lets it open like a primitive.
         interruption: Whether options end where going on is worth less than the best alternative (`Interruption`).
     """
 
@@ -45,6 +49,7 @@ class OptionInstaller:
         callbacks: BaseCallback | None,
         *,
         max_option_exploration: float = 1.0,
+        opening_share: float = 1.0,
         interruption: bool = False,
     ) -> None:
         self.model, self.venv = model, venv
@@ -59,7 +64,7 @@ class OptionInstaller:
         self.has_rollouts = hasattr(model, "rollout_buffer")
         masks = "action_masks" in inspect.signature(model.policy.forward).parameters
         self.waits_for_rollout = self.has_rollouts and not masks
-        self.max_option_exploration = max_option_exploration
+        self.opening_share = opening_share
         self._pending: dict[int, Option] = {}
         self._new: list[int] = []
         self._closing: set[int] = set()
@@ -167,10 +172,10 @@ class OptionInstaller:
 
     def _odds(self) -> float | None:
         """Odds of a new option against all primitives, for policies that sample and mask; None for the others."""
-        if not self.has_rollouts or self.waits_for_rollout or self.max_option_exploration == 1.0:
+        share = self.opening_share
+        if not self.has_rollouts or self.waits_for_rollout or share == 1.0:
             return None
-        share = self.max_option_exploration
-        return max(share / (1.0 - share) / len(self.bank), 1e-3)
+        return max(share / (1.0 - share) / len(self.bank), MIN_ODDS)
 
     def _uninstall_closed(self) -> None:
         for slot in self._closing:

@@ -68,7 +68,7 @@ def checked_share(share: float) -> float:
         ValueError: It is not in [0, 1].
     """
     if not 0.0 <= share <= 1.0:
-        raise ValueError(f"max_option_exploration must be a share in [0, 1], got {share}.")
+        raise ValueError(f"max_option_exploration and opening_share must be shares in [0, 1], got {share}.")
     return float(share)
 
 

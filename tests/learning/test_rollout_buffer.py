@@ -19,7 +19,7 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from sb3_options import Option, OptionDictRolloutBuffer, OptionRolloutBuffer, OptionsWrapper
-from sb3_options.callbacks import PrimitiveStepsCallback
+from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.experience.observations import batch_size
 from sb3_options.experience.option_run import OptionRun
@@ -329,13 +329,28 @@ def test_an_option_opens_with_its_share_of_the_probability_where_masks_keep_it_i
     with torch.no_grad():
         model.policy.action_net.weight.zero_()
         model.policy.action_net.bias.zero_()
-    OptionInstaller(model, env_of(model), None, max_option_exploration=share)
+    OptionInstaller(model, env_of(model), None, opening_share=share)
     observation = torch.zeros((1, 2))
     masks = np.array([[True, True, *[True] * n_present, *[False] * (3 - n_present)]])
     probabilities = model.policy.get_distribution(observation, action_masks=masks).distribution.probs[0].detach()
     last = share / (1.0 - share) / n_present  # odds of the option that came last against the primitives together
     assert float(probabilities[1 + n_present] / probabilities[:2].sum()) == pytest.approx(last, rel=1e-5)
     assert float(probabilities[0]) == pytest.approx(float(probabilities[1]))
+
+
+def test_the_opening_shares_of_several_options_add_up_as_documented() -> None:
+    env = OptionsWrapper(Corridor(), 3, gamma=GAMMA)
+    for _ in range(3):
+        env.bank.add(steady_option(1))
+    model: Any = make(MaskablePPO, env)
+    with torch.no_grad():
+        model.policy.action_net.weight.zero_()
+        model.policy.action_net.bias.zero_()
+    callback = SubgoalDiscoveryCallback(max_new_options=0, opening_share=0.5, max_option_exploration=0.1)
+    callback.init_callback(model)
+    callback.on_training_start({}, {})
+    probabilities = model.policy.get_distribution(torch.zeros((1, 2))).distribution.probs[0].detach()
+    assert float(probabilities[2:].sum()) == pytest.approx(11 / 17, rel=1e-5)  # odds of 1 + 1/2 + 1/3
 
 
 def test_an_untrained_model_opens_the_heads_of_options_that_are_there_a_trained_one_keeps_them() -> None:
