@@ -104,7 +104,7 @@ def check_normalized_rewards(model: BaseAlgorithm) -> None:
     if hasattr(model, "replay_buffer") and normalizer.norm_reward and np.isfinite(normalizer.clip_reward):
         raise ValueError(
             f"VecNormalize clips the reward of a whole option at {normalizer.clip_reward}, and with it γ: how long the "
-            "option took would no longer show. Pass VecNormalize(..., clip_reward=np.inf), which only divides, or "
+            "option took would no longer show. Set its clip_reward to np.inf, so that it only divides, or pass "
             "norm_reward=False."
         )
 

@@ -8,12 +8,12 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 import torch
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Figure, TensorBoardOutputFormat
 
 from sb3_options.callbacks.checks import check_model
+from sb3_options.callbacks.counting import monitor_primitive_steps
 from sb3_options.callbacks.installer import OptionInstaller
-from sb3_options.callbacks.primitive_steps import count_inner_steps, monitor_primitive_steps
+from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
 from sb3_options.callbacks.records import ClosedOption, DiscoveredOption, OptionStatistics
 from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.density.regions import Region
@@ -23,11 +23,9 @@ from sb3_options.discovery.static_filter import StaticFilter
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.execution.exploration import checked_share
 from sb3_options.execution.trials import TrialReport, TrialSettings, Verdict
-from sb3_options.execution.workers import watch_workers
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.success import SuccessRule, reported_success
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
-from sb3_options.learning.rollout_buffer import SMDPAdvantages, option_rollout_buffer
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.creation import OptionGrowth, learn_further, learn_option
 from sb3_options.options.option import SubgoalOption
@@ -41,7 +39,7 @@ SEGMENTS_PER_LOG = 4
 """Segments between two dumps of the log; SB3's default is as many episodes."""
 
 
-class SubgoalDiscoveryCallback(BaseCallback):
+class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     """Discovers options while a model trains (McGovern & Barto 2001, Table 1).
 
     Each episode's trajectory becomes a positive or negative bag, and diverse density is searched. A concept that
@@ -116,7 +114,6 @@ class SubgoalDiscoveryCallback(BaseCallback):
         self._statistics = OptionStatistics()
         self._growth = OptionGrowth()
         self._installer: OptionInstaller | None = None
-        self._rollout_buffer: SMDPAdvantages | None = None
 
     @property
     def bank(self) -> OptionBank:
@@ -125,9 +122,8 @@ class SubgoalDiscoveryCallback(BaseCallback):
 
     def _on_training_start(self) -> None:
         venv = self.training_env
-        watch_workers(venv)
         check_model(self.model, venv)
-        self._rollout_buffer = option_rollout_buffer(self.model)
+        self._start_counting()
         monitor_primitive_steps(venv)
         self._installer = OptionInstaller(
             self.model,
@@ -168,10 +164,8 @@ class SubgoalDiscoveryCallback(BaseCallback):
 
     def _on_step(self) -> bool:
         infos: list[dict[str, Any]] = self.locals["infos"]
-        runs = [OptionRun.from_info(info) for info in infos]
-        count_inner_steps(self, runs)
-        if self._rollout_buffer is not None:
-            self._rollout_buffer.expect(self.locals["rewards"], runs, self.model.get_vec_normalize_env())
+        runs = list(map(OptionRun.from_info, infos))
+        goes_on = self._count(runs)
         for info, run in zip(infos, runs, strict=True):
             if run.index >= 0:
                 self._statistics.add(run)
@@ -182,7 +176,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
                 # An algorithm without rollouts dumps its log when episodes end, and there may be no end.
                 if self.episodes % SEGMENTS_PER_LOG == 0 and self._rollout_buffer is None:
                     self.logger.dump(self.num_timesteps)
-        return True
+        return goes_on
 
     def _episode_ended(self, trajectory: Trajectory, report: TrialReport | None) -> None:
         self.episodes += 1
@@ -300,6 +294,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
             )
 
     def _on_training_end(self) -> None:
+        super()._on_training_end()
         self._options.on_training_end()
         if self._trials is not None:
             self._trials.end()

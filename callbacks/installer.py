@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import logging
 
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -11,8 +10,8 @@ from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_options.callbacks.checks import check_same_slots
+from sb3_options.callbacks.counting import all_callbacks, monitor_primitive_steps
 from sb3_options.callbacks.intra_option import IntraOptionUpdater
-from sb3_options.callbacks.primitive_steps import all_callbacks, monitor_primitive_steps
 from sb3_options.execution.exploration import cap_option_exploration
 from sb3_options.execution.vec_env import as_wrapper_sees
 from sb3_options.execution.workers import watch_workers
@@ -26,8 +25,6 @@ from sb3_options.options.option import Option, SubgoalOption
 
 AVAILABILITY_CHUNK = 4096
 """Stored observations are sent to the environment in batches of this many when an option is installed."""
-
-logger = logging.getLogger("sb3_options")
 
 
 class OptionInstaller:
@@ -82,13 +79,14 @@ class OptionInstaller:
             self.interrupter = Interrupter(model, venv, self.eval_envs)
         else:
             self._call_environments("set_interruption", None)  # an earlier training may have left its own
+        untrained = self.has_heads and heads.is_untrained(model, self.n_primitive)
         for slot, option in enumerate(present.slots):
             if option is not None:
-                if self.has_heads and getattr(model, "_n_updates", 1) == 0:
+                if untrained:
                     heads.close_head(model.policy, self.n_primitive + slot)  # random weights; it is opened below
                 self._install_now(slot, option)
             elif self.has_heads:
-                self._close_empty(slot)
+                heads.close_empty(model, slot, self.n_primitive)
 
     def features_of(self, observations: Observations) -> FloatArray:
         """φ of a batch of observations, (batch, d); φ may exist in a worker process only."""
@@ -177,18 +175,6 @@ class OptionInstaller:
         share = self.max_option_exploration
         return max(share / (1.0 - share) / len(self.bank), 1e-3)
 
-    def _close_empty(self, slot: int) -> None:
-        """Close the head of a slot that is empty when training starts."""
-        action = self.n_primitive + slot
-        if getattr(self.model, "_n_updates", 0) > 0 and not heads.is_closed(self.model.policy, action):
-            logger.warning(
-                "Slot %d is empty, and the model has learned what an option there is worth: that is forgotten now. If "
-                "the options of an earlier training were meant to be there, load them first: OptionsWrapper(env, "
-                "options_file=...) or env.bank.load(...).",
-                slot,
-            )
-        heads.close_head(self.model.policy, action)
-
     def _uninstall_closed(self) -> None:
         for slot in self._closing:
             action = self.n_primitive + slot
@@ -199,6 +185,8 @@ class OptionInstaller:
             if self.has_heads:
                 heads.close_head(self.model.policy, action)
                 heads.forget_moments(self.model.policy, action)
+            elif isinstance(self.model, MacroQ):
+                self.model.forget_action(action)
             if self.buffer is not None:
                 self.buffer.forget_action(action)
                 self.buffer.set_next_available(slot, False)

@@ -16,7 +16,7 @@ MAX_WORDS = 120
 TO_SHORTEN: set[str] = set()
 """Files that are still too long. A file that is not leaves this set."""
 
-TO_REWRITE = {"docs/deep.md", "docs/diverse-density.md", "docs/how-it-works.md"}
+TO_REWRITE = {"docs/studies/deep.md", "docs/concepts/density.md", "docs/how-it-works.md"}
 """Documents with paragraphs that are still too long. A document that has none leaves this set."""
 
 

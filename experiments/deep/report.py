@@ -1,4 +1,4 @@
-"""``python -m experiments.deep.report docs/results/deep-*.json --document docs/deep.md``: numbers into their document.
+"""``python -m experiments.deep.report docs/results/deep-same-ppo.json …``: puts the numbers of a study in place.
 
 No number is copied by hand.
 """
@@ -41,7 +41,7 @@ class Report:
     """
 
     results: tyro.conf.Positional[tuple[Path, ...]]
-    document: Path = Path("docs/deep.md")
+    document: Path = Path("docs/studies/deep.md")
 
 
 def main(report: Report) -> None:

@@ -1,4 +1,4 @@
-"""``python -m experiments.paper.report results.json docs/paper.md``: puts the numbers of a study into its document.
+"""``python -m experiments.paper.report results.json docs/studies/paper.md``: puts the numbers of a study in place.
 
 No number is copied by hand.
 """
@@ -116,8 +116,8 @@ def claims_table(claims: dict[str, dict[str, Any]]) -> str:
             claim = claims[name]
             agrees = "yes" if claim["reached"] else "**no**"
             rows.append(
-                f"| {section} | {words} | [{figure}](images/paper/{figure}.png), `{name}` | {number(claim, 'value')} | "
-                f"{claim['bar']} | {agrees} |"
+                f"| {section} | {words} | [{figure}](../images/paper/{figure}.png), `{name}` | "
+                f"{number(claim, 'value')} | {claim['bar']} | {agrees} |"
             )
     return "\n".join(rows)
 

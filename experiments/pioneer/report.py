@@ -1,4 +1,4 @@
-"""``python -m experiments.pioneer.report STUDY.json BENCHMARK.json docs/pioneer.md``: numbers into their document.
+"""``python -m experiments.pioneer.report STUDY.json BENCHMARK.json docs/studies/pioneer.md``: fills in the numbers.
 
 No number is copied by hand.
 """

@@ -76,7 +76,7 @@ class OptionReplayBuffer(ReplayBuffer):
         handle_timeout_termination: Bootstrap after a timeout instead of taking it for an end.
         macro_q: Whether the steps inside options are stored.
         intra_option: Whether options are updated from primitive steps they are consistent with. Off by default: on
-            the two seeds measured it saved no time (docs/deep.md).
+            the two seeds measured it saved no time (docs/studies/deep.md).
 
     Raises:
         ValueError: ``optimize_memory_usage`` is set.

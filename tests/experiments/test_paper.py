@@ -75,7 +75,7 @@ def test_all_figures_with_their_numbers_and_again_from_what_was_kept(tmp_path: P
         assert all(set(ratio) == RATIO for ratio in results["figures"][figure]["ratios"].values())
 
     document = tmp_path / "paper.md"
-    shutil.copy(Path(__file__).parents[2] / "docs" / "paper.md", document)
+    shutil.copy(Path(__file__).parents[2] / "docs" / "studies" / "paper.md", document)
     fill_in(Report(tmp_path / "results.json", document))
     filled = document.read_text()
     assert "| `decay` | 0.8 | no |" in filled

@@ -69,7 +69,7 @@ def test_all_figures_with_their_numbers_and_again_from_what_was_kept(
             assert set(figures[figure][condition]["evaluation"]) == {"success_rate", "steps", "touches"}
 
     document = tmp_path / "pioneer.md"
-    shutil.copy(Path(__file__).parents[2] / "docs" / "pioneer.md", document)
+    shutil.copy(Path(__file__).parents[2] / "docs" / "studies" / "pioneer.md", document)
     benchmark = Path(__file__).parents[2] / "docs" / "results" / "pioneer_benchmark.json"
     fill_in(Report(tmp_path / "results.json", benchmark, document))
     filled = document.read_text()

@@ -25,7 +25,7 @@ def test_every_file_that_readme_names_is_there() -> None:
 
 @pytest.mark.parametrize(
     "document",
-    ["README.md", "docs/how-it-works.md", "docs/diverse-density.md", "docs/results.md", "CONTRIBUTING.md"],
+    ["README.md", "docs/how-it-works.md", "docs/concepts/density.md", "docs/studies/discovery.md", "CONTRIBUTING.md"],
 )
 def test_every_module_that_documents_run_is_there(document: str) -> None:
     text = (ROOT / document).read_text(encoding="utf-8")
@@ -43,7 +43,7 @@ def test_make_targets_of_readme_are_there() -> None:
 
 
 def test_examples_of_diverse_density_run() -> None:
-    text = (ROOT / "docs/diverse-density.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/concepts/density.md").read_text(encoding="utf-8")
     examples = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
     assert len(examples) == 2
     for code in examples:
