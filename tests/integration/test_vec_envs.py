@@ -47,7 +47,7 @@ from tests.support.sb3_helpers import (
 
 SLOT_0 = 4
 PPO_TINY: dict[str, Any] = {
-    "policy_kwargs": {"net_arch": [16]}, "n_steps": 64, "batch_size": 64, "n_epochs": 2, "ent_coef": 0.05, "seed": 0,
+    "policy_kwargs": {"net_arch": [16]}, "n_steps": 64, "batch_size": 64, "n_epochs": 1, "ent_coef": 0.05, "seed": 0,
 }  # fmt: skip
 
 

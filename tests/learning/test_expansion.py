@@ -359,7 +359,9 @@ def test_dqn_discovers_after_it_was_expanded() -> None:
     assert model.num_timesteps >= 5000
 
 
-@pytest.mark.parametrize("name", ["ppo", "a2c", "trpo", "maskableppo", "recurrentppo"])
+@pytest.mark.parametrize(
+    "name", ["ppo", "a2c", "trpo", "maskableppo", pytest.param("recurrentppo", marks=pytest.mark.slow)]
+)
 def test_on_policy_algorithms_discover_after_they_were_expanded(name: str) -> None:
     kwargs: dict[str, Any] = {} if name in ("a2c", "trpo") else {"n_epochs": 1}
     if name in ("ppo", "a2c"):
