@@ -18,7 +18,7 @@ from stable_baselines3.common.vec_env import (
 
 from sb3_options.execution.wrappers_above import ChangesSteps
 from sb3_options.learning import heads
-from sb3_options.learning.checks import check_gamma, check_wrapped
+from sb3_options.learning.checks import check_gamma, check_one_step, check_wrapped
 from sb3_options.learning.macro_q import MacroQ
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 
@@ -104,7 +104,7 @@ def check_normalized_rewards(model: BaseAlgorithm) -> None:
     if hasattr(model, "replay_buffer") and normalizer.norm_reward and np.isfinite(normalizer.clip_reward):
         raise ValueError(
             f"VecNormalize clips the reward of a whole option at {normalizer.clip_reward}, and with it γ: how long the "
-            "option took would no longer show. Pass VecNormalize(..., clip_reward=np.inf), which only divides, or "
+            "option took would no longer show. Set its clip_reward to np.inf, so that it only divides, or pass "
             "norm_reward=False."
         )
 
@@ -126,10 +126,10 @@ def _check_deep(model: BaseAlgorithm, venv: VecEnv) -> None:
 
 
 def check_replay_buffer(model: BaseAlgorithm) -> None:
-    """Refuse a replay buffer that discounts every transition with γ.
+    """Refuse a replay buffer that discounts every transition with γ, and n-step returns.
 
     Raises:
-        ValueError: The model has one.
+        ValueError: The model has one or the other.
     """
     buffer = getattr(model, "replay_buffer", None)
     if buffer is not None and not isinstance(buffer, OptionReplayBuffer):
@@ -137,6 +137,8 @@ def check_replay_buffer(model: BaseAlgorithm) -> None:
             f"{type(model).__name__} was built with {type(buffer).__name__}, which discounts an option of k steps "
             f"with γ instead of γᵏ: pass {type(model).__name__}(..., replay_buffer_class=OptionReplayBuffer)."
         )
+    if buffer is not None:
+        check_one_step(model.n_steps)  # type: ignore[attr-defined]  # every algorithm with a replay buffer has it
 
 
 def _check_stacked_frames(model: BaseAlgorithm, buffer: OptionReplayBuffer, venv: VecEnv) -> None:

@@ -8,12 +8,12 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 import torch
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Figure, TensorBoardOutputFormat
 
 from sb3_options.callbacks.checks import check_model
+from sb3_options.callbacks.counting import monitor_primitive_steps
 from sb3_options.callbacks.installer import OptionInstaller
-from sb3_options.callbacks.primitive_steps import count_inner_steps, monitor_primitive_steps
+from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
 from sb3_options.callbacks.records import ClosedOption, DiscoveredOption, OptionStatistics
 from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.density.regions import Region
@@ -23,11 +23,9 @@ from sb3_options.discovery.static_filter import StaticFilter
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.execution.exploration import checked_share
 from sb3_options.execution.trials import TrialReport, TrialSettings, Verdict
-from sb3_options.execution.workers import watch_workers
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.success import SuccessRule, reported_success
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
-from sb3_options.learning.rollout_buffer import SMDPAdvantages, option_rollout_buffer
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.creation import OptionGrowth, learn_further, learn_option
 from sb3_options.options.option import SubgoalOption
@@ -41,7 +39,7 @@ SEGMENTS_PER_LOG = 4
 """Segments between two dumps of the log; SB3's default is as many episodes."""
 
 
-class SubgoalDiscoveryCallback(BaseCallback):
+class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     """Discovers options while a model trains (McGovern & Barto 2001, Table 1).
 
     Each episode's trajectory becomes a positive or negative bag, and diverse density is searched. A concept that
@@ -50,7 +48,8 @@ class SubgoalDiscoveryCallback(BaseCallback):
     opened. In a continuing task, segments between peaks of reward take the place of episodes:
     ``DiscoverySettings(segmentation="peaks")``.
 
-    The callback also makes ``num_timesteps`` count primitive steps, installs the options in the environment of an
+    The callback also makes ``num_timesteps`` count primitive steps (`PrimitiveStepsCallback` says what still counts
+    decisions), installs the options in the environment of an
     ``EvalCallback`` beside it, and logs to TensorBoard. `bank` holds the options, `discoveries` says when and where
     each was found, `closed` which of them were closed again, and `episodes` is the number of episodes (or segments)
     that discovery has seen.
@@ -62,8 +61,11 @@ class SubgoalDiscoveryCallback(BaseCallback):
             it, a positive last reward above all earlier ones in a terminal state.
         static_filter: What may be a subgoal; by default not near the start and end of a trajectory.
         max_new_options: Most options to make, not counting closed ones; by default as many as there are slots.
-        max_option_exploration: Largest share of options among the exploratory choices of DQN, QRDQN and OptionDQN.
-            MaskablePPO: the share of the probability that an option opens with where primitives are equally likely.
+        max_option_exploration: Largest share of all options together among the exploratory choices of DQN, QRDQN and
+            OptionDQN.
+        opening_share: MaskablePPO: share of the probability that the first option opens with where primitives are
+            equally likely. The odds of the k-th against the primitives are 1/k of those. It is no cap on all options
+            together: three at 0.5 open with 0.65. By default ``max_option_exploration``.
         interruption: Whether options of DQN, QRDQN and OptionDQN end where going on is worth less than the best
             alternative (`execution.interruption`).
         trial: How options are tried, and closed where they prove harmful (`execution.trials`); by default they are not.
@@ -85,6 +87,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
         static_filter: StaticFilter | None = None,
         max_new_options: int | None = None,
         max_option_exploration: float = 0.5,
+        opening_share: float | None = None,
         interruption: bool = True,
         trial: TrialSettings | Mapping[str, Any] | None = None,
         save_path: str | os.PathLike[str] | None = None,
@@ -104,6 +107,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
         if self.trial is not None and self.settings.segmentation == "peaks":
             raise ValueError("A trial compares episodes, and a continuing task has none: pass trial=None with peaks.")
         self.max_option_exploration = checked_share(max_option_exploration)
+        self.opening_share = checked_share(max_option_exploration if opening_share is None else opening_share)
         self.save_path = save_path
         self.episodes = 0
         self.discoveries: list[DiscoveredOption] = []
@@ -116,7 +120,6 @@ class SubgoalDiscoveryCallback(BaseCallback):
         self._statistics = OptionStatistics()
         self._growth = OptionGrowth()
         self._installer: OptionInstaller | None = None
-        self._rollout_buffer: SMDPAdvantages | None = None
 
     @property
     def bank(self) -> OptionBank:
@@ -125,15 +128,15 @@ class SubgoalDiscoveryCallback(BaseCallback):
 
     def _on_training_start(self) -> None:
         venv = self.training_env
-        watch_workers(venv)
         check_model(self.model, venv)
-        self._rollout_buffer = option_rollout_buffer(self.model)
+        self._start_counting()
         monitor_primitive_steps(venv)
         self._installer = OptionInstaller(
             self.model,
             venv,
             self.locals.get("callback"),
             max_option_exploration=self.max_option_exploration,
+            opening_share=self.opening_share,
             interruption=self.interruption,
         )
         if self.discovery is None:
@@ -168,10 +171,8 @@ class SubgoalDiscoveryCallback(BaseCallback):
 
     def _on_step(self) -> bool:
         infos: list[dict[str, Any]] = self.locals["infos"]
-        runs = [OptionRun.from_info(info) for info in infos]
-        count_inner_steps(self, runs)
-        if self._rollout_buffer is not None:
-            self._rollout_buffer.expect(self.locals["rewards"], runs, self.model.get_vec_normalize_env())
+        runs = list(map(OptionRun.from_info, infos))
+        goes_on = self._count(runs)
         for info, run in zip(infos, runs, strict=True):
             if run.index >= 0:
                 self._statistics.add(run)
@@ -182,7 +183,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
                 # An algorithm without rollouts dumps its log when episodes end, and there may be no end.
                 if self.episodes % SEGMENTS_PER_LOG == 0 and self._rollout_buffer is None:
                     self.logger.dump(self.num_timesteps)
-        return True
+        return goes_on
 
     def _episode_ended(self, trajectory: Trajectory, report: TrialReport | None) -> None:
         self.episodes += 1
@@ -300,6 +301,7 @@ class SubgoalDiscoveryCallback(BaseCallback):
             )
 
     def _on_training_end(self) -> None:
+        super()._on_training_end()
         self._options.on_training_end()
         if self._trials is not None:
             self._trials.end()

@@ -3,31 +3,27 @@
 from __future__ import annotations
 
 import inspect
-import logging
 
-import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_options.callbacks.checks import check_same_slots
+from sb3_options.callbacks.counting import all_callbacks, monitor_primitive_steps
 from sb3_options.callbacks.intra_option import IntraOptionUpdater
-from sb3_options.callbacks.primitive_steps import all_callbacks, monitor_primitive_steps
 from sb3_options.execution.exploration import cap_option_exploration
-from sb3_options.execution.vec_env import as_wrapper_sees
 from sb3_options.execution.workers import watch_workers
-from sb3_options.experience.observations import BoolArray, FloatArray, Observations, take
+from sb3_options.experience.observations import FloatArray, Observations
 from sb3_options.learning import heads
 from sb3_options.learning.macro_q import MacroQ
+from sb3_options.learning.masked import stored_availability
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.learning.value_snapshot import Interrupter
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option, SubgoalOption
 
-AVAILABILITY_CHUNK = 4096
-"""Stored observations are sent to the environment in batches of this many when an option is installed."""
-
-logger = logging.getLogger("sb3_options")
+MIN_ODDS = 1e-3
+"""Odds that any option opens with: a head of probability 0 would never be learned."""
 
 
 class OptionInstaller:
@@ -42,6 +38,7 @@ class OptionInstaller:
         venv: Its environment.
         callbacks: The tree that ``learn`` was given; environments of an ``EvalCallback`` in it get the options too.
         max_option_exploration: Largest share of options among exploratory choices.
+        opening_share: Of a first option under MaskablePPO; 1 lets it open like a primitive.
         interruption: Whether options end where going on is worth less than the best alternative (`Interruption`).
     """
 
@@ -52,6 +49,7 @@ class OptionInstaller:
         callbacks: BaseCallback | None,
         *,
         max_option_exploration: float = 1.0,
+        opening_share: float = 1.0,
         interruption: bool = False,
     ) -> None:
         self.model, self.venv = model, venv
@@ -66,7 +64,7 @@ class OptionInstaller:
         self.has_rollouts = hasattr(model, "rollout_buffer")
         masks = "action_masks" in inspect.signature(model.policy.forward).parameters
         self.waits_for_rollout = self.has_rollouts and not masks
-        self.max_option_exploration = max_option_exploration
+        self.opening_share = opening_share
         self._pending: dict[int, Option] = {}
         self._new: list[int] = []
         self._closing: set[int] = set()
@@ -82,13 +80,14 @@ class OptionInstaller:
             self.interrupter = Interrupter(model, venv, self.eval_envs)
         else:
             self._call_environments("set_interruption", None)  # an earlier training may have left its own
+        untrained = self.has_heads and heads.is_untrained(model, self.n_primitive)
         for slot, option in enumerate(present.slots):
             if option is not None:
-                if self.has_heads and getattr(model, "_n_updates", 1) == 0:
+                if untrained:
                     heads.close_head(model.policy, self.n_primitive + slot)  # random weights; it is opened below
                 self._install_now(slot, option)
             elif self.has_heads:
-                self._close_empty(slot)
+                heads.close_empty(model, slot, self.n_primitive)
 
     def features_of(self, observations: Observations) -> FloatArray:
         """φ of a batch of observations, (batch, d); φ may exist in a worker process only."""
@@ -143,9 +142,10 @@ class OptionInstaller:
         if not self.has_rollouts:
             self._uninstall_closed()
         # Only now is the step stored at whose end an option was made, and no gradient step was taken in between.
-        if self.buffer is not None and self.buffer.tracks_availability:
+        if self._new and self.buffer is not None and self.buffer.tracks_availability and self.buffer.size():
+            available = stored_availability(self.buffer, self.venv)
             for slot in self._new:
-                self.buffer.set_next_available(slot, self._availability(self.buffer, self.n_primitive + slot))
+                self.buffer.set_next_available(slot, available[:, self.n_primitive + slot])
         if self.updater is not None:
             for slot in self._new:
                 self.updater.compare_all(slot)
@@ -172,22 +172,10 @@ class OptionInstaller:
 
     def _odds(self) -> float | None:
         """Odds of a new option against all primitives, for policies that sample and mask; None for the others."""
-        if not self.has_rollouts or self.waits_for_rollout or self.max_option_exploration == 1.0:
+        share = self.opening_share
+        if not self.has_rollouts or self.waits_for_rollout or share == 1.0:
             return None
-        share = self.max_option_exploration
-        return max(share / (1.0 - share) / len(self.bank), 1e-3)
-
-    def _close_empty(self, slot: int) -> None:
-        """Close the head of a slot that is empty when training starts."""
-        action = self.n_primitive + slot
-        if getattr(self.model, "_n_updates", 0) > 0 and not heads.is_closed(self.model.policy, action):
-            logger.warning(
-                "Slot %d is empty, and the model has learned what an option there is worth: that is forgotten now. If "
-                "the options of an earlier training were meant to be there, load them first: OptionsWrapper(env, "
-                "options_file=...) or env.bank.load(...).",
-                slot,
-            )
-        heads.close_head(self.model.policy, action)
+        return max(share / (1.0 - share) / len(self.bank), MIN_ODDS)
 
     def _uninstall_closed(self) -> None:
         for slot in self._closing:
@@ -199,6 +187,8 @@ class OptionInstaller:
             if self.has_heads:
                 heads.close_head(self.model.policy, action)
                 heads.forget_moments(self.model.policy, action)
+            elif isinstance(self.model, MacroQ):
+                self.model.forget_action(action)
             if self.buffer is not None:
                 self.buffer.forget_action(action)
                 self.buffer.set_next_available(slot, False)
@@ -218,15 +208,6 @@ class OptionInstaller:
     def _call_environments(self, method: str, *args: object) -> None:
         for venv in [self.venv, *self.eval_envs]:
             venv.env_method(method, *args)
-
-    def _availability(self, buffer: OptionReplayBuffer, action: int) -> BoolArray:
-        """Whether ``action`` may start in each stored next observation, (size,)."""
-        available = [np.zeros(0, dtype=bool)]
-        stored = buffer.next_observations_stored()
-        for start in range(0, buffer.size(), AVAILABILITY_CHUNK):
-            chunk = as_wrapper_sees(self.venv, take(stored, slice(start, start + AVAILABILITY_CHUNK)))
-            available.append(self.venv.env_method("available", chunk, indices=[0])[0][:, action])
-        return np.concatenate(available)
 
 
 def _same_initiation(one: Option | None, other: Option) -> bool:

@@ -1,30 +1,29 @@
-"""Counting in primitive steps, whatever the algorithm chooses among."""
+"""`PrimitiveStepsCallback`: counting in primitive steps, whatever the algorithm chooses among."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+import math
 
-from stable_baselines3.common.callbacks import (
-    BaseCallback,
-    CallbackList,
-    ConvertCallback,
-    EventCallback,
-    ProgressBarCallback,
-)
-from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, is_vecenv_wrapped
+from stable_baselines3.common.callbacks import BaseCallback
 
 from sb3_options.callbacks.checks import (
     check_normalized_rewards,
     check_nothing_above_changes_steps,
     check_replay_buffer,
 )
+from sb3_options.callbacks.counting import (
+    all_callbacks,
+    clip_schedules,
+    count_inner_steps,
+    monitor_primitive_steps,
+)
 from sb3_options.execution.workers import watch_workers
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning import heads
 from sb3_options.learning.checks import check_gamma, check_wrapped
+from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.learning.rollout_buffer import option_rollout_buffer
 from sb3_options.options.bank import OptionBank
 
@@ -40,14 +39,18 @@ class PrimitiveStepsCallback(BaseCallback):
     (it leaves ``info["option"] = {"index": -1, "duration": k, "discount": gamma**k}``). `SubgoalDiscoveryCallback` does
     the same, so that it is not needed beside it.
 
+    ``train_freq``, ``target_update_interval``, ``n_steps`` and ``eval_freq`` of an ``EvalCallback`` still count
+    decisions. A rollout of ``n_steps`` decisions may be many more primitive steps. Hence on-policy training ends in the
+    middle of a rollout when the budget is used up (SB3's last rollout is counted in full, as if every action were
+    one step); that rollout is not learned from. No schedule sees a progress below 0.
+
     Raises:
         ValueError: When training starts: the environment reports no durations, or buffer or discount do not fit.
     """
 
     def _on_training_start(self) -> None:
-        self._rollout_buffer = option_rollout_buffer(self.model)
         check_replay_buffer(self.model)
-        watch_workers(self.training_env)
+        self._start_counting()
         if not any(self.training_env.env_is_wrapped(OptionsWrapper)):
             return  # a custom SMDP environment; its infos are checked in _on_step
         check_wrapped(self.training_env, "The model's environment")
@@ -58,62 +61,54 @@ class PrimitiveStepsCallback(BaseCallback):
         if heads.has_heads(self.model.policy):
             bank: OptionBank = self.training_env.get_attr("bank", [0])[0]
             for slot, option in enumerate(bank.slots):
+                action = bank.n_primitive + slot
                 if option is None:
-                    heads.close_head(self.model.policy, bank.n_primitive + slot)
+                    heads.close_empty(self.model, slot, bank.n_primitive)
+                elif heads.is_closed(self.model.policy, action):
+                    heads.open_head(self.model.policy, action, bank.n_primitive)
+
+    def _start_counting(self) -> None:
+        watch_workers(self.training_env)
+        if any(self.training_env.env_is_wrapped(OptionsWrapper)):
+            self.training_env.env_method("end_trials")  # an exception may have ended an earlier training
+        buffer = getattr(self.model, "replay_buffer", None)
+        if isinstance(buffer, OptionReplayBuffer):
+            buffer.heads_are_closed = True
+        self._rollout_buffer = option_rollout_buffer(self.model)
+        counting = (c for c in all_callbacks(self.locals.get("callback")) if isinstance(c, PrimitiveStepsCallback))
+        self._counts = next(counting, self) is self  # the first of several
+        self._stock_schedules = clip_schedules(self.model)
+        self._updates_before = self._n_updates()
+        self._budget = math.inf
+        if self._rollout_buffer is not None:
+            rollout = self._rollout_buffer.buffer_size * self._rollout_buffer.n_envs
+            done, total = self.model.num_timesteps, self.model._total_timesteps
+            self._budget = done + math.ceil((total - done) / rollout) * rollout
 
     def _on_step(self) -> bool:
-        runs = [OptionRun.from_info(info) for info in self.locals["infos"]]
-        if self._rollout_buffer is not None:
-            self._rollout_buffer.expect(self.locals["rewards"], runs, self.model.get_vec_normalize_env())
-        count_inner_steps(self, runs)
-        return True
+        return self._count(list(map(OptionRun.from_info, self.locals["infos"])))
 
+    def _count(self, runs: list[OptionRun]) -> bool:
+        """Count what one step of every environment ran; whether training goes on."""
+        if self._counts:
+            count_inner_steps(self, runs)
+        buffer = self._rollout_buffer
+        if buffer is None:
+            return True
+        buffer.expect(self.locals["rewards"], runs, self.model.get_vec_normalize_env())
+        # A rollout that is complete with this step is still to be learned from.
+        return self.model.num_timesteps < self._budget or buffer.pos + 1 == buffer.buffer_size
 
-def count_inner_steps(callback: BaseCallback, runs: Sequence[OptionRun]) -> None:
-    """Add the primitive steps that SB3 did not count in one call of ``step`` to the model's ``num_timesteps``."""
-    extra = sum(run.duration for run in runs) - len(runs)
-    if extra == 0:
-        return
-    callback.model.num_timesteps += extra
-    callback.num_timesteps = callback.model.num_timesteps
-    for sibling in all_callbacks(callback.locals.get("callback")):
-        if isinstance(sibling, ProgressBarCallback):
-            sibling.pbar.update(extra)
+    def _on_training_end(self) -> None:
+        for name, schedule in self._stock_schedules.items():
+            setattr(self.model, name, schedule)
+        buffer = self._rollout_buffer
+        if buffer is not None and self.num_timesteps >= self._budget and self._n_updates() == self._updates_before:
+            logger.warning(
+                "Training ended before its first update: its rollouts of n_steps=%d decisions take more primitive "
+                "steps than total_timesteps allows. Choose a smaller n_steps, or train for longer.",
+                buffer.buffer_size,
+            )
 
-
-def all_callbacks(root: BaseCallback | None) -> Iterator[BaseCallback]:
-    """Every callback in the tree that ``learn`` was given."""
-    if root is None:
-        return
-    yield root
-    children: list[BaseCallback | None] = []
-    if isinstance(root, CallbackList):
-        children += root.callbacks
-    if isinstance(root, EventCallback):
-        children += [root.callback, getattr(root, "callback_on_new_best", None)]
-    if not isinstance(root, ConvertCallback):
-        for child in children:
-            yield from all_callbacks(child)
-
-
-def monitor_primitive_steps(venv: VecEnv) -> None:
-    """Move a ``Monitor`` from above the `OptionsWrapper` to beneath it.
-
-    SB3 puts a ``Monitor`` around an environment that has none. There it would count decisions and sum discounted
-    rewards; beneath the options it counts primitive steps and undiscounted rewards. A ``VecMonitor`` cannot be moved,
-    and there is a warning.
-    """
-    if is_vecenv_wrapped(venv, VecMonitor):
-        # It records an episode before a callback could correct the last step.
-        logger.warning(
-            "VecMonitor above OptionsWrapper counts decisions and sums discounted rewards: leave it out and put a "
-            "Monitor beneath, as make_vec_env(..., wrapper_class=OptionsWrapper) does."
-        )
-    inner = venv.unwrapped
-    if not isinstance(inner, DummyVecEnv):
-        return  # SB3 puts no Monitor around environments in worker processes
-    for i, env in enumerate(inner.envs):
-        if isinstance(env, Monitor) and isinstance(env.env, OptionsWrapper):
-            options = env.env
-            env.env, options.env = options.env, env
-            inner.envs[i] = options
+    def _n_updates(self) -> int:
+        return int(getattr(self.model, "_n_updates", 0))

@@ -14,8 +14,9 @@ processes.share_libraries()
 
 
 def pytest_collection_finish() -> None:
-    """What the libraries made on import is there to stay: no garbage collection has to look at it again."""
+    """What the libraries made on import is there to stay: garbage collection need not look at it, nor be frequent."""
     gc.freeze()
+    gc.set_threshold(50_000)
 
 
 @pytest.fixture

@@ -1,15 +1,15 @@
-"""Diverse density as a classifier of bags, in the manner of scikit-learn and without needing it."""
+"""Diverse density as a classifier of bags, an estimator of scikit-learn."""
 
 from __future__ import annotations
 
-import importlib
-import inspect
 import math
 from collections.abc import Sequence
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from sklearn.base import BaseEstimator, ClassifierMixin
+from sklearn.utils.validation import check_is_fitted
 
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
@@ -23,7 +23,7 @@ REFERENCE_FEATURES = 10
 """The number of features that start scales are meant for."""
 
 
-class DiverseDensityClassifier:
+class DiverseDensityClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn has no types
     """Multiple-instance classifier: a bag is positive if an instance of it lies in the concept.
 
     Climbs from every start and averages what the concepts at the ends say, Pr(positive) = mean over starts of
@@ -60,44 +60,26 @@ class DiverseDensityClassifier:
         self.steps = steps
         self.threshold = threshold
 
-    def get_params(self, deep: bool = True) -> dict[str, Any]:
-        """The constructor's arguments, by name."""
-        names = list(inspect.signature(type(self).__init__).parameters)[1:]
-        return {name: getattr(self, name) for name in names}
-
-    def set_params(self, **params: Any) -> Self:
-        """Set constructor's arguments by name.
-
-        Raises:
-            ValueError: There is no such argument.
-        """
-        known = self.get_params()
-        for name, value in params.items():
-            if name not in known:
-                raise ValueError(f"{type(self).__name__} has no parameter {name!r}, only {', '.join(known)}")
-            setattr(self, name, value)
-        return self
-
     def __sklearn_tags__(self) -> Any:
-        """What scikit-learn, which alone calls this, wants to know before it clones, splits and scores."""
-        utils = importlib.import_module("sklearn.utils")
-        return utils.Tags(
-            estimator_type="classifier",
-            target_tags=utils.TargetTags(required=True),
-            classifier_tags=utils.ClassifierTags(multi_class=False),
-            input_tags=utils.InputTags(two_d_array=False),
-        )
-
-    def __sklearn_is_fitted__(self) -> bool:
-        """Whether `fit` has been called."""
-        return hasattr(self, "_theta")
+        """Bags are lists of arrays, and there are two kinds of labels."""
+        tags = super().__sklearn_tags__()
+        tags.input_tags.two_d_array = False
+        tags.classifier_tags.multi_class = False
+        return tags
 
     def fit(self, bags: Sequence[ArrayLike], labels: ArrayLike) -> Self:
         """Learn from bags of shape (n_i, d) and a label each, of two kinds; the larger is the positive one.
 
+        What is predicted afterwards depends on the parameters as they are now, not on later ones.
+
         Raises:
-            ValueError: Bags and labels that do not fit each other, or not two kinds of labels.
+            ValueError: A parameter out of its range, bags and labels that do not fit each other, or not two kinds of
+                labels.
         """
+        if self.steps < 1:
+            raise ValueError(f"steps must be at least 1, got {self.steps}")
+        if not 0 <= self.threshold <= 1:
+            raise ValueError(f"threshold must lie in [0, 1], got {self.threshold}")
         arrays = _checked(bags)
         y = np.asarray(labels)
         if y.shape != (len(arrays),):
@@ -111,8 +93,9 @@ class DiverseDensityClassifier:
         varies = np.flatnonzero(deviation > 0)
         if not len(varies):
             raise ValueError("no feature varies: there is nothing to learn from")
+        self._concept: Concept = self.concept or Point(scale_bounds=(0, math.inf), prior="small", prior_width=0.5)
         search = ConceptSearch(
-            concept=self._concept(),
+            concept=self._concept,
             scale=1 / np.where(deviation > 0, deviation, 1),
             features=varies.tolist(),
             start_scales=[scale * math.sqrt(REFERENCE_FEATURES / len(varies)) for scale in self.start_scales],
@@ -123,7 +106,7 @@ class DiverseDensityClassifier:
             [a for a, p in zip(arrays, positive, strict=True) if not p],
         )
         evidence = search.evidence(packed)
-        self._frame = evidence.frame
+        self._frame, self._threshold = evidence.frame, self.threshold
         self._theta = search.climb(evidence, self.steps)
         return self
 
@@ -131,10 +114,10 @@ class DiverseDensityClassifier:
         """Probabilities of the two labels, in the order of `classes_`, shape (n_bags, 2).
 
         Raises:
-            ValueError: Not fitted, or bags with other features.
+            NotFittedError: `fit` was not called.
+            ValueError: Bags with other features.
         """
-        if not hasattr(self, "_theta"):
-            raise ValueError("this classifier is not fitted: call fit first")
+        check_is_fitted(self)
         arrays = _checked(bags)
         if arrays[0].shape[1] != self.n_features_in_:
             raise ValueError(f"bags have {arrays[0].shape[1]} features, fit saw {self.n_features_in_}")
@@ -143,23 +126,14 @@ class DiverseDensityClassifier:
 
     def predict(self, bags: Sequence[ArrayLike]) -> NDArray[Any]:
         """The label of every bag, shape (n_bags,)."""
-        positive = self.predict_proba(bags)[:, 1] >= self.threshold
+        positive = self.predict_proba(bags)[:, 1] >= self._threshold
         return np.asarray(self.classes_[positive.astype(int)])
-
-    def score(self, bags: Sequence[ArrayLike], labels: ArrayLike) -> float:
-        """Share of bags whose label is predicted."""
-        return float(np.mean(self.predict(bags) == np.asarray(labels)))
-
-    def _concept(self) -> Concept:
-        return (
-            Point(scale_bounds=(0, math.inf), prior="small", prior_width=0.5) if self.concept is None else self.concept
-        )
 
     def _positive(self, bag: FloatArray) -> float:
         scaled = (bag[:, self._frame.features] - self._frame.origin) * self._frame.scale
         none = np.ones(self._theta.shape[1])
         for part in np.array_split(scaled, -(-scaled.size // CHUNK)):
-            none *= (1 - instance_probabilities(self._concept(), self._theta, part)).prod(0)
+            none *= (1 - instance_probabilities(self._concept, self._theta, part)).prod(0)
         return float(1 - none.mean())
 
 

@@ -66,5 +66,5 @@ class Outcomes:
         return (
             seen + 'the environment reports no info["is_success"], and no terminal state brought a positive reward '
             "above all earlier ones. Say what success is: SubgoalDiscoveryCallback(success=lambda trajectory: "
-            "trajectory.terminated), or success=success_by_return(threshold)."
+            "trajectory.terminated), or sb3_options.experience.success.success_by_return(threshold)."
         )

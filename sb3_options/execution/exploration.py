@@ -1,8 +1,7 @@
 """A cap on exploratory option choices.
 
-DQN and QRDQN explore by ``action_space.sample()``, uniformly over all actions. An option lasts many primitive steps, so
-that with as many options as primitives most of the exploration would happen inside options, where they lead, and little
-of it elsewhere.
+DQN and QRDQN explore by ``action_space.sample()``, uniformly over all actions. An option lasts many primitive steps. So
+with as many options as primitives nearly all exploratory steps would be taken inside options.
 """
 
 from __future__ import annotations
@@ -17,13 +16,13 @@ from sb3_options.experience.observations import BoolArray
 
 
 class CappedActions(spaces.Discrete):
-    """Augmented actions that `sample` draws from with at most a given share of options; equal to a ``Discrete``.
+    """Augmented actions of which `sample` draws at most a given share of options. Compares equal to a ``Discrete``.
 
-    As long as uniform choices keep to the share they are made as ever, draw by draw. An empty slot counts as a
-    primitive: it runs a uniformly random one.
+    While uniform choices keep to the share, they are drawn as ``Discrete`` draws them, number by number. An empty slot
+    counts as a primitive: it runs a uniformly random one.
 
     Args:
-        actions: The space whose place it takes, and whose generator it goes on drawing from.
+        actions: The space that it replaces; it uses the same generator.
         n_primitive: Number of primitive actions.
         share: Largest share of options among exploratory choices, in [0, 1].
 
@@ -47,7 +46,7 @@ class CappedActions(spaces.Discrete):
         return self.np_random.integers(self.n_primitive)
 
     def choose(self, allowed: BoolArray) -> int:
-        """One exploratory choice among the allowed actions, (n_actions,), uniform as long as it keeps to the share."""
+        """One exploratory choice among the allowed actions, (n_actions,), uniform while that keeps to the share."""
         primitive = np.flatnonzero(allowed[: self.n_primitive])
         options = self.n_primitive + np.flatnonzero(allowed[self.n_primitive :])
         total = len(primitive) + len(options)
@@ -69,12 +68,12 @@ def checked_share(share: float) -> float:
         ValueError: It is not in [0, 1].
     """
     if not 0.0 <= share <= 1.0:
-        raise ValueError(f"max_option_exploration must be a share in [0, 1], got {share}.")
+        raise ValueError(f"max_option_exploration and opening_share must be shares in [0, 1], got {share}.")
     return float(share)
 
 
 def cap_option_exploration(model: BaseAlgorithm, n_primitive: int, share: float) -> CappedActions | None:
-    """Let a model that explores by ``action_space.sample()`` choose options with at most this share.
+    """Limit the share of options in what a model explores by ``action_space.sample()``.
 
     Args:
         model: Of any algorithm.
@@ -82,7 +81,7 @@ def cap_option_exploration(model: BaseAlgorithm, n_primitive: int, share: float)
         share: As for `CappedActions`.
 
     Returns:
-        The model's action space from now on; None for an algorithm that explores otherwise.
+        The model's new action space; None for an algorithm that explores otherwise.
     """
     if not hasattr(model, "exploration_rate") or not isinstance(model.action_space, spaces.Discrete):
         return None

@@ -18,7 +18,7 @@ MAX_FEATURES = 4096
 """Concept spaces with more dimensions than this (images, say) are refused: distances in them mean nothing."""
 
 LONGEST_DESCRIPTION = 200
-"""Of an observation space, in characters: an error must stay readable."""
+"""Most characters of the description of an observation space, so that an error stays readable."""
 
 FeatureKind = Literal["given", "environment", "categorical", "identity"]
 
@@ -100,8 +100,8 @@ def _size_of(feature_map: FeatureMap, space: gym.Space[Any], name: str) -> int |
     try:
         features = feature_map(sample)
     except Exception:
-        # A random element of the space need not be an observation (random pixels show no agent), and what a user's
-        # function raises then is its own affair; the first observation of an episode settles the size.
+        # A random element of the space need not be an observation (random pixels show no agent), and a user's function
+        # may raise anything then. The first observation of an episode tells the size.
         return None
     return checked_size(features, name)
 
@@ -121,11 +121,11 @@ def checked_size(features: FloatArray, name: str = "feature_map") -> int:
 
 
 def signature(space: gym.Space[Any], features: Features | None) -> SpaceSignature:
-    """What an options file says of the observations its options act on.
+    """What an options file says of the observations that its options act on.
 
     Args:
         space: Of the observations.
-        features: Their way into concept space.
+        features: The feature map; None where there is none.
     """
     text = " ".join(str(space).split())
     if len(text) > LONGEST_DESCRIPTION:
@@ -137,7 +137,7 @@ def signature(space: gym.Space[Any], features: Features | None) -> SpaceSignatur
 
 
 def _parts(space: gym.Space[Any], name: str) -> Iterator[bytes]:
-    """Everything that tells one space from another, part by part."""
+    """All properties in which two spaces can differ, part by part."""
     if isinstance(space, spaces.Dict):
         yield f"{name} Dict {sorted(space.spaces)}".encode()
         for key in sorted(space.spaces):

@@ -1,12 +1,12 @@
-"""Interruption: an option ends where going on is worth less than the best that could be done instead.
+"""Interruption: an option ends where another action is worth more than going on.
 
-In s', o ends when Q(s', o) < max Q(s', a) over the available actions (Sutton, Precup & Singh 1999, §4): with exact
-values the policy that interrupts is as good as the one that does not in every state, and better where it makes a
-difference. So a detour that an option has learned stays on no final path, as soon as its values are known.
+In s', o ends when Q(s', o) < max Q(s', a) over the available actions (Sutton, Precup & Singh 1999, §4). With exact
+values the policy that interrupts is as good in every state as the one that does not, and better in some. So the agent
+leaves a detour that an option has learned, once its values are known.
 
-An option that was chosen to explore was below the best from its first state on. To interrupt it would undo the choice
-after one step, and with it all temporally extended exploration; so while an agent learns, an option is interrupted
-only if it was the best choice where it began. Under evaluation every choice is greedy, and every option is interrupted.
+An option that was chosen to explore was below the best from its first state on. Interrupting it would undo the choice
+after one step, and with it all temporally extended exploration. So while an agent learns, an option is interrupted only
+if it was the best choice where it began. In evaluation every choice is greedy, and every option is interrupted.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from sb3_options.experience.observations import BoolArray, FloatArray
 
 @dataclass(frozen=True)
 class Interruption:
-    """When a running option is to be ended, by values as they were at some time.
+    """When a running option ends, by action values as they were at some time.
 
     Attributes:
-        values: One observation, as `OptionsWrapper` sees it → Q, (n_actions,). Must travel between processes.
+        values: One observation, as `OptionsWrapper` sees it → Q, (n_actions,). It is pickled for worker processes.
         masks: Whether the agent chooses among available actions only; else it chooses among all.
         every_choice: Whether options that were not the best choice where they began are interrupted as well.
     """

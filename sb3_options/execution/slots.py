@@ -27,20 +27,9 @@ EMPTY_SLOT_SEED = 0x0971055
 
 
 class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
-    """A bank of options, their feature map, and how they are to be run. `OptionsWrapper` runs them.
+    """A bank of options, their feature map, and how they are to be run; arguments and errors of `OptionsWrapper`.
 
-    Args:
-        env: As for `OptionsWrapper`; likewise all others.
-        max_options: Number of slots.
-        gamma: γ per primitive step.
-        feature_map: φ; None takes a default.
-        options_file: Start with its options.
-        max_runs: Most runs of one option in an episode.
-
-    Raises:
-        TypeError: The action space is not ``Discrete``, or ``feature_map`` is not callable.
-        ValueError: An argument is out of its range, or the file's options do not fit the environment.
-        FileNotFoundError: There is no ``options_file``.
+    `OptionsWrapper` runs the options. ``VecEnv.env_method`` calls what is public here.
     """
 
     def __init__(
@@ -98,7 +87,7 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
     def available(self, observations: Observations) -> BoolArray:
         """Which augmented actions may start in each observation, shape (batch, n_primitive + max_options).
 
-        Initiation sets alone: what an episode has used up, or does without, is nothing an observation tells.
+        By initiation sets alone: an observation does not tell what is withheld in an episode or may not run again.
         """
         return self.bank.available(observations)
 
@@ -120,7 +109,7 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         return self.features.kind if self.features else None
 
     def seen_observation_space(self) -> spaces.Space[Any]:
-        """The space of the observations that options act on, whatever stands above."""
+        """The space of the observations that options act on, also where a wrapper above has another."""
         return self.observation_space
 
     def seed_empty_slots(self, seed: int) -> None:
@@ -135,6 +124,8 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self.bank.remove(slot)
         if option is None:
             self._limit.runs[slot] = 0  # the next one begins to count anew; one that has grown does not
+            if self._withholding is not None:
+                self._withholding.forget(slot)
 
     def set_interruption(self, interruption: Interruption | None) -> None:
         """Interrupt options by these values from now on; None lets every option run to its end."""
@@ -157,6 +148,10 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         if self._withholding is None:
             self._withholding = Withholding(seed, self.gamma)
         self._withholding.shares = dict(shares)
+
+    def withheld_slots(self) -> list[int]:
+        """The slots that the current episode does without."""
+        return [] if self._withholding is None else self._withholding.withheld()
 
     def end_trials(self) -> None:
         """Withhold nothing any more, in the current episode either."""

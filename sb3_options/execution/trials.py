@@ -147,6 +147,10 @@ class Withholding:
         self._drawn = {slot: bool(self.random.random() < self.shares[slot]) for slot in filled if slot in self.shares}
         self._outcome, self._discount = 0.0, 1.0
 
+    def forget(self, slot: int) -> None:
+        """Drop what the episode drew for an option that is removed: it says nothing of the next one in its slot."""
+        self._drawn.pop(slot, None)
+
     def withheld(self) -> list[int]:
         """The slots this episode does without."""
         return [slot for slot, drawn in self._drawn.items() if drawn]

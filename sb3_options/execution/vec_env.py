@@ -1,4 +1,4 @@
-"""Between what an algorithm sees and what `OptionsWrapper` sees."""
+"""From observations as an algorithm sees them to observations as `OptionsWrapper` sees them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Worker processes of ``SubprocVecEnv`` that end before their time."""
+"""Worker processes of ``SubprocVecEnv`` that end unexpectedly."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from typing import Any, NoReturn
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv
 
 PATIENCE = 1.0
-"""Seconds that processes get to end by themselves before they are made to."""
+"""Seconds that a process has to end by itself before it is killed."""
 
 
 class WorkerLostError(RuntimeError):
-    """A worker process has ended while it was needed; the others have been ended as well."""
+    """A worker process has ended unexpectedly; the others were ended too."""
 
 
 def watch_workers(venv: VecEnv) -> None:
-    """Let the loss of a worker process end in a `WorkerLostError` that says which, why and what to do.
+    """Raise a `WorkerLostError` when a worker process is lost, which says which one, why and what to do.
 
-    Without it the loss shows as a bare ``EOFError`` or ``BrokenPipeError``, or, where workers were forked and hold
-    one another's pipes open, not at all. Nothing happens to an environment without worker processes, or to one that
-    is watched already.
+    Without it SB3 raises a bare ``EOFError`` or ``BrokenPipeError``, or waits for ever, where workers were forked and
+    hold one another's pipes open. An environment without worker processes, or one that is watched already, stays as it
+    is.
 
     Args:
         venv: Any, also within wrappers.
@@ -85,7 +85,7 @@ def _how_it_ended(exitcode: int | None) -> str:
 
 
 def end_workers(venv: VecEnv) -> None:
-    """Close an environment that may be in the middle of a step, where its own ``close`` would wait for ever.
+    """Close an environment that may be within a step, where its own ``close`` would wait for ever.
 
     Args:
         venv: Any; one without worker processes is closed as usual.

@@ -27,15 +27,15 @@ class OptionsWrapper(OptionSlots):
 
     An option also leaves its primitive steps there, which Macro-Q learning needs.
 
-    An empty slot runs one uniformly random primitive, and names it as ``actions``. A filled option chosen outside its
-    initiation set runs one step of its own policy. So an algorithm that cannot mask still sees a lawful semi-Markov
-    process; ``action_masks()`` gives the strict sets to one that can. With no options it is the environment itself,
+    An empty slot runs one uniformly random primitive, and names it as ``actions``. An option that is chosen outside its
+    initiation set runs one step of its own policy. So an algorithm that cannot mask still faces a semi-Markov decision
+    process; ``action_masks()`` gives the initiation sets to one that can. Without options it is the environment itself,
     bit for bit.
 
     With ``max_runs`` no option begins more often than that in an episode; then its slot counts as empty until the
-    next one. An option whose subgoal is a dead end draws an untrained agent back again and again: so the agent is rid
-    of it after a few runs. It is for algorithms that mask: others go on choosing the slot, and walk at random. How
-    often an option has run is not in the observation; what is learned is an average over it.
+    next one. Without a limit an option whose subgoal is a dead end leads an untrained agent there again and again. It
+    is for algorithms that mask: others go on choosing the slot, and take random steps. How often an option has run is
+    not in the observation; what is learned is an average over it.
 
     Args:
         env: Its action space must be ``Discrete`` and start at 0.

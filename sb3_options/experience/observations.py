@@ -61,7 +61,7 @@ def concatenate(batches: Sequence[Observations]) -> Observations:
 
 
 def copy_of(observation: Any) -> Any:
-    """One observation that its environment cannot change any more: some write every one into the same array."""
+    """A copy of one observation: some environments write every observation into the same array."""
     if isinstance(observation, np.ndarray):
         return observation.copy()
     if isinstance(observation, Mapping):

@@ -53,16 +53,29 @@ class OptionRun(NamedTuple):
         Such an environment leaves ``info["option"] = {"duration": k, "discount": gamma**k}`` at least.
 
         Raises:
-            ValueError: There is no such record, or it lacks duration or discount, or they are out of range.
+            ValueError: There is no such record, or it lacks duration or discount, or they are out of range. What
+                `OptionsWrapper` left is complete, and not checked again.
         """
-        option = info.get("option")
         try:
-            run = cls(**option)  # type: ignore[arg-type]  # a TypeError says that it is no complete record
-            if run.duration > 0 and 0.0 <= run.discount <= 1.0:
-                return run
-        except TypeError:
-            pass
-        return _completed(option)
+            option = info["option"]
+            get = option.get
+            # Not by `_make`, which counts the fields: this runs once or twice in every step.
+            return tuple.__new__(
+                cls,
+                (
+                    option["index"],
+                    option["duration"],
+                    option["discount"],
+                    option["gamma"],
+                    option["termination"],
+                    get("observations"),
+                    get("actions"),
+                    get("rewards"),
+                    get("available"),
+                ),
+            )
+        except (AttributeError, KeyError, TypeError):
+            return _completed(info.get("option"))
 
 
 def _completed(option: Any) -> OptionRun:

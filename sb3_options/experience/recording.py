@@ -20,7 +20,7 @@ from sb3_options.experience.trajectories import Trajectory
 logger = logging.getLogger("sb3_options")
 
 LONGEST_EPISODE = 100_000
-"""Primitive steps of an episode that are recorded. What never ends must not fill the memory."""
+"""Most primitive steps of an episode that are recorded, because one that never ends would fill the memory."""
 
 
 class TrajectoryRecorder:
@@ -40,7 +40,7 @@ class TrajectoryRecorder:
 
     @property
     def last_observation(self) -> Any:
-        """Where the trajectory under way has come to."""
+        """The last observation of the trajectory under way."""
         return self._states[self._visits[-1]]
 
     def begin(self, observation: Any) -> None:
@@ -92,10 +92,7 @@ class TrajectoryRecorder:
 
 
 class EpisodeRecorder(TrajectoryRecorder):
-    """Records episodes whole, as long as they end.
-
-    One that has come to `LONGEST_EPISODE` steps is forgotten, and a warning says what to do.
-    """
+    """Records whole episodes. One of more than `LONGEST_EPISODE` steps is dropped with a warning."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -111,7 +108,7 @@ class EpisodeRecorder(TrajectoryRecorder):
         if self._gave_up:
             return
         super().record(action, reward, observation)
-        if len(self) == LONGEST_EPISODE:
+        if len(self._actions) == LONGEST_EPISODE:
             self._gave_up = True
             self._forget()
             logger.warning(
@@ -131,15 +128,15 @@ class EpisodeRecorder(TrajectoryRecorder):
 class RewardPeaks:
     """Which steps are peaks of reward.
 
-    Step t is a peak if r_t ≥ ``peak_reward`` and r_{t−1} < r_t ≥ r_{t+1}; before an episode and after it lies nothing
-    that could be higher. So a reward that climbs over several steps peaks once, at its top, and one that stays high
-    peaks once, where it began.
+    Step t is a peak if r_t ≥ ``peak_reward`` and r_{t−1} < r_t ≥ r_{t+1}, with r = −∞ before an episode and after it.
+    So a reward that rises over several steps has one peak, at its maximum, and one that stays high has one peak, at its
+    first step.
 
     Attributes:
         peak_reward: The least reward of a peak; None takes any that is positive.
-        max_segment: A segment that has come to this many primitive steps without a peak is cut there, and failed. No
-            more than this is ever held in memory. The next segment starts in mid-way, so that this should be more
-            than an agent that explores at random takes from peak to peak.
+        max_segment: A segment of this many primitive steps without a peak is cut, and failed. No more steps are held
+            in memory. The next segment starts at the cut, so this should be more than a randomly exploring agent takes
+            from peak to peak.
 
     Raises:
         ValueError: A field is out of its range.
@@ -157,10 +154,10 @@ class RewardPeaks:
 class SegmentRecorder(TrajectoryRecorder):
     """Builds a `Trajectory` from each peak of reward to the next, in constant time a step.
 
-    A segment that ends with a peak is a success; one that grew too long, or that a terminal state ended without a
-    peak, is none. What is under way when an episode is cut off from outside is dropped: it might have led to a peak.
+    A segment that ends with a peak succeeded. One that became too long, or ended in a terminal state without a peak,
+    failed. The segment under way when an episode is truncated is dropped: it might have led to a peak.
 
-    A segment is finished one step after its last: only then it is known that the reward did not climb on.
+    A segment is finished one step after its last, because only then the reward is known not to rise further.
 
     Args:
         peaks: Where to cut.
@@ -185,7 +182,7 @@ class SegmentRecorder(TrajectoryRecorder):
         super().record(action, reward, observation)
         self._may_be_peak = self.peaks.may_peak(reward, self._before)
         self._before = reward
-        if len(self) >= self.peaks.max_segment:
+        if len(self._actions) >= self.peaks.max_segment:
             self._cut(success=self._may_be_peak)
 
     def end(self, *, terminated: bool, truncated: bool, is_success: bool | None) -> None:

@@ -13,8 +13,8 @@ from sb3_options.experience.observations import FloatArray, IntArray, Observatio
 class Trajectory:
     """One episode, or one segment of it, in primitive steps, each distinct observation stored once.
 
-    A random walk revisits few states often, so that storing each once keeps a long episode small; and the order
-    of ``states`` is the order of first visits, which is what a bag is made of.
+    A random walk revisits few states often, so a long episode stays small. The order of ``states`` is the order of
+    first visits, of which a bag is made.
 
     Attributes:
         states: The distinct observations, in order of first visit; batch of m.
@@ -42,7 +42,7 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class LabelledTrajectory:
-    """A trajectory with what discovery needs to know of it.
+    """A trajectory with its features and its label, as discovery needs them.
 
     Attributes:
         trajectory: The episode.

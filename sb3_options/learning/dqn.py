@@ -17,8 +17,9 @@ from torch.nn import functional
 
 from sb3_options.execution.exploration import CappedActions
 from sb3_options.experience.observations import BoolArray, FloatArray
-from sb3_options.learning.checks import check_wrapped
-from sb3_options.learning.masked import MaskedPrediction, n_actions_of
+from sb3_options.learning import heads
+from sb3_options.learning.checks import check_gamma, check_one_step, check_wrapped
+from sb3_options.learning.masked import MaskedPrediction, n_actions_of, stored_availability
 from sb3_options.learning.replay_buffer import OptionReplayBuffer, OptionReplayBufferSamples
 
 
@@ -35,7 +36,7 @@ class OptionDQN(MaskedPrediction, DQN):
         **kwargs: As for ``DQN``.
 
     Raises:
-        ValueError: The environment is not wrapped, or the buffer is another.
+        ValueError: The environment is not wrapped, the buffer is another, or ``n_steps`` > 1.
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = DQN.policy_aliases
@@ -52,6 +53,7 @@ class OptionDQN(MaskedPrediction, DQN):
             raise ValueError(
                 f"OptionDQN needs replay_buffer_class=OptionReplayBuffer, got {replay_buffer_class.__name__}."
             )
+        check_one_step(kwargs.get("n_steps", 1))
         super().__init__(policy, env, replay_buffer_class=replay_buffer_class, **kwargs)  # type: ignore[arg-type]  # SB3 passes None when loading
 
     def _setup_model(self) -> None:
@@ -72,11 +74,30 @@ class OptionDQN(MaskedPrediction, DQN):
     def _setup_learn(self, *args: Any, **kwargs: Any) -> Any:
         result = super()._setup_learn(*args, **kwargs)
         assert self.env is not None  # it has just been reset
+        check_gamma(self, self.env)
         self.env.env_method("report_availability", True)
+        self.env.env_method("end_trials")  # an exception may have ended an earlier training
+        buffer = self._option_buffer()
+        buffer.heads_are_closed = True
+        n_primitive = n_actions_of(self) - self._n_slots
+        filled = self.env.get_attr("bank", [0])[0].filled
+        for slot in set(range(self._n_slots)) - set(filled):
+            heads.close_empty(self, slot, n_primitive)
+        if not buffer.tracks_availability:  # it was loaded, and another algorithm had filled it
+            buffer.track_availability(self._n_slots)
+            if buffer.size():
+                available = stored_availability(buffer, self.env)
+                for slot in filled:
+                    buffer.set_next_available(slot, available[:, n_primitive + slot])
         return result
 
     def _option_buffer(self) -> OptionReplayBuffer:
-        return cast("OptionReplayBuffer", self.replay_buffer)
+        if not isinstance(self.replay_buffer, OptionReplayBuffer):
+            raise ValueError(
+                f"OptionDQN needs an OptionReplayBuffer, got {type(self.replay_buffer).__name__}: set "
+                "model.replay_buffer to one, or load one that an algorithm with options has saved."
+            )
+        return self.replay_buffer
 
     def _masks_now(self) -> BoolArray:
         """Masks for the current observations of all training environments, shape (n_envs, n_actions)."""

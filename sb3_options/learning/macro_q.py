@@ -161,6 +161,8 @@ class MacroQ(MaskedPrediction):
         )
         assert self.env is not None  # _setup_learn has reset it
         assert self.features is not None  # set up with the model
+        if self._n_slots:
+            self.env.env_method("end_trials")  # an exception may have ended an earlier training
         callback.on_training_start(locals(), globals())
         callback.on_rollout_start()
         self._table = self.policy.table()
@@ -175,10 +177,10 @@ class MacroQ(MaskedPrediction):
             new_active = self._active(new_obs)
             over: list[bool] = dones.tolist()
             runs = [OptionRun.from_info(info) if "option" in info else None for info in infos]
-            for i, (info, run) in enumerate(zip(infos, runs, strict=True)):
+            for i, info in enumerate(infos):
                 arrived = self._active(np.asarray(info["terminal_observation"])[None])[0] if over[i] else new_active[i]
                 ended = over[i] and not info["TimeLimit.truncated"]
-                self._learn_from(active[i], int(actions[i]), float(rewards[i]), arrived, ended, run)
+                self._learn_from(active[i], int(actions[i]), float(rewards[i]), arrived, ended, runs[i])
             self._last_obs, active = new_obs, new_active  # type: ignore[assignment]  # SB3 annotates it as None
             # After the update, so that a callback that stops training at the end of an episode loses no step.
             callback.update_locals(locals())
@@ -187,11 +189,15 @@ class MacroQ(MaskedPrediction):
             if any(over):
                 self._update_info_buffer(infos, dones)
                 self._episode_num += sum(over)
-                choices = self._choices()  # new options, and another state after the reset
+                # Between two rollouts callbacks install and remove options; here a rollout is what lies between the
+                # ends of episodes.
+                callback.on_rollout_end()
+                callback.on_rollout_start()
+                choices = self._choices()
                 if log_interval is not None and self._episode_num % log_interval == 0:
                     self._log()
             elif self._n_slots:
-                choices = [self._choices_after(run) for run in runs]
+                choices = [self._choices_after(run, slots) for run, slots in zip(runs, self._withheld, strict=True)]
         callback.on_rollout_end()
         callback.on_training_end()
         return self
@@ -222,6 +228,10 @@ class MacroQ(MaskedPrediction):
             target = reward if over else reward + gamma * max(rows[next_state][:n_primitive])
             rows[state][action] += step_size * (target - rows[state][action])
         table[:] = rows
+
+    def forget_action(self, action: int) -> None:
+        """Set the values of an action to 0: the next option in its slot is another."""
+        self.policy.table()[:, action] = 0.0
 
     def _learn_from(
         self,
@@ -301,18 +311,21 @@ class MacroQ(MaskedPrediction):
         return values
 
     def _choices(self) -> list[list[int]]:
-        """Which actions may start now in each environment."""
+        """Which actions may start now in each environment, asked for when an episode has ended."""
         assert self.env is not None  # only asked while learning
         if self._n_slots:
+            self._withheld: list[list[int]] = self.env.env_method("withheld_slots")
             return [mask.nonzero()[0].tolist() for mask in self.env.env_method("action_masks")]
         return [list(range(self._n_actions))] * self.env.num_envs
 
-    def _choices_after(self, run: OptionRun | None) -> list[int]:
-        """Which actions may start after the step that ran this."""
+    def _choices_after(self, run: OptionRun | None, withheld: Sequence[int]) -> list[int]:
+        """Which actions may start after the step that ran this, in an episode without the ``withheld`` slots."""
         if run is None or run.available is None:
             return self._primitives
         slots: list[bool] = run.available[-1].tolist()
-        return self._primitives + [self._n_primitive + slot for slot, may_start in enumerate(slots) if may_start]
+        return self._primitives + [
+            self._n_primitive + slot for slot, may_start in enumerate(slots) if may_start and slot not in withheld
+        ]
 
     def _explore(self, values: list[float], choices: list[int]) -> int:
         """ε-greedy among ``choices``, ties broken at random."""

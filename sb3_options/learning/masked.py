@@ -1,21 +1,63 @@
-"""`predict` of algorithms that value actions and keep to the available ones."""
+"""Which actions are available, and `predict` of algorithms that keep to these."""
 
 from __future__ import annotations
 
+import logging
 from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from sb3_options.execution.vec_env import as_wrapper_sees
-from sb3_options.experience.observations import BoolArray, FloatArray, batch_of_one, batch_size
+from sb3_options.experience.observations import BoolArray, FloatArray, batch_of_one, batch_size, take
+from sb3_options.learning.replay_buffer import OptionReplayBuffer
+
+logger = logging.getLogger("sb3_options")
+
+AVAILABILITY_CHUNK = 4096
+"""Stored observations are sent to the environment in batches of this many."""
 
 
 def n_actions_of(model: BaseAlgorithm) -> int:
     """Number of augmented actions."""
     return int(cast("spaces.Discrete", model.action_space).n)
+
+
+def unnormalized(normalizer: VecNormalize, observations: Any) -> Any:
+    """A batch of observations as it was before ``VecNormalize``.
+
+    A number that was clipped cannot be recovered from the batch. The environment's current observations are therefore
+    recognised, and its originals returned; for any other batch with clipped numbers there is a warning.
+    """
+    original = normalizer.old_obs  # empty before the first reset
+    if len(original) and _equal(normalizer.normalize_obs(original), observations):
+        return original
+    parts = observations.values() if isinstance(observations, dict) else [observations]
+    if normalizer.norm_obs and any((np.abs(part) >= normalizer.clip_obs).any() for part in parts):
+        logger.warning(
+            "An observation was clipped by VecNormalize, so that which options may start in it is not certain: pass "
+            "predict(..., action_masks=env.env_method('action_masks')), or a larger clip_obs."
+        )
+    return normalizer.unnormalize_obs(observations)
+
+
+def _equal(one: Any, other: Any) -> bool:
+    if isinstance(one, dict):
+        return all(np.array_equal(part, other[key]) for key, part in one.items())
+    return np.array_equal(one, other)
+
+
+def stored_availability(buffer: OptionReplayBuffer, venv: VecEnv) -> BoolArray:
+    """Which augmented actions may start in each stored next observation, (size, n_actions)."""
+    stored = buffer.next_observations_stored()
+    chunks = [
+        as_wrapper_sees(venv, take(stored, slice(start, start + AVAILABILITY_CHUNK)))
+        for start in range(0, buffer.size(), AVAILABILITY_CHUNK)
+    ]
+    return np.concatenate([venv.env_method("available", chunk, indices=[0])[0] for chunk in chunks])
 
 
 class MaskedPrediction(BaseAlgorithm):
@@ -59,7 +101,7 @@ class MaskedPrediction(BaseAlgorithm):
         if self.env is None or not self._n_slots:
             return np.ones((batch_size(observations), n_actions_of(self)), dtype=bool)
         if self._vec_normalize_env is not None:
-            observations = self._vec_normalize_env.unnormalize_obs(observations)
+            observations = unnormalized(self._vec_normalize_env, observations)
         mask: BoolArray = self.env.env_method("available", as_wrapper_sees(self.env, observations), indices=[0])[0]
         return mask
 

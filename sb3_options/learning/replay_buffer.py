@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any, NamedTuple, Self, cast
 
 import numpy as np
@@ -15,7 +16,10 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from sb3_options.experience.observations import BoolArray, Observations, take
 from sb3_options.experience.option_run import OptionRun
+from sb3_options.learning.checks import check_one_step
 from sb3_options.learning.intra_option import ConsistencyTable
+
+logger = logging.getLogger("sb3_options")
 
 Rows = dict[str, npt.NDArray[Any]]
 
@@ -77,12 +81,15 @@ class OptionReplayBuffer(ReplayBuffer):
         macro_q: Whether the steps inside options are stored.
         intra_option: Whether options are updated from primitive steps they are consistent with. Off by default: on
             the two seeds measured it saved no time (docs/studies/deep.md).
+        n_steps: Not supported beyond 1; as for SB3's ``NStepReplayBuffer``.
+        gamma: Unused: every transition has its own discount.
 
     Raises:
-        ValueError: ``optimize_memory_usage`` is set.
+        ValueError: ``optimize_memory_usage`` is set, or ``n_steps`` > 1.
     """
 
     consistency: ConsistencyTable | None = None
+    heads_are_closed = False  # of empty slots, by a callback or by OptionDQN
 
     def __init__(
         self,
@@ -96,7 +103,10 @@ class OptionReplayBuffer(ReplayBuffer):
         *,
         macro_q: bool = True,
         intra_option: bool = False,
+        n_steps: int = 1,
+        gamma: float | None = None,
     ) -> None:
+        check_one_step(n_steps)
         if optimize_memory_usage:
             raise ValueError(
                 "OptionReplayBuffer needs optimize_memory_usage=False: with options the next observation of one "
@@ -188,7 +198,8 @@ class OptionReplayBuffer(ReplayBuffer):
 
     def _as_given(self, stored: Rows, rows: slice | npt.NDArray[Any]) -> Observations:
         taken = {k: v[rows] for k, v in stored.items()}
-        return self._joined({k: v.reshape(len(v), *(self._spaces[k].shape or ())) for k, v in taken.items()})
+        given = {k: v.reshape(len(v), *(self._spaces[k].shape or ())) for k, v in taken.items()}
+        return given.get("", given)
 
     @property
     def tracks_availability(self) -> bool:
@@ -252,19 +263,20 @@ class OptionReplayBuffer(ReplayBuffer):
             timeout = bool(info.get("TimeLimit.truncated", False))
             # A slot that ran a primitive instead is stored as that primitive.
             chosen = actions[i] if run.actions is None or run.index >= 0 else run.actions
+            if chosen is run.actions and not self.heads_are_closed:
+                self._warn_of_open_heads()
             last = None if run.available is None else run.available[-1:]
-            self._write(
-                here,
-                there,
-                chosen[None],
-                reward[i : i + 1],
-                done[i : i + 1],
-                timeout,
-                run.discount,
-                last,
-            )
+            this = slice(i, i + 1)
+            self._write(here, there, chosen[None], reward[this], done[this], timeout, run.discount, last)
             if self.macro_q and run.index >= 0 and run.actions is not None:
                 self._write_inner(run, there, bool(done[i]), timeout)
+
+    def _warn_of_open_heads(self) -> None:
+        logger.warning(
+            "An empty slot was chosen. Nobody closes the heads of empty slots, whose values are random, and nobody "
+            "counts primitive steps: pass PrimitiveStepsCallback() or SubgoalDiscoveryCallback() to learn()."
+        )
+        self.heads_are_closed = True  # said once
 
     def _write_inner(self, run: OptionRun, there: Rows, done: bool, timeout: bool) -> None:
         began = {key: self._as_stored(key, rows) for key, rows in self._split(run.observations).items()}
@@ -332,7 +344,7 @@ class OptionReplayBuffer(ReplayBuffer):
             env: Normalises observations and rewards.
 
         Returns:
-            An `OptionReplayBufferSamples`, which has all fields of ``ReplayBufferSamples``.
+            An `OptionReplayBufferSamples`.
         """
         # SB3 seeds and draws from numpy's global generator; drawing as it does keeps a run without options equal.
         return BaseBuffer.sample(self, batch_size, env)  # type: ignore[no-any-return]  # SB3 leaves it unannotated
@@ -351,7 +363,7 @@ class OptionReplayBuffer(ReplayBuffer):
         """These stored transitions, as the algorithm takes them."""
 
         def tensors(stored: Rows) -> Any:
-            seen: Any = self._normalize_obs(cast("Any", take(self._joined(stored), rows)), env)
+            seen: Any = self._normalize_obs(cast("Any", take(stored.get("", stored), rows)), env)
             return {k: self.to_torch(v) for k, v in seen.items()} if isinstance(seen, dict) else self.to_torch(seen)
 
         dones = self.dones[rows] * (1 - self.timeouts[rows])
@@ -369,9 +381,6 @@ class OptionReplayBuffer(ReplayBuffer):
         rows = observations if isinstance(observations, dict) else {"": observations}
         # A Discrete observation is a scalar to the environment and a vector of one to SB3.
         return {k: v.reshape(len(v), *self._shapes[k]) if v.ndim == 1 else v for k, v in rows.items()}
-
-    def _joined(self, rows: Rows) -> Observations:
-        return rows.get("", rows)
 
 
 def check_stock_buffer(buffer: ReplayBuffer | None) -> None:

@@ -229,7 +229,7 @@ class MaskablePPOConfig(PPOConfig):
     """Train an agent that discovers its own options with MaskablePPO, which keeps to their initiation sets.
 
     Attributes:
-        max_option_exploration: Share of the probability that options open with.
+        max_option_exploration: Probability that a first option opens with.
         max_runs: How often an option may run in an episode; None: any number.
     """
 

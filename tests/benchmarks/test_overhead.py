@@ -18,7 +18,7 @@ def test_ratios_are_taken_within_turns() -> None:
 
 @pytest.mark.parametrize("scenarios", ["dqn,ppo", pytest.param("ppo_subprocesses", marks=pytest.mark.slow)])
 def test_benchmark_writes_results_and_picture(tmp_path: Path, scenarios: str) -> None:
-    overhead.main(overhead.Benchmark(out=tmp_path, rounds=1, chunk=600, scenarios=scenarios))
+    overhead.main(overhead.Benchmark(out=tmp_path, rounds=1, chunk=512, scenarios=scenarios))
     content = json.loads((tmp_path / "results.json").read_text())
     for scenario in scenarios.split(","):
         rates = content[scenario]["primitive_steps_per_second"]

@@ -3,8 +3,9 @@
 from typing import Any
 
 import pytest
-from stable_baselines3 import DQN
-from stable_baselines3.common.callbacks import EvalCallback
+import torch
+from stable_baselines3 import DQN, PPO
+from stable_baselines3.common.callbacks import ConvertCallback, EvalCallback
 
 from sb3_options import MacroQ, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback, TrialSettings
@@ -95,3 +96,45 @@ def test_going_on_without_the_options_says_so(caplog: pytest.LogCaptureFixture) 
     assert "Slot 0 is empty, and the model has learned what an option there is worth" in caplog.text
     assert "Slot 1" not in caplog.text
     assert heads.is_closed(model.policy, 4)
+
+
+@pytest.mark.parametrize("algorithm", [DQN, PPO])
+@pytest.mark.parametrize("callback", [PrimitiveStepsCallback, lambda: SubgoalDiscoveryCallback(max_new_options=0)])
+def test_parameters_that_were_set_are_trained_heads(algorithm: Any, callback: Any) -> None:
+    """`set_parameters` leaves the number of updates at 0, which is no sign of an untrained model."""
+
+    def make() -> Any:
+        env = with_option()
+        env.bank.add(steady_option(2, max_duration=3))  # no slot is empty
+        rollouts: dict[str, Any] = {"n_steps": 16, "batch_size": 16, "seed": 0, "device": "cpu"}
+        return model_of(env) if algorithm is DQN else PPO("MlpPolicy", env, gamma=0.9, **rollouts)
+
+    trained, again = make(), make()
+    trained.learn(300, callback=callback())
+    again.set_parameters(trained.get_parameters())
+    expected = {name: value.clone() for name, value in again.policy.state_dict().items()}
+    again.learn(1, callback=[callback(), ConvertCallback(lambda *_: False)])
+    assert again._n_updates == 0
+    assert all(torch.equal(expected[name], value) for name, value in again.policy.state_dict().items())
+
+
+@pytest.mark.parametrize("callback", [PrimitiveStepsCallback, lambda: SubgoalDiscoveryCallback(max_new_options=0)])
+def test_a_trial_that_an_exception_ended_withholds_nothing_in_the_next_training(callback: Any) -> None:
+    env = with_option()
+    model = model_of(env)
+    trial = SubgoalDiscoveryCallback(max_new_options=0, trial={"withhold": 0.9, "patience": 1, "success_window": 1})
+
+    class FullDiskError(OSError):
+        pass
+
+    def fail(local: dict[str, Any], _: dict[str, Any]) -> bool:
+        if env.withheld_slots():
+            raise FullDiskError
+        return True
+
+    with pytest.raises(FullDiskError):
+        model.learn(2000, callback=[trial, ConvertCallback(fail)])
+    assert env.withheld_slots() == [0]
+    model.learn(1, callback=callback(), reset_num_timesteps=False)
+    env.reset()
+    assert env.withheld_slots() == []

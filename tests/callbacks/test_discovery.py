@@ -43,7 +43,7 @@ from tests.support.sb3_helpers import (
 )
 
 N_PRIMITIVE = 4
-STEPS = 2500
+STEPS = 1800
 """Random primitive steps in which the doorway of the small rooms is found."""
 
 
@@ -306,11 +306,11 @@ def test_other_observations(observation: str) -> None:
     policy = {"policy": "CnnPolicy"} if observation == "image" else {}
     env = optioned_rooms(observation=observation)
     model = OptionDQN(
-        policy.get("policy", "MlpPolicy"), env, gamma=0.9, buffer_size=3000, learning_starts=STEPS - 4, train_freq=16,
+        policy.get("policy", "MlpPolicy"), env, gamma=0.9, buffer_size=3000, learning_starts=2496, train_freq=16,
         batch_size=4, seed=0, policy_kwargs={"net_arch": [8]}, **RANDOM,
     )  # fmt: skip
     callback = fast_callback()
-    model.learn(STEPS, callback=callback)
+    model.learn(2500, callback=callback)
     assert len(callback.discoveries) == 1
     assert model._option_buffer().next_available.any()
 

@@ -4,6 +4,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+import torch
 from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import (
@@ -18,8 +19,9 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from sb3_options import OptionReplayBuffer, OptionsWrapper
-from sb3_options.callbacks import PrimitiveStepsCallback
-from sb3_options.callbacks.primitive_steps import all_callbacks, monitor_primitive_steps
+from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
+from sb3_options.callbacks.counting import all_callbacks, monitor_primitive_steps
+from sb3_options.learning import heads
 from tests.support.helpers import CountingEnv, steady_option
 from tests.support.sb3_helpers import RANDOM, StepLog, make_optioned_rooms, optioned_rooms, small_rooms
 
@@ -174,3 +176,110 @@ def test_finds_every_callback() -> None:
     found = list(all_callbacks(root))
     assert {id(c) for c in found} >= {id(c) for c in (root, inner, every, evaluation, best, new_best)}
     assert list(all_callbacks(None)) == []
+
+
+@pytest.mark.parametrize("algorithm", [PPO, DQN])
+def test_an_option_that_is_added_between_two_trainings_can_be_chosen(algorithm: Any) -> None:
+    """Its head was closed while the slot was empty."""
+    env = optioned_rooms(2)
+    model = dqn(env) if algorithm is DQN else PPO("MlpPolicy", env, gamma=0.9, n_steps=64, seed=0, device="cpu")
+    model.learn(200, callback=PrimitiveStepsCallback())
+    assert heads.is_closed(model.policy, 4)
+    env.bank.add(steady_option(3, max_duration=2))
+    model.learn(1, callback=PrimitiveStepsCallback(), reset_num_timesteps=False)
+    assert [heads.is_closed(model.policy, action) for action in range(6)] == [False] * 5 + [True]
+    if algorithm is PPO:
+        chosen = [int(model.predict(np.eye(45, dtype=np.float32)[i % 45])[0]) for i in range(400)]
+        assert chosen.count(4) > 20
+
+
+def test_a_head_that_was_trained_is_not_opened_again() -> None:
+    env = optioned_rooms(2)
+    env.bank.add(steady_option(3, max_duration=2))
+    model = dqn(env)
+    model.learn(200, callback=PrimitiveStepsCallback())
+    before = {name: value.clone() for name, value in model.policy.state_dict().items()}
+    model.learn(1, callback=PrimitiveStepsCallback(), reset_num_timesteps=False)
+    assert all(torch.equal(before[name], value) for name, value in model.policy.state_dict().items())
+
+
+class Updates(BaseCallback):
+    """Keeps the primitive steps that had been taken, and the learning rate, at the end of every rollout."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.steps: list[int] = []
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_end(self) -> None:
+        self.steps.append(self.num_timesteps)
+
+
+def linear(progress: float) -> float:
+    """A learning rate that SB3 would make negative after the last step of the budget."""
+    rates.append(1e-3 * progress)
+    return rates[-1]
+
+
+rates: list[float] = []
+
+
+@pytest.mark.parametrize("algorithm", [PPO, A2C, DQN])
+def test_no_schedule_sees_less_than_no_progress(algorithm: Any) -> None:
+    """With options of many steps the last rollout, or the last steps of one, lie far beyond the budget."""
+    rates.clear()
+    env = counting(terminate_at=170)
+    env.set_option(0, steady_option(max_duration=20))
+    if algorithm is DQN:
+        model: Any = dqn(env, learning_rate=linear, **RANDOM)
+        model.gradient_steps, model.learning_starts = 1, 10
+    else:
+        rollouts = {"n_steps": 32} | ({"batch_size": 32} if algorithm is PPO else {})
+        model = algorithm("MlpPolicy", env, gamma=0.9, learning_rate=linear, seed=0, device="cpu", **rollouts)
+    schedule = model.lr_schedule
+    model.learn(990, callback=PrimitiveStepsCallback())
+    assert model.num_timesteps > 990
+    assert model._n_updates > 0
+    assert min(rates) >= 0.0
+    assert model.lr_schedule is schedule
+
+
+@pytest.mark.parametrize("callback", [PrimitiveStepsCallback, lambda: SubgoalDiscoveryCallback(max_new_options=0)])
+def test_a_rollout_ends_with_the_budget(callback: Any, caplog: pytest.LogCaptureFixture) -> None:
+    """Where SB3's own last rollout would have ended, had every action been one step."""
+    env = optioned_rooms(2)
+    env.bank.add(steady_option(3, max_duration=40))
+    updates = Updates()
+    model = PPO("MlpPolicy", env, gamma=0.9, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu")
+    model.learn(3000, callback=[callback(), updates])
+    assert 3008 <= model.num_timesteps < 3008 + 40  # 47 rollouts of 64 steps
+    assert updates.steps
+    assert updates.steps[-1] <= 3008
+    assert model._n_updates == len(updates.steps)
+    assert caplog.text == ""
+    model.learn(100, callback=callback(), reset_num_timesteps=False)
+    assert "ended before its first update: its rollouts of n_steps=64 decisions" in caplog.text
+
+
+def test_without_options_rollouts_end_where_they_do_in_stock() -> None:
+    stock, ours = (
+        PPO("MlpPolicy", env, gamma=0.9, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu")
+        for env in (small_rooms(), optioned_rooms(0))
+    )
+    stock.learn(300)
+    ours.learn(300, callback=PrimitiveStepsCallback())
+    assert stock.num_timesteps == ours.num_timesteps == 320
+    assert stock._n_updates == ours._n_updates == 5
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_two_callbacks_that_count_count_once(order: int) -> None:
+    env = optioned_rooms(2)
+    env.bank.add(steady_option(3, max_duration=4))
+    model, spy = dqn(env, **RANDOM), Spy()
+    both: list[BaseCallback] = [PrimitiveStepsCallback(), SubgoalDiscoveryCallback(max_new_options=0)]
+    model.learn(300, callback=[*both[::order], spy])
+    assert model.num_timesteps == sum(spy.durations)
+    assert spy.counted == np.cumsum(spy.durations).tolist()

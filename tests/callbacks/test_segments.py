@@ -30,10 +30,10 @@ PEAKS: dict[str, Any] = {
 
 
 def learned(env: Any, settings: dict[str, Any] = PEAKS, **kwargs: Any) -> SubgoalDiscoveryCallback:
-    """A callback that has seen 6,000 random steps."""
+    """A callback that has seen 4,000 random steps."""
     callback = SubgoalDiscoveryCallback(settings, max_new_options=1)
     model = DQN("MlpPolicy", env, gamma=0.9, replay_buffer_class=OptionReplayBuffer, **TINY | RANDOM | kwargs)
-    model.learn(6000, callback=callback)
+    model.learn(4000, callback=callback)
     return callback
 
 

@@ -7,9 +7,10 @@ import pytest
 import torch
 from sb3_contrib import QRDQN
 from stable_baselines3 import A2C, DQN, PPO
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from sb3_options import Option, OptionDQN, OptionReplayBuffer, OptionsWrapper
+from sb3_options import MacroQ, Option, OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.execution.interruption import Interruption
@@ -152,9 +153,9 @@ class TestOptionTrials:
         assert trials.trials[0] is not first
 
 
-def dragged() -> OptionsWrapper:
+def dragged(kind: str = "box") -> OptionsWrapper:
     """The corridor, in which every place is worth more than those to its left, with an option that leads left."""
-    env = OptionsWrapper(Corridor("box"), 2, gamma=GAMMA)
+    env = OptionsWrapper(Corridor(kind), 2, gamma=GAMMA)
     env.bank.add(steady_option(0, max_duration=20, name="drags"))
     return env
 
@@ -167,6 +168,8 @@ def test_a_harmful_option_leaves_nothing_behind(algorithm: Any) -> None:
     replay = TINY | RANDOM | intra_option
     # A policy that learns would leave the option alone by itself.
     kwargs = replay if off_policy else {"n_steps": 64, "seed": 0, "device": "cpu", "learning_rate": 1e-9}
+    if algorithm is PPO:
+        kwargs["n_epochs"] = 1
     model = algorithm("MlpPolicy", DummyVecEnv([dragged, dragged]), gamma=GAMMA, **kwargs)
     callback = SubgoalDiscoveryCallback(FAST_DISCOVERY, max_new_options=0, interruption=False, trial=QUICK)
     model.learn(200, callback=callback)
@@ -183,6 +186,59 @@ def test_a_harmful_option_leaves_nothing_behind(algorithm: Any) -> None:
         buffer = model.replay_buffer
         assert (buffer.actions[: buffer.size()] < action).all()
         assert not buffer.consistency.consistent.any()
+
+
+class Choices(BaseCallback):
+    """Keeps every choice of MacroQ, whether the option was withheld where it was made, and what ran."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.chosen: list[tuple[int, bool]] = []
+        self._now: list[bool] = []
+
+    def _on_step(self) -> bool:
+        self.chosen += [(int(a), withheld) for a, withheld in zip(self.locals["actions"], self._now, strict=True)]
+        self._look()
+        return True
+
+    def _on_training_start(self) -> None:
+        self._look()
+
+    def _look(self) -> None:
+        self._now = [bool(slots) for slots in self.training_env.env_method("withheld_slots")]
+
+
+def test_macro_q_does_without_a_withheld_option() -> None:
+    model = MacroQ(DummyVecEnv([lambda: dragged("discrete"), lambda: dragged("discrete")]), gamma=GAMMA, seed=0)
+    callback = SubgoalDiscoveryCallback(max_new_options=0, trial={**QUICK, "alpha": 1e-9})
+    choices = Choices()
+    model.learn(3000, callback=[callback, choices])
+    withheld = [action for action, is_withheld in choices.chosen if is_withheld]
+    assert len(withheld) > 500
+    assert 2 not in withheld
+    assert sum(action == 2 for action, _ in choices.chosen) > 50
+
+
+def test_macro_q_carries_out_a_verdict_when_the_episode_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    verdicts = iter([None, None, "harmful"])
+    monkeypatch.setattr(OptionTrial, "add", lambda trial, **episode: next(verdicts, None))
+    model = MacroQ(dragged("discrete"), gamma=GAMMA, seed=0)
+    callback, choices = SubgoalDiscoveryCallback(max_new_options=0, trial=QUICK), Choices()
+    closed_after: list[int] = []
+
+    class Closed(BaseCallback):
+        def _on_step(self) -> bool:
+            if callback.closed and not closed_after:
+                closed_after.append(len(choices.chosen))
+            return True
+
+    model.learn(3000, callback=[callback, choices, Closed()])
+    before, after = np.split([action for action, _ in choices.chosen], closed_after)
+    assert (before == 2).sum() > 5
+    assert len(after) > 1000
+    assert (after != 2).all()
+    assert not model.policy.table()[:, 2].any()
+    assert env_of(model).get_attr("bank")[0].filled == ()
 
 
 def test_its_slot_is_filled_again(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -31,7 +31,7 @@ def add(discovery: SubgoalDiscovery, n: int = 1, **kwargs: Any) -> None:
             'returns from -101 to -101; the environment reports no info["is_success"], and no terminal state brought '
             "a positive reward above all earlier ones. Say what success is: "
             "SubgoalDiscoveryCallback(success=lambda trajectory: trajectory.terminated), or "
-            "success=success_by_return(threshold).",
+            "sb3_options.experience.success.success_by_return(threshold).",
         ),
         (
             {},

@@ -96,7 +96,7 @@ class TestTwoRooms:
     ) -> None:
         """The first subgoal of every training, within a cell and an episode; a capacity of 20 evicts."""
         same = 0
-        for trajectories in walks[:5]:
+        for trajectories in walks[:4]:
             firsts = []
             for search in SEARCHES[1:]:
                 discovery = SubgoalDiscovery(DiscoverySettings(search=search, capacity=capacity), kind="environment")
@@ -109,7 +109,7 @@ class TestTwoRooms:
                         break
             (one, place), (other, again) = firsts
             same += abs(one - other) <= 1 and bool(np.linalg.norm(place - again) <= 1.0)
-        assert same >= 4
+        assert same >= 3
 
     @pytest.mark.parametrize("search", ["gradient", "incremental"])
     def test_one_seed_one_result(

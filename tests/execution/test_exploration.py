@@ -77,7 +77,7 @@ def test_equals_the_space_whose_place_it_takes() -> None:
 
 @pytest.mark.parametrize("share", [-0.1, 1.5, float("nan")])
 def test_refuses_what_is_no_share(share: float) -> None:
-    with pytest.raises(ValueError, match=r"max_option_exploration must be a share in \[0, 1\], got"):
+    with pytest.raises(ValueError, match=r"max_option_exploration and opening_share must be shares in \[0, 1\], got"):
         SubgoalDiscoveryCallback(max_option_exploration=share)
 
 

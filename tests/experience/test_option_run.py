@@ -61,8 +61,9 @@ def test_what_else_a_users_own_environment_says_is_left_alone() -> None:
         ({"option": {"duration": 0, "discount": 0.9}}, r"got duration 0 and discount 0\.9: let the environment's step"),
         ({"option": {"duration": 2, "discount": 1.1}}, r"got duration 2 and discount 1\.1"),
         ({"option": {"duration": "2", "discount": 0.9}}, r"got duration '2' and discount 0\.9"),
-        ({"option": PRIMITIVE._replace(discount=float("nan")).as_info()}, r"got duration 1 and discount nan"),
-        ({"option": PRIMITIVE._replace(duration=-1).as_info()}, r"got duration -1 and discount 0\.9"),
+        ({"option": {"duration": 1, "discount": float("nan")}}, r"got duration 1 and discount nan"),
+        ({"option": {"index": -1, "duration": -1, "discount": 0.9}}, r"got duration -1 and discount 0\.9"),
+        ({"option": [1, 2]}, r"must be a dict .+ got \[1, 2\]"),
     ],
 )
 def test_anything_else_is_refused(info: dict[str, Any], message: str) -> None:

@@ -144,15 +144,15 @@ def test_study_writes_results_and_picture_and_resumes(tmp_path: Path, monkeypatc
     settings = DeepSettings(evaluate_every=250, evaluation_episodes=2, final_evaluations=1)
     short = {key: tasks.Task(t.env, t.target, t.source, 500, 300) for key, t in tasks.TASKS.items()}
     monkeypatch.setattr(deep, "TASKS", short)
-    study = deep.Study(out=tmp_path, task="transfer", env="FourRooms", runs=2, jobs=1, settings=settings)
+    study = deep.Study(out=tmp_path, task="transfer", env="FourRooms", runs=1, jobs=1, settings=settings)
     deep.main(study)
     content = json.loads((tmp_path / "results.json").read_text())
     for algo in ("dqn", "ppo"):
         for arm in ("stock", "options", "repeats"):
-            assert content["results"]["FourRooms"][algo][arm]["n_runs"] == 2
+            assert content["results"]["FourRooms"][algo][arm]["n_runs"] == 1
     assert (tmp_path / "curves.png").stat().st_size > 10_000
     kept = sorted(tmp_path.glob("runs/*/seeds/*.json"))
-    assert len(kept) == 12
+    assert len(kept) == 6
     before = [path.stat().st_mtime_ns for path in kept]
     deep.main(study)
     assert [path.stat().st_mtime_ns for path in kept] == before
@@ -210,10 +210,10 @@ def test_options_are_tried_in_the_target_only(monkeypatch: pytest.MonkeyPatch) -
 def test_tuning_writes_what_was_best_and_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arm: Any) -> None:
     key = ("transfer", "FourRooms")
     task = tasks.TASKS[key]
-    monkeypatch.setattr(tune, "TASKS", {key: tasks.Task(task.env, task.target, task.source, 600, 400)})
+    monkeypatch.setattr(tune, "TASKS", {key: tasks.Task(task.env, task.target, task.source, 300, 200)})
     tune.main(tune.Tuning(out=tmp_path, algo="ppo", arm=arm, trials=1, seeds=1, jobs=1))
     tune.main(tune.Tuning(out=tmp_path, algo="ppo", arm=arm, trials=2, seeds=1, jobs=1))
     written = json.loads((tmp_path / f"ppo-{arm}" / "tuned.json").read_text())
     assert written["finished"] + written["pruned"] == 2
-    assert written["steps_to_90"] == {"transfer, FourRooms": [600]}
+    assert written["steps_to_90"] == {"transfer, FourRooms": [300]}
     assert set(written["best"]) >= {"learning_rate", "n_steps", "net_arch"}

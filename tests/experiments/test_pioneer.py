@@ -21,7 +21,7 @@ from sb3_options.envs.pioneer.env import DISPLACEMENT, GRIPPING, VISIBLE, WIDTH
 from sb3_options.runs.config import DQNConfig, tuned
 
 TINY = PioneerSettings(
-    trials=8,
+    trials=5,
     transfer_trials=1,
     evaluation_trials=1,
     step_limit=300,
@@ -31,6 +31,20 @@ TINY = PioneerSettings(
 )
 
 
+def test_a_figure_with_its_numbers_and_another_from_what_was_kept(tmp_path: Path) -> None:
+    study = Study(figure="learning", out=tmp_path, runs=2, first_seed=0, jobs=1, settings=TINY)
+    main(study)
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("groups/learning/seeds/*.json")}
+    assert len(kept) == 2
+    numbers = json.loads((tmp_path / "results.json").read_text())["figures"]["learning"]
+    assert all(ratio["low"] <= ratio["mean"] <= ratio["high"] for ratio in numbers["ratios"].values())
+    main(dataclasses.replace(study, figure="figure8"))
+    assert json.loads((tmp_path / "results.json").read_text())["figures"]["figure8"]["n_runs"] == 2
+    assert {path.stem for path in tmp_path.glob("*.png")} == {"learning", "figure8"}
+    assert kept == {path: path.stat().st_mtime_ns for path in kept}
+
+
+@pytest.mark.slow
 def test_all_figures_with_their_numbers_and_again_from_what_was_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

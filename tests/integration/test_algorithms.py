@@ -105,7 +105,7 @@ def test_the_table(name: str) -> None:
     model = make(algorithm)
     discovery = fast_callback()
     watch = Watch(discovery)
-    model.learn(3_500, callback=[discovery, watch])
+    model.learn(3_000, callback=[discovery, watch])
     assert len(discovery.discoveries) == 1, "no option was discovered: nothing is tested"
     assert max(watch.durations) > 1, "no option ran for longer than a step: nothing is tested"
 

@@ -189,6 +189,7 @@ class TestTrain:
         text = CONFIG.replace("learning_starts: 200\n", "n_envs: 4\nn_steps: 64\n").replace("4000", "7000")
         (tmp_path / "config.yml").write_text(text)
         args = ["--config", str(tmp_path / "config.yml"), "--algo", algo, "--tensorboard-log", str(tmp_path)]
+        args += ["--n-epochs", "2"]
         folder = cli.train(parse([*args, "--discovery.min-positive", "5", "--discovery.decay", "0.5"]))
         bank = OptionBank(4, 4)
         bank.load(folder / "options.safetensors")

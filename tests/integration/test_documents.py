@@ -51,7 +51,7 @@ assert model.num_timesteps >= 2000 > buffer.size()  # a crossing by ferry is one
 }
 """What must hold after the Python of a page has run."""
 
-MOST_STEPS = 3_000
+MOST_STEPS = 5_000
 """Longest training that a page may show without saying how long tests train."""
 
 

@@ -47,7 +47,7 @@ from tests.support.sb3_helpers import (
 
 SLOT_0 = 4
 PPO_TINY: dict[str, Any] = {
-    "policy_kwargs": {"net_arch": [16]}, "n_steps": 64, "batch_size": 64, "n_epochs": 2, "ent_coef": 0.05, "seed": 0,
+    "policy_kwargs": {"net_arch": [16]}, "n_steps": 64, "batch_size": 64, "n_epochs": 1, "ent_coef": 0.05, "seed": 0,
 }  # fmt: skip
 
 
@@ -83,7 +83,7 @@ def ppo(venv: VecEnv, **kwargs: Any) -> PPO:
 def doorway() -> SubgoalOption:
     """The option that discovery makes of the doorway."""
     callback = fast_callback()
-    dqn(DummyVecEnv([optioned_rooms])).learn(3000, callback=callback)
+    dqn(DummyVecEnv([optioned_rooms])).learn(1500, callback=callback)
     option = callback.bank[0]
     assert isinstance(option, SubgoalOption)
     return option.bind(None)
@@ -226,7 +226,7 @@ class TestStackedFrames:
         with rooms("dummy", 2) as bare:
             model = dqn(stacked(bare), OptionDQN, replay_buffer_kwargs={"macro_q": False})
             callback = fast_callback()
-            model.learn(3000, callback=callback)
+            model.learn(2000, callback=callback)
             buffer = model.replay_buffer
             newest: Any = as_wrapper_sees(model.env, buffer.next_observations_stored())
             assert newest.shape == (buffer.size(), 45)
@@ -334,7 +334,7 @@ class TestEvaluationEnvironment:
                 assert all(state == states[0] for state in states)
                 versions.add(states[0])
 
-            model.learn(2500, callback=[evaluation, discovery, Spy(compare)])
+            model.learn(2000, callback=[evaluation, discovery, Spy(compare)])
             assert len(discovery.discoveries) == 1
             assert len(versions) > 2  # none, the first, one that has learned further
 

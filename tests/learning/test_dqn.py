@@ -18,7 +18,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize, 
 from torch.nn import functional
 
 from sb3_options import Option, OptionDQN, OptionReplayBuffer, OptionsWrapper
-from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.learning import dqn as option_dqn_module
 from sb3_options.learning import heads
 from sb3_options.learning.replay_buffer import OptionReplayBufferSamples
@@ -230,8 +230,8 @@ class TestWithoutOptions:
         if algorithm is QRDQN:
             kwargs["policy_kwargs"] = {"net_arch": [16], "n_quantiles": 8}
         model = algorithm("MlpPolicy", env, **self.kwargs | kwargs)
-        model.learn(1500, callback=callback)
-        assert cast("Any", model)._n_updates > 300
+        model.learn(1000, callback=callback)
+        assert cast("Any", model)._n_updates > 200
         return model.policy.state_dict()
 
     @pytest.mark.parametrize("callback", [False, True])
@@ -355,6 +355,57 @@ class TestOptionDQN:
         model.learn(100)
         assert model._option_buffer().next_available[: model._option_buffer().size()].any()
 
+    def test_masks_of_clipped_observations_are_those_of_the_originals(self, caplog: pytest.LogCaptureFixture) -> None:
+        def make() -> OptionsWrapper:
+            wrapped = OptionsWrapper(Corridor("box"), 1, gamma=GAMMA, feature_map=places)
+            wrapped.bank.add(corridor_option())
+            return wrapped
+
+        venv = VecNormalize(DummyVecEnv([make, make]), gamma=GAMMA, clip_obs=0.5, norm_reward=False)
+        model = OptionDQN("MlpPolicy", venv, gamma=GAMMA, buffer_size=200, seed=0)
+        model.q_net.eval()
+        rng, masks = np.random.default_rng(0), []
+        observations: Any = venv.reset()
+        for _ in range(100):
+            masks.append(np.stack(venv.env_method("action_masks")))
+            np.testing.assert_array_equal(model._available(observations), masks[-1])
+            observations, _, _, _ = venv.step(rng.integers(2, size=2))
+        assert {bool(m) for m in np.concatenate(masks)[:, 2]} == {False, True}
+        assert caplog.text == ""
+        model._available(observations[::-1])  # no longer the environment's own
+        assert "An observation was clipped by VecNormalize" in caplog.text
+
+    def test_a_replay_buffer_of_dqn_is_masked(self, tmp_path: Path) -> None:
+        own = {"replay_buffer_class": OptionReplayBuffer, **TABULAR}
+        stock = DQN("MlpPolicy", random_task(5).env, gamma=GAMMA, **own)
+        stock.learn(300)
+        stock.save_replay_buffer(tmp_path / "buffer")
+        task = random_task(5)
+        model = OptionDQN("MlpPolicy", task.env, gamma=GAMMA, **TABULAR)
+        model.load_replay_buffer(tmp_path / "buffer")
+        model.learn(20)
+        buffer = model._option_buffer()
+        expected = env_of(model).env_method("available", buffer.next_observations_stored())[0][:, N_PRIMITIVE:]
+        assert buffer.size() > 300
+        assert buffer.next_available[: buffer.size()].tolist() == expected.tolist()
+        assert expected.any()
+
+    def test_a_stock_replay_buffer_is_refused(self) -> None:
+        model = OptionDQN("MlpPolicy", optioned_rooms(), gamma=GAMMA, **TINY)
+        model.replay_buffer = ReplayBuffer(100, model.observation_space, model.action_space)
+        with pytest.raises(ValueError, match="OptionDQN needs an OptionReplayBuffer, got ReplayBuffer: set model"):
+            model.learn(10)
+
+    def test_without_a_callback_it_is_checked_and_closed_all_the_same(self) -> None:
+        text = r"OptionsWrapper discounts with gamma=0\.9, OptionDQN with gamma=0\.5: give both the same"
+        with pytest.raises(ValueError, match=text):
+            OptionDQN("MlpPolicy", optioned_rooms(), gamma=0.5, **TINY).learn(10)
+        env = optioned_rooms(2)
+        env.bank.add(corridor_option(), 1)
+        model = OptionDQN("MlpPolicy", env, gamma=GAMMA, **TINY)
+        model.learn(10)
+        assert [heads.is_closed(model.policy, 4 + slot) for slot in range(2)] == [True, False]
+
     def test_needs_the_wrapper(self) -> None:
         with pytest.raises(ValueError, match="The environment of OptionDQN is not wrapped in OptionsWrapper: use"):
             OptionDQN("MlpPolicy", small_rooms())
@@ -393,3 +444,11 @@ def test_smdp_target_keeps_to_what_is_available() -> None:
     torch.testing.assert_close(masked, torch.tensor([[0.5 + 0.9 * 2], [0.5 + 0.81 * 5], [0.5]]))
     unmasked = option_dqn_module.smdp_target(values, OptionReplayBufferSamples(**samples, next_available=None))
     torch.testing.assert_close(unmasked, torch.tensor([[0.5 + 0.9 * 9], [0.5 + 0.81 * 9], [0.5]]))
+
+
+@pytest.mark.parametrize("callback", [None, PrimitiveStepsCallback])
+def test_stock_dqn_without_a_callback_says_what_is_missing(callback: Any, caplog: pytest.LogCaptureFixture) -> None:
+    """Nobody closes the heads of its empty slots, and nobody counts primitive steps."""
+    model = DQN("MlpPolicy", optioned_rooms(), gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, **TINY | RANDOM)
+    model.learn(50, callback=None if callback is None else callback())
+    assert caplog.text.count("pass PrimitiveStepsCallback() or SubgoalDiscoveryCallback() to learn()") == (not callback)

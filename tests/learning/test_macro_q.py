@@ -222,7 +222,7 @@ def test_q_learning_converges_to_the_policy_of_value_iteration(features: TileCod
     seen = GridWorld("SSSS.\nSS#S.\nSS#S.\nSSSSG", success_probability=1.0, observation="xy")
     best = value_iteration(world)
     model = MacroQ(world if features is None else seen, features=features, learning_rate=0.5, epsilon=0.5, seed=0)
-    model.learn(40_000)
+    model.learn(15_000)
     for x, y in world.start_cells:
         observation = np.eye(20, dtype=np.float32)[5 * y + x] if features is None else np.array([x, y], np.float32)
         action = int(model.predict(observation, deterministic=True)[0])

@@ -1,5 +1,6 @@
 """Advantages over options against an oracle that works them out from the primitive steps, one env at a time."""
 
+import copy
 from fractions import Fraction
 from functools import partial
 from typing import Any
@@ -18,7 +19,7 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from sb3_options import Option, OptionDictRolloutBuffer, OptionRolloutBuffer, OptionsWrapper
-from sb3_options.callbacks import PrimitiveStepsCallback
+from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.experience.observations import batch_size
 from sb3_options.experience.option_run import OptionRun
@@ -29,8 +30,25 @@ from tests.support.sb3_helpers import Corridor, StepLog, env_of
 GAMMA, LAMBDA = 0.9, 0.8
 
 
+ENOUGH = 100_000
+"""Primitive steps in which a rollout of any options is complete."""
+
+
+class OneRollout(BaseCallback):
+    """Ends training after the first rollout, and keeps it."""
+
+    buffer: Any = None
+
+    def _on_step(self) -> bool:
+        return self.buffer is None
+
+    def _on_rollout_end(self) -> None:
+        self.steps = self.num_timesteps
+        self.buffer = copy.deepcopy(self.model.rollout_buffer)  # type: ignore[attr-defined]  # of on-policy algorithms
+
+
 class Rollouts(BaseCallback):
-    """Keeps everything that the last rollout was computed from, as the environments and the policy gave it."""
+    """Keeps everything that the first rollout was computed from, as the environments and the policy gave it."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -44,10 +62,13 @@ class Rollouts(BaseCallback):
             self.last_values = last_values.numpy().reshape(-1).copy()
             compute(last_values, dones)
             self.advantages, self.returns = self.buffer.advantages.copy(), self.buffer.returns.copy()
+            self.rewards = self.buffer.rewards.copy()
 
         self.buffer.compute_returns_and_advantage = spy
 
     def _on_step(self) -> bool:
+        if hasattr(self, "advantages"):
+            return False
         infos = self.locals["infos"]
         kept = {
             "rewards": self.locals["rewards"].copy(),
@@ -120,7 +141,7 @@ def test_advantages_and_returns_are_exact_with_timeouts_inside_options(algorithm
     venv = DummyVecEnv([lambda: optioned_corridor(13), lambda: optioned_corridor(17)])
     model = make(algorithm, venv)
     kept = Rollouts()
-    model.learn(64, callback=CallbackList([PrimitiveStepsCallback(), kept]))
+    model.learn(ENOUGH, callback=CallbackList([PrimitiveStepsCallback(), kept]))
     assert isinstance(kept.buffer, SMDPAdvantages)
     durations = np.array([s["durations"] for s in kept.steps])
     timeouts = np.array([s["timeout_values"] for s in kept.steps]) != 0
@@ -190,13 +211,14 @@ class Journey(gym.Env[Any, int]):
 @pytest.mark.parametrize("algorithm", [PPO, A2C])
 def test_a_users_own_environment_of_variable_durations(algorithm: Any) -> None:
     model = make(algorithm, Journey(), n_steps=32)
-    model.learn(32, callback=PrimitiveStepsCallback())
-    buffer: Any = model.rollout_buffer
+    kept = OneRollout()
+    model.learn(ENOUGH, callback=[PrimitiveStepsCallback(), kept])
+    buffer = kept.buffer
     assert isinstance(buffer, OptionRolloutBuffer)
     actions = buffer.actions.reshape(-1)
     np.testing.assert_array_equal(buffer.durations.reshape(-1), np.where(actions == 1, 4, 1))
     np.testing.assert_allclose(buffer.discounts.reshape(-1), np.where(actions == 1, GAMMA**4, GAMMA))
-    assert model.num_timesteps == buffer.durations.sum()
+    assert kept.steps == buffer.durations.sum()
 
 
 def test_the_buffer_can_be_passed() -> None:
@@ -248,12 +270,11 @@ def test_normalised_rewards_keep_the_bootstrap() -> None:
     venv = VecNormalize(DummyVecEnv([lambda: optioned_corridor(13)]), gamma=GAMMA, clip_reward=np.inf)
     model = make(PPO, venv)
     kept = Rollouts()
-    model.learn(64, callback=CallbackList([PrimitiveStepsCallback(), kept]))
-    buffer: Any = model.rollout_buffer
+    model.learn(ENOUGH, callback=CallbackList([PrimitiveStepsCallback(), kept]))
     timeouts = np.array([s["timeout_values"] for s in kept.steps]).reshape(-1)
     plain = np.array([s["rewards"] for s in kept.steps]).reshape(-1)
     k = np.array([s["durations"] for s in kept.steps]).reshape(-1)
-    np.testing.assert_allclose(buffer.rewards.reshape(-1), plain + GAMMA**k * timeouts, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(kept.rewards.reshape(-1), plain + GAMMA**k * timeouts, rtol=1e-6, atol=1e-6)
     assert (timeouts != 0).any()
 
 
@@ -308,13 +329,28 @@ def test_an_option_opens_with_its_share_of_the_probability_where_masks_keep_it_i
     with torch.no_grad():
         model.policy.action_net.weight.zero_()
         model.policy.action_net.bias.zero_()
-    OptionInstaller(model, env_of(model), None, max_option_exploration=share)
+    OptionInstaller(model, env_of(model), None, opening_share=share)
     observation = torch.zeros((1, 2))
     masks = np.array([[True, True, *[True] * n_present, *[False] * (3 - n_present)]])
     probabilities = model.policy.get_distribution(observation, action_masks=masks).distribution.probs[0].detach()
     last = share / (1.0 - share) / n_present  # odds of the option that came last against the primitives together
     assert float(probabilities[1 + n_present] / probabilities[:2].sum()) == pytest.approx(last, rel=1e-5)
     assert float(probabilities[0]) == pytest.approx(float(probabilities[1]))
+
+
+def test_the_opening_shares_of_several_options_add_up_as_documented() -> None:
+    env = OptionsWrapper(Corridor(), 3, gamma=GAMMA)
+    for _ in range(3):
+        env.bank.add(steady_option(1))
+    model: Any = make(MaskablePPO, env)
+    with torch.no_grad():
+        model.policy.action_net.weight.zero_()
+        model.policy.action_net.bias.zero_()
+    callback = SubgoalDiscoveryCallback(max_new_options=0, opening_share=0.5, max_option_exploration=0.1)
+    callback.init_callback(model)
+    callback.on_training_start({}, {})
+    probabilities = model.policy.get_distribution(torch.zeros((1, 2))).distribution.probs[0].detach()
+    assert float(probabilities[2:].sum()) == pytest.approx(11 / 17, rel=1e-5)  # odds of 1 + 1/2 + 1/3
 
 
 def test_an_untrained_model_opens_the_heads_of_options_that_are_there_a_trained_one_keeps_them() -> None:
@@ -325,7 +361,7 @@ def test_an_untrained_model_opens_the_heads_of_options_that_are_there_a_trained_
     OptionInstaller(model, env_of(model), None)
     assert torch.equal(head.weight[2], head.weight[:2].mean(dim=0))
     assert torch.equal(head.bias[2], head.bias[:2].mean(dim=0))
-    model.learn(64, callback=PrimitiveStepsCallback())
+    model.learn(ENOUGH, callback=[PrimitiveStepsCallback(), OneRollout()])
     learned = head.weight[2].clone()
     OptionInstaller(model, env_of(model), None)
     assert torch.equal(head.weight[2], learned)

@@ -3,9 +3,14 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from sklearn.base import clone, is_classifier
+from sklearn.exceptions import NotFittedError
+from sklearn.model_selection import GridSearchCV, cross_val_score
+from sklearn.utils.validation import check_is_fitted
 
 from benchmarks.diverse_density.classifier import DiverseDensityClassifier
 from sb3_options.density.arrays import BoolArray, FloatArray
@@ -69,29 +74,41 @@ def test_other_concepts(concept: Point | Plane) -> None:
     assert DiverseDensityClassifier(concept, steps=50).fit(bags, labels).score(bags, labels) > 0.7
 
 
-def test_parameters_in_the_manner_of_scikit_learn() -> None:
-    classifier = DiverseDensityClassifier(steps=7)
-    clone = DiverseDensityClassifier(**classifier.get_params())
-    assert clone.get_params() == classifier.get_params()
-    assert clone.set_params(steps=9, threshold=0.4) is clone
-    assert (clone.steps, clone.threshold) == (9, 0.4)
-    with pytest.raises(ValueError, match="has no parameter 'step', only concept, start_scales"):
-        clone.set_params(step=1)
-
-
 def test_scikit_learn_clones_splits_scores_and_selects() -> None:
-    base, selection, validation = (
-        pytest.importorskip(f"sklearn.{name}", reason="needs scikit-learn")
-        for name in ("base", "model_selection", "utils.validation")
-    )
     bags, labels = bags_and_labels(0)
     classifier = DiverseDensityClassifier(steps=10, max_starts=20)
-    assert base.clone(classifier).get_params() == classifier.get_params()
-    assert base.is_classifier(classifier)
-    assert selection.cross_val_score(classifier, bags, labels, cv=3, scoring="roc_auc").mean() > 0.6
-    selected = selection.GridSearchCV(classifier, {"steps": [5, 10]}, cv=2).fit(bags, labels)
-    validation.check_is_fitted(selected.best_estimator_)
-    assert not classifier.__sklearn_is_fitted__()
+    assert clone(classifier).get_params() == classifier.get_params()
+    assert is_classifier(classifier)
+    assert cross_val_score(classifier, bags, labels, cv=3, scoring="roc_auc").mean() > 0.6
+    selected = GridSearchCV(classifier, {"steps": [5, 10]}, cv=2).fit(bags, labels)
+    check_is_fitted(selected.best_estimator_)
+    with pytest.raises(NotFittedError):
+        check_is_fitted(classifier)
+    with pytest.raises(ValueError, match="Invalid parameter 'step' for estimator"):
+        classifier.set_params(step=1)
+
+
+def test_parameters_set_after_the_fit_change_no_prediction() -> None:
+    bags, labels = bags_and_labels(0)
+    classifier = DiverseDensityClassifier(steps=10).fit(bags, labels)
+    probabilities, predictions = classifier.predict_proba(bags), classifier.predict(bags)
+    classifier.set_params(concept=Plane(), threshold=0.01)
+    np.testing.assert_array_equal(classifier.predict_proba(bags), probabilities)
+    np.testing.assert_array_equal(classifier.predict(bags), predictions)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"steps": 0}, "steps must be at least 1, got 0"),
+        ({"steps": -1}, "steps must be at least 1, got -1"),
+        ({"threshold": np.nan}, "threshold must lie in [0, 1], got nan"),
+        ({"threshold": 1.5}, "threshold must lie in [0, 1], got 1.5"),
+    ],
+)
+def test_bad_parameters(arguments: dict[str, Any], text: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(text)):
+        DiverseDensityClassifier(**arguments).fit(*bags_and_labels(0))
 
 
 @pytest.mark.parametrize(
@@ -113,7 +130,7 @@ def test_bad_bags(bags: list[FloatArray], labels: list[int], text: str) -> None:
 
 def test_bad_predictions() -> None:
     bags, labels = bags_and_labels(5)
-    with pytest.raises(ValueError, match="not fitted: call fit first"):
+    with pytest.raises(NotFittedError, match="is not fitted yet"):
         DiverseDensityClassifier().predict(bags)
     with pytest.raises(ValueError, match="bags have 2 features, fit saw 6"):
         DiverseDensityClassifier().fit(bags, labels).predict([np.zeros((1, 2))])

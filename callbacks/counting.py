@@ -1,0 +1,96 @@
+"""Counting in primitive steps: what SB3, its progress bar and its ``Monitor`` did not count."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeAlias
+
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import (
+    BaseCallback,
+    CallbackList,
+    ConvertCallback,
+    EventCallback,
+    ProgressBarCallback,
+)
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, is_vecenv_wrapped
+
+from sb3_options.execution.wrapper import OptionsWrapper
+from sb3_options.experience.option_run import OptionRun
+
+logger = logging.getLogger("sb3_options")
+
+Schedule: TypeAlias = Callable[[float], float]
+"""A function of the remaining progress, 1 … 0."""
+
+SCHEDULES = ("lr_schedule", "clip_range", "clip_range_vf")
+"""Attributes of SB3 models that hold schedules."""
+
+
+def count_inner_steps(callback: BaseCallback, runs: Sequence[OptionRun]) -> None:
+    """Add the primitive steps that SB3 did not count in one call of ``step`` to the model's ``num_timesteps``."""
+    extra = sum([run.duration for run in runs]) - len(runs)
+    if extra == 0:
+        return
+    callback.model.num_timesteps += extra
+    callback.num_timesteps = callback.model.num_timesteps
+    for sibling in all_callbacks(callback.locals.get("callback")):
+        if isinstance(sibling, ProgressBarCallback):
+            sibling.pbar.update(extra)
+
+
+def clip_schedules(model: BaseAlgorithm) -> dict[str, Schedule]:
+    """Let no schedule of a model see a progress below 0, which an option makes of it that ends beyond the budget.
+
+    Returns:
+        The schedules that the model had, by attribute, to be put back when training ends.
+    """
+    schedules = {name: getattr(model, name, None) for name in SCHEDULES}
+    stock = {name: schedule for name, schedule in schedules.items() if callable(schedule)}
+    for name, schedule in stock.items():
+        setattr(model, name, _clipped(schedule))
+    return stock
+
+
+def _clipped(schedule: Schedule) -> Schedule:
+    return lambda progress_remaining: schedule(max(progress_remaining, 0.0))
+
+
+def all_callbacks(root: BaseCallback | None) -> Iterator[BaseCallback]:
+    """Every callback in the tree that ``learn`` was given."""
+    if root is None:
+        return
+    yield root
+    children: list[BaseCallback | None] = []
+    if isinstance(root, CallbackList):
+        children += root.callbacks
+    if isinstance(root, EventCallback):
+        children += [root.callback, getattr(root, "callback_on_new_best", None)]
+    if not isinstance(root, ConvertCallback):
+        for child in children:
+            yield from all_callbacks(child)
+
+
+def monitor_primitive_steps(venv: VecEnv) -> None:
+    """Move a ``Monitor`` from above the `OptionsWrapper` to beneath it.
+
+    SB3 puts a ``Monitor`` around an environment that has none. There it would count decisions and sum discounted
+    rewards; beneath the options it counts primitive steps and undiscounted rewards. A ``VecMonitor`` cannot be moved,
+    and there is a warning.
+    """
+    if is_vecenv_wrapped(venv, VecMonitor):
+        # It records an episode before a callback could correct the last step.
+        logger.warning(
+            "VecMonitor above OptionsWrapper counts decisions and sums discounted rewards: leave it out and put a "
+            "Monitor beneath, as make_vec_env(..., wrapper_class=OptionsWrapper) does."
+        )
+    inner = venv.unwrapped
+    if not isinstance(inner, DummyVecEnv):
+        return  # SB3 puts no Monitor around environments in worker processes
+    for i, env in enumerate(inner.envs):
+        if isinstance(env, Monitor) and isinstance(env.env, OptionsWrapper):
+            options = env.env
+            env.env, options.env = options.env, env
+            inner.envs[i] = options

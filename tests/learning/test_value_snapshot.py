@@ -1,0 +1,40 @@
+"""A snapshot's values are those of the network for what the algorithm sees."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+from sb3_options import OptionDQN, OptionsWrapper
+from sb3_options.learning.value_snapshot import ValueSnapshot
+from tests.support.sb3_helpers import TINY, Corridor, places
+
+
+@pytest.mark.parametrize("kind", ["box", "dict_discrete"])
+def test_observations_are_clipped_as_vec_normalize_clips_them(kind: str) -> None:
+    """In a network with values of its own beyond the clip, where they would differ."""
+
+    def make() -> OptionsWrapper:
+        return OptionsWrapper(Corridor(kind), 1, gamma=0.9, feature_map=places)
+
+    keys = {"norm_obs_keys": ["twice"]} if kind == "dict_discrete" else {}
+    venv = VecNormalize(DummyVecEnv([make]), gamma=0.9, clip_obs=0.7, norm_reward=False, **keys)  # type: ignore[arg-type]  # one of two types
+    policy = "MlpPolicy" if kind == "box" else "MultiInputPolicy"
+    model = OptionDQN(policy, venv, gamma=0.9, **TINY)
+    rng = np.random.default_rng(0)
+    venv.reset()
+    for _ in range(200):
+        venv.step(rng.integers(2, size=1))
+    snapshot, clipped = ValueSnapshot(model), 0
+    for place in range(12):
+        observation: Any = Corridor(kind).see(place)
+        batch = {k: np.asarray(v)[None] for k, v in observation.items()} if kind != "box" else observation[None]
+        normalized: Any = venv.normalize_obs(batch)
+        seen = normalized["twice"] if kind != "box" else normalized
+        clipped += bool((np.abs(seen) == np.float32(0.7)).any())
+        with torch.no_grad():
+            expected = model.q_net(model.policy.obs_to_tensor(normalized)[0])[0].numpy()
+        np.testing.assert_allclose(snapshot(observation), expected, atol=1e-5)
+    assert 2 <= clipped < 12
