@@ -18,7 +18,7 @@ from stable_baselines3.common.vec_env import (
 
 from sb3_options.execution.wrappers_above import ChangesSteps
 from sb3_options.learning import heads
-from sb3_options.learning.checks import check_gamma, check_one_step, check_wrapped
+from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.macro_q import MacroQ
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 
@@ -126,10 +126,10 @@ def _check_deep(model: BaseAlgorithm, venv: VecEnv) -> None:
 
 
 def check_replay_buffer(model: BaseAlgorithm) -> None:
-    """Refuse a replay buffer that discounts every transition with γ, and n-step returns.
+    """Refuse a replay buffer that discounts every transition with γ, or that was not told of the model's ``n_steps``.
 
     Raises:
-        ValueError: The model has one or the other.
+        ValueError: The model has such a buffer.
     """
     buffer = getattr(model, "replay_buffer", None)
     if buffer is not None and not isinstance(buffer, OptionReplayBuffer):
@@ -137,8 +137,12 @@ def check_replay_buffer(model: BaseAlgorithm) -> None:
             f"{type(model).__name__} was built with {type(buffer).__name__}, which discounts an option of k steps "
             f"with γ instead of γᵏ: pass {type(model).__name__}(..., replay_buffer_class=OptionReplayBuffer)."
         )
-    if buffer is not None:
-        check_one_step(model.n_steps)  # type: ignore[attr-defined]  # every algorithm with a replay buffer has it
+    n_steps = getattr(model, "n_steps", 1)
+    if buffer is not None and n_steps > 1 and buffer.n_steps != n_steps:
+        raise ValueError(
+            f"SB3 does not pass n_steps={n_steps} on to OptionReplayBuffer, which has n_steps={buffer.n_steps}: pass "
+            f"{type(model).__name__}(..., replay_buffer_kwargs={{'n_steps': {n_steps}}}) instead of n_steps."
+        )
 
 
 def _check_stacked_frames(model: BaseAlgorithm, buffer: OptionReplayBuffer, venv: VecEnv) -> None:

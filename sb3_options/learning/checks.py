@@ -46,16 +46,3 @@ def check_gamma(model: BaseAlgorithm, venv: VecEnv) -> None:
             f"OptionsWrapper discounts with gamma={different[0]}, {type(model).__name__} with gamma={gamma}: "
             "give both the same."
         )
-
-
-def check_one_step(n_steps: int) -> None:
-    """Refuse n-step returns.
-
-    Raises:
-        ValueError: ``n_steps`` is more than 1.
-    """
-    if n_steps > 1:
-        raise ValueError(
-            f"OptionReplayBuffer has no n-step returns, got n_steps={n_steps}: leave n_steps out, also of "
-            "replay_buffer_kwargs."
-        )

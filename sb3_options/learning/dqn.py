@@ -18,9 +18,10 @@ from torch.nn import functional
 from sb3_options.execution.exploration import CappedActions
 from sb3_options.experience.observations import BoolArray, FloatArray
 from sb3_options.learning import heads
-from sb3_options.learning.checks import check_gamma, check_one_step, check_wrapped
+from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.masked import MaskedPrediction, n_actions_of, stored_availability
-from sb3_options.learning.replay_buffer import OptionReplayBuffer, OptionReplayBufferSamples
+from sb3_options.learning.replay_buffer import OptionReplayBuffer
+from sb3_options.learning.replay_samples import OptionReplayBufferSamples
 
 
 class OptionDQN(MaskedPrediction, DQN):
@@ -33,10 +34,11 @@ class OptionDQN(MaskedPrediction, DQN):
         policy: As for ``DQN``.
         env: Wrapped in `OptionsWrapper`.
         replay_buffer_class: `OptionReplayBuffer` or a subclass.
+        n_steps: Decisions of an n-step return.
         **kwargs: As for ``DQN``.
 
     Raises:
-        ValueError: The environment is not wrapped, the buffer is another, or ``n_steps`` > 1.
+        ValueError: The environment is not wrapped, or the buffer is another.
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = DQN.policy_aliases
@@ -47,13 +49,15 @@ class OptionDQN(MaskedPrediction, DQN):
         env: GymEnv | str | None,
         *,
         replay_buffer_class: type[OptionReplayBuffer] = OptionReplayBuffer,
+        n_steps: int = 1,
         **kwargs: Any,
     ) -> None:
         if not issubclass(replay_buffer_class, OptionReplayBuffer):
             raise ValueError(
                 f"OptionDQN needs replay_buffer_class=OptionReplayBuffer, got {replay_buffer_class.__name__}."
             )
-        check_one_step(kwargs.get("n_steps", 1))
+        # SB3 hands its own `n_steps` to its own buffers only.
+        kwargs["replay_buffer_kwargs"] = {"n_steps": n_steps, **(kwargs.get("replay_buffer_kwargs") or {})}
         super().__init__(policy, env, replay_buffer_class=replay_buffer_class, **kwargs)  # type: ignore[arg-type]  # SB3 passes None when loading
 
     def _setup_model(self) -> None:

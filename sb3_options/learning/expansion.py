@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.buffers import BaseBuffer, NStepReplayBuffer
+from stable_baselines3.common.buffers import BaseBuffer, DictReplayBuffer, NStepReplayBuffer, ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv
@@ -22,11 +22,17 @@ from sb3_options.experience.observations import FeatureMap
 from sb3_options.learning import heads
 from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.joined_linear import JoinedLinear, check_optimizer, widened_linear
-from sb3_options.learning.replay_buffer import OptionReplayBuffer, check_stock_buffer
+from sb3_options.learning.replay_buffer import OptionReplayBuffer
 
 logger = logging.getLogger("sb3_options")
 
 Model = TypeVar("Model", bound=BaseAlgorithm)
+
+STOCK_BUFFERS = (ReplayBuffer, DictReplayBuffer, NStepReplayBuffer)
+"""Buffers whose rows are single primitive steps; of their subclasses that is not known."""
+
+KEPT_KWARGS = frozenset({"handle_timeout_termination", "n_steps", "gamma"})
+"""What a stock buffer was made with that `OptionReplayBuffer` takes too."""
 
 
 def expand_action_space(
@@ -222,14 +228,9 @@ def _expand_replay(model: OffPolicyAlgorithm, actions: spaces.Discrete) -> None:
     if isinstance(stock, OptionReplayBuffer):
         stock.action_space = actions
         return
-    if isinstance(stock, NStepReplayBuffer):
-        logger.warning(
-            "OptionReplayBuffer has no n-step returns: the model goes on with one-step returns, not n_steps=%d.",
-            stock.n_steps,
-        )
-    kwargs = {key: value for key, value in model.replay_buffer_kwargs.items() if key == "handle_timeout_termination"}
+    kwargs = {key: value for key, value in model.replay_buffer_kwargs.items() if key in KEPT_KWARGS}
     model.replay_buffer_class, model.replay_buffer_kwargs = OptionReplayBuffer, kwargs
-    model.optimize_memory_usage, model.n_steps = False, 1
+    model.optimize_memory_usage = False
     model.replay_buffer = (
         OptionReplayBuffer(
             model.buffer_size,
@@ -242,3 +243,16 @@ def _expand_replay(model: OffPolicyAlgorithm, actions: spaces.Discrete) -> None:
         if stock is None
         else OptionReplayBuffer.from_stock(stock, actions, model.gamma)
     )
+
+
+def check_stock_buffer(buffer: ReplayBuffer | None) -> None:
+    """Refuse a buffer whose transitions `OptionReplayBuffer.from_stock` could not take over.
+
+    Raises:
+        TypeError: It is neither one of `STOCK_BUFFERS` nor an `OptionReplayBuffer`.
+    """
+    if buffer is not None and type(buffer) not in STOCK_BUFFERS and not isinstance(buffer, OptionReplayBuffer):
+        raise TypeError(
+            f"The transitions of a {type(buffer).__name__} cannot be taken over, only those of ReplayBuffer and "
+            "DictReplayBuffer: set model.replay_buffer = None to go on with an empty one."
+        )

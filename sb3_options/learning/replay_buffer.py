@@ -3,54 +3,30 @@
 from __future__ import annotations
 
 import logging
-from typing import Any, NamedTuple, Self, cast
+from typing import Any, Self, cast
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from gymnasium import spaces
-from stable_baselines3.common.buffers import BaseBuffer, DictReplayBuffer, NStepReplayBuffer, ReplayBuffer
+from stable_baselines3.common.buffers import BaseBuffer, DictReplayBuffer, ReplayBuffer
 from stable_baselines3.common.preprocessing import is_image_space
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.common.vec_env import VecNormalize
 
 from sb3_options.experience.observations import BoolArray, Observations, take
 from sb3_options.experience.option_run import OptionRun
-from sb3_options.learning.checks import check_one_step
 from sb3_options.learning.intra_option import ConsistencyTable
+from sb3_options.learning.n_step import Successors
+from sb3_options.learning.replay_samples import OptionReplayBufferSamples
 
 logger = logging.getLogger("sb3_options")
 
 Rows = dict[str, npt.NDArray[Any]]
-
-STOCK_BUFFERS = (ReplayBuffer, DictReplayBuffer, NStepReplayBuffer)
-"""Buffers whose rows are single primitive steps; of their subclasses that is not known."""
+NO_ROWS: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)
 
 QUANTILE_SHARE = 0.25
 """Largest share of a batch of QRDQN, whose size is fixed, that gives way to intra-option rows."""
-
-
-class OptionReplayBufferSamples(NamedTuple):
-    """`ReplayBufferSamples` with what options add.
-
-    Attributes:
-        observations: (batch, ...).
-        actions: Augmented actions, (batch, 1).
-        next_observations: (batch, ...).
-        dones: 1 where nothing follows; a timeout is not such an end. (batch, 1).
-        rewards: Σ γⁱ rᵢ over the k primitive steps, (batch, 1).
-        discounts: γᵏ, (batch, 1).
-        next_available: Which option slots may start in the next observation, (batch, max_options); None where the
-            buffer does not track availability.
-    """
-
-    observations: Any
-    actions: torch.Tensor
-    next_observations: Any
-    dones: torch.Tensor
-    rewards: torch.Tensor
-    discounts: torch.Tensor
-    next_available: torch.Tensor | None
 
 
 class OptionReplayBuffer(ReplayBuffer):
@@ -65,8 +41,9 @@ class OptionReplayBuffer(ReplayBuffer):
 
     Intra-option learning (Sutton, Precup & Singh 1999, §6; `intra_option`): every primitive step of a batch also
     becomes a transition of each option that is consistent with it. `SubgoalDiscoveryCallback` says which these are.
-    At most as many such rows are added as were drawn; SB3's loss is a mean over all rows, so that those drawn keep at
-    least half of their weight.
+    At most as many such rows are added as were drawn, so that those drawn keep at least half of their weight.
+
+    With ``n_steps`` the target is the return over the next n decisions (`n_step`), for the steps inside options too.
 
     The rows of all environments are stored in one sequence, because their options take different numbers of steps.
 
@@ -81,15 +58,17 @@ class OptionReplayBuffer(ReplayBuffer):
         macro_q: Whether the steps inside options are stored.
         intra_option: Whether options are updated from primitive steps they are consistent with. Off by default: on
             the two seeds measured it saved no time (docs/studies/deep.md).
-        n_steps: Not supported beyond 1; as for SB3's ``NStepReplayBuffer``.
-        gamma: Unused: every transition has its own discount.
+        n_steps: Decisions of an n-step return, each with its own γᵏ. Steps inside options count as one each.
+        gamma: Unused, as for SB3's ``NStepReplayBuffer``: every transition has its own discount.
 
     Raises:
-        ValueError: ``optimize_memory_usage`` is set, or ``n_steps`` > 1.
+        ValueError: ``optimize_memory_usage`` is set, or ``n_steps`` < 1.
     """
 
     consistency: ConsistencyTable | None = None
     heads_are_closed = False  # of empty slots, by a callback or by OptionDQN
+    n_steps = 1  # of a buffer that an earlier version pickled
+    _successors: Successors | None = None
 
     def __init__(
         self,
@@ -106,7 +85,8 @@ class OptionReplayBuffer(ReplayBuffer):
         n_steps: int = 1,
         gamma: float | None = None,
     ) -> None:
-        check_one_step(n_steps)
+        if n_steps < 1:
+            raise ValueError(f"n_steps must be at least 1 decision, got {n_steps}.")
         if optimize_memory_usage:
             raise ValueError(
                 "OptionReplayBuffer needs optimize_memory_usage=False: with options the next observation of one "
@@ -117,6 +97,9 @@ class OptionReplayBuffer(ReplayBuffer):
         self.handle_timeout_termination = handle_timeout_termination
         self.macro_q = macro_q
         self.intra_option = intra_option
+        self.n_steps = n_steps
+        if n_steps > 1:
+            self._successors = Successors(buffer_size, n_envs)
         self.written = 0
         self._spaces = (
             observation_space.spaces if isinstance(observation_space, spaces.Dict) else {"": observation_space}
@@ -136,11 +119,10 @@ class OptionReplayBuffer(ReplayBuffer):
 
     @classmethod
     def from_stock(cls, stock: ReplayBuffer, action_space: spaces.Space[Any], gamma: float) -> Self:
-        """A buffer with the transitions of one of SB3's own, `check_stock_buffer` permitting.
+        """A buffer with the transitions and ``n_steps`` of one of SB3's own, `expansion.STOCK_BUFFERS`.
 
         SB3 keeps rows of (steps, environments). They are stored one after the other here, so that the oldest are still
-        the first to be overwritten, and the capacity is the same. The arrays are taken over and not copied: ``stock``
-        must not be used any more.
+        the first to be overwritten. The arrays are taken over and not copied: ``stock`` must not be used any more.
 
         Args:
             stock: One of SB3's own.
@@ -154,6 +136,7 @@ class OptionReplayBuffer(ReplayBuffer):
             device=stock.device,
             n_envs=stock.n_envs,
             handle_timeout_termination=stock.handle_timeout_termination,
+            n_steps=getattr(stock, "n_steps", 1),
         )
 
         def flat(rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -175,6 +158,8 @@ class OptionReplayBuffer(ReplayBuffer):
             for column in made._columns():
                 column[:] = np.roll(column, -made.pos - stock.n_envs, axis=0)
             made.pos, made.full = made.buffer_size - stock.n_envs, False
+        if made._successors is not None:
+            made._successors.link(made.dones[: made.size()], made.pos)
         return made
 
     def _columns(self) -> list[npt.NDArray[Any]]:
@@ -215,9 +200,9 @@ class OptionReplayBuffer(ReplayBuffer):
             self.next_available[: self.size(), slot] = available
 
     def forget_action(self, action: int) -> None:
-        """Replace the transitions of ``action``, whose slot was emptied, by copies of others.
+        """Replace each transition of ``action``, whose slot was emptied, by a copy of the next one of another action.
 
-        Each is replaced by the next transition of another action: with Macro-Q the first primitive step of the run.
+        With Macro-Q that is the first primitive step of the run.
         """
         size = self.size()
         named = self.actions[:size, 0] == action
@@ -231,6 +216,8 @@ class OptionReplayBuffer(ReplayBuffer):
             column[rows] = column[source]
         if self.consistency is not None:
             self.consistency.copy_rows(source, rows)
+        if self._successors is not None:
+            self._successors.cut(rows)
 
     def add(
         self,
@@ -267,9 +254,18 @@ class OptionReplayBuffer(ReplayBuffer):
                 self._warn_of_open_heads()
             last = None if run.available is None else run.available[-1:]
             this = slice(i, i + 1)
+            decision, inner, follows = self.pos, NO_ROWS, self._follows(i, here)
             self._write(here, there, chosen[None], reward[this], done[this], timeout, run.discount, last)
             if self.macro_q and run.index >= 0 and run.actions is not None:
+                inner = (self.pos + np.arange(run.duration)) % self.buffer_size
                 self._write_inner(run, there, bool(done[i]), timeout)
+            if self._successors is not None:
+                self._successors.add(i, decision, inner, follows=follows, done=bool(done[i]))
+
+    def _follows(self, env: int, here: Rows) -> bool:
+        """Whether a decision begins where the last one of its environment ended."""
+        newest = NO_ROWS if self._successors is None else self._successors.newest(env)
+        return all(np.array_equal(self._next_observations[k][newest], v) for k, v in here.items())
 
     def _warn_of_open_heads(self) -> None:
         logger.warning(
@@ -356,41 +352,36 @@ class OptionReplayBuffer(ReplayBuffer):
         if table is None or selected is None:
             return cast("ReplayBufferSamples", self._rows_as_samples(batch_inds, env))
         drawn = batch_inds[: n - len(selected.rows)] if table.quantiles else batch_inds
-        samples = self._rows_as_samples(np.concatenate([drawn, selected.rows]), env)
+        samples = self._rows_as_samples(drawn, env, selected.rows)
         return cast("ReplayBufferSamples", table.as_option_transitions(samples, selected))
 
-    def _rows_as_samples(self, rows: npt.NDArray[Any], env: VecNormalize | None = None) -> OptionReplayBufferSamples:
-        """These stored transitions, as the algorithm takes them."""
+    def _rows_as_samples(
+        self, drawn: npt.NDArray[Any], env: VecNormalize | None = None, one_step: npt.NDArray[Any] = NO_ROWS
+    ) -> OptionReplayBufferSamples:
+        """Stored transitions as the algorithm takes them: n-step returns from those drawn, then some single ones."""
 
-        def tensors(stored: Rows) -> Any:
+        def tensors(stored: Rows, rows: npt.NDArray[Any]) -> Any:
             seen: Any = self._normalize_obs(cast("Any", take(stored.get("", stored), rows)), env)
             return {k: self.to_torch(v) for k, v in seen.items()} if isinstance(seen, dict) else self.to_torch(seen)
 
-        dones = self.dones[rows] * (1 - self.timeouts[rows])
+        first = last = np.concatenate([drawn, one_step])
+        rewards, discounts = self.rewards[first], self.discounts[first]
+        if self._successors is not None:
+            n, last = len(drawn), first.copy()
+            returns = self._successors.returns(drawn, self.n_steps, self.rewards, self.discounts)
+            last[:n], rewards[:n], discounts[:n] = returns
+        dones = self.dones[last] * (1 - self.timeouts[last])
         return OptionReplayBufferSamples(
-            observations=tensors(self._observations),
-            actions=self.to_torch(self.actions[rows]),
-            next_observations=tensors(self._next_observations),
+            observations=tensors(self._observations, first),
+            actions=self.to_torch(self.actions[first]),
+            next_observations=tensors(self._next_observations, last),
             dones=self.to_torch(dones.reshape(-1, 1)),
-            rewards=self.to_torch(self._normalize_reward(self.rewards[rows].reshape(-1, 1), env)),
-            discounts=self.to_torch(self.discounts[rows].reshape(-1, 1)),
-            next_available=self.to_torch(self.next_available[rows]) if self.tracks_availability else None,
+            rewards=self.to_torch(self._normalize_reward(rewards.reshape(-1, 1), env)),
+            discounts=self.to_torch(discounts.reshape(-1, 1)),
+            next_available=self.to_torch(self.next_available[last]) if self.tracks_availability else None,
         )
 
     def _split(self, observations: Any) -> Rows:
         rows = observations if isinstance(observations, dict) else {"": observations}
         # A Discrete observation is a scalar to the environment and a vector of one to SB3.
         return {k: v.reshape(len(v), *self._shapes[k]) if v.ndim == 1 else v for k, v in rows.items()}
-
-
-def check_stock_buffer(buffer: ReplayBuffer | None) -> None:
-    """Refuse a buffer whose transitions `OptionReplayBuffer.from_stock` could not take over.
-
-    Raises:
-        TypeError: It is neither one of `STOCK_BUFFERS` nor an `OptionReplayBuffer`.
-    """
-    if buffer is not None and type(buffer) not in STOCK_BUFFERS and not isinstance(buffer, OptionReplayBuffer):
-        raise TypeError(
-            f"The transitions of a {type(buffer).__name__} cannot be taken over, only those of ReplayBuffer and "
-            "DictReplayBuffer: set model.replay_buffer = None to go on with an empty one."
-        )

@@ -54,7 +54,7 @@ def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> Ba
     if isinstance(config, DQNConfig):
         # The rollout buffers of the others are the callback's affair.
         settings["replay_buffer_class"] = OptionReplayBuffer
-        settings["replay_buffer_kwargs"] = {"intra_option": config.intra_option}
+        settings["replay_buffer_kwargs"] = {"intra_option": config.intra_option, "n_steps": settings.pop("n_steps")}
     if playing:
         settings |= {"buffer_size": 1} if isinstance(config, DQNConfig) else {"n_steps": settings.get("batch_size", 1)}
     model: BaseAlgorithm = _class_of(config.algo)(

@@ -92,7 +92,7 @@ class TrainConfig:
         gamma: Discount γ per primitive step.
         learning_rate: Step size of the optimiser.
         net_arch: Hidden layers of the network.
-        close_harmful: Close options that prove harmful in a trial.
+        close_harmful: Close options that prove harmful.
         discovery: How subgoals are found.
         option: How options are learned.
     """
@@ -141,9 +141,10 @@ class DQNConfig(TrainConfig):
         target_update_interval: Decisions between target updates.
         exploration_fraction: Share of training over which ε falls.
         exploration_final_eps: ε after that.
-        max_option_exploration: Largest share of options among exploratory choices.
-        interruption: End options where another choice is worth more.
-        intra_option: Steps teach all options that agree with them.
+        max_option_exploration: Largest share of options when exploring.
+        n_steps: Decisions of a return.
+        interruption: End options worth less than others.
+        intra_option: Steps teach options that agree.
     """
 
     algo: Annotated[Literal["dqn", "qrdqn", "optiondqn"], tyro.conf.Suppress] = "dqn"
@@ -155,6 +156,7 @@ class DQNConfig(TrainConfig):
     exploration_fraction: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
     exploration_final_eps: Share = 0.05
     max_option_exploration: Share = 0.5
+    n_steps: Count = 1
     interruption: bool = True
     intra_option: bool = False
 

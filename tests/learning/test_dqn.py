@@ -21,7 +21,7 @@ from sb3_options import Option, OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.learning import dqn as option_dqn_module
 from sb3_options.learning import heads
-from sb3_options.learning.replay_buffer import OptionReplayBufferSamples
+from sb3_options.learning.replay_samples import OptionReplayBufferSamples
 from tests.support.helpers import TableEnv, table_option
 from tests.support.sb3_helpers import (
     RANDOM,

@@ -1,6 +1,5 @@
 """A model that was trained without options, and what of it is still the same once it has slots."""
 
-import logging
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -19,7 +18,7 @@ from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNormalize, VecTransposeImage
 
 from sb3_options import OptionReplayBuffer, OptionsWrapper, expand_action_space
-from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.learning import heads
 from sb3_options.learning.joined_linear import JoinedLinear, by_action
 from sb3_options.learning.rollout_buffer import SMDPAdvantages
@@ -274,14 +273,12 @@ def test_replay_data_is_kept(name: str, n_envs: int) -> None:
     assert set(buffer.actions[:, 0]) <= set(range(N_PRIMITIVE))
 
 
-def test_n_step_returns_end_with_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+def test_n_step_returns_go_on() -> None:
     model = trained("dqn", steps=128, n_steps=3)
-    with caplog.at_level(logging.WARNING, logger="sb3_options"):
-        expand_action_space(model, MAX_OPTIONS)
-    assert "goes on with one-step returns, not n_steps=3" in caplog.text
-    assert model.n_steps == 1
-    assert model.replay_buffer_kwargs == {}
-    assert model.replay_buffer.size() == 128
+    expand_action_space(model, MAX_OPTIONS)
+    assert model.replay_buffer.n_steps == 3
+    model.learn(60, reset_num_timesteps=False, callback=PrimitiveStepsCallback())
+    assert model.replay_buffer.size() > 128
 
 
 def test_a_buffer_that_was_taken_away_or_knows_options_already() -> None:

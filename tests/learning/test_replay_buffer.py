@@ -12,10 +12,9 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecFrameStack, VecNormalize, VecTransposeImage
 
-from sb3_options import Option, OptionDQN, OptionReplayBuffer, OptionsWrapper
-from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
+from sb3_options import Option, OptionReplayBuffer, OptionsWrapper
 from sb3_options.learning.intra_option import ConsistencyTable
-from sb3_options.learning.replay_buffer import OptionReplayBufferSamples
+from sb3_options.learning.replay_samples import OptionReplayBufferSamples
 from tests.support.sb3_helpers import (
     ActionLog,
     Corridor,
@@ -377,24 +376,3 @@ def test_a_buffer_that_named_nothing_else_is_empty() -> None:
     buffer.add(np.zeros((1, 1)), np.ones((1, 1)), np.array([2]), np.zeros(1), np.zeros(1), [info])
     buffer.forget_action(2)
     assert buffer.size() == 0
-
-
-class TestNStepReturns:
-    TEXT = "OptionReplayBuffer has no n-step returns, got n_steps=3: leave n_steps out, also of replay_buffer_kwargs"
-
-    def test_of_the_buffer(self) -> None:
-        """What SB3 advises where it was given n_steps=3 and another buffer than its own."""
-        kwargs: dict[str, Any] = {"replay_buffer_kwargs": {"n_steps": 3, "gamma": GAMMA}}
-        with pytest.raises(ValueError, match=self.TEXT):
-            DQN("MlpPolicy", optioned("box"), gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, **kwargs)
-
-    def test_of_option_dqn(self) -> None:
-        with pytest.raises(ValueError, match=self.TEXT):
-            OptionDQN("MlpPolicy", optioned("box"), gamma=GAMMA, n_steps=3)
-
-    @pytest.mark.parametrize("callback", [PrimitiveStepsCallback, SubgoalDiscoveryCallback])
-    def test_of_a_stock_algorithm(self, callback: Any) -> None:
-        with pytest.warns(UserWarning, match="`n_steps=3` is ignored"):
-            model = DQN("MlpPolicy", optioned("box"), gamma=GAMMA, n_steps=3, replay_buffer_class=OptionReplayBuffer)
-        with pytest.raises(ValueError, match=self.TEXT):
-            model.learn(10, callback=callback())

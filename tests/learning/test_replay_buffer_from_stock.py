@@ -9,7 +9,7 @@ from stable_baselines3.common.buffers import DictReplayBuffer, ReplayBuffer
 from stable_baselines3.common.utils import set_random_seed
 
 from sb3_options import OptionReplayBuffer
-from sb3_options.learning.replay_buffer import check_stock_buffer
+from sb3_options.learning.expansion import check_stock_buffer
 
 GAMMA = 0.9
 BOX = spaces.Box(0.0, 1000.0, (2,), np.float32)

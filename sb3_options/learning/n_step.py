@@ -1,0 +1,106 @@
+"""n-step returns over options (Watkins 1989; Sutton, Precup & Singh 1999, §2)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Rows = npt.NDArray[np.int64]
+
+END = -1
+"""Nothing is stored that follows: the episode ended, or the newest decision."""
+
+
+class NStepReturns(NamedTuple):
+    """Returns over the next n decisions, or fewer where the episode ends or nothing more is stored.
+
+    Attributes:
+        last: Row of the last decision, in whose next observation the value is bootstrapped, (batch,).
+        rewards: R₁ + γ^k₁ R₂ + γ^(k₁+k₂) R₃ + …, each Rᵢ over the kᵢ primitive steps of its decision, (batch,).
+        discounts: γ to the power of all their primitive steps, (batch,).
+    """
+
+    last: Rows
+    rewards: npt.NDArray[np.float32]
+    discounts: npt.NDArray[np.float32]
+
+
+class Successors:
+    """Which row of a replay buffer holds the decision that followed each row's.
+
+    The steps inside an option are rows too: each is followed by the next one inside, the last by the next decision.
+
+    Args:
+        buffer_size: Rows of the replay buffer.
+        n_envs: Number of parallel environments, whose rows are stored in one sequence.
+    """
+
+    def __init__(self, buffer_size: int, n_envs: int) -> None:
+        self.following: Rows = np.full(buffer_size, END, dtype=np.int64)
+        self._newest = [np.zeros(0, dtype=np.int64)] * n_envs
+
+    def newest(self, env: int) -> Rows:
+        """The newest decision of an environment whose episode goes on, (1,); or nothing, (0,)."""
+        return self._newest[env][-1:]
+
+    def add(self, env: int, decision: int, inner: Rows, *, follows: bool, done: bool) -> None:
+        """Enter the newest decision of an environment.
+
+        Args:
+            env: Which.
+            decision: Its row.
+            inner: Rows of the steps inside it, in order, (k,) or empty.
+            follows: Whether it began where the `newest` one ended. A reset in mid-episode comes between them otherwise.
+            done: Whether the episode ended with it.
+        """
+        size = len(self.following)
+        inner = inner[-size:]  # a longer run has overwritten its own first rows, and its decision's
+        written = inner if len(inner) == size else np.append(inner, decision)
+        if follows:
+            self.following[self._newest[env]] = decision
+        self.following[written] = END
+        self.following[inner[:-1]] = inner[1:]
+        self._newest = [rows[~np.isin(rows, written)] for rows in self._newest]
+        self._newest[env] = written[:0] if done else written[max(len(inner) - 1, 0) :]
+
+    def link(self, dones: npt.NDArray[np.float32], pos: int) -> None:
+        """Enter rows that were stored in turn: one decision of each environment, then the next of each.
+
+        Args:
+            dones: Of all stored rows, 1 where the episode ended.
+            pos: The row behind the newest one.
+        """
+        n_envs, size = len(self._newest), len(self.following)
+        rows = np.arange(len(dones))
+        newest = (pos - n_envs + np.arange(n_envs)) % size
+        goes_on = (dones == 0) & ~np.isin(rows, newest)
+        self.following[rows] = np.where(goes_on, (rows + n_envs) % size, END)
+        self._newest = [row[dones[row] == 0] for row in newest[:, None]]
+
+    def cut(self, rows: Rows) -> None:
+        """End every return before and after rows that now hold other transitions."""
+        self.following[np.isin(self.following, rows)] = END
+        self.following[rows] = END
+        self._newest = [newest[~np.isin(newest, rows)] for newest in self._newest]
+
+    def returns(
+        self, rows: Rows, n: int, rewards: npt.NDArray[np.float32], discounts: npt.NDArray[np.float32]
+    ) -> NStepReturns:
+        """The n-step returns from some rows.
+
+        Args:
+            rows: First decisions, (batch,).
+            n: Most decisions.
+            rewards: Of all rows of the buffer.
+            discounts: γᵏ of all rows of the buffer.
+        """
+        last, total, discount = rows, rewards[rows], discounts[rows]
+        for _ in range(n - 1):
+            following = self.following[last]
+            goes_on = following != END
+            last = np.where(goes_on, following, last)
+            total = total + np.where(goes_on, discount * rewards[last], np.float32(0))
+            discount = np.where(goes_on, discount * discounts[last], discount)
+        return NStepReturns(last, total, discount)

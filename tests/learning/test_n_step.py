@@ -1,0 +1,249 @@
+"""n-step returns over options against returns that are worked out from the primitive steps alone."""
+
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+from stable_baselines3 import DQN
+from stable_baselines3.common.buffers import NStepReplayBuffer
+from stable_baselines3.common.vec_env import VecEnv
+
+from sb3_options import OptionDQN, OptionReplayBuffer
+from sb3_options.callbacks import PrimitiveStepsCallback
+from sb3_options.learning.replay_samples import OptionReplayBufferSamples
+from tests.learning.test_replay_buffer import GAMMA, corridors, fill, optioned, place_in, place_of_tensors
+
+
+class Return(NamedTuple):
+    """What a sample must be."""
+
+    state: int
+    action: int
+    rewards: float
+    discount: float
+    next_state: int
+    terminal: bool
+
+
+class Decision(NamedTuple):
+    """An augmented action and its primitive steps."""
+
+    action: int
+    steps: list[Any]
+    row: int
+
+
+def episodes_of(
+    venv: VecEnv, buffer: OptionReplayBuffer, n_steps: int, rng: np.random.Generator
+) -> list[list[Decision]]:
+    """Step every environment, and say which decisions followed each other."""
+    logs = cast("list[list[Any]]", venv.get_attr("log"))
+    before = [len(log) for log in logs]
+    open_: list[list[Decision]] = [[] for _ in logs]
+    ended: list[list[Decision]] = []
+    chosen = cast("list[list[int]]", venv.get_attr("chosen"))
+    n_before = [len(c) for c in chosen]
+    written = fill(venv, buffer, n_steps, rng)
+    row = 0
+    for t in range(n_steps):
+        rows = 0
+        for i, log in enumerate(logs):
+            action = chosen[i][n_before[i] + t]
+            k = 1
+            if action == 2:  # the rows of the run say how long it was
+                k = sum(1 for _ in _run_of(log, before[i], buffer))
+            steps = log[before[i] : before[i] + k]
+            before[i] += k
+            stored = steps[0].action if action == 3 else action
+            open_[i].append(Decision(stored, steps, row + rows))
+            rows += 1 + (len(steps) if action == 2 and buffer.macro_q else 0)
+            if steps[-1].terminated or steps[-1].truncated:
+                ended.append(open_[i])
+                open_[i] = []
+        assert rows == len(written[t])
+        row += rows
+    return [*ended, *(decisions for decisions in open_ if decisions)]
+
+
+def _run_of(log: list[Any], at: int, buffer: OptionReplayBuffer) -> list[Any]:
+    """The primitive steps of `RIGHT` from a place."""
+    run: list[Any] = []
+    inside = 2 <= place_in(log[at].state) < 8
+    while True:
+        step = log[at + len(run)]
+        run.append(step)
+        place = place_in(step.next_state)
+        if step.terminated or step.truncated or not (inside and 2 <= place < 8) or len(run) == 4:
+            return run
+
+
+def expected(episodes: list[list[Decision]], n: int, *, macro_q: bool) -> dict[int, Return]:
+    """The returns of all rows, by row."""
+    returns = {}
+    for episode in episodes:
+        for i, first in enumerate(episode):
+            later = [d.steps for d in episode[i + 1 :]]
+            returns[first.row] = _sum(first.action, [first.steps, *later][:n])
+            if first.action == 2 and macro_q:
+                for j, step in enumerate(first.steps):
+                    inside = [[s] for s in first.steps[j:]]
+                    returns[first.row + 1 + j] = _sum(step.action, [*inside, *later][:n])
+    return returns
+
+
+def _sum(action: int, decisions: list[list[Any]]) -> Return:
+    steps = [step for decision in decisions for step in decision]
+    rewards = sum(GAMMA**t * step.reward for t, step in enumerate(steps))
+    last = steps[-1]
+    return Return(
+        place_in(steps[0].state), action, rewards, GAMMA ** len(steps), place_in(last.next_state), last.terminated
+    )
+
+
+def assert_samples(buffer: OptionReplayBuffer, rows: list[int], returns: list[Return]) -> None:
+    samples = cast("OptionReplayBufferSamples", buffer._get_samples(np.array(rows)))
+    assert place_of_tensors(samples.observations) == [r.state for r in returns]
+    assert samples.actions[:, 0].tolist() == [r.action for r in returns]
+    np.testing.assert_allclose(samples.rewards[:, 0], [r.rewards for r in returns], atol=1e-6)
+    np.testing.assert_allclose(samples.discounts[:, 0], [r.discount for r in returns], atol=1e-6)
+    assert place_of_tensors(samples.next_observations) == [r.next_state for r in returns]
+    assert samples.dones[:, 0].tolist() == [float(r.terminal) for r in returns]
+
+
+def buffer_for(venv: VecEnv, size: int, n: int, **kwargs: Any) -> OptionReplayBuffer:
+    return OptionReplayBuffer(
+        size, venv.observation_space, venv.action_space, "cpu", n_envs=venv.num_envs, n_steps=n, **kwargs
+    )
+
+
+@pytest.mark.parametrize("macro_q", [True, False])
+@pytest.mark.parametrize("n_envs", [1, 4])
+@pytest.mark.parametrize(("kind", "n"), [("box", 1), ("box", 2), ("box", 5), ("dict", 3), ("image", 3)])
+def test_returns_are_those_of_the_primitive_steps(
+    kind: str, n: int, n_envs: int, macro_q: bool, rng: np.random.Generator
+) -> None:
+    venv = corridors(kind, n_envs)
+    buffer = buffer_for(venv, 3000, n, macro_q=macro_q)
+    episodes = episodes_of(venv, buffer, 400 // n_envs, rng)
+    returns = expected(episodes, n, macro_q=macro_q)
+    assert len(episodes) > 10
+    assert len({round(r.discount, 6) for r in returns.values()}) > 3
+    assert sorted(returns) == list(range(buffer.size()))
+    assert_samples(buffer, sorted(returns), [returns[row] for row in sorted(returns)])
+
+
+@pytest.mark.parametrize("size", [3, 7, 37])
+@pytest.mark.parametrize("n_envs", [1, 4])
+def test_the_same_where_the_oldest_rows_are_overwritten(size: int, n_envs: int, rng: np.random.Generator) -> None:
+    for n_steps in range(5, 45):
+        venv = corridors("box", n_envs)
+        buffer = buffer_for(venv, size, 3)
+        returns = expected(episodes_of(venv, buffer, n_steps, rng), 3, macro_q=True)
+        n = len(returns)
+        kept = range(max(0, n - size), n)
+        whole = [row for row in kept if row == kept[0] or returns[row].discount]
+        assert_samples(buffer, [row % size for row in whole], [returns[row] for row in whole])
+
+
+def test_a_reset_in_mid_episode_ends_the_returns_before_it(rng: np.random.Generator) -> None:
+    venv = corridors("box", limit=1000)
+    buffer = buffer_for(venv, 3000, 1000, macro_q=False)
+    resets = []
+    for _ in range(100):
+        fill(venv, buffer, 2, rng)
+        resets.append(buffer.pos)
+    before, after = np.array(resets[:-1]) - 1, np.array(resets[:-1])
+    led, began = cast("Any", buffer.stored(before)[2]), cast("Any", buffer.stored(after)[0])
+    elsewhere = (led != began).any(axis=1) & (buffer.dones[before] == 0)
+    assert elsewhere.sum() > 20
+    assert buffer._successors is not None
+    assert (buffer._successors.following[before[elsewhere]] == -1).all()
+    assert (buffer._successors.following[before - 1] == before).any()
+
+
+def test_a_removed_option_leaves_no_return_across_its_rows(rng: np.random.Generator) -> None:
+    venv = corridors("box")
+    buffer = buffer_for(venv, 3000, 4)
+    returns = expected(episodes_of(venv, buffer, 300, rng), 4, macro_q=True)
+    removed = [row for row, r in returns.items() if r.action == 2]
+    buffer.forget_action(2)
+    samples = cast("OptionReplayBufferSamples", buffer._get_samples(np.arange(buffer.size())))
+    assert not (samples.actions == 2).any()
+    assert buffer._successors is not None
+    assert (buffer._successors.following[removed] == -1).all()
+    assert not np.isin(buffer._successors.following, removed).any()
+    unharmed = [row for row in returns if not any(row <= other < row + 12 for other in removed)]
+    assert len(unharmed) > 20
+    assert_samples(buffer, unharmed, [returns[row] for row in unharmed])
+
+
+def test_equals_the_stock_buffer_without_options(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    venv = corridors("box", 3)
+    ours = buffer_for(venv, 600, 3)
+    stock = NStepReplayBuffer(600, venv.observation_space, venv.action_space, "cpu", n_envs=3, n_steps=3, gamma=GAMMA)
+    obs: Any = venv.reset()
+    for _ in range(60):
+        actions = rng.integers(2, size=3)
+        next_obs: Any
+        next_obs, rewards, dones, infos = venv.step(actions)
+        ended = np.array(next_obs)
+        for i in np.flatnonzero(dones):
+            ended[i] = infos[i]["terminal_observation"]
+        ours.add(obs, ended, actions, rewards, dones, infos)
+        stock.add(obs, ended, actions, rewards, dones, infos)
+        obs = next_obs
+    taken_over = OptionReplayBuffer.from_stock(stock, spaces.Discrete(4), GAMMA)
+    assert taken_over.n_steps == 3
+    for rows in (ours, taken_over):
+        mine = cast("OptionReplayBufferSamples", rows._get_samples(np.arange(180)))
+        for env in range(3):
+            with monkeypatch.context() as patch:
+                patch.setattr(np.random, "randint", lambda *_, size, env=env: np.full(size, env))
+                theirs = stock._get_samples(np.arange(60))
+            for name in ("observations", "actions", "next_observations", "dones", "rewards", "discounts"):
+                np.testing.assert_allclose(getattr(mine, name)[env::3], getattr(theirs, name), atol=1e-6, err_msg=name)
+
+
+def test_intra_option_rows_stay_single_steps(rng: np.random.Generator) -> None:
+    venv = corridors("box")
+    one, several = buffer_for(venv, 500, 1), buffer_for(venv, 500, 4)
+    for buffer in (one, several):
+        venv = corridors("box")
+        fill(venv, buffer, 100, np.random.default_rng(3))
+    drawn, single = np.arange(20), np.arange(30, 50)
+    mixed = several._rows_as_samples(drawn, None, single)
+    n_step, stored = several._rows_as_samples(drawn), one._rows_as_samples(single)
+    for name in ("observations", "actions", "next_observations", "dones", "rewards", "discounts"):
+        together = torch.cat([getattr(n_step, name), getattr(stored, name)])
+        assert torch.equal(getattr(mixed, name), together), name
+
+
+@pytest.mark.parametrize("n", [0, -1])
+def test_needs_at_least_one_decision(n: int) -> None:
+    with pytest.raises(ValueError, match="n_steps must be at least 1 decision"):
+        buffer_for(corridors("box"), 10, n)
+
+
+class TestModels:
+    """How a model comes by n-step returns."""
+
+    def test_as_sb3_advises(self) -> None:
+        model = DQN(
+            "MlpPolicy", optioned("box"), gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, learning_starts=20,
+            replay_buffer_kwargs={"n_steps": 3, "gamma": GAMMA}, buffer_size=500,
+        )  # fmt: skip
+        model.learn(60, callback=PrimitiveStepsCallback())
+        assert cast("OptionReplayBuffer", model.replay_buffer).n_steps == 3
+
+    def test_n_steps_that_sb3_does_not_pass_on_is_refused(self) -> None:
+        with pytest.warns(UserWarning, match="`n_steps=3` is ignored"):
+            model = DQN("MlpPolicy", optioned("box"), gamma=GAMMA, n_steps=3, replay_buffer_class=OptionReplayBuffer)
+        with pytest.raises(ValueError, match=r"pass DQN\(..., replay_buffer_kwargs=\{'n_steps': 3\}\) instead"):
+            model.learn(10, callback=PrimitiveStepsCallback())
+
+    def test_option_dqn_takes_it(self) -> None:
+        model = OptionDQN("MlpPolicy", optioned("box"), gamma=GAMMA, n_steps=3, learning_starts=20, buffer_size=500)
+        model.learn(60)
+        assert cast("OptionReplayBuffer", model.replay_buffer).n_steps == 3
