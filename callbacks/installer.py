@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Sequence
 
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
@@ -167,15 +168,19 @@ class OptionInstaller:
             return  # MacroQ asks for what is available in every step
         action = self.n_primitive + slot
         if heads.is_closed(self.model.policy, action):
-            heads.open_head(self.model.policy, action, self.n_primitive, odds=self._odds())
+            heads.open_head(self.model.policy, action, self.n_primitive, odds=self._odds(slot, option))
         self._new.append(slot)
 
-    def _odds(self) -> float | None:
-        """Odds of a new option against all primitives, for policies that sample and mask; None for the others."""
+    def _odds(self, slot: int, option: Option) -> float | None:
+        """Odds of a new option against all primitives, for policies that sample and mask; None for the others.
+
+        The options that are available together share what `opening_share` gives them.
+        """
         share = self.opening_share
         if not self.has_rollouts or self.waits_for_rollout or share == 1.0:
             return None
-        return max(share / (1.0 - share) / len(self.bank), MIN_ODDS)
+        others = [self.bank[i] for i in self.bank.filled if i != slot]
+        return max(share / (1.0 - share) / (1.0 + _n_available(others, option)), MIN_ODDS)
 
     def _uninstall_closed(self) -> None:
         for slot in self._closing:
@@ -208,6 +213,17 @@ class OptionInstaller:
     def _call_environments(self, method: str, *args: object) -> None:
         for venv in [self.venv, *self.eval_envs]:
             venv.env_method(method, *args)
+
+
+def _n_available(others: Sequence[Option | None], option: Option) -> float:
+    """How many of the others are available in the mean state of an option's initiation set, as far as is known."""
+    if not isinstance(option, SubgoalOption) or not len(option.initiation_set.points):
+        return len(others)
+    points = option.initiation_set.points
+    return sum(
+        float(other.initiation_set.contains(points).mean()) if isinstance(other, SubgoalOption) else 1.0
+        for other in others
+    )
 
 
 def _same_initiation(one: Option | None, other: Option) -> bool:

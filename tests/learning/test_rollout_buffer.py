@@ -21,11 +21,14 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from sb3_options import Option, OptionDictRolloutBuffer, OptionRolloutBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.callbacks.installer import OptionInstaller
+from sb3_options.density.regions import Region
 from sb3_options.experience.observations import batch_size
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.rollout_buffer import SMDPAdvantages, smdp_advantages
+from sb3_options.options.option import SubgoalOption
+from sb3_options.options.policies import TabularPolicy
 from tests.support.helpers import CountingEnv, DictEnv, place_of, steady_option
-from tests.support.sb3_helpers import Corridor, StepLog, env_of
+from tests.support.sb3_helpers import Corridor, StepLog, env_of, places
 
 GAMMA, LAMBDA = 0.9, 0.8
 
@@ -351,6 +354,29 @@ def test_the_opening_shares_of_several_options_add_up_as_documented() -> None:
     callback.on_training_start({}, {})
     probabilities = model.policy.get_distribution(torch.zeros((1, 2))).distribution.probs[0].detach()
     assert float(probabilities[2:].sum()) == pytest.approx(11 / 17, rel=1e-5)  # odds of 1 + 1/2 + 1/3
+
+
+@pytest.mark.parametrize(
+    ("starts", "slot", "odds"),
+    [((2, 5, 8), 2, 3.0), ((2, 2, 2), 2, 1.0), ((2, 3, 8), 1, 2.0)],
+    ids=["disjoint", "the same", "half of it shared"],
+)
+def test_options_share_the_opening_odds_with_those_available_in_the_same_states(
+    starts: tuple[int, ...], slot: int, odds: float
+) -> None:
+    """Each I is a place and the next one."""
+    env = OptionsWrapper(Corridor(), 3, gamma=GAMMA, feature_map=places)
+    policy = TabularPolicy(np.zeros((1, 2)), np.zeros((1, 2)))
+    for place in starts:
+        inside = Region(np.array([[place], [place + 1.0]]), np.ones(1), 0.1)
+        env.bank.add(SubgoalOption(Region(np.array([[11.0]]), np.ones(1), 0.1), inside, policy))
+    model: Any = make(MaskablePPO, env)
+    with torch.no_grad():
+        model.policy.action_net.weight.zero_()
+        model.policy.action_net.bias.zero_()
+    OptionInstaller(model, env_of(model), None, opening_share=0.75)
+    probabilities = model.policy.get_distribution(torch.zeros((1, 2))).distribution.probs[0].detach()
+    assert float(probabilities[2 + slot] / probabilities[:2].sum()) == pytest.approx(odds, rel=1e-5)
 
 
 def test_an_untrained_model_opens_the_heads_of_options_that_are_there_a_trained_one_keeps_them() -> None:
