@@ -72,6 +72,8 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         goal: The goal cell.
         start_cells: The cells where episodes start.
         doorways: The cells that are one-cell gaps in walls, row by row.
+        keys: The cells that hold a key.
+        doors: The cells that only an agent with a key can enter.
         walls: Which cells are walls, bool of shape (height, width), read-only.
         width: Number of columns.
         height: Number of rows.
@@ -111,6 +113,8 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         self.goal: Cell = self._grid.goal
         self.start_cells: list[Cell] = list(self._grid.starts)
         self.doorways: list[Cell] = list(self._grid.doorways)
+        self.keys: list[Cell] = sorted(self._grid.keys)
+        self.doors: list[Cell] = sorted(self._grid.doors)
         self.walls: NDArray[np.bool_] = self._grid.walls
         self.width: int = self._grid.width
         self.height: int = self._grid.height

@@ -88,7 +88,7 @@ class DeepSettings:
     n_envs: int = 8
     max_options: int = 4
     max_new_options: int = 2
-    discovery: dict[str, Any] = field(default_factory=lambda: {"decay": 0.75, "min_positive": 5, "leak": 0.2})
+    discovery: dict[str, Any] = field(default_factory=lambda: {"decay": 0.75, "min_positive": 5})
     option: dict[str, Any] = field(default_factory=lambda: {"grow": True})
     callback: dict[str, Any] = field(default_factory=lambda: {"interruption": True})
     buffer: dict[str, Any] = field(default_factory=lambda: {"intra_option": False})

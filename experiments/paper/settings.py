@@ -76,7 +76,9 @@ class PaperSettings:
             peak_radius=self.peak_radius,
             max_places=self.max_places,
             max_extent=self.max_extent,
-            min_density=0.0,
+            loops="keep",
+            min_passing=0.0,
+            leak=0.0,
         )
 
     def option(self) -> OptionLearningSettings:

@@ -24,12 +24,15 @@ class DiscoverySettings:
             takes from peak to peak.
         capacity: How many trajectories are kept: the last n.
         min_positive: Positive bags needed before the first search: over a few bags, accidents tie with bottlenecks.
+        loops: ``erase`` makes the bag of a successful trajectory of the way it took, without its loops
+            (`ways.loop_erased`); ``keep`` makes it of all it visited, as the paper does.
+        min_passing: Of the successful ways that come near a state, the share that must lead through it, or it is no
+            instance: nearly all that come near a doorway pass it (`ways.PassingShare`). 0 takes every state.
         negative_bags: Whether unsuccessful trajectories become negative bags.
         negative_strength: η in (0, 1]: how strongly an instance of a negative bag speaks against a concept near it.
             Below 1 because an unsuccessful trajectory may well pass a bottleneck (the paper's §8).
         leak: λ in [0, 1): the probability that a trajectory succeeds without the bottleneck, because there is another
-            way. Above 0, a trajectory of the other way costs a concept no more than log λ, and with λ = 0.2 what lies
-            on some 60 % of the successful trajectories still reaches a ``min_density`` of 0.5.
+            way. Above 0, a trajectory of the other way costs a concept no more than log λ.
         search: ``gradient`` ascent from many starts, ``exhaustive`` over the instances of positive bags, or
             ``incremental``: ascent from the peaks of the last search and the best instances of the newest positive
             bag, over bags that are packed once. With many or long trajectories it takes a small part of the time.
@@ -40,10 +43,8 @@ class DiscoverySettings:
         threshold: Share of the limit λ/(1−λ) that makes a concept persistent.
         peak_radius: A peak belongs to the nearest known concept within this distance.
         peak_tolerance: Peaks whose log diverse density is within this of the best one count as found, in nats.
-        min_density: Geometric mean over the positive bags of Pr(t | bag) that a peak must reach to count as found: a
-            bottleneck lies on nearly every successful trajectory. 0 lets every peak count.
-        max_places: If the best diverse density is shared by more separate places than this, they are accidents of few
-            or long trajectories, and none counts as found.
+        max_places: If the best diverse density is shared by more separate places than this, none counts as found: they
+            are accidents of few or long trajectories. None sets no limit.
         max_extent: A plateau of tied peaks that reaches farther than this from its middle is open space that all
             trajectories happened to cross, no bottleneck: a search whose best peaks include one finds nothing.
         subgoal_radius: The subgoal is everything within this distance of the persistent peak.
@@ -55,19 +56,20 @@ class DiscoverySettings:
     max_segment: Annotated[int, Field(ge=1)] = 10_000
     capacity: Annotated[int, Field(ge=1)] = 100
     min_positive: Annotated[int, Field(ge=1)] = 8
+    loops: Literal["erase", "keep"] = "erase"
+    min_passing: Annotated[float, Field(ge=0, lt=1)] = 0.7
     negative_bags: bool = True
     negative_strength: Annotated[float, Field(gt=0, le=1)] = 0.1
-    leak: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    leak: Annotated[float, Field(ge=0, lt=1)] = 0.3
     search: Literal["gradient", "exhaustive", "incremental"] = "gradient"
     scale: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
     start_radius: Annotated[float, Field(ge=0)] = 2.0
-    goal_radius: Annotated[float, Field(ge=0)] = 5.0
+    goal_radius: Annotated[float, Field(ge=0)] = 2.0
     decay: Annotated[float, Field(gt=0, lt=1)] = 0.9
     threshold: Annotated[float, Field(ge=0, lt=1)] = 0.6
     peak_radius: Annotated[float, Field(ge=0)] = 1.5
     peak_tolerance: Annotated[float, Field(ge=0)] = 1e-3
-    min_density: Annotated[float, Field(ge=0, le=1)] = 0.5
-    max_places: Annotated[int, Field(ge=1)] = 2
+    max_places: Annotated[int, Field(ge=1)] | None = None
     max_extent: Annotated[float, Field(ge=0)] = math.inf
     subgoal_radius: Annotated[float, Field(ge=0)] = 0.5
     spacing: Annotated[float, Field(ge=0)] = 3.0

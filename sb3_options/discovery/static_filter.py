@@ -7,13 +7,13 @@ from typing import TypeAlias
 
 import numpy as np
 
-from sb3_options.experience.observations import BoolArray, FloatArray
+from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 
 StaticFilter: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], BoolArray]
 """Scaled features (m, d), those of the start (d,) and of the end (d,) → which may be subgoals, shape (m,)."""
 
 
-def near_start_and_goal(start_radius: float = 2.0, goal_radius: float = 5.0) -> StaticFilter:
+def near_start_and_goal(start_radius: float = 2.0, goal_radius: float = 2.0) -> StaticFilter:
     """The default static filter: nothing within these distances of the trajectory's first and last state.
 
     The states around start and goal lie on every successful trajectory without being bottlenecks (McGovern & Barto
@@ -38,20 +38,23 @@ def near_start_and_goal(start_radius: float = 2.0, goal_radius: float = 5.0) -> 
     return keep
 
 
-def bag_of(features: FloatArray, visits_last: int, scale: FloatArray, static_filter: StaticFilter) -> FloatArray:
-    """The bag of one trajectory: its distinct features in order of first visit, filtered.
+def bag_of(
+    features: FloatArray, rows: IntArray, visits_last: int, scale: FloatArray, static_filter: StaticFilter
+) -> FloatArray:
+    """The bag of one trajectory: the distinct features of its states, filtered.
 
     Only first visits: a state that is visited often would otherwise count often in the noisy-or (McGovern & Barto
     2001, §3).
 
     Args:
         features: φ of the trajectory's distinct observations, in order of first visit, shape (m, d).
+        rows: Those of ``features`` that are instances, in order, shape (k,).
         visits_last: Row of the last state.
         scale: Factor for every feature, shape (d,).
         static_filter: What may be a subgoal.
 
     Returns:
-        Instances, shape (n, d), n ≤ m, possibly 0.
+        Instances, shape (n, d), n ≤ k, possibly 0.
 
     Raises:
         ValueError: The filter returned another shape.
@@ -59,7 +62,7 @@ def bag_of(features: FloatArray, visits_last: int, scale: FloatArray, static_fil
     keep = np.asarray(static_filter(features * scale, features[0] * scale, features[visits_last] * scale), dtype=bool)
     if keep.shape != (len(features),):
         raise ValueError(f"static_filter must return shape ({len(features)},), one bool a state, got {keep.shape}.")
-    kept = features[keep]
+    kept = features[rows[keep[rows]]]
     _, first = np.unique(kept, axis=0, return_index=True)
     bag: FloatArray = kept[np.sort(first)]
     return bag

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -14,34 +13,17 @@ from sb3_options.density.bags import Bags
 from sb3_options.density.diverse_density import DiverseDensity, Peak
 from sb3_options.density.incremental import IncrementalSearch
 from sb3_options.density.regions import Region
+from sb3_options.discovery.bag_maker import BagMaker, FilteredBags
 from sb3_options.discovery.outcomes import Outcomes
 from sb3_options.discovery.peaks import PeakTracker, plateau_centres
-from sb3_options.discovery.settings import DiscoverySettings, default_scale
-from sb3_options.discovery.static_filter import StaticFilter, bag_of, near_start_and_goal
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.static_filter import StaticFilter
 from sb3_options.experience.observations import FloatArray, batch_size
 from sb3_options.experience.success import SuccessRule, reported_success
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory, TrajectoryDatabase
 
 WARM_STARTS = 4
 """A search also starts from this many peaks of the one before."""
-
-
-@dataclass(frozen=True)
-class FilteredBags:
-    """The filtered bags of a database, oldest first.
-
-    Attributes:
-        positive: Instances (n_i, d) of each successful trajectory.
-        negative: Instances of each unsuccessful one.
-    """
-
-    positive: list[FloatArray]
-    negative: list[FloatArray]
-
-    @cached_property
-    def bags(self) -> Bags:
-        """Packed, when first asked for: an incremental search does without."""
-        return Bags.pack(self.positive, self.negative)
 
 
 class Search(NamedTuple):
@@ -105,10 +87,13 @@ class SubgoalDiscovery:
         self.outcomes = Outcomes(unit, self.success is not reported_success)
         self.last = Search([], None, 0.0)
         self.seconds = 0.0
-        self.scale: FloatArray | None = None
+        self._maker = BagMaker(s, self.static_filter, self.kind)
         self._incremental: IncrementalSearch | None = None
-        self._cut: dict[int, tuple[LabelledTrajectory, FloatArray]] = {}
-        self._filter = self.static_filter or near_start_and_goal(s.start_radius, s.goal_radius)
+
+    @property
+    def scale(self) -> FloatArray | None:
+        """Factor for every feature, (d,); None before the first search."""
+        return self._maker.scale
 
     def add(self, trajectory: Trajectory, features: FloatArray) -> LabelledTrajectory:
         """Put a trajectory into the database.
@@ -147,14 +132,10 @@ class SubgoalDiscovery:
         evidence = self._evidence()
         peaks: list[Peak] = []
         if evidence is not None:
-            assert self.scale is not None  # set by _evidence()
             engine = self.engine()
             peaks = self._peaks(evidence, engine)
-            tied = [p.point for p in peaks if p.log_density >= peaks[0].log_density - self.settings.peak_tolerance]
-            places, extent = plateau_centres(np.array(tied), self.scale, self.settings.peak_radius)
-            few = len(places) <= self.settings.max_places and extent <= self.settings.max_extent
-            found = few and self._is_dense(peaks[0], evidence, engine)
-            self.tracker.update(places if found else places[:0], self.scale)
+            assert self.scale is not None  # set with the first bags
+            self.tracker.update(self._places(peaks), self.scale)
         self.last = Search(peaks, evidence, time.perf_counter() - began)
         self.seconds += self.last.seconds
         return self._new_subgoal()
@@ -166,12 +147,14 @@ class SubgoalDiscovery:
             self._incremental = IncrementalSearch(engine)
         return self._incremental.search(evidence.positive, evidence.negative)
 
-    def _is_dense(self, peak: Peak, evidence: FilteredBags, engine: DiverseDensity) -> bool:
-        """Whether most positive bags hold the peak: `DiscoverySettings.min_density`."""
-        if np.exp(peak.log_density / len(evidence.positive)) >= self.settings.min_density:
-            return True  # even with the negative bags, which can only lower it
-        log_density = float(engine.log_density(peak.point[None], evidence.bags.positive())[0])
-        return bool(np.exp(log_density / len(evidence.positive)) >= self.settings.min_density)
+    def _places(self, peaks: list[Peak]) -> FloatArray:
+        """The middles of the best peaks' plateaus, (n, d); none if they are too many or too wide."""
+        assert self.scale is not None
+        tied = [p.point for p in peaks if p.log_density >= peaks[0].log_density - self.settings.peak_tolerance]
+        places, extent = plateau_centres(np.array(tied), self.scale, self.settings.peak_radius)
+        most = self.settings.max_places
+        few = (most is None or len(places) <= most) and extent <= self.settings.max_extent
+        return places if few else places[:0]
 
     def _warm_starts(self, engine: DiverseDensity) -> FloatArray | None:
         """The best peaks of the last search, for a search that can start from them."""
@@ -192,7 +175,7 @@ class SubgoalDiscovery:
         elif self.last.bags is None:
             why = (
                 f"{seen.successes} of {seen.n} {seen.unit}s were successful; a search needs "
-                f"{self.settings.min_positive} (min_positive) of which the static filter leaves something."
+                f"{self.settings.min_positive} (min_positive) of which the filters leave something."
             )
         return f"No subgoal was discovered: {why}"
 
@@ -202,22 +185,8 @@ class SubgoalDiscovery:
         return None if evidence is None else evidence.bags
 
     def _evidence(self) -> FilteredBags | None:
-        """The bags of the database; None while there are too few positive ones to search."""
-        positive = [t for t in self.database if t.success]
-        if len(positive) < self.settings.min_positive:
-            return None
-        if self.scale is None:
-            seen = np.concatenate([t.features for t in self.database])
-            given = self.settings.scale
-            self.scale = default_scale(self.kind, seen) if given is None else np.full(seen.shape[1], given)
-        self._cut = {id(t): self._cut[id(t)] for t in self.database if id(t) in self._cut}
-        positive_bags = [bag for t in positive if len(bag := self._bag(t))]
-        if len(positive_bags) < self.settings.min_positive:
-            return None
-        negative_bags = []
-        if self.settings.negative_bags:
-            negative_bags = [bag for t in self.database if not t.success and len(bag := self._bag(t))]
-        return FilteredBags(positive_bags, negative_bags)
+        found = [finding.subgoal for finding in self.found]
+        return self._maker.make(self.database, [*self.taken, *found])
 
     def engine(self) -> DiverseDensity:
         """The diverse density these settings mean."""
@@ -228,41 +197,23 @@ class SubgoalDiscovery:
             method="exhaustive" if self.settings.search == "exhaustive" or self.kind == "categorical" else "gradient",
         )
 
-    def _bag(self, labelled: LabelledTrajectory) -> FloatArray:
-        """The filtered bag of a trajectory, the same array every time: cutting all anew took most of a search."""
-        if id(labelled) not in self._cut:
-            self._cut[id(labelled)] = labelled, self._filtered(labelled)
-        return self._cut[id(labelled)][1]
-
-    def _filtered(self, labelled: LabelledTrajectory) -> FloatArray:
-        assert self.scale is not None  # set by _evidence() before any bag is made
-        bag = bag_of(labelled.features, int(labelled.trajectory.visits[-1]), self.scale, self._filter)
-        for subgoal in [*self.taken, *(finding.subgoal for finding in self.found)]:
-            centre = subgoal.points[0]
-            bag = bag[np.linalg.norm((bag - centre) * self.scale, axis=1) > self.settings.spacing]
-        return bag
-
     def _new_subgoal(self) -> Region | None:
         for concept in self.tracker.persistent():
-            point = self._nearest_instance(concept.point)
-            if point is None:
-                continue
             assert self.scale is not None  # a concept is tracked only after a search
-            assert self.last.bags is not None
+            assert self.last.evidence is not None
+            point = _nearest(np.concatenate(self.last.evidence.positive), concept.point, self.scale)
             subgoal = Region(point[None], self.scale, self.settings.subgoal_radius)
-            self.found.append(FoundSubgoal(subgoal, self.last.bags, self.last.peaks[0].log_density))
+            self.found.append(FoundSubgoal(subgoal, self.last.evidence.bags, self.last.peaks[0].log_density))
             self.tracker = PeakTracker(
                 decay=self.settings.decay, threshold=self.settings.threshold, radius=self.settings.peak_radius
             )
             self.last = Search([], self.last.evidence, self.last.seconds)
-            self._incremental, self._cut = None, {}  # every bag changes: instances near the subgoal are filtered out
+            self._incremental = None
+            self._maker.forget_bags()
             return subgoal
         return None
 
-    def _nearest_instance(self, point: FloatArray) -> FloatArray | None:
-        """The instance of a positive bag nearest to ``point``: a peak may lie where nobody can stand."""
-        instances = [bag for t in self.database if t.success and len(bag := self._bag(t))]
-        if not instances or self.scale is None:
-            return None
-        candidates = np.concatenate(instances)
-        return np.array(candidates[np.linalg.norm((candidates - point) * self.scale, axis=1).argmin()])
+
+def _nearest(instances: FloatArray, point: FloatArray, scale: FloatArray) -> FloatArray:
+    """The instance nearest to ``point``: a peak may lie where nobody can stand."""
+    return np.array(instances[np.linalg.norm((instances - point) * scale, axis=1).argmin()])

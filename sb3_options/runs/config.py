@@ -260,9 +260,10 @@ COMMON = frozenset(f.name for f in dataclasses.fields(TrainConfig))
 """The settings that every algorithm has."""
 
 HAD_BY_ALL = {f.name: f.default for of in (MaskablePPOConfig, DQNConfig) for f in dataclasses.fields(of)} | {
-    "teach_head": False
+    "teach_head": False,
+    "discovery.min_density": 0.5,
 }
-"""Default of every setting in 0.1, where a file of a run named those of all algorithms; ``teach_head`` is gone."""
+"""Default of every setting in 0.1, where a file of a run named those of all algorithms. The last ones are gone."""
 
 
 def load(path: Path, *, env: str | None = None) -> TrainConfig:

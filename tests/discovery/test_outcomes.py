@@ -78,12 +78,14 @@ def test_there_is_none_where_one_succeeds(caplog: pytest.LogCaptureFixture) -> N
     assert not caplog.records
     assert discovery.why_nothing() == (
         "No subgoal was discovered: 1 of 61 episodes were successful; a search needs 8 (min_positive) of which the "
-        "static filter leaves something."
+        "filters leave something."
     )
 
 
 def test_after_a_search() -> None:
-    discovery = SubgoalDiscovery(DiscoverySettings(min_positive=2, start_radius=1.0, goal_radius=1.0, scale=1.0))
+    discovery = SubgoalDiscovery(
+        DiscoverySettings(min_positive=2, start_radius=1.0, goal_radius=1.0, scale=1.0, min_passing=0.5)
+    )
     add(discovery, 2, is_success=True)
     assert discovery.search() is None
     assert isinstance(discovery.last.bags, Bags)

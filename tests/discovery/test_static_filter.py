@@ -10,9 +10,9 @@ from sb3_options.discovery.static_filter import bag_of, near_start_and_goal
 class TestStaticFilter:
     line = np.arange(21.0)[:, None]
 
-    def test_default_keeps_what_is_farther_than_2_from_the_start_and_5_from_the_goal(self) -> None:
+    def test_default_keeps_what_is_farther_than_2_from_the_start_and_from_the_goal(self) -> None:
         kept = near_start_and_goal()(self.line, self.line[0], self.line[20])
-        assert np.flatnonzero(kept).tolist() == list(range(3, 15))
+        assert np.flatnonzero(kept).tolist() == list(range(3, 18))
 
     def test_distances_are_euclidean(self) -> None:
         features = np.array([[3.0, 4.0], [3.0, 4.1], [0.0, 5.1]])
@@ -38,7 +38,7 @@ class TestBag:
     def test_first_visits_only(self) -> None:
         """Different observations may have the same features: their first visit counts."""
         features = np.array([[5.0, 0.0], [1.0, 1.0], [5.0, 0.0], [0.0, 3.0], [1.0, 1.0]])
-        assert bag_of(features, 4, np.ones(2), keep_all).tolist() == [[5, 0], [1, 1], [0, 3]]
+        assert bag_of(features, np.arange(5), 4, np.ones(2), keep_all).tolist() == [[5, 0], [1, 1], [0, 3]]
 
     def test_the_filter_sees_scaled_features_of_the_start_and_the_last_state(self) -> None:
         seen: list[Any] = []
@@ -48,19 +48,26 @@ class TestBag:
             return keep_all(features, start, end)
 
         # The last state is where the trajectory ended, not the one that was new last.
-        bag = bag_of(np.array([[1.0], [2.0], [3.0]]), 1, np.array([10.0]), spy)
+        bag = bag_of(np.array([[1.0], [2.0], [3.0]]), np.arange(3), 1, np.array([10.0]), spy)
         assert seen == [[[10], [20], [30]], [10], [20]]
         assert bag.tolist() == [[1], [2], [3]]
 
     def test_filtered_and_in_order(self) -> None:
         features = np.array([9.0, 3.0, 7.0, 1.0, 20.0])[:, None]
-        assert bag_of(features, 4, np.ones(1), near_start_and_goal(2.0, 5.0)).ravel().tolist() == [3, 1]
+        assert bag_of(features, np.arange(5), 4, np.ones(1), near_start_and_goal(2.0, 5.0)).ravel().tolist() == [3, 1]
+
+    def test_of_the_rows_that_it_is_told(self) -> None:
+        features = np.array([9.0, 3.0, 7.0, 1.0, 20.0])[:, None]
+        bag = bag_of(features, np.array([0, 3, 4]), 4, np.ones(1), near_start_and_goal(2.0, 5.0))
+        assert bag.ravel().tolist() == [1]
 
     def test_nothing_may_be_left(self) -> None:
-        assert bag_of(np.zeros((3, 2)), 0, np.ones(2), near_start_and_goal()).shape == (0, 2)
+        assert bag_of(np.zeros((3, 2)), np.arange(3), 0, np.ones(2), near_start_and_goal()).shape == (0, 2)
 
     def test_a_filter_may_return_numbers(self) -> None:
-        assert bag_of(np.arange(3.0)[:, None], 2, np.ones(1), lambda f, s, e: np.array([1, 0, 1])).tolist() == [
+        assert bag_of(
+            np.arange(3.0)[:, None], np.arange(3), 2, np.ones(1), lambda f, s, e: np.array([1, 0, 1])
+        ).tolist() == [
             [0],
             [2],
         ]

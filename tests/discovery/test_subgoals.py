@@ -25,7 +25,11 @@ SMALL: dict[str, Any] = {
     "decay": 0.5,
     "threshold": 0.4,
     "negative_strength": 1.0,
+    "loops": "keep",
+    "min_passing": 0.0,
+    "leak": 0.0,
 }
+"""The paper's bags and diverse density, of few trajectories."""
 
 
 SEARCHES: tuple[Literal["gradient", "exhaustive", "incremental"], ...] = ("gradient", "exhaustive", "incremental")
@@ -222,31 +226,50 @@ class TestSearch:
         assert discovery.add(*on_a_line(0, 7, 8)).success
         assert found(discovery) == [7.0]
 
-    @pytest.mark.parametrize("search", ["exhaustive", "incremental"])
-    def test_what_most_successes_miss_is_no_peak(self, search: str) -> None:
-        subgoals = []
-        for min_density in (0.5, 0.0):
-            discovery = SubgoalDiscovery(settings_of(search=search, min_density=min_density, max_places=9))
-            for place in (10, 20, 30, 40):
-                discovery.add(*on_a_line(0, place, 60))
-            subgoals.append(found(discovery))
-        assert subgoals[0] is None
-        assert subgoals[1] is not None
+    def test_the_bag_of_a_success_is_the_way_it_took(self) -> None:
+        """What a failure visited speaks against a concept also where it went in a loop."""
+        bags = {}
+        for loops in ("erase", "keep"):
+            discovery = SubgoalDiscovery(settings_of(loops=loops))
+            discovery.add(*on_a_line(0, 5, 7, 5, 9, 20))
+            discovery.add(*on_a_line(0, 5, 7, 5, 9, 20, success=False))
+            discovery.search()
+            assert discovery.last.evidence is not None
+            bags[loops] = [bag.ravel().tolist() for bag in discovery.last.evidence.positive]
+            assert [bag.ravel().tolist() for bag in discovery.last.evidence.negative] == [[5, 7, 9]]
+        assert bags == {"erase": [[5, 9]], "keep": [[5, 7, 9]]}
+
+    @pytest.mark.parametrize("search", SEARCHES)
+    def test_only_what_the_ways_near_it_lead_through_is_an_instance(self, search: str) -> None:
+        """Six ways lead through 10; near 30, two through each of three places a unit from each other."""
+        discovery = SubgoalDiscovery(settings_of(search=search, loops="erase", min_passing=0.7, min_positive=3))
+        for way in range(6):
+            discovery.add(*on_a_line(0, 10, 30 + way % 3, 60))
+        assert found(discovery) == pytest.approx([10.0], abs=1e-6)
+        assert discovery.last.evidence is not None
+        assert [bag.ravel().tolist() for bag in discovery.last.evidence.positive] == [[10.0]] * 6
+
+    def test_few_ways_show_nothing(self) -> None:
+        discovery = SubgoalDiscovery(settings_of(min_passing=0.7))
+        for n in range(1, 4):
+            discovery.add(*on_a_line(0, 10, 60))
+            assert (discovery.search() is None) == (n < 3)
 
     @pytest.mark.parametrize("search", SEARCHES)
     def test_a_leak_lets_one_of_two_ways_count(self, search: str) -> None:
-        ways = [5.0, 25.0, 5.0, 5.0, 25.0, 5.0, 5.0]
+        """Without one, a place between the two ways is as dense as it gets, and nobody was there."""
+        ways = [5.0, 9.0, 5.0, 5.0, 9.0, 5.0, 5.0]
 
-        def searched(leak: float) -> SubgoalDiscovery:
-            settings = settings_of(search=search, min_positive=3, min_density=0.5, leak=leak, start_radius=1.0)
-            discovery = SubgoalDiscovery(settings)
+        def best(leak: float) -> float:
+            discovery = SubgoalDiscovery(settings_of(search=search, min_positive=3, leak=leak))
             for i, way in enumerate(ways):
                 discovery.add(*on_a_line(100.0 + 9 * i, way, 200.0 + 9 * i))
-                discovery.search()
-            return discovery
+            discovery.search()
+            assert discovery.last.bags is not None
+            density = discovery.engine().log_density(np.array([[5.0], [7.0]]), discovery.last.bags)
+            return float(density[0] - density[1])
 
-        assert not searched(0.0).found
-        assert [f.subgoal.points.tolist() for f in searched(0.2).found] == [[[5.0]]]
+        assert best(0.0) < 0 < best(0.2)
 
     def test_seconds_add_up(self) -> None:
         discovery = SubgoalDiscovery(settings_of(threshold=0.9))
@@ -384,7 +407,9 @@ class TestScale:
 
     def test_categorical_states_are_equal_or_far_apart(self) -> None:
         """One-hot features of a Discrete space: the state that both walks share is found."""
-        discovery = SubgoalDiscovery(DiscoverySettings(min_positive=1, decay=0.5, threshold=0.4), kind="categorical")
+        discovery = SubgoalDiscovery(
+            DiscoverySettings(min_positive=1, decay=0.5, threshold=0.4, min_passing=0.0), kind="categorical"
+        )
         for path in ([0, 1, 5, 2, 9], [3, 4, 5, 6, 9]):
             discovery.add(trajectory_of(path, is_success=True), np.eye(10)[path])
         subgoal = discovery.search()
@@ -414,7 +439,8 @@ RANGES: list[tuple[str, tuple[Any, ...], str]] = [
     ("search", ("random", None), "should be 'gradient', 'exhaustive' or 'incremental'"),
     ("segmentation", ("lives", None), "should be 'episodes' or 'peaks'"),
     ("peak_reward", (math.nan, math.inf), "should be a finite number"),
-    ("min_density", (-0.1, 1.5, math.nan), "should be (greater|less) than or equal to [01]"),
+    ("min_passing", (-0.1, 1.0, math.nan), "should be (greater than or equal to 0|less than 1)"),
+    ("loops", ("cut", 1), "should be 'erase' or 'keep'"),
     ("decay", (0.0, 1.0, -0.1, math.nan), "should be (greater than 0|less than 1)"),
     ("threshold", (1.0, -0.1, math.nan), "should be (greater than or equal to 0|less than 1)"),
 ]

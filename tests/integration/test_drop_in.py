@@ -53,8 +53,6 @@ def test_taxi(n_envs: int) -> None:
             "min_positive": 2,
             "decay": 0.5,
             "threshold": 0.4,
-            "max_places": 500,
-            "min_density": 0.0,
             "negative_bags": False,
         },
         success=lambda trajectory: len(trajectory.rewards) >= 50,

@@ -31,7 +31,7 @@ COMMON: dict[str, Any] = {
         capacity=7, min_positive=2, negative_bags=False, negative_strength=0.5, leak=0.125, search="exhaustive",
         scale=2.5, start_radius=1.0, goal_radius=0.0, decay=0.75, threshold=0.25, peak_radius=2.0, peak_tolerance=0.01,
         subgoal_radius=1.25, spacing=1.5, max_places=6, max_extent=2.5,
-        min_density=0.25,
+        loops="keep", min_passing=0.25,
     ),
     "option": OptionLearningSettings(
         policy_input="features", initiation_steps=4, initiation_visits="every", initiation_radius=0.75, max_duration=9,
@@ -45,7 +45,7 @@ EVERY_FIELD_CHANGED: list[TrainConfig] = [
     DQNConfig(
         algo="optiondqn", buffer_size=77, learning_starts=11, batch_size=5, train_freq=6, target_update_interval=8,
         exploration_fraction=0.25, exploration_final_eps=0.125, max_option_exploration=0.25, interruption=False,
-        intra_option=True, **COMMON,
+        intra_option=True, n_steps=3, **COMMON,
     ),
     PPOConfig(
         algo="recurrentppo", n_steps=12, gae_lambda=0.5, ent_coef=0.125, n_epochs=3, clip_range=0.25, batch_size=5,

@@ -1,0 +1,1 @@
+"""Random walks: are the subgoals that discovery finds bottlenecks?"""

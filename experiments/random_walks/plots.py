@@ -1,0 +1,32 @@
+"""The picture of the study."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from matplotlib.figure import Figure
+
+from experiments.common.gridworlds import counts_of, frame_doorways
+from experiments.common.seeds import Result
+from experiments.random_walks.conditions import ARMS, TASKS, world_for
+
+
+def draw(results: Mapping[str, Sequence[Result]]) -> Figure:
+    """Where subgoals fell on the maps that are the same for every seed, a row for each of the arms."""
+    tasks = [task for task in TASKS if task != "random maps"]
+    figure = Figure(figsize=(10.5, 2.1 * len(ARMS)), layout="constrained")
+    grid = figure.subplots(len(ARMS), len(tasks), squeeze=False)
+    for row, arm in zip(grid, ARMS, strict=True):
+        for axes, task in zip(row, tasks, strict=True):
+            world = world_for(task, 0)
+            runs = results[f"{task}: {arm}"]
+            points = [found["point"] for run in runs for found in run["found"]]
+            counts = counts_of(world, [(round(x), round(y)) for x, y, *_ in points])
+            shown = axes.imshow(counts, cmap="Blues", vmin=0, vmax=max(len(runs), 1))
+            axes.imshow(world.walls, cmap="binary", alpha=0.6 * world.walls, vmin=0, vmax=1)
+            frame_doorways(axes, world)
+            axes.set_xticks([])
+            axes.set_yticks([])
+            axes.set_title(f"{task}: {arm}", fontsize=8)
+    figure.colorbar(shown, ax=grid, label="subgoals", shrink=0.5)
+    return figure
