@@ -284,4 +284,5 @@ def negatives(settings: PaperSettings, seed: int) -> Result:
         early = measures.discovery_of(settings, saved[: settings.density_trials], negative_strength=strength)
         found = measures.first_subgoal(settings, saved, negative_strength=strength)
         result[name] = _subgoal(world, found) | {"log_density": _plain(measures.density_map(world, early))}
-    return result
+    found = measures.first_subgoal(settings, saved, negative_strength=SOFT, loops=False)
+    return result | {"without_loops": _subgoal(world, found)}

@@ -51,9 +51,11 @@ def discovery_of(
     *,
     success: SuccessRule = reported_success,
     negative_strength: float | None = None,
+    loops: bool = True,
 ) -> SubgoalDiscovery:
     """Discovery that has seen these trajectories, and not searched."""
-    discovery = SubgoalDiscovery(settings.discovery(negative_strength=negative_strength), success=success)
+    how = settings.discovery(negative_strength=negative_strength, loops=loops)
+    discovery = SubgoalDiscovery(how, success=success)
     for labelled in trajectories:
         discovery.add(labelled.trajectory, labelled.features)
     return discovery
@@ -65,12 +67,13 @@ def first_subgoal(
     *,
     success: SuccessRule = reported_success,
     negative_strength: float | None = None,
+    loops: bool = True,
 ) -> tuple[int, Cell] | None:
     """Trial and cell of the first subgoal that the callback would have found; None if it finds none.
 
     The trajectories are those of an agent without options, so this is exact up to the first subgoal.
     """
-    discovery = discovery_of(settings, [], success=success, negative_strength=negative_strength)
+    discovery = discovery_of(settings, [], success=success, negative_strength=negative_strength, loops=loops)
     for trial, labelled in enumerate(trajectories, start=1):
         added = discovery.add(labelled.trajectory, labelled.features)
         if added.success or discovery.settings.negative_bags:

@@ -60,9 +60,22 @@ class PaperSettings:
     negative_step_limit: int = 2000
     negative_trials: int = 50
 
-    def discovery(self, *, negative_strength: float | None = None) -> DiscoverySettings:
-        """How subgoals are found; with negative bags of a strength η, or without."""
+    def discovery(self, *, negative_strength: float | None = None, loops: bool = True) -> DiscoverySettings:
+        """How subgoals are found.
+
+        Args:
+            negative_strength: η of negative bags; None goes without them.
+            loops: The paper's bags and diverse density; else the library's own, without loops, of passages only.
+        """
+        bags: dict[str, Any] = {
+            "loops": "keep",
+            "min_passing": 0.0,
+            "leak": 0.0,
+            "max_places": self.max_places,
+            "max_extent": self.max_extent,
+        }
         return DiscoverySettings(
+            **(bags if loops else {}),
             capacity=max(self.trials, self.negative_trials),
             min_positive=self.min_positive,
             negative_bags=negative_strength is not None,
@@ -74,11 +87,6 @@ class PaperSettings:
             decay=self.decay,
             threshold=self.threshold,
             peak_radius=self.peak_radius,
-            max_places=self.max_places,
-            max_extent=self.max_extent,
-            loops="keep",
-            min_passing=0.0,
-            leak=0.0,
         )
 
     def option(self) -> OptionLearningSettings:

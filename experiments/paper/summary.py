@@ -154,4 +154,4 @@ def _negatives(groups: Groups) -> Numbers:
     for strength in ("strict", "soft"):
         numbers[f"step_limit_{strength}"] = _near([r[strength] for r in limited])
         numbers[f"noisy_{strength}"] = _near([r["noisy"][strength] for r in learning])
-    return numbers
+    return numbers | {"without_loops": _near([r["without_loops"] for r in limited])}
