@@ -11,9 +11,9 @@ import numpy as np
 from sb3_options.density.bags import Bags
 from sb3_options.density.regions import Region
 from sb3_options.discovery.settings import DiscoverySettings, default_scale
-from sb3_options.discovery.static_filter import StaticFilter, bag_of, near_start_and_goal
+from sb3_options.discovery.static_filter import StaticFilter, kept_by, near_start_and_goal
 from sb3_options.discovery.ways import PassingShare, loop_erased
-from sb3_options.experience.observations import FloatArray, IntArray
+from sb3_options.experience.observations import BoolArray, FloatArray
 from sb3_options.experience.trajectories import LabelledTrajectory
 
 
@@ -41,16 +41,19 @@ class _Known:
 
     Attributes:
         labelled: The trajectory.
-        rows: Its states that may become instances, before any filter.
-        way: φ of these in scaled units.
-        kept: Those of ``rows`` that the bag was made of.
+        way: φ of the states that it led through, in order, or of all that it visited, (k, d). Each once: a state that
+            is visited often would count often in the noisy-or (McGovern & Barto 2001, §3).
+        scaled: The same in scaled units.
+        allowed: Which of them the static filter leaves, (k,).
+        kept: Which of them are in the bag.
         bag: Its bag.
     """
 
     labelled: LabelledTrajectory
-    rows: IntArray
     way: FloatArray
-    kept: IntArray | None = None
+    scaled: FloatArray
+    allowed: BoolArray
+    kept: BoolArray | None = None
     bag: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
 
@@ -89,14 +92,15 @@ class BagMaker:
             given = self.settings.scale
             self.scale = default_scale(self.kind, seen) if given is None else np.full(seen.shape[1], given)
         self._known = {id(t): self._known.get(id(t)) or self._know(t, self.scale) for t in database}
-        made = [self._bag(self._known[id(t)], rows, taken) for t, rows in self._passages(positive)]
+        known = [self._known[id(t)] for t in positive]
+        made = [self._bag(k, passage, taken) for k, passage in zip(known, self._passages(known), strict=True)]
         positive_bags = [bag for bag in made if len(bag)]
         if len(positive_bags) < self.settings.min_positive:
             return None
         negative_bags = []
         if self.settings.negative_bags:
             known = [self._known[id(t)] for t in database if not t.success]
-            negative_bags = [bag for k in known if len(bag := self._bag(k, k.rows, taken))]
+            negative_bags = [bag for k in known if len(bag := self._bag(k, k.allowed, taken))]
         return FilteredBags(positive_bags, negative_bags)
 
     def forget_bags(self) -> None:
@@ -105,28 +109,27 @@ class BagMaker:
             known.kept = None
 
     def _know(self, labelled: LabelledTrajectory, scale: FloatArray) -> _Known:
-        scaled = labelled.features * scale
-        if labelled.success and self.settings.loops == "erase":
-            rows = loop_erased(scaled, labelled.trajectory.visits, self.settings.subgoal_radius)
-        else:
-            rows = np.arange(len(scaled))
-        return _Known(labelled, rows, scaled[rows])
+        scaled, visits = labelled.features * scale, labelled.trajectory.visits
+        erase = labelled.success and self.settings.loops == "erase"
+        rows = loop_erased(scaled, visits, self.settings.subgoal_radius) if erase else np.arange(len(scaled))
+        _, first = np.unique(scaled[rows], axis=0, return_index=True)  # different observations may have the same φ
+        rows = rows[np.sort(first)]
+        allowed = kept_by(self._filter, labelled.features, int(visits[-1]), scale)
+        return _Known(labelled, labelled.features[rows], scaled[rows], allowed[rows])
 
-    def _passages(self, positive: Sequence[LabelledTrajectory]) -> Iterable[tuple[LabelledTrajectory, IntArray]]:
-        """Of each trajectory the states that the ways near them lead through: `DiscoverySettings.min_passing`."""
-        known = [self._known[id(t)] for t in positive]
+    def _passages(self, known: Sequence[_Known]) -> list[BoolArray]:
+        """Which states the ways near them lead through: `DiscoverySettings.min_passing`."""
         if self.settings.min_passing == 0.0:
-            return [(k.labelled, k.rows) for k in known]
-        shares = self._passing.update([k.way for k in known])
-        return [(k.labelled, k.rows[s >= self.settings.min_passing]) for k, s in zip(known, shares, strict=True)]
+            return [k.allowed for k in known]
+        shares = self._passing.update([k.scaled for k in known])
+        return [k.allowed & (share >= self.settings.min_passing) for k, share in zip(known, shares, strict=True)]
 
-    def _bag(self, known: _Known, rows: IntArray, taken: Sequence[Region]) -> FloatArray:
+    def _bag(self, known: _Known, keep: BoolArray, taken: Sequence[Region]) -> FloatArray:
         assert self.scale is not None  # set before any bag is made
-        if known.kept is None or not np.array_equal(known.kept, rows):
-            features, last = known.labelled.features, int(known.labelled.trajectory.visits[-1])
-            bag = bag_of(features, rows, last, self.scale, self._filter)
+        if known.kept is None or not np.array_equal(known.kept, keep):
+            bag = known.way[keep]
             for subgoal in taken:
                 distance = np.linalg.norm((bag - subgoal.points[0]) * self.scale, axis=1)
                 bag = bag[distance > self.settings.spacing]
-            known.kept, known.bag = rows, bag
+            known.kept, known.bag = keep, bag
         return known.bag

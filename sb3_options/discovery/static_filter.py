@@ -1,4 +1,4 @@
-"""From trajectories to bags: first visits only, without what surrounds the start and the goal."""
+"""Which states may be subgoals at all: not what surrounds the start and the goal."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
+from sb3_options.experience.observations import BoolArray, FloatArray
 
 StaticFilter: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], BoolArray]
 """Scaled features (m, d), those of the start (d,) and of the end (d,) → which may be subgoals, shape (m,)."""
@@ -38,31 +38,19 @@ def near_start_and_goal(start_radius: float = 2.0, goal_radius: float = 2.0) -> 
     return keep
 
 
-def bag_of(
-    features: FloatArray, rows: IntArray, visits_last: int, scale: FloatArray, static_filter: StaticFilter
-) -> FloatArray:
-    """The bag of one trajectory: the distinct features of its states, filtered.
-
-    Only first visits: a state that is visited often would otherwise count often in the noisy-or (McGovern & Barto
-    2001, §3).
+def kept_by(static_filter: StaticFilter, features: FloatArray, last: int, scale: FloatArray) -> BoolArray:
+    """Which states of a trajectory a filter leaves, shape (m,).
 
     Args:
-        features: φ of the trajectory's distinct observations, in order of first visit, shape (m, d).
-        rows: Those of ``features`` that are instances, in order, shape (k,).
-        visits_last: Row of the last state.
-        scale: Factor for every feature, shape (d,).
         static_filter: What may be a subgoal.
-
-    Returns:
-        Instances, shape (n, d), n ≤ k, possibly 0.
+        features: φ of the trajectory's distinct observations, in order of first visit, shape (m, d).
+        last: Row of the last state.
+        scale: Factor for every feature, shape (d,).
 
     Raises:
         ValueError: The filter returned another shape.
     """
-    keep = np.asarray(static_filter(features * scale, features[0] * scale, features[visits_last] * scale), dtype=bool)
+    keep = np.asarray(static_filter(features * scale, features[0] * scale, features[last] * scale), dtype=bool)
     if keep.shape != (len(features),):
         raise ValueError(f"static_filter must return shape ({len(features)},), one bool a state, got {keep.shape}.")
-    kept = features[rows[keep[rows]]]
-    _, first = np.unique(kept, axis=0, return_index=True)
-    bag: FloatArray = kept[np.sort(first)]
-    return bag
+    return keep

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from numbers import Real
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -23,10 +23,39 @@ from sb3_options.experience.observations import (
 from sb3_options.options.policies import OptionPolicy, PolicyInput
 
 CACHE_BYTES = 4 << 20
-"""Memory for the cached memberships of a `SubgoalOption`, observations included; approximate."""
+"""Memory of each cache of a `SubgoalOption`, observations included; approximate."""
 
 CACHE_ENTRY_BYTES = 400
-"""Memory that one cached membership takes besides its observation; measured, rounded up."""
+"""Memory that one cached result takes besides its observation; measured, rounded up."""
+
+Result = TypeVar("Result")
+
+
+class SingleCache(Generic[Result]):
+    """What a function of a batch gives for single observations. Small environments repeat theirs.
+
+    Args:
+        compute: The function.
+    """
+
+    def __init__(self, compute: Callable[[Observations], Result]) -> None:
+        self._compute = compute
+        self._results: dict[bytes, Result] = {}
+        self._bytes = 0
+
+    def __call__(self, observations: Observations) -> Result:
+        """The function's result; kept if the batch is a single observation."""
+        if batch_size(observations) != 1:
+            return self._compute(observations)
+        key = key_of(observations)
+        result = self._results.get(key)
+        if result is None:
+            if self._bytes > CACHE_BYTES:
+                self._results.clear()
+                self._bytes = 0
+            result = self._results[key] = self._compute(observations)
+            self._bytes += len(key) + CACHE_ENTRY_BYTES
+        return result
 
 
 class Option:
@@ -140,12 +169,15 @@ class SubgoalOption(Option):
         self.max_duration = checked_duration(max_duration)
         self.name = name
         self._feature_map = feature_map
-        self._cache: dict[bytes, tuple[BoolArray, BoolArray]] = {}
-        self._cached_bytes = 0
+        self._forget_results()
+
+    def _forget_results(self) -> None:
+        self._membership = SingleCache(self._computed_membership)
+        self._greedy = SingleCache(self._computed_actions)
 
     def bind(self, feature_map: FeatureMap | None) -> SubgoalOption:
         """The same option with φ set."""
-        bound = copy.copy(self)  # with an empty cache
+        bound = copy.copy(self)
         bound._feature_map = feature_map
         return bound
 
@@ -161,36 +193,20 @@ class SubgoalOption(Option):
 
     def policy(self, observations: Observations) -> IntArray:
         """The greedy action of the option's value function, shape (batch,)."""
-        sees = self._features(observations) if self.policy_input == "features" else observations
-        return self.option_policy.actions(sees)
+        return self._greedy(observations).copy()
 
     def termination(self, observations: Observations) -> FloatArray:
         """1 at the subgoal, else 0, shape (batch,)."""
         return self._membership(observations)[1].astype(np.float64)
 
-    def _membership(self, observations: Observations) -> tuple[BoolArray, BoolArray]:
-        """Whether each observation lies in I, and whether it lies in the subgoal.
-
-        Single observations are cached: one step of the wrapper asks up to three times about the same one, and small
-        environments repeat their observations.
-        """
-        if batch_size(observations) != 1:
-            return self._computed_membership(observations)
-        key = key_of(observations)
-        found = self._cache.get(key)
-        if found is None:
-            found = self._computed_membership(observations)
-            if self._cached_bytes > CACHE_BYTES:
-                self._cache.clear()
-                self._cached_bytes = 0
-            self._cache[key] = found
-            self._cached_bytes += len(key) + CACHE_ENTRY_BYTES
-        return found
-
     def _computed_membership(self, observations: Observations) -> tuple[BoolArray, BoolArray]:
         features = self._features(observations)
         reached = self.subgoal.contains(features)
         return self.initiation_set.contains(features) & ~reached, reached
+
+    def _computed_actions(self, observations: Observations) -> IntArray:
+        sees = self._features(observations) if self.policy_input == "features" else observations
+        return self.option_policy.actions(sees)
 
     def _features(self, observations: Observations) -> FloatArray:
         if self._feature_map is None:
@@ -201,4 +217,9 @@ class SubgoalOption(Option):
         return self._feature_map(observations)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_feature_map": None, "_cache": {}, "_cached_bytes": 0}
+        kept = {k: v for k, v in self.__dict__.items() if k not in ("_membership", "_greedy")}
+        return {**kept, "_feature_map": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__ |= {k: v for k, v in state.items() if k not in ("_cache", "_cached_bytes")}  # 0.1 had these
+        self._forget_results()

@@ -45,7 +45,9 @@ class TabularPolicy:
         rows = flatten(observations) + 0.0
         known = np.array([self._row_of.get(row.tobytes(), -1) for row in rows], dtype=np.int64)
         new = np.flatnonzero(known < 0)
-        if len(new):
+        if len(new) == 1:
+            known[new] = self._nearest(rows[new[0]])
+        elif len(new):
             # A batch from a replay buffer holds the same observation many times.
             distinct, which = np.unique(rows[new], axis=0, return_inverse=True)
             nearest = np.array([self._nearest(row) for row in distinct])

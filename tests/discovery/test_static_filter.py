@@ -4,7 +4,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sb3_options.discovery.static_filter import bag_of, near_start_and_goal
+from sb3_options.discovery.static_filter import kept_by, near_start_and_goal
 
 
 class TestStaticFilter:
@@ -30,44 +30,21 @@ class TestStaticFilter:
             near_start_and_goal(start, goal)
 
 
-def keep_all(features: Any, start: Any, end: Any) -> Any:
-    return np.ones(len(features), dtype=bool)
-
-
-class TestBag:
-    def test_first_visits_only(self) -> None:
-        """Different observations may have the same features: their first visit counts."""
-        features = np.array([[5.0, 0.0], [1.0, 1.0], [5.0, 0.0], [0.0, 3.0], [1.0, 1.0]])
-        assert bag_of(features, np.arange(5), 4, np.ones(2), keep_all).tolist() == [[5, 0], [1, 1], [0, 3]]
-
+class TestKeptBy:
     def test_the_filter_sees_scaled_features_of_the_start_and_the_last_state(self) -> None:
         seen: list[Any] = []
 
-        def spy(features: Any, start: Any, end: Any) -> Any:
+        def spy(features: Any, start: Any, end: Any) -> Any:  # numbers will do
             seen.extend([features.tolist(), start.tolist(), end.tolist()])
-            return keep_all(features, start, end)
+            return np.array([1, 0, 1])
 
         # The last state is where the trajectory ended, not the one that was new last.
-        bag = bag_of(np.array([[1.0], [2.0], [3.0]]), np.arange(3), 1, np.array([10.0]), spy)
+        kept = kept_by(spy, np.array([[1.0], [2.0], [3.0]]), 1, np.array([10.0]))
         assert seen == [[[10], [20], [30]], [10], [20]]
-        assert bag.tolist() == [[1], [2], [3]]
+        assert kept.tolist() == [True, False, True]
 
-    def test_filtered_and_in_order(self) -> None:
-        features = np.array([9.0, 3.0, 7.0, 1.0, 20.0])[:, None]
-        assert bag_of(features, np.arange(5), 4, np.ones(1), near_start_and_goal(2.0, 5.0)).ravel().tolist() == [3, 1]
-
-    def test_of_the_rows_that_it_is_told(self) -> None:
-        features = np.array([9.0, 3.0, 7.0, 1.0, 20.0])[:, None]
-        bag = bag_of(features, np.array([0, 3, 4]), 4, np.ones(1), near_start_and_goal(2.0, 5.0))
-        assert bag.ravel().tolist() == [1]
-
-    def test_nothing_may_be_left(self) -> None:
-        assert bag_of(np.zeros((3, 2)), np.arange(3), 0, np.ones(2), near_start_and_goal()).shape == (0, 2)
-
-    def test_a_filter_may_return_numbers(self) -> None:
-        assert bag_of(
-            np.arange(3.0)[:, None], np.arange(3), 2, np.ones(1), lambda f, s, e: np.array([1, 0, 1])
-        ).tolist() == [
-            [0],
-            [2],
-        ]
+    def test_of_another_shape(self) -> None:
+        with pytest.raises(
+            ValueError, match=r"^static_filter must return shape \(3,\), one bool a state, got \(2,\)\.$"
+        ):
+            kept_by(lambda f, s, e: np.ones(2, dtype=bool), np.zeros((3, 2)), 0, np.ones(2))

@@ -130,14 +130,14 @@ class TestSubgoalOption:
                 assert inside == together.initiation(self.observations)[i]
                 inside[:] = ~inside  # what a caller does with an answer changes no later one
         assert asked == [1] * len(self.observations)
-        assert pickle.loads(pickle.dumps(option))._cache == {}
+        assert pickle.loads(pickle.dumps(option))._membership._results == {}
 
     def test_what_is_remembered_is_bounded(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("sb3_options.options.option.CACHE_BYTES", 100)
         option = subgoal_option(feature_map=flat)
         for place in np.linspace(0.0, 5.0, 1000):
             assert option.termination(np.array([[place]])) == (2.5 <= place <= 3.5)
-            assert len(option._cache) <= 14
+            assert len(option._membership._results) <= 14
 
     def test_without_a_feature_map(self) -> None:
         option = subgoal_option(name="door")

@@ -1,0 +1,60 @@
+from typing import Any
+
+import numpy as np
+
+from sb3_options.discovery.bag_maker import BagMaker, FilteredBags
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.experience.trajectories import LabelledTrajectory
+from tests.support.helpers import ball, line
+
+PLAIN: dict[str, Any] = {
+    "min_positive": 1, "start_radius": 0.0, "goal_radius": 0.0, "loops": "keep", "min_passing": 0.0, "scale": 1.0,
+}  # fmt: skip
+
+
+def make(*trajectories: LabelledTrajectory, taken: Any = (), **changes: Any) -> FilteredBags | None:
+    maker = BagMaker(DiscoverySettings(**{**PLAIN, **changes}), None, None)
+    return maker.make(trajectories, taken)
+
+
+def places(bags: list[Any]) -> list[list[float]]:
+    return [bag.ravel().tolist() for bag in bags]
+
+
+def test_each_state_once_in_order_of_first_visits() -> None:
+    bags = make(line([0, 5, 3, 5, 7, 3, 20]))
+    assert bags is not None
+    assert places(bags.positive) == [[5, 3, 7]]
+
+
+def test_different_observations_with_the_same_features_are_one_instance() -> None:
+    trajectory = line([0, 1, 2, 3, 9])
+    same = LabelledTrajectory(trajectory.trajectory, np.array([[0.0], [4.0], [6.0], [4.0], [9.0]]), True)
+    for loops in ("keep", "erase"):
+        bags = make(same, loops=loops)
+        assert bags is not None
+        assert places(bags.positive) == [[4, 6] if loops == "keep" else [4]]
+
+
+def test_not_near_start_and_end_nor_near_what_is_taken() -> None:
+    bags = make(line([0, 1, 5, 9, 12, 19, 20]), start_radius=2.0, goal_radius=2.0, taken=[ball(10.0)], spacing=1.5)
+    assert bags is not None
+    assert places(bags.positive) == [[5, 12]]
+
+
+def test_too_few_positive_bags_are_none() -> None:
+    assert make(line([0, 5, 20]), min_positive=2) is None
+    assert make(line([0, 5, 20]), line([0, 20]), min_positive=2) is None, "nothing is left of one of them"
+
+
+def test_a_bag_that_does_not_change_is_the_same_array() -> None:
+    maker = BagMaker(DiscoverySettings(**{**PLAIN, "min_passing": 0.7}), None, None)
+    ways = [line([0, 10, 30 + i % 2, 60]) for i in range(6)]
+    first, second = maker.make(ways[:5], []), maker.make(ways, [])
+    assert first is not None
+    assert second is not None
+    assert places(second.positive) == [[10.0]] * 6
+    assert all(a is b for a, b in zip(first.positive, second.positive, strict=False))
+    maker.forget_bags()
+    third = maker.make(ways, [ball(10.0)])
+    assert third is None
