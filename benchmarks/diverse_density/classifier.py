@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, ClassifierMixin
+from sklearn.ensemble import RandomForestClassifier
 from sklearn.utils.validation import check_is_fitted
 
 from sb3_options.density.arrays import FloatArray
@@ -135,6 +136,29 @@ class DiverseDensityClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[
         for part in np.array_split(scaled, -(-scaled.size // CHUNK)):
             none *= (1 - instance_probabilities(self._concept, self._theta, part)).prod(0)
         return float(1 - none.mean())
+
+
+class BagStatisticsForest:
+    """A baseline that knows no instances: mean, minimum and maximum of every feature over the bag, a random forest.
+
+    Args:
+        seed: Of the forest.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self._forest = RandomForestClassifier(500, random_state=seed)
+
+    def fit(self, bags: Sequence[FloatArray], labels: ArrayLike) -> Self:
+        """Learn from bags (n_i, d) and their labels."""
+        self._forest.fit(self._statistics(bags), labels)
+        return self
+
+    def predict_proba(self, bags: Sequence[FloatArray]) -> FloatArray:
+        """Probabilities of the two labels, shape (n_bags, 2)."""
+        return np.asarray(self._forest.predict_proba(self._statistics(bags)))
+
+    def _statistics(self, bags: Sequence[FloatArray]) -> FloatArray:
+        return np.array([np.concatenate([bag.mean(0), bag.min(0), bag.max(0)]) for bag in bags])
 
 
 def _checked(bags: Sequence[ArrayLike]) -> list[FloatArray]:

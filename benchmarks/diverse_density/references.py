@@ -13,6 +13,11 @@ import numpy as np
 from scipy.optimize import minimize
 
 from sb3_options.density.arrays import FloatArray
+from sb3_options.density.peaks import best_apart
+from sb3_options.density.search import SURVIVORS
+
+MERGE_RADIUS = 0.5
+"""As in `ConceptSearch`."""
 
 LARGEST_P = 1 - 1e-16
 SMALLEST_HIT = 1e-300
@@ -33,6 +38,29 @@ def descend(objective: Objective, point: FloatArray, scale: float) -> Descended:
     start = np.concatenate([point, np.full_like(point, scale)])
     found = minimize(objective, start, jac=True, method="L-BFGS-B", options={"maxiter": 15_000, "maxfun": 50_000})
     return Descended(float(found.fun), int(found.nfev))
+
+
+def descend_pruned(
+    objective: Objective, points: FloatArray, scale: float, finalists: int, first_steps: int
+) -> Descended:
+    """From all starts, pruned as by `ConceptSearch`: every ``first_steps`` evaluations the best quarter goes on."""
+    theta = np.concatenate([points, np.full_like(points, scale)], axis=1)
+    d, n, evaluations = points.shape[1], len(theta), 0
+
+    def go_on(most: int) -> FloatArray:
+        nonlocal theta, evaluations
+        found = [
+            minimize(objective, x, jac=True, method="L-BFGS-B", options={"maxiter": 15_000, "maxfun": most})
+            for x in theta
+        ]
+        theta, evaluations = np.array([f.x for f in found]), evaluations + sum(int(f.nfev) for f in found)
+        return np.array([f.fun for f in found])
+
+    while n > finalists:
+        value, n = go_on(first_steps), max(finalists, n // SURVIVORS)
+        scales = theta[:, d:]
+        theta = theta[best_apart(np.concatenate([theta[:, :d] * scales, scales], axis=1), value, MERGE_RADIUS, n)]
+    return Descended(float(go_on(50_000).min()), evaluations)
 
 
 class Vectorised:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from sb3_options.density.arrays import FloatArray
+from sb3_options.density.checks import check_finite
 from sb3_options.density.layout import SEGMENT_INSTANCES, BagArrays, Segment, segment_of
 
 
@@ -55,8 +56,8 @@ class Bags:
             device: Where they are computed.
 
         Raises:
-            ValueError: No bag at all, an empty bag, bags that disagree about d, NaN or infinite features, or
-                weights that are negative, not finite, or not one a bag.
+            ValueError: No bag at all, an empty bag, bags that disagree about d, features that are NaN, infinite or
+                too large to square, or weights that are negative, not finite, or not one a bag.
         """
         names = [f"positive bag {i}" for i in range(len(positive))]
         names += [f"negative bag {i}" for i in range(len(negative))]
@@ -70,8 +71,7 @@ class Bags:
                 raise ValueError(f"{name} must have shape (instances, features), got {array.shape}")
             if array.shape[1] != arrays[0].shape[1]:
                 raise ValueError(f"{name} has {array.shape[1]} features, {names[0]} has {arrays[0].shape[1]}")
-            if not np.isfinite(array).all():
-                raise ValueError(f"{name} holds NaN or infinite features")
+            check_finite(name, array)
         if weights is not None:
             weights = np.asarray(weights, dtype=np.float64)
             if weights.shape != (len(arrays),) or not (np.isfinite(weights) & (weights >= 0)).all():
@@ -113,12 +113,21 @@ class Bags:
         return BagArrays(instances, np.array(self.lengths), positive, np.array(self.bag_weights))
 
     @cached_property
-    def segments(self) -> list[Segment]:
-        """The bags in double precision as the kernels read them, relative to the first instance; packed once.
+    def origin(self) -> Tensor:
+        """What features are taken relative to (d,), so that an offset common to all instances costs no digits.
 
-        An instance as the origin keeps integers integers, so that an offset common to all features costs no digits.
+        The first instance in features whose values lie within a factor of two of each other, which makes every
+        difference exact (Sterbenz 1974); 0 in the others, whose spread is as large as their offset.
         """
-        parts = self.arrays(lambda instances: instances - instances[0]).split(SEGMENT_INSTANCES)
+        low, high = self.instances.abs().aminmax(dim=0)
+        one_sign = (self.instances > 0).all(0) | (self.instances < 0).all(0)
+        return torch.where(one_sign & (high <= 2 * low), self.instances[0], 0)
+
+    @cached_property
+    def segments(self) -> list[Segment]:
+        """The bags in double precision as the kernels read them, relative to the `origin`; packed once."""
+        origin = self.origin.cpu().numpy()
+        parts = self.arrays(lambda instances: instances - origin).split(SEGMENT_INSTANCES)
         device = self.instances.device
         return [segment_of(part, n_powers=2, width=1.0, dtype=torch.float64, device=device) for part in parts]
 

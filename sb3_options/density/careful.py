@@ -81,12 +81,13 @@ def careful(columns: Columns, segment: Segment, likelihood: Likelihood, workspac
         # log(1 − p) from p where p is small, from 1 − p where it is not: the row's product may underflow.
         p, rows_weight = share[negative], torch.cat([segment.row_weight[:count] for count in segment.counts])[negative]
         log_miss = torch.where(p < 0.5, torch.log1p(-p), odds[negative].log())
-        log_density += (log_miss * rows_weight).sum(0)
-    # An instance that is hit lies at its smallest energy: it pulls nowhere, whatever its weight.
-    share.mul_(odds > 0)
+        log_density += torch.where(rows_weight > 0, log_miss * rows_weight, 0).sum(0)
     weights = torch.div(share, odds.clamp_(min=precision.tiny if columns.exact else precision.eps**2), out=share)
     for block in blocks:
         block.mul_(ratio[: len(block)])
+    if close is not None:
+        # An instance that is hit lies at its smallest energy: it pulls nowhere, whatever its weight.
+        weights[close.place[close.hit], close.start[close.hit]] = 0
     if outside is not None:
         weights.mul_(outside)
     near = columns.centre[:0]

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags, distinct
+from sb3_options.density.checks import check_finite, positive_scale, refuse, whole
 from sb3_options.density.concepts import Point
 from sb3_options.density.energies import Columns, Likelihood
 from sb3_options.density.layout import Workspace
@@ -34,7 +35,7 @@ SHORTLIST = 4
 
 
 def _columns(t: Tensor, s: Tensor) -> Columns:
-    """Points relative to the first instance, and scales, (S, d), as the kernels read them."""
+    """Points relative to the origin of the bags, and scales, (S, d), as the kernels read them."""
     t, squares = t.T, s.T.square()
     return Columns(torch.cat([(squares * t * t).sum(0, keepdim=True), -2 * squares * t, squares]), t, exact=True)
 
@@ -100,11 +101,10 @@ def log_diverse_density(
         raise ValueError(f"points must have shape (S, {bags.n_features}) as in the bags, got {tuple(t.shape)}")
     if s.shape not in (t.shape, t.shape[1:], ()):
         raise ValueError(f"scales must be a number, (d,) or (S, d) = {tuple(t.shape)}, got {tuple(s.shape)}")
-    if not bool(t.isfinite().all()):
-        raise ValueError("points hold NaN or infinite features")
-    if not bool((s.isfinite() & (s > 0)).all()):
+    check_finite("one of the points", t.detach().cpu().numpy())
+    if not positive_scale(s.detach().flatten().cpu()):
         raise ValueError("scales must be positive and finite: a scale is one over a width")
-    t, s, likelihood = t - bags.instances[0], s.expand_as(t), Likelihood("gaussian", negative_strength, leak)
+    t, s, likelihood = t - bags.origin, s.expand_as(t), Likelihood("gaussian", negative_strength, leak)
     if torch.is_grad_enabled() and (t.requires_grad or s.requires_grad):
         value: Tensor = _LogDiverseDensity.apply(t, s, bags, likelihood)  # type: ignore[no-untyped-call]  # torch's
     else:
@@ -165,22 +165,18 @@ class DiverseDensity:
 
     def __post_init__(self) -> None:
         """Refuse arguments out of range, by name."""
-        scale = np.asarray(self.scale, dtype=np.float64)
-        in_range = scale.ndim < 2 and bool(((scale > 0) & np.isfinite(scale)).all())
-        checks = {
-            "scale": ("positive, finite, a number or (d,)", in_range),
-            "method": ('"gradient" or "exhaustive"', self.method in ("gradient", "exhaustive")),
-            "n_starts": ("at least 1", self.n_starts >= 1),
-            "n_smallest": ("at least 1", self.n_smallest >= 1),
-            "steps": ("at least 1", self.steps >= 1),
-            "merge_radius": ("at least 0", self.merge_radius >= 0),
-            "tolerance": ("at least 0", self.tolerance >= 0),
-            "negative_strength": ("in (0, 1]", 0 < self.negative_strength <= 1),
-            "leak": ("in [0, 1)", 0 <= self.leak < 1),
-        }
-        for name, (expected, holds) in checks.items():
-            if not holds:
-                raise ValueError(f"{name} must be {expected}, got {getattr(self, name)!r}")
+        refuse(
+            self,
+            scale=("positive, finite, a number or (d,)", positive_scale(self.scale)),
+            method=('"gradient" or "exhaustive"', self.method in ("gradient", "exhaustive")),
+            n_starts=("a whole number of at least 1", whole(self.n_starts, 1)),
+            n_smallest=("a whole number of at least 1", whole(self.n_smallest, 1)),
+            steps=("a whole number of at least 1", whole(self.steps, 1)),
+            merge_radius=("at least 0", self.merge_radius >= 0),
+            tolerance=("at least 0", self.tolerance >= 0),
+            negative_strength=("in (0, 1]", 0 < self.negative_strength <= 1),
+            leak=("in [0, 1)", 0 <= self.leak < 1),
+        )
 
     @cached_property
     def concepts(self) -> ConceptSearch:

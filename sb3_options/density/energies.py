@@ -84,43 +84,51 @@ def exponents(columns: Columns, segment: Segment, likelihood: Likelihood, factor
     return scaled
 
 
-Pairs = tuple[Tensor, Tensor]
-"""Numbers of instances, and of starts."""
+class ClosePairs(NamedTuple):
+    """Instances close to the centres of starts: numbers of both (pairs,), and whether the centre hits the instance."""
+
+    place: Tensor
+    start: Tensor
+    hit: Tensor
 
 
-def measure_close_pairs(log2_p: Tensor, columns: Columns, segment: Segment, likelihood: Likelihood) -> Pairs:
+def measure_close_pairs(log2_p: Tensor, columns: Columns, segment: Segment, likelihood: Likelihood) -> ClosePairs:
     """Energies near 0, where the products cancel, once more as Σ_k c_kk (x_k − centre_k)²: in place, and which.
 
-    A weak negative instance is no more likely than η, and is left as it is where that is far from 1.
+    A weak negative instance is no more likely than η. Where η is far from 1 it is left as it is.
     """
     size = columns.coefficients[0].abs().add_(1).mul_(-(torch.finfo(log2_p.dtype).eps ** CLOSE))
     size = torch.where(columns.centre.isfinite().all(0), size, math.inf)
-    pairs = (log2_p > size).nonzero()
-    for place, start in _parts(pairs, columns):
+    places, starts = (log2_p > size).nonzero(as_tuple=True)
+    hit = torch.zeros_like(places, dtype=torch.bool)
+    for part in _parts(places, columns):
+        place, start = places[part], starts[part]
         rows = segment.powers[place]
         square = columns.coefficients[-len(columns.centre) :, start].T
         energy = (square * _difference(place, start, columns, segment).square_()).sum(1).mul_(rows[:, 0])
+        hit[part] = energy == 0
         if len(segment.negative_rows):
             energy -= rows[:, -1] * math.log(likelihood.strength)
         log2_p[place, start] = energy.mul_(-LOG2_E)
-    return pairs[:, 0], pairs[:, 1]
+    return ClosePairs(places, starts, hit)
 
 
-def take_near(weights: Tensor, close: Pairs, columns: Columns, segment: Segment) -> Tensor:
+def take_near(weights: Tensor, close: ClosePairs, columns: Columns, segment: Segment) -> Tensor:
     """`Evaluation.near` of these pairs, whose weights in ``weights`` (N, S) are set to 0."""
     d = len(columns.centre)
     near = weights.new_zeros(2 * d, weights.shape[1])
-    for place, start in _parts(torch.stack(close, dim=1), columns):
+    for part in _parts(close.place, columns):
+        place, start = close.place[part], close.start[part]
         difference = _difference(place, start, columns, segment).T
         weight = weights[place, start] * segment.powers[place, 0]
         near.index_add_(1, start, torch.cat([weight * difference, weight * difference.square()]))
-    weights[close] = 0
+    weights[close.place, close.start] = 0
     return near
 
 
-def _parts(pairs: Tensor, columns: Columns) -> Iterator[Pairs]:
-    for part in torch.split(pairs, max(1, CLOSE_PAIRS // len(columns.centre))):
-        yield part[:, 0], part[:, 1]
+def _parts(places: Tensor, columns: Columns) -> Iterator[slice]:
+    n = max(1, CLOSE_PAIRS // len(columns.centre))
+    return (slice(i, i + n) for i in range(0, len(places), n))
 
 
 def _difference(place: Tensor, start: Tensor, columns: Columns, segment: Segment) -> Tensor:

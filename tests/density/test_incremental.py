@@ -59,6 +59,16 @@ def test_other_bags_are_searched_anew() -> None:
     assert [peak.point.tolist() for peak in peaks] == [peak.point.tolist() for peak in again]
 
 
+def test_with_a_leak_a_bag_without_the_concept_hardly_counts() -> None:
+    rng = np.random.default_rng(4)
+    bags = [*bags_of(rng, 9), np.array([[40.0, 40.0]])]
+    search = IncrementalSearch(DiverseDensity(leak=0.2))
+    for n in (5, len(bags)):
+        best = search.search(bags[:n])[0]
+    assert np.linalg.norm(best.point - [3, -2]) < 0.5
+    assert best.log_density > np.log(0.2) - 3
+
+
 def test_scaled_features() -> None:
     scale = np.array([10.0, 0.1])
     engine = DiverseDensity(scale=scale, negative_strength=STRENGTH)

@@ -20,6 +20,9 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from tests.density.test_diverse_density import planted, two_rooms
+from tests.support.documents import ROOT, python_of
+
+DENSITY_PAGE = ROOT / "docs" / "concepts" / "density.md"
 
 FREE = (torch.tensor(-torch.inf), torch.tensor(torch.inf))
 
@@ -93,6 +96,15 @@ def test_a_planted_point_with_its_scale() -> None:
         np.testing.assert_allclose(peaks[0].probability([[3.0, -2.0]]), 1, atol=0.3)
         for i, peak in enumerate(peaks):
             assert all(np.linalg.norm(peak.theta - other.theta) > 0.5 for other in peaks[:i])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_first_example_of_the_documents_finds_the_place(seed: int) -> None:
+    """With other noise than the page's own, too. Its assertions are part of it."""
+    example, seeds = re.subn(r"default_rng\(0\)", f"default_rng({seed})", python_of(DENSITY_PAGE)[0])
+    assert seeds == 1
+    assert example.count("assert ") >= 2
+    exec(example, {})
 
 
 def test_a_learned_scale_finds_the_feature_that_matters() -> None:
@@ -309,6 +321,23 @@ def test_with_a_leak_a_bag_without_the_concept_hardly_counts() -> None:
     assert best.log_density > 4 * np.log(0.2) - 1
 
 
+@pytest.mark.parametrize("scales", ["fixed", "one"])
+def test_no_rounding_decides_between_peaks_that_tie(scales: Literal["fixed", "one"]) -> None:
+    """Two places that mirror each other explain the bags alike, in whatever order the instances come."""
+    right = np.random.default_rng(11).normal([4, 0], 0.3, size=(20, 2))
+    for seed in range(5):
+        turn = 2 * np.pi * np.random.default_rng(seed).random()
+        way = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+        first, second = right @ way, (right * [-1, 1]) @ way
+        found = []
+        for one, other in ((first, second), (second, first)):
+            bags = Bags.pack([np.stack(pair) for pair in zip(one, other, strict=True)])
+            best, next_best = ConceptSearch(concept=Point(scales)).search(bags)[:2]
+            assert best.log_density == pytest.approx(next_best.log_density, abs=0.01)
+            found.append(best.region().points[0])
+        np.testing.assert_allclose(found[0], found[1], atol=0.01)
+
+
 def test_several_start_scales_are_no_worse() -> None:
     bags = planted(5, 5)
     one = ConceptSearch(start_scales=(1.0,)).search(bags)[0].log_density
@@ -346,9 +375,13 @@ def test_cuda_finds_the_same(concept: Concept) -> None:
     ("arguments", "text"),
     [
         ({"scale": -1.0}, "scale must be positive, finite, a number or (d,), got -1.0"),
-        ({"features": []}, "features must be distinct numbers of features, from 0, at least one, got []"),
+        ({"features": []}, "features must be distinct whole numbers of features, from 0, at least one, got []"),
+        ({"features": [0.5]}, "features must be distinct whole numbers of features, from 0, at least one, got [0.5]"),
         ({"start_scales": ()}, "start_scales must be positive and finite, at least one, got ()"),
-        ({"finalists": 0}, "finalists must be at least 1, got 0"),
+        ({"finalists": 0}, "finalists must be a whole number of at least 1, got 0"),
+        ({"finalists": 2.5}, "finalists must be a whole number of at least 1, got 2.5"),
+        ({"max_starts": 0.5}, "max_starts must be a whole number of at least 1, or None, got 0.5"),
+        ({"final_steps": -1}, "final_steps must be a whole number of at least 1, got -1"),
         ({"negative_width": 0.0}, "negative_width must be positive and finite, got 0.0"),
         ({"tolerance": 0.0}, "tolerance must be above 0, got 0.0"),
         ({"leak": 1.0}, "leak must be in [0, 1), got 1.0"),
@@ -372,7 +405,15 @@ def test_bad_searches() -> None:
         ConceptSearch(scale=[1.0, 1.0, 1.0]).search(bags)
     with pytest.raises(ValueError, match="nothing to search from: pass starts or warm"):
         search.update(search.evidence(bags), [], np.zeros((0, 2)))
+    with pytest.raises(ValueError, match="steps must be a whole number of at least 0, got -1"):
+        search.update(search.evidence(bags), [], np.zeros((1, 2)), steps=-1)
+    with pytest.raises(ValueError, match=r"steps must be a whole number of at least 0, got 2\.5"):
+        search.climb(search.evidence(bags), 2.5)  # type: ignore[arg-type]  # wrong on purpose
+    with pytest.raises(ValueError, match="bag holds features beyond"):
+        search.evidence(bags).add(np.full((1, 2), 1e200))
     warm = search.search(bags)
+    with pytest.raises(ValueError, match=re.escape("instances must have shape (n, 2), got (1, 3)")):
+        warm[0].probability(np.zeros((1, 3)))
     with pytest.raises(ValueError, match="keep the evidence of the first search"):
         search.search(planted(1), warm=warm)
     with pytest.raises(ValueError, match="this search is for a Point"):
