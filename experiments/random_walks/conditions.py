@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,6 @@ from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.envs import GridWorld
 from sb3_options.envs.gridworld.grid_map import Direction
-from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.recording import EpisodeRecorder
 from sb3_options.experience.trajectories import Trajectory
 
@@ -41,19 +41,20 @@ def world_for(task: str, seed: int) -> GridWorld:
     return world_of(f"sb3_options/{task}-v0", observation="xy")
 
 
-def is_bottleneck(world: GridWorld, point: FloatArray) -> bool:
+def is_bottleneck(world: GridWorld, point: Sequence[float]) -> bool:
     """Whether a subgoal is within one step of a doorway, a door or a key."""
     places = [*world.doorways, *world.doors, *world.keys]
     return bool(min(abs(point[0] - x) + abs(point[1] - y) for x, y in places) <= NEAR)
 
 
-def run(task: str, changed: dict[str, Any], seed: int) -> Result:
+def run(task: str, changed: dict[str, Any], seed: int, n_episodes: int | None = None) -> Result:
     """Discover from one random walk after the other.
 
     Args:
         task: One of `TASKS`.
         changed: Settings of discovery other than the defaults.
         seed: Of the map, the environment and the walk.
+        n_episodes: By default `N_EPISODES`.
 
     Returns:
         ``found``: of each subgoal the episode, the point and whether it is a bottleneck; ``n_successes``; ``seconds``
@@ -63,13 +64,13 @@ def run(task: str, changed: dict[str, Any], seed: int) -> Result:
     discovery = SubgoalDiscovery(DiscoverySettings(**changed), kind="environment")
     found: list[dict[str, Any]] = []
     world.reset(seed=seed)
-    for episode in range(1, N_EPISODES + 1):
+    for episode in range(1, (n_episodes or N_EPISODES) + 1):
         trajectory = walk(world, rng)
         discovery.add(trajectory, world.concept_features(np.asarray(trajectory.states)))
         subgoal = discovery.search() if len(found) < MAX_OPTIONS else None
         if subgoal is not None:
-            point = subgoal.points[0]
-            found.append({"episode": episode, "point": point.tolist(), "bottleneck": is_bottleneck(world, point)})
+            point = subgoal.points[0].tolist()
+            found.append({"episode": episode, "point": point, "bottleneck": is_bottleneck(world, point)})
     n_successes = sum(t.success for t in discovery.database)
     return {"seed": seed, "found": found, "n_successes": n_successes, "seconds": discovery.seconds}
 

@@ -1,0 +1,53 @@
+import json
+from pathlib import Path
+
+import pytest
+
+from experiments.random_walks.__main__ import Study, main
+from experiments.random_walks.conditions import ARMS, TASKS, is_bottleneck, run, world_for
+from experiments.random_walks.maps import SIDES, random_map
+from experiments.random_walks.report import table
+from sb3_options.envs import GridWorld
+
+
+def test_maps_are_rooms_with_a_way_from_every_start_to_the_goal() -> None:
+    shapes = set()
+    for seed in range(60):
+        world = GridWorld(random_map(seed))  # refuses starts that cannot reach the goal
+        assert random_map(seed) == random_map(seed)
+        sides = [SIDES[0] * n + n - 1 for n in (1, 2, 3)]
+        assert min(world.walls.shape) >= sides[0]
+        shapes.add(world.walls.shape)
+    assert len(shapes) > 30
+
+
+def test_what_counts_as_a_bottleneck() -> None:
+    world = world_for("KeyDoor", 0)
+    assert [is_bottleneck(world, point) for point in ([6, 3, 5], [5, 3, 5], [0, 7, 5], [0, 6, 0])] == [True] * 4
+    assert not is_bottleneck(world, [1, 6, 0])
+    assert not is_bottleneck(world, [3, 3, 0])
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_run_is_of_its_seed(task: str) -> None:
+    """Too few episodes for a subgoal, so that it is quick."""
+    first, again, other = (run(task, {}, seed, n_episodes=6) for seed in (0, 0, 1))
+    for result in (first, again, other):
+        del result["seconds"]
+    assert first == again
+    assert first["found"] == []
+    assert first["seed"] != other["seed"]
+
+
+def test_study_writes_results_and_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("experiments.random_walks.conditions.N_EPISODES", 4)
+    main(Study(out=tmp_path, runs=1, first_seed=0, jobs=1))
+    written = json.loads((tmp_path / "results.json").read_text())
+    assert set(written["summary"]) == {f"{task}: {arm}" for task in TASKS for arm in ARMS}
+    assert (tmp_path / "random_walks.png").stat().st_size > 10_000
+
+
+def test_the_table_of_the_page() -> None:
+    results = json.loads(Path("docs/results/random-walks.json").read_text())
+    page = Path("docs/studies/random-walks.md").read_text()
+    assert table(results["summary"]) in page
