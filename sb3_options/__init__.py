@@ -8,6 +8,7 @@ from sb3_options.learning.expansion import expand_action_space
 from sb3_options.learning.macro_q import MacroQ
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.learning.rollout_buffer import OptionDictRolloutBuffer, OptionRolloutBuffer
+from sb3_options.learning.saved_model import load_model, load_options
 from sb3_options.learning.value_snapshot import interrupt_options
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option
@@ -26,4 +27,6 @@ __all__ = [
     "OptionsWrapper",
     "expand_action_space",
     "interrupt_options",
+    "load_model",
+    "load_options",
 ]

@@ -188,8 +188,7 @@ def _learn(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Pat
 
 def _save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
     try:
-        with atomic_write(folder / runs.MODEL) as temporary:
-            model.save(temporary)
+        model.save(folder / runs.MODEL)
     finally:
         bank.save(folder / runs.OPTIONS)
 

@@ -44,7 +44,7 @@ class OptionsWrapper(OptionSlots):
         feature_map: φ from a batch of observations to concept space, shape (batch, d). By default the environment's
             own ``concept_features``; else a one-hot code for ``Discrete`` observations and the flat observation for
             ``Box``. A ``Dict`` space has no default.
-        options_file: Start with the options of this file, which `OptionBank.save` wrote.
+        options_file: Start with the options of this file, which `OptionBank.save` wrote, or of this ``model.zip``.
         max_runs: How often one option may run in an episode, at least 1; None for any number. Runs that were
             interrupted count; single steps, where an option was chosen outside its initiation set, do not.
 
@@ -101,6 +101,8 @@ class OptionsWrapper(OptionSlots):
             last = self.n_primitive + self.bank.max_options - 1
             raise ValueError(f"action must be between 0 and {last}, got {action}.")
         option = self.bank[slot]
+        if option is None:
+            self._chose_empty(slot)
         if option is None or self._limit.is_reached(slot):
             return self._run_primitive(int(self._random.integers(self.n_primitive)), instead=True)
         observation = self._current_observation("step()")

@@ -85,7 +85,7 @@ class TrainConfig:
         progress: Show a progress bar.
         device: "cpu", "cuda" or "auto".
         num_threads: Threads of torch; small networks want one.
-        options: Run or options file to start with.
+        options: Run, model.zip or options file to start with.
         max_options: Number of option slots.
         max_new_options: Most to discover; None fills the slots.
         discover: If not, empty slots stay empty.

@@ -20,6 +20,7 @@ from sb3_options import OptionBank, cli
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.execution.trials import TrialSettings
+from sb3_options.options.file import read
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
 from sb3_options.runs.config import CLASSES, DQNConfig
@@ -264,6 +265,9 @@ class TestOptions:
         assert again.filled == (0,)
         assert again[0].subgoal.points.tolist() == first[0].subgoal.points.tolist()  # type: ignore[union-attr]  # discovered
 
+    def test_the_model_holds_the_same(self, run: Run) -> None:
+        assert read(run.folder / "model.zip")[0] == read(run.folder / "options.safetensors")[0]
+
     def test_says_so(self, run: Run, second: Run) -> None:
         assert re.search(
             rf"Finished after .+\nStarted with the options of {run.folder}: 0 \(reach \d, \d\)\.\n", second.printed
@@ -385,7 +389,8 @@ class TestErrors:
         file = run.folder / "options.safetensors"
         assert f"--options: there is no options file at {tmp_path / 'no'}." in text(tmp_path / "no")
         assert f"there is no options file at {tmp_path / 'options.safetensors'}." in text(tmp_path)
-        assert "model.zip is no options file" in text(run.folder / "model.zip")
+        assert "config.yml is no options file" in text(run.folder / "config.yml")
+        assert "model.zip does not fit: its options were made for" in text(run.folder / "model.zip")
         assert (
             f"--options: {file} has an option in slot 0, --max-options 0 is too few for it: pass --max-options 1 or "
             "more."
