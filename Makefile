@@ -6,8 +6,8 @@ ARGS ?=
 
 .PHONY: train paper test test-slow lint check format architecture upgrade clean
 
-train: $(READY)  ## Train DQN on the two-room gridworld; pass flags as ARGS="--seed 1"
-	$(BIN)/python train.py $(ARGS)
+train: $(READY)  ## Train in two rooms, with discovery and without; pass flags as ARGS="dqn --seed 1"
+	$(BIN)/python train.py $(ARGS) --compare
 
 paper: $(READY)  ## The paper's gridworld figures, 30 runs each, into out/paper
 	$(BIN)/python -m experiments.paper all --runs 30 --out out/paper $(ARGS)

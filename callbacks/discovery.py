@@ -25,7 +25,7 @@ from sb3_options.execution.exploration import checked_share
 from sb3_options.execution.trials import TrialReport, TrialSettings, Verdict
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.success import SuccessRule, reported_success
-from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
+from sb3_options.experience.trajectories import EpisodeRecord, LabelledTrajectory, Trajectory
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.creation import OptionGrowth, learn_further, learn_option
 from sb3_options.options.option import SubgoalOption
@@ -51,8 +51,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     The callback also makes ``num_timesteps`` count primitive steps (`PrimitiveStepsCallback` says what still counts
     decisions), installs the options in the environment of an
     ``EvalCallback`` beside it, and logs to TensorBoard. `bank` holds the options, `discoveries` says when and where
-    each was found, `closed` which of them were closed again, and `episodes` is the number of episodes (or segments)
-    that discovery has seen.
+    each was found, `closed` which of them were closed again. `episodes` is the number of episodes (or segments) that
+    discovery has seen, and `history` says how each of them went.
 
     Args:
         settings: How subgoals are found: a `DiscoverySettings`, or a mapping of its fields.
@@ -110,6 +110,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.opening_share = checked_share(max_option_exploration if opening_share is None else opening_share)
         self.save_path = save_path
         self.episodes = 0
+        self.history: list[EpisodeRecord] = []
         self.discoveries: list[DiscoveredOption] = []
         self.discovery: SubgoalDiscovery | None = None
         self.closed: list[ClosedOption] = []
@@ -188,8 +189,10 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     def _episode_ended(self, trajectory: Trajectory, report: TrialReport | None) -> None:
         self.episodes += 1
         try:
+            success = bool(self.success(trajectory))
+            total = float(trajectory.rewards.sum())
+            self.history.append(EpisodeRecord(self.num_timesteps, total, success, len(trajectory)))
             if self._trials is not None:
-                success = bool(self.success(trajectory))
                 for slot, why in self._trials.episode_ended(report, success=success, filled=self._options.installed()):
                     self._close_option(slot, why)
             self._learn_from(trajectory)

@@ -88,6 +88,7 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         self._interruption: Interruption | None = None
         self._withholding: Withholding | None = None
         self._expects_empty = self._warned = False
+        self._running: int | None = None
 
     def available(self, observations: Observations) -> BoolArray:
         """Which augmented actions may start in each observation, shape (batch, n_primitive + max_options).
@@ -112,6 +113,11 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
     def feature_kind(self) -> feature_maps.FeatureKind | None:
         """Where the feature map comes from; None where there is none."""
         return self.features.kind if self.features else None
+
+    def running_option(self) -> str:
+        """What runs at this moment, for people: an option and its slot, or "primitive action"."""
+        option = None if self._running is None else self.bank[self._running]
+        return "primitive action" if option is None else f"option {self._running}: {option.name}"
 
     def seen_observation_space(self) -> spaces.Space[Any]:
         """The space of the observations that options act on, also where a wrapper above has another."""

@@ -74,6 +74,7 @@ class OptionsWrapper(OptionSlots):
             self.seed_empty_slots(seed)
         self._observation = observation
         self._limit.runs[:] = 0
+        self._running = None  # an error may have ended the last episode within an option
         if self.features is not None and self.bank.feature_size is None:
             self.bank.feature_size = checked_size(self.features.map(batch_of_one(observation)))
         if self._withholding is not None:
@@ -131,6 +132,7 @@ class OptionsWrapper(OptionSlots):
         interrupted = None
         if inside and self._interruption is not None:
             interrupted = self._interruption.watch(self.n_primitive + slot, observation, self.action_masks)
+        self._running = slot
         result, run = run_option(
             option,
             slot,
@@ -143,6 +145,7 @@ class OptionsWrapper(OptionSlots):
             gamma=self.gamma,
             random=self._random,
         )
+        self._running = None
         return self._reported(result, run.as_info())
 
     def _primitive_step(self, action: int) -> StepReturn:
