@@ -18,7 +18,7 @@ from sb3_options.callbacks.records import ClosedOption, DiscoveredOption, Option
 from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.density.regions import Region
 from sb3_options.discovery.figures import discovery_figures
-from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.settings import DiscoverySettings, described
 from sb3_options.discovery.static_filter import StaticFilter
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.execution.exploration import checked_share
@@ -195,17 +195,17 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             if self._trials is not None:
                 for slot, why in self._trials.episode_ended(report, success=success, filled=self._options.installed()):
                     self._close_option(slot, why)
-            self._learn_from(trajectory)
+            self._learn_from(trajectory, success)
         except ValueError as error:
             # One episode that cannot be used is no reason to end training.
             logger.warning("No discovery after episode %d: %s", self.episodes, error)
         self._log()
 
-    def _learn_from(self, trajectory: Trajectory) -> None:
+    def _learn_from(self, trajectory: Trajectory, success: bool) -> None:
         discovers = self._may_discover()
         if not (discovers or (self.option_settings.goes_on and len(self.bank))):
             return
-        labelled = self._search.add(trajectory, self._options.features_of(trajectory.states))
+        labelled = self._search.add(trajectory, self._options.features_of(trajectory.states), success=success)
         if self.option_settings.goes_on:
             self._learn_further(labelled)
         if discovers and (labelled.success or self.settings.negative_bags):
@@ -243,8 +243,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     def _make_option(self, subgoal: Region) -> None:
         centre = subgoal.points[0]
-        name = "reach " + ", ".join(f"{x:g}" for x in centre[:4]) + (", …" if len(centre) > 4 else "")
-        option = self._learn(subgoal, name)
+        where = described(centre, self._search.kind)
+        option = self._learn(subgoal, f"reach {where}")
         if option is None:
             logger.warning("No option for the subgoal at %s: no saved trajectory leads to it.", centre)
             return
@@ -258,6 +258,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                 self.episodes,
                 self.num_timesteps,
                 centre,
+                where,
                 self._search.found[-1].log_density,
                 len(option.initiation_set.points),
             )

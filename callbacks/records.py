@@ -24,6 +24,7 @@ class DiscoveredOption:
         episode: Number of episodes, or of segments between peaks of reward, that had ended.
         timestep: Primitive steps taken.
         subgoal: The subgoal's centre in concept space, shape (d,).
+        where: The same for people: ``state 57`` of a discrete space, else coordinates.
         log_density: Best log diverse density of the search that completed it.
         initiation_states: Size of its initiation set.
     """
@@ -32,6 +33,7 @@ class DiscoveredOption:
     episode: int
     timestep: int
     subgoal: FloatArray
+    where: str
     log_density: float
     initiation_states: int
 

@@ -233,10 +233,9 @@ def _report(
     if discovery.discoveries:
         table = Table("option", "subgoal", f"found after {unit}", "primitive steps", "initiation states")
         for found in discovery.discoveries:
-            where = ", ".join(f"{x:g}" for x in found.subgoal[:6]) + (", …" if len(found.subgoal) > 6 else "")
             table.add_row(
                 str(found.slot),
-                f"({where})",
+                found.where,
                 str(found.episode),
                 f"{found.timestep:,}",
                 str(found.initiation_states),

@@ -16,7 +16,10 @@ from rich.table import Table
 
 from experiments.common.seeds import Part, Result, run_parts
 from experiments.common.study import Flags, show, write
-from experiments.first_hour.conditions import CONDITIONS, run
+from experiments.first_hour.conditions import BY_DEFAULT, run
+
+NEAR_GOAL = 3
+"""Cells from the goal of the lake within which a subgoal says nothing."""
 
 MEASURES = (
     "competent_after",
@@ -36,13 +39,13 @@ class Study(Flags):
 
     Attributes:
         task: Where.
-        conditions: Which algorithms; by default all.
+        conditions: Of `CONDITIONS`; by default those of the task.
         n_timesteps: Primitive steps of each run; by default what training takes.
     """
 
     task: Annotated[Literal["rooms", "lake"], tyro.conf.Positional]
     runs: int = 20
-    conditions: tuple[str, ...] = tuple(CONDITIONS)
+    conditions: tuple[str, ...] = ()
     n_timesteps: int | None = None
 
 
@@ -54,7 +57,7 @@ def main(study: Study) -> None:
             partial(run, study.task, name, study.n_timesteps),
             study.out / name.replace(", ", "-").replace(" ", "-"),
         )
-        for name in study.conditions
+        for name in study.conditions or BY_DEFAULT[study.task]
     ]
     settings = {"task": study.task, "n_timesteps": study.n_timesteps}
     results = run_parts(parts, study.seeds(), settings=settings, jobs=study.jobs, description="Training")
@@ -62,7 +65,7 @@ def main(study: Study) -> None:
     command = f"python -m experiments.first_hour {study.task} --runs {study.runs} --first-seed {study.first_seed}"
     write(study.out, {"command": command, "summary": summary, "runs": results}, {})
     table = Table("median over the seeds", *summary)
-    for measure in ("n_competent", "n_with_option", *MEASURES):
+    for measure in ("n_competent", "n_with_option", "n_near_goal", *MEASURES):
         table.add_row(measure, *("–" if s[measure] is None else f"{s[measure]:,.4g}" for s in summary.values()))
     show(table, f"Results: {study.out / 'results.json'}")
 
@@ -72,7 +75,8 @@ def summarise(results: list[Result]) -> dict[str, Any]:
     summary: dict[str, Any] = {
         "n_runs": len(results),
         "n_competent": sum(r["competent_after"] is not None for r in results),
-        "n_with_option": sum(bool(r["subgoals"]) for r in results),
+        "n_with_option": sum(bool(r["where"]) for r in results),
+        "n_near_goal": sum(cells is not None and cells <= NEAR_GOAL for r in results for cells in r["steps_to_goal"]),
     }
     for name in MEASURES:
         never = np.inf if name == "competent_after" else np.nan

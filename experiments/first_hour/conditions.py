@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
 from experiments.common.seeds import Result
 from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.discovery.static_filter import near_start_and_goal
+from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.trajectories import EpisodeRecord
 from sb3_options.runs import config as configs
@@ -34,13 +38,17 @@ TASKS: dict[str, tuple[str, dict[str, object]]] = {
 }
 """Environment and its arguments by the name of the task."""
 
-CONDITIONS = {
-    "maskableppo": ("maskableppo", True),
-    "maskableppo, no discovery": ("maskableppo", False),
-    "dqn": ("dqn", True),
-    "dqn, no discovery": ("dqn", False),
+CONDITIONS: dict[str, tuple[str, dict[str, Any]]] = {
+    "maskableppo": ("maskableppo", {}),
+    "maskableppo, no discovery": ("maskableppo", {"max_new_options": 0}),
+    "dqn": ("dqn", {}),
+    "dqn, no discovery": ("dqn", {"max_new_options": 0}),
+    "maskableppo, filter by distances": ("maskableppo", {"static_filter": near_start_and_goal()}),
 }
-"""Algorithm, and whether it discovers, by the name of the condition."""
+"""Algorithm, and what its callback is told, by the name of the condition."""
+
+BY_DEFAULT = {"rooms": tuple(CONDITIONS)[:4], "lake": ("maskableppo", "maskableppo, filter by distances")}
+"""Conditions of each task."""
 
 
 def competent_after(history: Sequence[EpisodeRecord]) -> int | None:
@@ -50,6 +58,15 @@ def competent_after(history: Sequence[EpisodeRecord]) -> int | None:
         if all(e.success for e in window) and np.mean([e.steps for e in window]) <= COMPETENT_STEPS:
             return window[-1].timestep
     return None
+
+
+def to_goal(env_id: str, subgoal: FloatArray) -> int | None:
+    """Cells from a subgoal of the lake to its goal, in the last corner; None elsewhere."""
+    if env_id == ROOMS:
+        return None
+    side = math.isqrt(len(subgoal))
+    row, column = divmod(int(subgoal.argmax()), side)
+    return 2 * (side - 1) - row - column
 
 
 class OptionUse(BaseCallback):
@@ -84,20 +101,15 @@ def run(task: str, condition: str, n_timesteps: int | None, seed: int) -> Result
         What happened.
     """
     env_id, keywords = TASKS[task]
-    algo, discovers = CONDITIONS[condition]
+    algo, told = CONDITIONS[condition]
     config: TrainConfig = replace(configs.tuned(env_id, algo), env_kwargs=keywords, seed=seed)
     config = replace(config, n_timesteps=n_timesteps or config.n_timesteps)
     began = time.process_time()
     use = OptionUse()
     with closing(runs.make_env(config, config.n_envs, seed)) as env:
         model = make_model(config, env)
-        discovery = SubgoalDiscoveryCallback(
-            config.discovery,
-            config.option,
-            max_new_options=config.max_new_options if discovers else 0,
-            seed=seed,
-            **callback_settings(config),
-        )
+        given = {"max_new_options": config.max_new_options, "seed": seed, **callback_settings(config), **told}
+        discovery = SubgoalDiscoveryCallback(config.discovery, config.option, **given)
         model.learn(config.n_timesteps, callback=[discovery, use])
     n_runs = sum(use.endings.values())
     return {
@@ -107,7 +119,8 @@ def run(task: str, condition: str, n_timesteps: int | None, seed: int) -> Result
         "episodes": len(discovery.history),
         "success_rate": float(np.mean([e.success for e in discovery.history[-100:]])) if discovery.history else None,
         "subgoals": [found.subgoal.tolist() for found in discovery.discoveries],
-        "names": [] if not discovery.discoveries else [discovery.bank[d.slot].name for d in discovery.discoveries],  # type: ignore[union-attr]  # filled
+        "where": [found.where for found in discovery.discoveries],
+        "steps_to_goal": [to_goal(env_id, found.subgoal) for found in discovery.discoveries],
         "found_after": [found.timestep for found in discovery.discoveries],
         "runs": n_runs,
         "steps_outside": use.outside,

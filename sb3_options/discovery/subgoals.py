@@ -16,8 +16,15 @@ from sb3_options.density.incremental import IncrementalSearch
 from sb3_options.density.regions import Region
 from sb3_options.discovery.outcomes import Outcomes
 from sb3_options.discovery.peaks import PeakTracker, plateau_centres
-from sb3_options.discovery.settings import DiscoverySettings, default_scale
-from sb3_options.discovery.static_filter import StaticFilter, bag_of, near_start_and_goal
+from sb3_options.discovery.settings import DiscoverySettings, default_scale, is_one_hot
+from sb3_options.discovery.static_filter import (
+    StaticFilter,
+    bag_of,
+    first_visits,
+    near_start_and_goal,
+    steps_from,
+    steps_from_start_and_goal,
+)
 from sb3_options.experience.observations import FloatArray, batch_size
 from sb3_options.experience.success import SuccessRule, reported_success
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory, TrajectoryDatabase
@@ -110,12 +117,13 @@ class SubgoalDiscovery:
         self._cut: dict[int, tuple[LabelledTrajectory, FloatArray]] = {}
         self._filter = self.static_filter or near_start_and_goal(s.start_radius, s.goal_radius)
 
-    def add(self, trajectory: Trajectory, features: FloatArray) -> LabelledTrajectory:
+    def add(self, trajectory: Trajectory, features: FloatArray, *, success: bool | None = None) -> LabelledTrajectory:
         """Put a trajectory into the database.
 
         Args:
             trajectory: One episode.
             features: φ of its distinct observations, shape (m, d).
+            success: Its label; by default what the rule of success says.
 
         Returns:
             The trajectory with its label.
@@ -132,7 +140,9 @@ class SubgoalDiscovery:
             )
         if not np.isfinite(features).all():
             raise ValueError("the feature map gave NaN or infinite features for a trajectory")
-        labelled = LabelledTrajectory(trajectory, features, bool(self.success(trajectory)))
+        labelled = LabelledTrajectory(
+            trajectory, features, bool(self.success(trajectory) if success is None else success)
+        )
         self.outcomes.add(trajectory, success=labelled.success)
         self.database.add(labelled)
         return labelled
@@ -209,6 +219,8 @@ class SubgoalDiscovery:
         if self.scale is None:
             seen = np.concatenate([t.features for t in self.database])
             given = self.settings.scale
+            if self.kind == "identity" and is_one_hot(seen):
+                self.kind = "categorical"
             self.scale = default_scale(self.kind, seen) if given is None else np.full(seen.shape[1], given)
         self._cut = {id(t): self._cut[id(t)] for t in self.database if id(t) in self._cut}
         positive_bags = [bag for t in positive if len(bag := self._bag(t))]
@@ -236,11 +248,22 @@ class SubgoalDiscovery:
 
     def _filtered(self, labelled: LabelledTrajectory) -> FloatArray:
         assert self.scale is not None  # set by _evidence() before any bag is made
+        taken = [*self.taken, *(finding.subgoal for finding in self.found)]
+        if self.kind == "categorical" and self.static_filter is None:
+            return self._filtered_by_steps(labelled, taken)
         bag = bag_of(labelled.features, int(labelled.trajectory.visits[-1]), self.scale, self._filter)
-        for subgoal in [*self.taken, *(finding.subgoal for finding in self.found)]:
+        for subgoal in taken:
             centre = subgoal.points[0]
             bag = bag[np.linalg.norm((bag - centre) * self.scale, axis=1) > self.settings.spacing]
         return bag
+
+    def _filtered_by_steps(self, labelled: LabelledTrajectory, taken: Sequence[Region]) -> FloatArray:
+        """The same where states have no distances."""
+        s, visits = self.settings, labelled.trajectory.visits
+        keep = steps_from_start_and_goal(visits, s.start_radius, s.goal_radius)
+        for subgoal in taken:
+            keep &= steps_from(np.flatnonzero(subgoal.contains(labelled.features)), visits) > s.spacing
+        return first_visits(labelled.features[keep])
 
     def _new_subgoal(self) -> Region | None:
         for concept in self.tracker.persistent():

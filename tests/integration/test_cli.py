@@ -130,7 +130,7 @@ class TestTrain:
     def test_says_what_it_found_and_what_to_do_next(self, run: Run) -> None:
         assert "Training DQN on sb3_options/TwoRooms-v0 for 8,000 primitive steps." in run.printed
         assert re.search(r"Finished after 8,\d\d\d primitive steps, \d+ episodes\.", run.printed)
-        row = re.search(r"0 +│ \((\d), (\d)\) +│ (\d+) +│ ([\d,]+) +│ (\d+)", run.printed)
+        row = re.search(r"0 +│ (\d), (\d) +│ (\d+) +│ ([\d,]+) +│ (\d+)", run.printed)
         assert row is not None
         bank = OptionBank(4, 4)
         bank.load(run.folder / "options.safetensors")
