@@ -13,6 +13,8 @@ from sb3_options.learning.value_snapshot import interrupt_options
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option
 
+__version__ = "0.2.0.dev0"
+
 moved.install()
 
 __all__ = [
@@ -25,6 +27,7 @@ __all__ = [
     "OptionReplayBuffer",
     "OptionRolloutBuffer",
     "OptionsWrapper",
+    "__version__",
     "expand_action_space",
     "interrupt_options",
     "load_model",

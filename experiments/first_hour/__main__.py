@@ -6,6 +6,7 @@ bottlenecks? It writes ``results.json``. Interrupted, it goes on where it was.
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any, Literal
@@ -63,6 +64,8 @@ def main(study: Study) -> None:
     results = run_parts(parts, study.seeds(), settings=settings, jobs=study.jobs, description="Training")
     summary = {name: summarise(those) for name, those in results.items()}
     command = f"python -m experiments.first_hour {study.task} --runs {study.runs} --first-seed {study.first_seed}"
+    command += "" if study.n_timesteps is None else f" --n-timesteps {study.n_timesteps}"
+    command += f" --conditions {shlex.join(summary)}"
     write(study.out, {"command": command, "summary": summary, "runs": results}, {})
     table = Table("median over the seeds", *summary)
     for measure in ("n_competent", "n_with_option", "n_near_goal", *MEASURES):
