@@ -2,12 +2,13 @@
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
+TRAINS := .venv/.trains
 ARGS ?=
 
 .PHONY: train paper test test-slow lint check format architecture upgrade clean
 
-train: $(READY)  ## Train DQN on the two-room gridworld; pass flags as ARGS="--seed 1"
-	$(BIN)/python train.py $(ARGS)
+train: $(TRAINS)  ## Train in two rooms, with discovery and without; pass flags as ARGS="dqn --seed 1"
+	$(BIN)/python train.py $(ARGS) --compare
 
 paper: $(READY)  ## The paper's gridworld figures, 30 runs each, into out/paper
 	$(BIN)/python -m experiments.paper all --runs 30 --out out/paper $(ARGS)
@@ -37,6 +38,11 @@ $(READY): pyproject.toml constraints.txt
 	test -d .venv || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	touch $(READY)
+
+$(TRAINS): pyproject.toml constraints.txt
+	test -d .venv || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[train,contrib]'
+	touch $(TRAINS)
 
 upgrade:  ## Newest versions that pyproject.toml allows, into constraints.txt
 	rm -rf .venv && $(PYTHON) -m venv .venv

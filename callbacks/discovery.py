@@ -18,14 +18,14 @@ from sb3_options.callbacks.records import ClosedOption, DiscoveredOption, Option
 from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.density.regions import Region
 from sb3_options.discovery.figures import discovery_figures
-from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.settings import DiscoverySettings, described
 from sb3_options.discovery.static_filter import StaticFilter
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.execution.exploration import checked_share
 from sb3_options.execution.trials import TrialReport, TrialSettings, Verdict
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.success import SuccessRule, reported_success
-from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
+from sb3_options.experience.trajectories import EpisodeRecord, LabelledTrajectory, Trajectory
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.creation import OptionGrowth, learn_further, learn_option
 from sb3_options.options.option import SubgoalOption
@@ -51,8 +51,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     The callback also makes ``num_timesteps`` count primitive steps (`PrimitiveStepsCallback` says what still counts
     decisions), installs the options in the environment of an
     ``EvalCallback`` beside it, and logs to TensorBoard. `bank` holds the options, `discoveries` says when and where
-    each was found, `closed` which of them were closed again, and `episodes` is the number of episodes (or segments)
-    that discovery has seen.
+    each was found, `closed` which of them were closed again. `episodes` is the number of episodes (or segments) that
+    discovery has seen, and `history` says how each of them went.
 
     Args:
         settings: How subgoals are found: a `DiscoverySettings`, or a mapping of its fields.
@@ -110,6 +110,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.opening_share = checked_share(max_option_exploration if opening_share is None else opening_share)
         self.save_path = save_path
         self.episodes = 0
+        self.history: list[EpisodeRecord] = []
         self.discoveries: list[DiscoveredOption] = []
         self.discovery: SubgoalDiscovery | None = None
         self.closed: list[ClosedOption] = []
@@ -188,21 +189,23 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     def _episode_ended(self, trajectory: Trajectory, report: TrialReport | None) -> None:
         self.episodes += 1
         try:
+            success = bool(self.success(trajectory))
+            total = float(trajectory.rewards.sum())
+            self.history.append(EpisodeRecord(self.num_timesteps, total, success, len(trajectory)))
             if self._trials is not None:
-                success = bool(self.success(trajectory))
                 for slot, why in self._trials.episode_ended(report, success=success, filled=self._options.installed()):
                     self._close_option(slot, why)
-            self._learn_from(trajectory)
+            self._learn_from(trajectory, success)
         except ValueError as error:
             # One episode that cannot be used is no reason to end training.
             logger.warning("No discovery after episode %d: %s", self.episodes, error)
         self._log()
 
-    def _learn_from(self, trajectory: Trajectory) -> None:
+    def _learn_from(self, trajectory: Trajectory, success: bool) -> None:
         discovers = self._may_discover()
         if not (discovers or (self.option_settings.goes_on and len(self.bank))):
             return
-        labelled = self._search.add(trajectory, self._options.features_of(trajectory.states))
+        labelled = self._search.add(trajectory, self._options.features_of(trajectory.states), success=success)
         if self.option_settings.goes_on:
             self._learn_further(labelled)
         if discovers and (labelled.success or self.settings.negative_bags):
@@ -240,8 +243,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     def _make_option(self, subgoal: Region) -> None:
         centre = subgoal.points[0]
-        name = "reach " + ", ".join(f"{x:g}" for x in centre[:4]) + (", …" if len(centre) > 4 else "")
-        option = self._learn(subgoal, name)
+        where = described(centre, self._search.kind)
+        option = self._learn(subgoal, f"reach {where}")
         if option is None:
             logger.warning("No option for the subgoal at %s: no saved trajectory leads to it.", centre)
             return
@@ -255,6 +258,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                 self.episodes,
                 self.num_timesteps,
                 centre,
+                where,
                 self._search.found[-1].log_density,
                 len(option.initiation_set.points),
             )

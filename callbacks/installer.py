@@ -19,6 +19,7 @@ from sb3_options.learning import heads
 from sb3_options.learning.macro_q import MacroQ
 from sb3_options.learning.masked import stored_availability
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
+from sb3_options.learning.saved_model import keep_options, put_back
 from sb3_options.learning.value_snapshot import Interrupter
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option, SubgoalOption
@@ -29,6 +30,8 @@ MIN_ODDS = 1e-3
 
 class OptionInstaller:
     """Keeps the options of all environments, the heads of the network and the replay buffer equal to its `bank`.
+
+    The model's ``save`` writes that bank, too.
 
     Off-policy algorithms get an option at once. Algorithms that sample actions from a policy without masks get it when
     the next rollout starts: with a head that was closed at the start of a rollout and open at its end, the update
@@ -69,6 +72,7 @@ class OptionInstaller:
         self._pending: dict[int, Option] = {}
         self._new: list[int] = []
         self._closing: set[int] = set()
+        put_back(model, venv)
         present: OptionBank = venv.get_attr("bank", [0])[0]
         self.n_primitive = present.n_primitive
         self.bank = OptionBank(
@@ -82,6 +86,8 @@ class OptionInstaller:
         else:
             self._call_environments("set_interruption", None)  # an earlier training may have left its own
         untrained = self.has_heads and heads.is_untrained(model, self.n_primitive)
+        self._call_environments("expect_empty", True)
+        keep_options(model, self.bank)
         for slot, option in enumerate(present.slots):
             if option is not None:
                 if untrained:

@@ -25,6 +25,7 @@ from sb3_options.learning import heads
 from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.learning.rollout_buffer import option_rollout_buffer
+from sb3_options.learning.saved_model import keep_options, put_back
 from sb3_options.options.bank import OptionBank
 
 logger = logging.getLogger("sb3_options")
@@ -58,6 +59,9 @@ class PrimitiveStepsCallback(BaseCallback):
         check_normalized_rewards(self.model)
         check_gamma(self.model, self.training_env)
         monitor_primitive_steps(self.training_env)
+        put_back(self.model, self.training_env)
+        keep_options(self.model)
+        self.training_env.env_method("expect_empty", True)
         if heads.has_heads(self.model.policy):
             bank: OptionBank = self.training_env.get_attr("bank", [0])[0]
             for slot, option in enumerate(bank.slots):

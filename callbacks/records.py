@@ -24,6 +24,7 @@ class DiscoveredOption:
         episode: Number of episodes, or of segments between peaks of reward, that had ended.
         timestep: Primitive steps taken.
         subgoal: The subgoal's centre in concept space, shape (d,).
+        where: The same for people: ``state 57`` of a discrete space, else coordinates.
         log_density: Best log diverse density of the search that completed it.
         initiation_states: Size of its initiation set.
     """
@@ -32,6 +33,7 @@ class DiscoveredOption:
     episode: int
     timestep: int
     subgoal: FloatArray
+    where: str
     log_density: float
     initiation_states: int
 
@@ -54,24 +56,35 @@ class ClosedOption:
 
 
 class OptionStatistics:
-    """Runs of each slot, with durations and terminations of the last ones, for TensorBoard."""
+    """Runs of each slot, with durations and terminations of the last ones, for TensorBoard.
+
+    A run begins in the option's initiation set. A slot that is chosen outside it takes a single step, which says
+    nothing of where the option leads, and is counted apart.
+    """
 
     def __init__(self) -> None:
         self._uses: Counter[int] = Counter()
+        self._outside: Counter[int] = Counter()
         self._last: dict[int, deque[tuple[int, str]]] = {}
         self._endings: dict[int, set[str]] = {}
 
     def add(self, run: OptionRun) -> None:
-        """Count one run of an option."""
+        """Count one choice of a slot that holds an option."""
         self._uses[run.index] += 1
+        if run.inside is False:
+            self._outside[run.index] += 1
+            return
         self._last.setdefault(run.index, deque(maxlen=WINDOW)).append((run.duration, run.termination))
         self._endings.setdefault(run.index, set()).add(run.termination)
 
     def values(self) -> dict[str, float]:
-        """By tag: number of runs; mean duration and the share of each termination over the last ones."""
+        """By tag: choices, runs and single steps outside; mean duration and the share of each end of the last runs."""
         values: dict[str, float] = {}
+        for slot, uses in self._uses.items():
+            values[f"options/slot_{slot}/uses"] = uses
+            values[f"options/slot_{slot}/runs"] = uses - self._outside[slot]
+            values[f"options/slot_{slot}/steps_outside"] = self._outside[slot]
         for slot, last in self._last.items():
-            values[f"options/slot_{slot}/uses"] = self._uses[slot]
             values[f"options/slot_{slot}/mean_duration"] = float(np.mean([duration for duration, _ in last]))
             count = Counter(why for _, why in last)
             # A termination that has left the window is logged as 0, so that TensorBoard does not keep its last share.

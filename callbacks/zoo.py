@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from sb3_options.callbacks.discovery import SubgoalDiscoveryCallback
-from sb3_options.zoo import OPTIONS, ZooOptionsWrapper
+from sb3_options.options.archive import NAME
+from sb3_options.zoo import ZooOptionsWrapper
 
 
 class ZooDiscoveryCallback(SubgoalDiscoveryCallback):
@@ -28,7 +29,7 @@ class ZooDiscoveryCallback(SubgoalDiscoveryCallback):
                 )
             folder: str | None = self.training_env.env_method("run_folder", indices=[0])[0]
             # A search for hyperparameters keeps no runs.
-            self.save_path = None if folder is None else Path(folder) / OPTIONS
+            self.save_path = None if folder is None else Path(folder) / NAME
         self._save()  # a run that discovers nothing can be played too
 
     def _on_training_end(self) -> None:

@@ -8,9 +8,12 @@ from sb3_options.learning.expansion import expand_action_space
 from sb3_options.learning.macro_q import MacroQ
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.learning.rollout_buffer import OptionDictRolloutBuffer, OptionRolloutBuffer
+from sb3_options.learning.saved_model import load_model, load_options
 from sb3_options.learning.value_snapshot import interrupt_options
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option
+
+__version__ = "0.2.0.dev0"
 
 moved.install()
 
@@ -24,6 +27,9 @@ __all__ = [
     "OptionReplayBuffer",
     "OptionRolloutBuffer",
     "OptionsWrapper",
+    "__version__",
     "expand_action_space",
     "interrupt_options",
+    "load_model",
+    "load_options",
 ]

@@ -34,6 +34,7 @@ from sb3_options.runs import config as configs
 from sb3_options.runs import evaluation
 from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import callback_settings, eval_callback_class, make_model
+from sb3_options.runs.closing import closing_table
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.flags import parse
 from sb3_options.runs.interrupts import Interrupts, StopWhenNoted
@@ -109,22 +110,20 @@ def train(config: TrainConfig) -> Path:
     """
     torch.set_num_threads(config.num_threads)
     runs.check_env_id(config.env)
+    stock: SubgoalDiscoveryCallback | None = None
     with Interrupts() as interrupts:
         with closing(runs.make_env(config, 1, config.seed)) as env:  # what cannot be made leaves no folder
             runs.check_observations(env, config.env)
             bank: OptionBank = env.get_attr("bank")[0]
             started_with = [f"{slot} ({option.name})" for slot, option in enumerate(bank.slots) if option is not None]
-        discovery = SubgoalDiscoveryCallback(
-            config.discovery,
-            config.option,
-            max_new_options=config.max_new_options if config.discover else 0,
-            trial=TrialSettings() if config.close_harmful else None,
-            seed=config.seed,
-            verbose=1,
-            **callback_settings(config),
-        )
+        discovery = _discovery(config)
         folder = runs.new_run_folder(config)
         _learn(config, discovery, folder, interrupts)
+        if config.compare and config.discover and not interrupts.noted:
+            without = dataclasses.replace(config, discover=False, compare=False, options=None)
+            console.print("Once more, without discovery:")
+            stock = _discovery(without)
+            _learn(without, stock, runs.new_run_folder(without), interrupts)
     if not folder.exists():
         raise KeyboardInterrupt("before the first step: there is nothing to keep")
     _draw(config, discovery, folder)
@@ -134,13 +133,26 @@ def train(config: TrainConfig) -> Path:
     if config.options is not None:
         what = ", ".join(started_with) or "none"
         console.print(f"Started with the options of {escape(str(config.options))}: {escape(what)}.")
-    _report(discovery, folder, unit)
+    _report(discovery, stock, folder, unit)
     return folder
+
+
+def _discovery(config: TrainConfig) -> SubgoalDiscoveryCallback:
+    return SubgoalDiscoveryCallback(
+        config.discovery,
+        config.option,
+        max_new_options=config.max_new_options if config.discover else 0,
+        trial=TrialSettings() if config.close_harmful else None,
+        seed=config.seed,
+        verbose=1,
+        **callback_settings(config),
+    )
 
 
 def _learn(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path, interrupts: Interrupts) -> None:
     """Train, and save what was learned, however training ends; without a step taken, remove the folder."""
     subproc = config.vec_env == "subproc"
+    interrupts.saving = False
     discovery.save_path = folder / runs.OPTIONS
     model: BaseAlgorithm | None = None
     envs: list[VecEnv] = []
@@ -188,8 +200,7 @@ def _learn(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Pat
 
 def _save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
     try:
-        with atomic_write(folder / runs.MODEL) as temporary:
-            model.save(temporary)
+        model.save(folder / runs.MODEL)
     finally:
         bank.save(folder / runs.OPTIONS)
 
@@ -216,14 +227,15 @@ def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path
         figure.savefig(temporary, dpi=FIGURE_DPI)
 
 
-def _report(discovery: SubgoalDiscoveryCallback, folder: Path, unit: str) -> None:
+def _report(
+    discovery: SubgoalDiscoveryCallback, stock: SubgoalDiscoveryCallback | None, folder: Path, unit: str
+) -> None:
     if discovery.discoveries:
         table = Table("option", "subgoal", f"found after {unit}", "primitive steps", "initiation states")
         for found in discovery.discoveries:
-            where = ", ".join(f"{x:g}" for x in found.subgoal[:6]) + (", …" if len(found.subgoal) > 6 else "")
             table.add_row(
                 str(found.slot),
-                f"({where})",
+                found.where,
                 str(found.episode),
                 f"{found.timestep:,}",
                 str(found.initiation_states),
@@ -233,6 +245,12 @@ def _report(discovery: SubgoalDiscoveryCallback, folder: Path, unit: str) -> Non
     else:
         console.print(escape(_why_nothing(discovery) or ""))
     path = escape(str(folder))
+    histories = {"this run": discovery.history} | ({} if stock is None else {"--no-discover": stock.history})
+    console.print(closing_table(histories))
+    if stock is not None:
+        console.print("Both trained for as many primitive steps on the same seed. That is one seed, and no study.")
+    elif discovery.max_new_options != 0:
+        console.print("Against --no-discover: train with --compare, which trains once more without discovery.")
     console.print(f"Run folder:   {path}")
     python = escape(_python())
     console.print(f"TensorBoard:  {python} -m tensorboard.main --logdir {path}")

@@ -20,18 +20,16 @@ from stable_baselines3.common.monitor import Monitor
 
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.observations import FeatureMap
+from sb3_options.options.archive import NAME
 
-OPTIONS = "options.safetensors"
-"""Name of the options file in the folder of a run, beside the model."""
-
-PLAYERS = ("enjoy", "record_video")
+PLAYERS = ("enjoy", "record_video", "push_to_hub")
 """The programs of rl-zoo3 that load a run."""
 
 
 class ZooOptionsWrapper(OptionsWrapper):
     """`OptionsWrapper` that starts with the options of the run that rl-zoo3 loads.
 
-    In ``rl_zoo3.enjoy`` and ``rl_zoo3.record_video`` these are the options in the folder of the run that is played;
+    In ``rl_zoo3.enjoy``, ``record_video`` and ``push_to_hub`` these are the options in the folder of the run played;
     in ``rl_zoo3.train --trained-agent FILE`` those beside that file; else there are none to start with. The file is
     what `ZooDiscoveryCallback` wrote.
 
@@ -61,10 +59,10 @@ class ZooOptionsWrapper(OptionsWrapper):
         if options_file is None:
             folder = loaded_run(_program(), sys.argv[1:])
             if folder is not None:
-                options_file = folder / OPTIONS
+                options_file = folder / NAME
                 if not options_file.is_file():
                     raise FileNotFoundError(
-                        f"There is no {OPTIONS} in {folder}: the run was trained without ZooDiscoveryCallback. Name it "
+                        f"There is no {NAME} in {folder}: the run was trained without ZooDiscoveryCallback. Name it "
                         "under `callback`, or name an options_file for ZooOptionsWrapper."
                     )
         super().__init__(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+import sb3_options
 from docs import architecture
 
 ROOT = Path(__file__).parents[1]
@@ -73,6 +74,20 @@ def test_every_folder_is_packaged() -> None:
     folders = {path.parent.relative_to(ROOT) for path in modules()}
     assert {".".join(dict.fromkeys(("sb3_options", *folder.parts))) for folder in folders} == set(packages)
     assert all((ROOT / folder / "__init__.py").is_file() for folder in folders)
+
+
+def test_the_version_is_said_once() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert "version" not in project
+    assert TOOLS["setuptools"]["dynamic"]["version"] == {"attr": "sb3_options.__version__"}
+    released = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").split("\n## ")[1]
+    assert released.startswith(sb3_options.__version__.removesuffix(".dev0"))
+
+
+def test_training_needs_no_tools_of_development() -> None:
+    rules = (ROOT / "Makefile").read_text(encoding="utf-8")
+    assert "train: $(TRAINS)" in rules
+    assert "--editable '.[train,contrib]'\n\ttouch $(TRAINS)" in rules
 
 
 def test_the_picture_of_the_folders_is_up_to_date() -> None:

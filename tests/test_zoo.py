@@ -12,7 +12,8 @@ from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv
 
 from sb3_options import OptionBank, OptionReplayBuffer
 from sb3_options.callbacks import ZooDiscoveryCallback
-from sb3_options.zoo import OPTIONS, ZooOptionsWrapper, loaded_run
+from sb3_options.options.archive import NAME
+from sb3_options.zoo import ZooOptionsWrapper, loaded_run
 from tests.support.sb3_helpers import FAST_DISCOVERY, RANDOM, TINY, optioned_rooms, small_rooms
 
 
@@ -40,27 +41,27 @@ def train(venv: VecEnv, n_timesteps: int = 2500, **kwargs: Any) -> ZooDiscoveryC
 def test_options_are_kept_beside_what_monitor_writes(tmp_path: Path, vec_env_cls: type[VecEnv] | None) -> None:
     callback = train(zoo_rooms(tmp_path, vec_env_cls=vec_env_cls))
     assert len(callback.discoveries) == 1
-    assert ZooOptionsWrapper(small_rooms(), options_file=tmp_path / OPTIONS).bank.filled == (0,)
+    assert ZooOptionsWrapper(small_rooms(), options_file=tmp_path / NAME).bank.filled == (0,)
 
 
 def test_a_run_without_discoveries_leaves_an_empty_file(tmp_path: Path) -> None:
     assert not train(zoo_rooms(tmp_path), 50).discoveries
     bank = OptionBank(4, 4)
-    bank.load(tmp_path / OPTIONS)
+    bank.load(tmp_path / NAME)
     assert bank.filled == ()
 
 
 def test_what_options_learn_after_they_were_made_is_kept(tmp_path: Path) -> None:
     train(zoo_rooms(tmp_path), option_settings={"keep_learning": True})
-    kept = ZooOptionsWrapper(small_rooms(), options_file=tmp_path / OPTIONS).bank[0]
+    kept = ZooOptionsWrapper(small_rooms(), options_file=tmp_path / NAME).bank[0]
     made = tmp_path / "made"
     made.mkdir()
     train(zoo_rooms(made))
-    early = ZooOptionsWrapper(small_rooms(), options_file=made / OPTIONS).bank[0]
+    early = ZooOptionsWrapper(small_rooms(), options_file=made / NAME).bank[0]
     assert kept is not None
     assert early is not None
     assert len(kept.initiation_set.points) >= len(early.initiation_set.points)  # type: ignore[attr-defined]
-    assert (made / OPTIONS).read_bytes() != (tmp_path / OPTIONS).read_bytes()
+    assert (made / NAME).read_bytes() != (tmp_path / NAME).read_bytes()
 
 
 def test_without_a_folder_nothing_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -72,13 +73,13 @@ def test_without_a_folder_nothing_is_written(tmp_path: Path, monkeypatch: pytest
 def test_another_place_for_the_file(tmp_path: Path) -> None:
     train(zoo_rooms(tmp_path), 50, save_path=tmp_path / "mine")
     assert (tmp_path / "mine").exists()
-    assert not (tmp_path / OPTIONS).exists()
+    assert not (tmp_path / NAME).exists()
 
 
 def test_training_goes_on_where_nothing_can_be_written(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "file").touch()
     with caplog.at_level(logging.WARNING, "sb3_options"):
-        train(zoo_rooms(tmp_path), 50, save_path=tmp_path / "file" / OPTIONS)
+        train(zoo_rooms(tmp_path), 50, save_path=tmp_path / "file" / NAME)
     assert "could not be saved" in caplog.text
 
 

@@ -10,10 +10,16 @@ import numpy as np
 
 from sb3_options.density.bags import Bags
 from sb3_options.density.regions import Region
-from sb3_options.discovery.settings import DiscoverySettings, default_scale
-from sb3_options.discovery.static_filter import StaticFilter, kept_by, near_start_and_goal
+from sb3_options.discovery.settings import DiscoverySettings, default_scale, is_one_hot
+from sb3_options.discovery.static_filter import (
+    StaticFilter,
+    kept_by,
+    near_start_and_goal,
+    steps_from,
+    steps_from_start_and_goal,
+)
 from sb3_options.discovery.ways import PassingShare, loop_erased
-from sb3_options.experience.observations import BoolArray, FloatArray
+from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 from sb3_options.experience.trajectories import LabelledTrajectory
 
 
@@ -41,6 +47,7 @@ class _Known:
 
     Attributes:
         labelled: The trajectory.
+        rows: Rows of the states of ``way``, (k,).
         way: φ of the states that it led through, in order, or of all that it visited, (k, d). Each once: a state that
             is visited often would count often in the noisy-or (McGovern & Barto 2001, §3).
         scaled: The same in scaled units.
@@ -50,6 +57,7 @@ class _Known:
     """
 
     labelled: LabelledTrajectory
+    rows: IntArray
     way: FloatArray
     scaled: FloatArray
     allowed: BoolArray
@@ -70,9 +78,8 @@ class BagMaker:
     """
 
     def __init__(self, settings: DiscoverySettings, static_filter: StaticFilter | None, kind: str | None) -> None:
-        self.settings, self.kind = settings, kind
+        self.settings, self.kind, self.static_filter = settings, kind, static_filter
         self.scale: FloatArray | None = None
-        self._filter = static_filter or near_start_and_goal(settings.start_radius, settings.goal_radius)
         self._passing = PassingShare(settings.subgoal_radius)
         self._known: dict[int, _Known] = {}
 
@@ -90,6 +97,8 @@ class BagMaker:
         if self.scale is None:
             seen = np.concatenate([t.features for t in database])
             given = self.settings.scale
+            if self.kind == "identity" and is_one_hot(seen):
+                self.kind = "categorical"
             self.scale = default_scale(self.kind, seen) if given is None else np.full(seen.shape[1], given)
         self._known = {id(t): self._known.get(id(t)) or self._know(t, self.scale) for t in database}
         known = [self._known[id(t)] for t in positive]
@@ -114,8 +123,21 @@ class BagMaker:
         rows = loop_erased(scaled, visits, self.settings.subgoal_radius) if erase else np.arange(len(scaled))
         _, first = np.unique(scaled[rows], axis=0, return_index=True)  # different observations may have the same φ
         rows = rows[np.sort(first)]
-        allowed = kept_by(self._filter, labelled.features, int(visits[-1]), scale)
-        return _Known(labelled, labelled.features[rows], scaled[rows], allowed[rows])
+        allowed = self._allowed(labelled, scale)
+        return _Known(labelled, rows, labelled.features[rows], scaled[rows], allowed[rows])
+
+    def _allowed(self, labelled: LabelledTrajectory, scale: FloatArray) -> BoolArray:
+        """Which states the static filter leaves, (m,)."""
+        s, visits = self.settings, labelled.trajectory.visits
+        if self._counts_steps:
+            return steps_from_start_and_goal(visits, s.start_radius, s.goal_radius)
+        static_filter = self.static_filter or near_start_and_goal(s.start_radius, s.goal_radius)
+        return kept_by(static_filter, labelled.features, int(visits[-1]), scale)
+
+    @property
+    def _counts_steps(self) -> bool:
+        """Whether radii are steps along the trajectory, because states have no distances."""
+        return self.kind == "categorical" and self.static_filter is None
 
     def _passages(self, known: Sequence[_Known]) -> list[BoolArray]:
         """Which states the ways near them lead through: `DiscoverySettings.min_passing`."""
@@ -125,11 +147,18 @@ class BagMaker:
         return [k.allowed & (share >= self.settings.min_passing) for k, share in zip(known, shares, strict=True)]
 
     def _bag(self, known: _Known, keep: BoolArray, taken: Sequence[Region]) -> FloatArray:
-        assert self.scale is not None  # set before any bag is made
         if known.kept is None or not np.array_equal(known.kept, keep):
-            bag = known.way[keep]
+            apart = keep.copy()
             for subgoal in taken:
-                distance = np.linalg.norm((bag - subgoal.points[0]) * self.scale, axis=1)
-                bag = bag[distance > self.settings.spacing]
-            known.kept, known.bag = keep, bag
+                apart &= self._distance(known, subgoal) > self.settings.spacing
+            known.kept, known.bag = keep, known.way[apart]
         return known.bag
+
+    def _distance(self, known: _Known, subgoal: Region) -> FloatArray:
+        """How far the states of a way are from a subgoal, (k,), in the unit of the radii."""
+        if self._counts_steps:
+            there = np.flatnonzero(subgoal.contains(known.labelled.features))
+            return steps_from(there, known.labelled.trajectory.visits)[known.rows].astype(np.float64)
+        assert self.scale is not None  # set before any bag is made
+        distance: FloatArray = np.linalg.norm(known.scaled - subgoal.points[0] * self.scale, axis=1)
+        return distance

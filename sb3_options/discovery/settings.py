@@ -37,8 +37,9 @@ class DiscoverySettings:
             ``incremental``: ascent from the peaks of the last search and the best instances of the newest positive
             bag, over bags that are packed once. With many or long trajectories it takes a small part of the time.
         scale: Factor for every feature, 1/width of the Gaussians; None takes `default_scale`.
-        start_radius: The default static filter keeps subgoals farther than this from where a trajectory began.
-        goal_radius: The default static filter keeps subgoals farther than this from where a trajectory ended.
+        start_radius: The default static filter keeps subgoals farther than this from where a trajectory began. Where
+            features are one-hot codes, which have no distances, it counts steps along the trajectory.
+        goal_radius: The default static filter keeps subgoals farther than this from where a trajectory ended; likewise.
         decay: λ of the running averages.
         threshold: Share of the limit λ/(1−λ) that makes a concept persistent.
         peak_radius: A peak belongs to the nearest known concept within this distance.
@@ -48,7 +49,7 @@ class DiscoverySettings:
         max_extent: A plateau of tied peaks that reaches farther than this from its middle is open space that all
             trajectories happened to cross, no bottleneck: a search whose best peaks include one finds nothing.
         subgoal_radius: The subgoal is everything within this distance of the persistent peak.
-        spacing: A new subgoal must be farther than this from those that have an option.
+        spacing: A new subgoal must be farther than this from those that have an option; likewise.
     """
 
     segmentation: Literal["episodes", "peaks"] = "episodes"
@@ -81,6 +82,20 @@ class DiscoverySettings:
 
 CATEGORICAL_SCALE = 6.0
 """One-hot codes of two states are then 6√2 = 8.5 units apart, farther than any default radius: equal or not."""
+
+
+def is_one_hot(features: FloatArray) -> bool:
+    """Whether features (m, d), d > 1, are one-hot codes: those of different states are all equally far apart."""
+    binary = bool(((features == 0.0) | (features == 1.0)).all())
+    return features.shape[1] > 1 and binary and bool((features.sum(axis=1) == 1.0).all())
+
+
+def described(point: FloatArray, kind: str | None) -> str:
+    """A point of concept space for people: the state behind a one-hot code, or the first coordinates."""
+    if kind == "categorical":
+        return f"state {int(point.argmax())}"
+    return ", ".join(f"{x:g}" for x in point[:4]) + (", …" if len(point) > 4 else "")
+
 
 UNITS_PER_RANGE = 20.0
 """Features nobody scaled are taken to have this many distinguishable values along the range seen so far."""

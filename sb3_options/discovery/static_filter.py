@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from sb3_options.experience.observations import BoolArray, FloatArray
+from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 
 StaticFilter: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], BoolArray]
 """Scaled features (m, d), those of the start (d,) and of the end (d,) → which may be subgoals, shape (m,)."""
@@ -36,6 +36,43 @@ def near_start_and_goal(start_radius: float = 2.0, goal_radius: float = 2.0) -> 
         return kept
 
     return keep
+
+
+def steps_from_start_and_goal(visits: IntArray, start_radius: float, goal_radius: float) -> BoolArray:
+    """`near_start_and_goal` where states have no distances: within these numbers of steps along the trajectory.
+
+    Args:
+        visits: Row of the state at every time t = 0 … T, (T + 1,), rows in order of first visit.
+        start_radius: In primitive steps before the first visit.
+        goal_radius: In primitive steps after the last visit.
+
+    Returns:
+        Which states may be subgoals, (m,).
+    """
+    first = np.unique(visits, return_index=True)[1]
+    left = np.unique(visits[::-1], return_index=True)[1]
+    return (first > start_radius) & (left > goal_radius)
+
+
+def steps_from(rows: IntArray, visits: IntArray) -> IntArray:
+    """Fewest steps along a trajectory between each of its states and a visit of some of them.
+
+    Args:
+        rows: Of these, (n,).
+        visits: Row of the state at every time, (T + 1,).
+
+    Returns:
+        Steps, (m,); T + 1 where there was no visit.
+    """
+    times = np.arange(len(visits))
+    at = np.flatnonzero(np.isin(visits, rows))
+    if len(at) == 0:
+        return np.full(visits.max() + 1, len(visits))
+    place = np.searchsorted(at, times)
+    after, before = at[np.minimum(place, len(at) - 1)], at[np.maximum(place - 1, 0)]
+    fewest = np.full(visits.max() + 1, len(visits))
+    np.minimum.at(fewest, visits, np.minimum(np.abs(after - times), np.abs(times - before)))
+    return fewest
 
 
 def kept_by(static_filter: StaticFilter, features: FloatArray, last: int, scale: FloatArray) -> BoolArray:

@@ -95,12 +95,13 @@ class SubgoalDiscovery:
         """Factor for every feature, (d,); None before the first search."""
         return self._maker.scale
 
-    def add(self, trajectory: Trajectory, features: FloatArray) -> LabelledTrajectory:
+    def add(self, trajectory: Trajectory, features: FloatArray, *, success: bool | None = None) -> LabelledTrajectory:
         """Put a trajectory into the database.
 
         Args:
             trajectory: One episode.
             features: φ of its distinct observations, shape (m, d).
+            success: Its label; by default what the rule of success says.
 
         Returns:
             The trajectory with its label.
@@ -117,7 +118,9 @@ class SubgoalDiscovery:
             )
         if not np.isfinite(features).all():
             raise ValueError("the feature map gave NaN or infinite features for a trajectory")
-        labelled = LabelledTrajectory(trajectory, features, bool(self.success(trajectory)))
+        labelled = LabelledTrajectory(
+            trajectory, features, bool(self.success(trajectory) if success is None else success)
+        )
         self.outcomes.add(trajectory, success=labelled.success)
         self.database.add(labelled)
         return labelled
@@ -186,7 +189,9 @@ class SubgoalDiscovery:
 
     def _evidence(self) -> FilteredBags | None:
         found = [finding.subgoal for finding in self.found]
-        return self._maker.make(self.database, [*self.taken, *found])
+        bags = self._maker.make(self.database, [*self.taken, *found])
+        self.kind = self._maker.kind  # what was seen may show that states have no distances
+        return bags
 
     def engine(self) -> DiverseDensity:
         """The diverse density these settings mean."""

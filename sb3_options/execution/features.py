@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, Literal, NamedTuple
 
 import gymnasium as gym
@@ -84,8 +84,21 @@ def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | None) -> Features 
 
 
 def flat_size(space: gym.Space[Any]) -> int:
-    """How many numbers `observations.flatten` makes of one observation of ``space``."""
-    return int(flatten(_sample(space)).shape[1])
+    """How many numbers `observations.flatten` makes of one observation of ``space``.
+
+    Raises:
+        ValueError: Some of it is text, of which no numbers can be made.
+    """
+    sample = _sample(space)
+    parts = sample if isinstance(sample, Mapping) else {"observation": sample}
+    texts = [name for name, part in parts.items() if np.asarray(part).dtype.kind in "US"]
+    if texts:
+        raise ValueError(
+            f"Observations hold text ({', '.join(texts)}), from which neither options nor Stable-Baselines3 can learn: "
+            "leave it out beneath OptionsWrapper, for instance by gymnasium.wrappers.FilterObservation(env, keys). "
+            "Other Dict observations and images need OptionsWrapper(env, feature_map=...)."
+        )
+    return int(flatten(sample).shape[1])
 
 
 def _sample(space: gym.Space[Any]) -> Observations:

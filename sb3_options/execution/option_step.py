@@ -79,6 +79,7 @@ def run_option(
         np.array(actions),
         np.array(rewards),
         None if available is None else available(stack(observations[1:])),
+        inside,
     )
     return (observation, total, terminated, truncated, info), run
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Sequence
 from typing import Any
@@ -19,8 +20,11 @@ from sb3_options.execution.run_limit import RunLimit
 from sb3_options.execution.trials import Withholding
 from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, Observations
 from sb3_options.experience.recording import RewardPeaks
+from sb3_options.options.archive import Source
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option
+
+logger = logging.getLogger("sb3_options")
 
 EMPTY_SLOT_SEED = 0x0971055
 """Mixed into the seed of ``reset``, so that empty slots draw from a stream apart from the environment's."""
@@ -83,6 +87,8 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         self._recording: RecordTrajectories | None = None
         self._interruption: Interruption | None = None
         self._withholding: Withholding | None = None
+        self._expects_empty = self._warned = False
+        self._running: int | None = None
 
     def available(self, observations: Observations) -> BoolArray:
         """Which augmented actions may start in each observation, shape (batch, n_primitive + max_options).
@@ -108,6 +114,11 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         """Where the feature map comes from; None where there is none."""
         return self.features.kind if self.features else None
 
+    def running_option(self) -> str:
+        """What runs at this moment, for people: an option and its slot, or "primitive action"."""
+        option = None if self._running is None else self.bank[self._running]
+        return "primitive action" if option is None else f"option {self._running}: {option.name}"
+
     def seen_observation_space(self) -> spaces.Space[Any]:
         """The space of the observations that options act on, also where a wrapper above has another."""
         return self.observation_space
@@ -126,6 +137,24 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self._limit.runs[slot] = 0  # the next one begins to count anew; one that has grown does not
             if self._withholding is not None:
                 self._withholding.forget(slot)
+
+    def load_options(self, source: Source) -> None:
+        """Fill slots with the options of a file; as `OptionBank.load`."""
+        self.bank.load(source)
+
+    def expect_empty(self, expect: bool) -> None:
+        """Whether a callback knows which slots are empty, so that choosing one is exploration and no mistake."""
+        self._expects_empty = expect
+
+    def _chose_empty(self, slot: int) -> None:
+        if not (self._expects_empty or self._warned):
+            self._warned = True
+            logger.warning(
+                "Slot %d was chosen, and it is empty: a random primitive action takes its place. A model that was "
+                "trained with options needs them in the environment it acts in: sb3_options.load_model(DQN, "
+                '"model.zip", env) or sb3_options.load_options("model.zip", env). This is said once.',
+                slot,
+            )
 
     def set_interruption(self, interruption: Interruption | None) -> None:
         """Interrupt options by these values from now on; None lets every option run to its end."""

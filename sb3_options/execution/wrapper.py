@@ -44,7 +44,7 @@ class OptionsWrapper(OptionSlots):
         feature_map: φ from a batch of observations to concept space, shape (batch, d). By default the environment's
             own ``concept_features``; else a one-hot code for ``Discrete`` observations and the flat observation for
             ``Box``. A ``Dict`` space has no default.
-        options_file: Start with the options of this file, which `OptionBank.save` wrote.
+        options_file: Start with the options of this file, which `OptionBank.save` wrote, or of this ``model.zip``.
         max_runs: How often one option may run in an episode, at least 1; None for any number. Runs that were
             interrupted count; single steps, where an option was chosen outside its initiation set, do not.
 
@@ -74,6 +74,7 @@ class OptionsWrapper(OptionSlots):
             self.seed_empty_slots(seed)
         self._observation = observation
         self._limit.runs[:] = 0
+        self._running = None  # an error may have ended the last episode within an option
         if self.features is not None and self.bank.feature_size is None:
             self.bank.feature_size = checked_size(self.features.map(batch_of_one(observation)))
         if self._withholding is not None:
@@ -101,6 +102,8 @@ class OptionsWrapper(OptionSlots):
             last = self.n_primitive + self.bank.max_options - 1
             raise ValueError(f"action must be between 0 and {last}, got {action}.")
         option = self.bank[slot]
+        if option is None:
+            self._chose_empty(slot)
         if option is None or self._limit.is_reached(slot):
             return self._run_primitive(int(self._random.integers(self.n_primitive)), instead=True)
         observation = self._current_observation("step()")
@@ -129,6 +132,7 @@ class OptionsWrapper(OptionSlots):
         interrupted = None
         if inside and self._interruption is not None:
             interrupted = self._interruption.watch(self.n_primitive + slot, observation, self.action_masks)
+        self._running = slot
         result, run = run_option(
             option,
             slot,
@@ -141,6 +145,7 @@ class OptionsWrapper(OptionSlots):
             gamma=self.gamma,
             random=self._random,
         )
+        self._running = None
         return self._reported(result, run.as_info())
 
     def _primitive_step(self, action: int) -> StepReturn:

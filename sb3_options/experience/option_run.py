@@ -30,6 +30,7 @@ class OptionRun(NamedTuple):
         rewards: Of an option, the undiscounted rewards of its primitive steps, (k,).
         available: Which slots may start in each of the k observations arrived in, (k, max_options); None unless
             `OptionsWrapper.report_availability` asked for it and there are options.
+        inside: Of an option, whether it began in its initiation set; outside it is a single step.
     """
 
     index: int  # type: ignore[assignment]  # hides tuple.index, which nobody calls
@@ -41,6 +42,7 @@ class OptionRun(NamedTuple):
     actions: IntArray | None = None
     rewards: FloatArray | None = None
     available: BoolArray | None = None
+    inside: bool | None = None
 
     def as_info(self) -> dict[str, Any]:
         """The value of ``info["option"]``: a dict of the fields that are not None."""
@@ -72,6 +74,7 @@ class OptionRun(NamedTuple):
                     get("actions"),
                     get("rewards"),
                     get("available"),
+                    get("inside"),
                 ),
             )
         except (AttributeError, KeyError, TypeError):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from sb3_options.experience.observations import FloatArray, IntArray, Observations
 
@@ -38,6 +39,22 @@ class Trajectory:
     def __len__(self) -> int:
         """Duration T in primitive steps."""
         return len(self.actions)
+
+
+class EpisodeRecord(NamedTuple):
+    """One episode of training, or one segment of a continuing task, in primitive steps.
+
+    Attributes:
+        timestep: Primitive steps taken, of all environments, when it ended.
+        total_reward: Undiscounted.
+        success: As the callback's rule has it.
+        steps: Its length.
+    """
+
+    timestep: int
+    total_reward: float
+    success: bool
+    steps: int
 
 
 @dataclass(frozen=True)

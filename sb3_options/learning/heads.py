@@ -164,8 +164,8 @@ def close_empty(model: BaseAlgorithm, slot: int, n_primitive: int) -> None:
     if getattr(model, "_n_updates", 0) > 0 and not is_closed(model.policy, action):
         logger.warning(
             "Slot %d is empty, and the model has learned what an option there is worth: that is forgotten now. If "
-            "the options of an earlier training were meant to be there, load them first: OptionsWrapper(env, "
-            "options_file=...) or env.bank.load(...).",
+            "the options of an earlier training were meant to be there, load them first: "
+            "sb3_options.load_options(FILE, env).",
             slot,
         )
     close_head(model.policy, action)

@@ -7,8 +7,10 @@ from typing import Any, cast
 
 import numpy as np
 
+from sb3_options.atomic import atomic_write
 from sb3_options.experience.observations import BoolArray, FeatureMap, Observations, batch_size
 from sb3_options.options import file as option_file
+from sb3_options.options.archive import Source
 from sb3_options.options.file import SpaceSignature
 from sb3_options.options.option import Option, SubgoalOption
 
@@ -138,12 +140,20 @@ class OptionBank:
         Raises:
             OSError: The file cannot be written.
         """
-        option_file.save(path, self.slots, n_primitive=self.n_primitive, signature=self.signature)
+        with atomic_write(path) as temporary:
+            temporary.write_bytes(self.content())
 
-    def load(self, path: str | os.PathLike[str]) -> None:
+    def content(self) -> bytes:
+        """What `save` writes."""
+        return option_file.content_of(self.slots, n_primitive=self.n_primitive, signature=self.signature)
+
+    def load(self, source: Source) -> None:
         """Fill the slots with the options of a file that `save` wrote, in the slots they were in.
 
         A hand-made option of the file must already be in its slot. Either everything is loaded or nothing is.
+
+        Args:
+            source: Path of an options file, or of a ``model.zip`` that holds one, or what `content` gave.
 
         Raises:
             FileNotFoundError: There is no such file.
@@ -151,7 +161,7 @@ class OptionBank:
                 features or other primitive actions.
         """
         loaded = option_file.load(
-            path,
+            source,
             self.slots,
             n_primitive=self.n_primitive,
             observation_size=self.observation_size,

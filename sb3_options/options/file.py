@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
+from safetensors.numpy import load as from_safetensors
 from safetensors.numpy import save as to_safetensors
 
-from sb3_options.atomic import atomic_write
 from sb3_options.density.regions import HalfSpace, Region
 from sb3_options.options import policies
+from sb3_options.options.archive import Source, content_in, name_of
 from sb3_options.options.option import Option, SubgoalOption
 from sb3_options.options.policies import PolicyInput
 
@@ -79,14 +78,13 @@ _OF_KIND: dict[str | None, str] = {
 }
 
 
-def save(
-    path: str | os.PathLike[str],
+def content_of(
     slots: Sequence[Option | None],
     *,
     n_primitive: int,
     signature: SpaceSignature | None,
-) -> None:
-    """Write the arrays of the discovered options and the names of the hand-made ones; see `OptionBank.save`."""
+) -> bytes:
+    """What a file says: the arrays of the discovered options and the names of the hand-made ones."""
     tensors: Arrays = {}
     entries: dict[str, Any] = {}
     for slot, option in enumerate(slots):
@@ -98,11 +96,11 @@ def save(
     about: dict[str, Any] = {"n_primitive": n_primitive, "max_options": len(slots), "slots": entries}
     if signature is not None:
         about["made_for"] = signature._asdict()
-    write(path, about, tensors)
+    return packed(about, tensors)
 
 
 def load(
-    path: str | os.PathLike[str],
+    source: Source,
     slots: Sequence[Option | None],
     *,
     n_primitive: int,
@@ -110,10 +108,10 @@ def load(
     feature_size: int | None,
     signature: SpaceSignature | None,
 ) -> dict[int, SubgoalOption]:
-    """The discovered options of a file that `save` wrote, by slot, not bound to a feature map; see `OptionBank.load`.
+    """The discovered options of `content_of`, by slot, not bound to a feature map; see `OptionBank.load`.
 
     Args:
-        path: Of the file.
+        source: Of the options.
         slots: Of the bank that takes the options. A hand-made option of the file must be in its slot.
         n_primitive: Number of primitive actions.
         observation_size: Numbers in one flat observation; None for any.
@@ -124,7 +122,7 @@ def load(
         FileNotFoundError: There is no such file.
         ValueError: The file is damaged, is something else, or does not fit the bank.
     """
-    about, tensors = read(path)
+    about, tensors = read(source)
     try:
         if about["n_primitive"] != n_primitive:
             raise ValueError(
@@ -139,9 +137,9 @@ def load(
             for slot, entry in entries.items()
         }
     except (KeyError, TypeError, AttributeError, OverflowError) as error:
-        raise ValueError(f"{path} is damaged: {error!r}") from error
+        raise ValueError(f"{name_of(source)} is damaged: {error!r}") from error
     except ValueError as error:
-        raise ValueError(f"{path} does not fit: {error}.") from error
+        raise ValueError(f"{name_of(source)} does not fit: {error}.") from error
 
 
 def _discovered(about: dict[str, Any], slots: Sequence[Option | None]) -> dict[int, dict[str, Any]]:
@@ -172,22 +170,22 @@ def _arrays_of(slot: int, tensors: Arrays) -> Arrays:
     return {n.removeprefix(first): np.asarray(t, dtype=np.float64) for n, t in tensors.items() if n.startswith(first)}
 
 
-def slots_of(path: str | os.PathLike[str]) -> list[int]:
+def slots_of(source: Source) -> list[int]:
     """The slots that a file has options for.
 
     Raises:
         FileNotFoundError: There is no such file.
         ValueError: It is damaged, or something else.
     """
-    about, _ = read(path)
+    about, _ = read(source)
     try:
         return [int(slot) for slot in about["slots"]]
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} is damaged: {error!r}") from error
+        raise ValueError(f"{name_of(source)} is damaged: {error!r}") from error
 
 
-def write(path: str | os.PathLike[str], about: dict[str, Any], tensors: Arrays) -> None:
-    """Write JSON and arrays with their digest; `read` is the inverse."""
+def packed(about: dict[str, Any], tensors: Arrays) -> bytes:
+    """JSON and arrays with their digest; `read` is the inverse."""
     half_space = any(name.endswith(".subgoal_normal") for name in tensors)
     text = json.dumps(about)
     metadata = {
@@ -195,34 +193,32 @@ def write(path: str | os.PathLike[str], about: dict[str, Any], tensors: Arrays) 
         "bank": text,
         "digest": digest(text, tensors),
     }
-    content = to_safetensors(tensors, metadata=metadata)
-    with atomic_write(path) as temporary:
-        temporary.write_bytes(content)
+    content: bytes = to_safetensors(tensors, metadata=metadata)
+    return content
 
 
-def read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], Arrays]:
-    """What `write` was given. Only the digest is checked, and the errors are those of `load`."""
-    if not Path(path).is_file():
-        raise FileNotFoundError(f"There is no options file at {path}.")
+def read(source: Source) -> tuple[dict[str, Any], Arrays]:
+    """What `packed` was given. Only the digest is checked, and the errors are those of `load`."""
+    content, name = content_in(source), name_of(source)
     try:
-        with safe_open(path, framework="numpy") as file:
-            metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  # no dictionary
-    except (SafetensorError, OSError, ValueError, TypeError, AttributeError) as error:
-        raise ValueError(f"{path} is no options file, or it is damaged: {error}") from error
+        tensors = {key: np.array(array) for key, array in from_safetensors(content).items()}
+        header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+    except (SafetensorError, KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError(f"{name} is no options file, or it is damaged: {error}") from error
+    metadata = header.get("__metadata__", {})
     if metadata.get("format") not in (FILE_FORMAT, FILE_FORMAT_HALF_SPACE):
         raise ValueError(
-            f"{path} is no options file of this version: its format is {metadata.get('format')!r}, "
+            f"{name} is no options file of this version: its format is {metadata.get('format')!r}, "
             f"expected {FILE_FORMAT!r} or {FILE_FORMAT_HALF_SPACE!r}."
         )
     if metadata.get("digest") != digest(metadata.get("bank", ""), tensors):
-        raise ValueError(f"{path} is damaged: its contents are not what was written to it.")
+        raise ValueError(f"{name} is damaged: its contents are not what was written to it.")
     try:
         about = json.loads(metadata["bank"])
     except (KeyError, RecursionError, json.JSONDecodeError) as error:
-        raise ValueError(f"{path} is damaged: {error!r}") from error
+        raise ValueError(f"{name} is damaged: {error!r}") from error
     if not isinstance(about, dict):
-        raise ValueError(f"{path} is damaged: it says {type(about).__name__} where a dictionary should be.")
+        raise ValueError(f"{name} is damaged: it says {type(about).__name__} where a dictionary should be.")
     return about, tensors
 
 

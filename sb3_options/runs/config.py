@@ -20,6 +20,9 @@ from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.runs import yaml_file
 
+DEFAULT_ALGO = "maskableppo"
+"""What ``train.py`` demonstrates: its options run in their initiation sets only, and lead where they are meant to."""
+
 TUNED_FOLDER = Path(__file__).parent / "tuned"
 
 TUNED = {
@@ -73,9 +76,9 @@ class TrainConfig:
 
     Attributes:
         algo: Name of the algorithm.
-        env: Gymnasium id of an environment with Discrete actions.
+        env: Gymnasium id; its actions are Discrete.
         env_kwargs: Keyword arguments of the environment.
-        n_timesteps: Primitive steps, over all environments.
+        n_timesteps: Primitive steps of all environments.
         seed: Of everything random.
         tensorboard_log: Folder for run folders.
         n_envs: Parallel environments.
@@ -85,10 +88,11 @@ class TrainConfig:
         progress: Show a progress bar.
         device: "cpu", "cuda" or "auto".
         num_threads: Threads of torch; small networks want one.
-        options: Run or options file to start with.
+        options: Run, model or options to start with.
         max_options: Number of option slots.
         max_new_options: Most to discover; None fills the slots.
         discover: If not, empty slots stay empty.
+        compare: Also train without, and compare.
         gamma: Discount γ per primitive step.
         learning_rate: Step size of the optimiser.
         net_arch: Hidden layers of the network.
@@ -114,6 +118,7 @@ class TrainConfig:
     max_options: Natural = 4
     max_new_options: Natural | None = 1
     discover: bool = True
+    compare: bool = False
     gamma: Annotated[float, Field(gt=0.0, le=1.0)] = 0.97
     learning_rate: Positive = 5e-4
     net_arch: tuple[Count, ...] = (64, 64)
@@ -232,7 +237,7 @@ class MaskablePPOConfig(PPOConfig):
 
     Attributes:
         max_option_exploration: Probability that a first option opens with.
-        max_runs: How often an option may run in an episode; None: any number.
+        max_runs: Of an option in an episode.
     """
 
     algo: Annotated[Literal["maskableppo"], tyro.conf.Suppress] = "maskableppo"  # type: ignore[assignment]  # likewise
@@ -309,6 +314,16 @@ def read(path: Path, *, env: str | None = None) -> dict[str, Any]:
     return values
 
 
+def default_algo(env_id: str) -> str:
+    """The algorithm of a command line that names none."""
+    return str(_shipped(env_id).get("algo", DEFAULT_ALGO))
+
+
+def _shipped(env_id: str) -> dict[str, Any]:
+    """The settings that ship for an environment."""
+    return yaml_file.read_mapping(TUNED_FOLDER / TUNED[env_id]) if env_id in TUNED else {}
+
+
 def tuned(env_id: str, algo: str = "dqn") -> TrainConfig:
     """The defaults for an environment and an algorithm."""
     return made({"env": env_id, "algo": algo}, env_id)
@@ -317,7 +332,8 @@ def tuned(env_id: str, algo: str = "dqn") -> TrainConfig:
 def made(values: Mapping[str, Any], where: str | Path) -> TrainConfig:
     """The configuration with these settings; the others have the defaults of environment and algorithm.
 
-    A setting that the algorithm does not have is passed over where it has its default of 0.1, which named all of them.
+    Values without an ``algo`` are DQN's, as the files of 0.1 were written for it. A setting that the algorithm does not
+    have is passed over where it has its default of 0.1, which named all of them.
 
     Args:
         values: By name; a file may spell names as flags.
@@ -342,8 +358,7 @@ def made(values: Mapping[str, Any], where: str | Path) -> TrainConfig:
                 raise ValueError(f"{where}: {no_effect(group + name, algo)}")
         return those
 
-    shipped = yaml_file.read_mapping(TUNED_FOLDER / TUNED[env_id]) if env_id in TUNED else {}
-    content = {name: value for name, value in shipped.items() if name in known[""]}
+    content = {name: value for name, value in _shipped(env_id).items() if name in known[""]} | {"algo": algo}
     for name, value in kept(values).items():
         content[name] = {**content.get(name, {}), **value} if name in GROUPS and isinstance(value, dict) else value
     try:

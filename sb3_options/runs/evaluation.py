@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any, NamedTuple
 
+import gymnasium as gym
 import numpy as np
 from rich.progress import track
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -136,8 +136,17 @@ def evaluate_run(
 def _play(
     run: Path, config: TrainConfig, episodes: int, seed: int, film: Video | None = None, mode: str | None = None
 ) -> Evaluation:
-    record = None if film is None else partial(RecordFrames, take=film.take, episodes=episodes)
-    with closing(runs.make_env(config, 1, seed, beneath=record, render_mode=mode)) as venv:
+    cameras: list[RecordFrames] = []
+
+    def record(env: gym.Env[Any, Any]) -> RecordFrames:
+        assert film is not None  # it is not called then
+        cameras.append(RecordFrames(env, film.take, episodes))
+        return cameras[0]
+
+    beneath = None if film is None else record
+    with closing(runs.make_env(config, 1, seed, beneath=beneath, render_mode=mode)) as venv:
+        for camera in cameras:
+            camera.caption = venv.get_attr("running_option")[0]
         model = make_model(config, venv, playing=True)
         venv.seed(seed)  # the model has seeded it with the training seed
         # set_parameters reads tensors only, where load would unpickle.

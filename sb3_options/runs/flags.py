@@ -26,6 +26,7 @@ FIRST = (
     "max_options",
     "max_new_options",
     "discover",
+    "compare",
     "eval_freq",
     "tensorboard_log",
 )
@@ -35,9 +36,8 @@ LAST = ("close_harmful", "eval_episodes", "vec_env", "device", "num_threads", "p
 """What is rarely changed."""
 
 INTRODUCTION = """Train an agent that discovers its own options, or evaluate one.
-  ALGORITHM         dqn (default), qrdqn, optiondqn (DQN in initiation sets),
-                    ppo, recurrentppo, a2c, trpo, maskableppo
-                    Its settings and defaults: `train.py ppo --help`
+  ALGORITHM         maskableppo (default), ppo, a2c, trpo, recurrentppo, dqn,
+                    qrdqn, optiondqn. Its settings: `train.py ppo --help`
   evaluate RUN      plays a run again: `train.py evaluate --help`
   --config FILE     reads settings from YAML; flags win over it
   --help discovery  shows how subgoals are found, `--help option` how options
@@ -64,7 +64,9 @@ def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
     try:
         values = {} if given.config is None else configs.read(Path(given.config), env=given.env)
         values |= {} if given.env is None else {"env": given.env}
-        algo = given.algo or (first or [str(values.get("algo", "dqn"))])[0]
+        # A file that names no algorithm was written for DQN.
+        unnamed = configs.default_algo(given.env or TrainConfig.env) if given.config is None else "dqn"
+        algo = given.algo or (first or [str(values.get("algo", unnamed))])[0]
         default = configs.made({**values, "algo": algo}, given.config or prog)
         for flag in flags:
             name = flag.removeprefix("--").removeprefix("no-").partition("=")[0].replace("-", "_")
@@ -74,7 +76,7 @@ def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
         sys.exit(f"{prog}: {error}")
     if given.help is not None:
         _show_help(default, given.help, f"{prog} [ALGORITHM]")
-    return tyro.cli(type(default), prog=prog if algo == "dqn" else f"{prog} {algo}", default=default, args=flags)
+    return tyro.cli(type(default), prog=f"{prog} {algo}", default=default, args=flags)
 
 
 def _show_help(default: TrainConfig, section: str | bool, prog: str) -> None:

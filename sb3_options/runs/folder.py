@@ -14,12 +14,13 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.options import file as option_file
+from sb3_options.options.archive import NAME
 from sb3_options.runs.config import MaskablePPOConfig, TrainConfig
 from sb3_options.runs.interrupts import ignore_interrupts
 
 CONFIG = "config.yml"
 MODEL = "model.zip"
-OPTIONS = "options.safetensors"
+OPTIONS = NAME
 MONITOR = "monitor"
 SUBGOALS = "subgoals.png"
 

@@ -11,8 +11,13 @@ from typing import Any
 import gymnasium as gym
 import imageio.v2 as imageio
 import numpy as np
+import numpy.typing as npt
+from PIL import Image, ImageDraw, ImageFont
 
 from sb3_options.atomic import atomic_write
+
+CAPTION_HEIGHT = 24
+"""Pixels of the strip that names the running option."""
 
 DEFAULT_FPS = 15
 """Pictures per second where the environment does not say."""
@@ -28,11 +33,15 @@ class RecordFrames(gym.Wrapper[Any, Any, Any, Any]):
         env: With ``render_mode="rgb_array"``, or ``"rgb_array_list"`` if it draws several for a step.
         take: Is given each picture.
         episodes: After this many, nothing more is recorded.
+
+    Attributes:
+        caption: Text to write below each picture; None writes nothing.
     """
 
     def __init__(self, env: gym.Env[Any, Any], take: Callable[[Any], None], episodes: int) -> None:
         super().__init__(env)
         self._take, self._left = take, episodes
+        self.caption: Callable[[], str] | None = None
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
         """Reset, and record how the episode begins."""
@@ -52,7 +61,14 @@ class RecordFrames(gym.Wrapper[Any, Any, Any, Any]):
             return
         drawn = self.env.render()
         for picture in drawn if isinstance(drawn, list) else [drawn]:
-            self._take(picture)
+            self._take(picture if self.caption is None or picture is None else captioned(picture, self.caption()))
+
+
+def captioned(picture: Any, text: str) -> npt.NDArray[np.uint8]:
+    """A picture, shape (height, width, 3), above a strip of `CAPTION_HEIGHT` rows with a text in it."""
+    strip = Image.new("RGB", (picture.shape[1], CAPTION_HEIGHT), "white")
+    ImageDraw.Draw(strip).text((4, 2), text, fill="black", font=ImageFont.load_default(CAPTION_HEIGHT - 8))
+    return np.concatenate([picture, np.asarray(strip, dtype=picture.dtype)])
 
 
 class Video:

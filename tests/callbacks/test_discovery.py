@@ -385,9 +385,24 @@ def test_statistics_of_endings_add_up_even_when_one_has_left_the_window() -> Non
     for _ in range(WINDOW):
         statistics.add(OptionRun(2, 3, 0.9**3, 0.9, "subgoal"))
     assert statistics.values() == {
-        "options/slot_2/uses": WINDOW + 1, "options/slot_2/mean_duration": 3.0,
+        "options/slot_2/uses": WINDOW + 1, "options/slot_2/runs": WINDOW + 1, "options/slot_2/steps_outside": 0,
+        "options/slot_2/mean_duration": 3.0,
         "options/slot_2/ended_truncated": 0.0, "options/slot_2/ended_subgoal": 1.0,
     }  # fmt: skip
+
+
+def test_steps_outside_the_initiation_set_are_no_runs() -> None:
+    statistics = OptionStatistics()
+    statistics.add(OptionRun(0, 1, 0.9, 0.9, "left_initiation", inside=False))
+    assert statistics.values() == {
+        "options/slot_0/uses": 1, "options/slot_0/runs": 0, "options/slot_0/steps_outside": 1,
+    }  # fmt: skip
+    for _ in range(3):
+        statistics.add(OptionRun(0, 5, 0.9**5, 0.9, "subgoal", inside=True))
+        statistics.add(OptionRun(0, 1, 0.9, 0.9, "left_initiation", inside=False))
+    values = statistics.values()
+    assert (values["options/slot_0/runs"], values["options/slot_0/steps_outside"]) == (3, 4)
+    assert (values["options/slot_0/mean_duration"], values["options/slot_0/ended_subgoal"]) == (5.0, 1.0)
 
 
 ACT_AGAIN = """

@@ -4,7 +4,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sb3_options.discovery.static_filter import kept_by, near_start_and_goal
+from sb3_options.discovery.static_filter import kept_by, near_start_and_goal, steps_from, steps_from_start_and_goal
 
 
 class TestStaticFilter:
@@ -28,6 +28,30 @@ class TestStaticFilter:
         message = rf"^start_radius and goal_radius must be at least 0, got {start} and {goal}\.$"
         with pytest.raises(ValueError, match=message):
             near_start_and_goal(start, goal)
+
+
+class TestSteps:
+    """Where all states are equally far apart, steps along the trajectory are the distance."""
+
+    straight = np.arange(21)
+
+    def test_keeps_what_is_more_than_2_steps_from_the_start_and_5_from_the_end(self) -> None:
+        assert np.flatnonzero(steps_from_start_and_goal(self.straight, 2.0, 5.0)).tolist() == list(range(3, 15))
+
+    def test_counts_from_the_first_visit_and_from_the_last(self) -> None:
+        visits = np.array([0, 1, 2, 3, 4, 5, 6, 4, 7, 8, 9, 1, 10])
+        #  states 1 and 2 begin within two steps, 4 is last seen 5 steps before the end, 3, 5 and 6 earlier
+        assert np.flatnonzero(steps_from_start_and_goal(visits, 2.0, 5.0)).tolist() == [3, 5, 6]
+
+    @pytest.mark.parametrize("rows", [[3], [3, 7], []])
+    def test_steps_from_others(self, rows: list[int]) -> None:
+        rng = np.random.default_rng(0)
+        _, visits = np.unique(rng.integers(10, size=40), return_inverse=True)
+        times = [t for t, row in enumerate(visits) if row in rows]
+        expected = [
+            min((abs(t - u) for t in np.flatnonzero(visits == row) for u in times), default=40) for row in range(10)
+        ]
+        assert steps_from(np.array(rows, dtype=int), visits).tolist() == expected
 
 
 class TestKeptBy:

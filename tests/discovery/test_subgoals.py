@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import sb3_options.envs  # noqa: F401  # registers them
-from sb3_options.discovery.settings import CATEGORICAL_SCALE, DiscoverySettings, default_scale
+from sb3_options.discovery.settings import CATEGORICAL_SCALE, DiscoverySettings, default_scale, described, is_one_hot
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.recording import EpisodeRecorder
@@ -282,6 +282,56 @@ class TestSearch:
         assert seconds > 0.0
 
 
+class TestWithoutDistances:
+    """One-hot codes are all equally far apart: radii are steps along the trajectory."""
+
+    def discovery(self, kind: str, **changes: Any) -> SubgoalDiscovery:
+        discovery = SubgoalDiscovery(settings_of(**{"start_radius": 2.0, "goal_radius": 5.0, **changes}), kind=kind)
+        for _ in range(4):
+            trajectory = trajectory_of(list(np.eye(12)), is_success=True)
+            discovery.add(trajectory, np.asarray(trajectory.states))
+        return discovery
+
+    def left(self, discovery: SubgoalDiscovery) -> list[int]:
+        bags = discovery.bags()
+        return [] if bags is None else np.unique(bags.positive().instances.numpy().argmax(axis=1)).tolist()
+
+    @pytest.mark.parametrize("kind", ["categorical", "identity"])
+    def test_start_and_goal(self, kind: str) -> None:
+        assert self.left(self.discovery(kind)) == [3, 4, 5]
+
+    def test_what_has_an_option(self) -> None:
+        discovery = self.discovery("categorical", max_places=9, spacing=1.0, decay=0.9, threshold=0.0)
+        subgoal = discovery.search()
+        assert subgoal is not None
+        (taken,) = subgoal.points.argmax(axis=1)
+        assert self.left(discovery) == [state for state in (3, 4, 5) if abs(state - taken) > 1]
+
+    def test_a_filter_of_the_users_goes_before(self) -> None:
+        discovery = self.discovery("categorical")
+        discovery._maker.static_filter = lambda f, start, end: f[:, 8] > 0
+        assert self.left(discovery) == [8]
+
+    @pytest.mark.parametrize(
+        ("features", "expected"),
+        [
+            (np.eye(3), True),
+            (np.eye(3)[[0, 0]], True),
+            (np.eye(3) * 2, False),
+            (np.array([[0.0, 1.0], [1.0, 1.0]]), False),
+            (np.array([[0.0, 0.0], [1.0, 0.0]]), False),
+            (np.ones((3, 1)), False),
+        ],
+    )
+    def test_codes_are_told_by_what_was_seen(self, features: FloatArray, expected: bool) -> None:
+        assert is_one_hot(features) is expected
+
+    def test_a_state_is_named(self) -> None:
+        assert described(np.eye(64)[57], "categorical") == "state 57"
+        assert described(np.array([1.5, 2.0]), "environment") == "1.5, 2"
+        assert described(np.arange(5.0), None) == "0, 1, 2, 3, …"
+
+
 class TestNothingToFind:
     def test_no_trajectories(self) -> None:
         assert SubgoalDiscovery().search() is None
@@ -407,10 +457,8 @@ class TestScale:
 
     def test_categorical_states_are_equal_or_far_apart(self) -> None:
         """One-hot features of a Discrete space: the state that both walks share is found."""
-        discovery = SubgoalDiscovery(
-            DiscoverySettings(min_positive=1, decay=0.5, threshold=0.4, min_passing=0.0), kind="categorical"
-        )
-        for path in ([0, 1, 5, 2, 9], [3, 4, 5, 6, 9]):
+        discovery = SubgoalDiscovery(settings_of(min_positive=1, start_radius=1.0, goal_radius=1.0), kind="categorical")
+        for path in ([0, 1, 7, 5, 8, 2, 9], [3, 4, 6, 5, 1, 2, 9]):
             discovery.add(trajectory_of(path, is_success=True), np.eye(10)[path])
         subgoal = discovery.search()
         assert subgoal is not None

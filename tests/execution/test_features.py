@@ -135,3 +135,10 @@ def test_resolving_draws_nothing_from_the_environment() -> None:
 )
 def test_flat_size(space: Any, size: int) -> None:
     assert flat_size(space) == size
+
+
+def test_text_is_named_by_its_key() -> None:
+    """As the mission of MiniGrid, of which nothing made a number."""
+    env = env_with(spaces.Dict({"image": spaces.Box(0, 255, (7, 7, 3), np.uint8), "mission": spaces.Text(20)}))
+    with pytest.raises(ValueError, match=r"Observations hold text \(mission\), from which neither"):
+        OptionsWrapper(env)

@@ -11,7 +11,16 @@ from sb3_options.experience.option_run import OptionRun
 
 PRIMITIVE = OptionRun(-1, 1, 0.9, 0.9, "primitive")
 OPTION = OptionRun(
-    2, 3, 0.9**3, 0.9, "subgoal", np.arange(3.0)[:, None], np.array([1, 0, 1]), np.zeros(3), np.ones((3, 4), dtype=bool)
+    2,
+    3,
+    0.9**3,
+    0.9,
+    "subgoal",
+    np.arange(3.0)[:, None],
+    np.array([1, 0, 1]),
+    np.zeros(3),
+    np.ones((3, 4), dtype=bool),
+    True,
 )
 
 
@@ -40,7 +49,7 @@ def test_a_users_own_environment_need_only_say_duration_and_discount() -> None:
     run = OptionRun.from_info({"option": {"duration": 4, "discount": 0.9**4}})
     assert (run.index, run.duration, run.discount, run.termination) == (-1, 4, 0.9**4, "primitive")
     assert run.gamma == pytest.approx(0.9, rel=1e-15)
-    assert run[5:] == (None,) * 4
+    assert run[5:] == (None,) * 5
 
 
 def test_what_else_a_users_own_environment_says_is_left_alone() -> None:

@@ -20,10 +20,12 @@ from sb3_options import OptionBank, cli
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.execution.trials import TrialSettings
+from sb3_options.options.file import read
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
 from sb3_options.runs.config import CLASSES, DQNConfig
 from sb3_options.runs.flags import parse
+from sb3_options.runs.video import CAPTION_HEIGHT
 from tests.support import processes
 from tests.support.sb3_helpers import DOORWAY, SMALL_ROOMS, TAXI, n_colours, read_video
 
@@ -128,7 +130,7 @@ class TestTrain:
     def test_says_what_it_found_and_what_to_do_next(self, run: Run) -> None:
         assert "Training DQN on sb3_options/TwoRooms-v0 for 8,000 primitive steps." in run.printed
         assert re.search(r"Finished after 8,\d\d\d primitive steps, \d+ episodes\.", run.printed)
-        row = re.search(r"0 +│ \((\d), (\d)\) +│ (\d+) +│ ([\d,]+) +│ (\d+)", run.printed)
+        row = re.search(r"0 +│ (\d), (\d) +│ (\d+) +│ ([\d,]+) +│ (\d+)", run.printed)
         assert row is not None
         bank = OptionBank(4, 4)
         bank.load(run.folder / "options.safetensors")
@@ -144,7 +146,7 @@ class TestTrain:
         ("args", "text"),
         [
             (["--n-timesteps", "30"], "No subgoal was discovered: no episode has ended."),
-            (["--env", "CliffWalking-v1"], "No subgoal was discovered: none of the"),
+            (["--algo", "dqn", "--env", "CliffWalking-v1"], "No subgoal was discovered: none of the"),
             (["--no-discover"], "Discovery was switched off."),
             (["--max-options", "0"], "There was no free slot for an option."),
         ],
@@ -199,6 +201,24 @@ class TestTrain:
         result = cli.evaluate(cli.EvaluateConfig(folder, episodes=2))
         assert result.episodes == 2
 
+    def test_says_how_it_went_beside_training_without_discovery(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        args = ["--n-timesteps", "2000", "--no-progress", "--tensorboard-log", str(tmp_path)]
+        args += ["--env-kwargs", "max_steps:100"]
+        cli.main([*args, "--compare"])
+        printed = capsys.readouterr().out
+        assert "Once more, without discovery:" in printed
+        assert re.search(r"│ this run +┃ --no-discover|┃ this run +┃ --no-discover", printed)
+        numbers = re.search(r"│ episodes +│ (\d+) +│ (\d+)", printed)
+        assert numbers is not None
+        lengths = [len(list((tmp_path / "maskableppo").glob(f"*_{i}/monitor/*"))) for i in (1, 2)]
+        assert lengths == [8, 8]
+        without = configs.load(tmp_path / "maskableppo" / "sb3_options-TwoRooms-v0_2" / "config.yml")
+        assert (without.discover, without.compare) == (False, False)
+        cli.main(args)
+        assert "Against --no-discover: train with --compare" in capsys.readouterr().out
+
     def test_switches_reach_the_callback_and_the_buffer(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         made: list[SubgoalDiscoveryCallback] = []
 
@@ -209,8 +229,8 @@ class TestTrain:
 
         monkeypatch.setattr(cli, "SubgoalDiscoveryCallback", Remembered)
         args = ["--n-timesteps", "600", "--no-progress", "--tensorboard-log", str(tmp_path), "--eval-episodes", "1"]
-        cli.main([*args, "--no-interruption", "--intra-option", "--close-harmful"])
-        cli.main([*args, "--max-option-exploration", "0.25"])
+        cli.main(["dqn", *args, "--no-interruption", "--intra-option", "--close-harmful"])
+        cli.main(["dqn", *args, "--max-option-exploration", "0.25"])
         switched, usual = made
         assert not switched.interruption
         assert switched.trial == TrialSettings()
@@ -229,7 +249,7 @@ class TestTrain:
             raise KeyboardInterrupt
 
         monkeypatch.setattr(DQN, "train", train)
-        cli.main(["--tensorboard-log", str(tmp_path), "--no-progress", "--device", "cpu"])
+        cli.main(["dqn", "--tensorboard-log", str(tmp_path), "--no-progress", "--device", "cpu"])
         assert "Interrupted after 50" in capsys.readouterr().out
         folder = tmp_path / "dqn" / "sb3_options-TwoRooms-v0_1"
         assert all((folder / name).is_file() for name in ("model.zip", "options.safetensors", "config.yml"))
@@ -263,6 +283,9 @@ class TestOptions:
         again.load(second.folder / "options.safetensors")
         assert again.filled == (0,)
         assert again[0].subgoal.points.tolist() == first[0].subgoal.points.tolist()  # type: ignore[union-attr]  # discovered
+
+    def test_the_model_holds_the_same(self, run: Run) -> None:
+        assert read(run.folder / "model.zip")[0] == read(run.folder / "options.safetensors")[0]
 
     def test_says_so(self, run: Run, second: Run) -> None:
         assert re.search(
@@ -317,10 +340,12 @@ class TestEvaluate:
 
     def test_films_every_primitive_step(self, run: Run, evaluated: subprocess.CompletedProcess[str]) -> None:
         assert evaluated.returncode == 0
-        frames = read_video(run.folder / "film" / "f.mp4", 5 * 32, 9 * 32)
+        frames = read_video(run.folder / "film" / "f.mp4", 5 * 32 + CAPTION_HEIGHT, 9 * 32)
         kept = json.loads((run.folder / "evaluation.json").read_text())
         assert len(frames) == round(5 * kept["primitive_steps"]["mean"]) + 5  # and the first picture of each episode
-        assert all(len(np.unique(frame // 32)) > 2 for frame in frames)
+        assert all(len(np.unique(frame[: 5 * 32] // 32)) > 2 for frame in frames)
+        strips = {frame[5 * 32 + 2 :].mean().round() for frame in frames}
+        assert len(strips) >= 2  # a primitive action, and an option by its name
         assert any(not np.array_equal(frames[0], frame) for frame in frames[1:])
 
     def test_the_same_seed_gives_the_same_result_and_another_does_not(self, run: Run) -> None:
@@ -385,7 +410,8 @@ class TestErrors:
         file = run.folder / "options.safetensors"
         assert f"--options: there is no options file at {tmp_path / 'no'}." in text(tmp_path / "no")
         assert f"there is no options file at {tmp_path / 'options.safetensors'}." in text(tmp_path)
-        assert "model.zip is no options file" in text(run.folder / "model.zip")
+        assert "config.yml is no options file" in text(run.folder / "config.yml")
+        assert "model.zip does not fit: its options were made for" in text(run.folder / "model.zip")
         assert (
             f"--options: {file} has an option in slot 0, --max-options 0 is too few for it: pass --max-options 1 or "
             "more."

@@ -11,7 +11,8 @@ import pytest
 import yaml
 
 from sb3_options import OptionBank
-from sb3_options.zoo import OPTIONS, loaded_run
+from sb3_options.options.archive import NAME
+from sb3_options.zoo import loaded_run
 from tests.support import processes
 from tests.support.sb3_helpers import FAST_DISCOVERY, SMALL_ROOMS
 
@@ -75,7 +76,7 @@ def test_train_enjoy_and_record(tmp_path: Path, algo: str) -> None:
     train(tmp_path, algo, N_TIMESTEPS[algo])
     run = tmp_path / "logs" / algo / RUN
     assert (run / f"{ENV.replace('/', '-')}.zip").is_file()
-    assert filled_slots(run / OPTIONS) == (0,)
+    assert filled_slots(run / NAME) == (0,)
 
     where = ("--algo", algo, "-f", "logs")
     printed = zoo("enjoy", tmp_path, *where, "--no-render", "--stochastic", "-n", "300", "--reward-log", "played")
@@ -99,7 +100,7 @@ def test_training_goes_on_from_a_run_with_its_options(tmp_path: Path) -> None:
     first = tmp_path / "logs" / "dqn" / RUN
     agent = first / f"{ENV.replace('/', '-')}.zip"
     train(tmp_path, "dqn", 300, "--trained-agent", str(agent))
-    assert filled_slots(first.with_name(RUN[:-1] + "2") / OPTIONS)[0] == 0
+    assert filled_slots(first.with_name(RUN[:-1] + "2") / NAME)[0] == 0
 
 
 @needs_zoo
@@ -110,4 +111,5 @@ def test_which_run_is_played(tmp_path: Path) -> None:
     assert loaded_run("enjoy", [*arguments, "--env", "Rooms-v0"]) == tmp_path / "dqn" / "Rooms-v0_2"
     assert loaded_run("enjoy", [*arguments, "--env", "a/Rooms-v0"]) == tmp_path / "dqn" / "a-Rooms-v0_1"
     assert loaded_run("enjoy", [*arguments, "--env", "Rooms-v0", "--exp-id", "1"]) == tmp_path / "dqn" / "Rooms-v0_1"
-    assert loaded_run("record_video", [*arguments, "--env", "Rooms-v0", "--exp-id", "-1"]) == tmp_path / "dqn"
+    for player in ("record_video", "push_to_hub"):
+        assert loaded_run(player, [*arguments, "--env", "Rooms-v0", "--exp-id", "-1"]) == tmp_path / "dqn"

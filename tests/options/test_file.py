@@ -13,7 +13,7 @@ from sb3_options import OptionBank, OptionsWrapper
 from sb3_options.envs import FOUR_ROOMS
 from sb3_options.execution.features import signature
 from sb3_options.experience.observations import flatten
-from sb3_options.options.file import digest, read, slots_of, write
+from sb3_options.options.file import digest, packed, read, slots_of
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import PolicyInput, TabularPolicy
 from tests.support.helpers import ball, steady_option
@@ -142,7 +142,7 @@ class TestOtherObservations:
     def test_a_file_of_an_earlier_version_is_read_as_before(self, tmp_path: Path) -> None:
         about, tensors = read(saved(grid(), tmp_path / "options"))
         del about["made_for"]
-        write(tmp_path / "old", about, tensors)
+        (tmp_path / "old").write_bytes(packed(about, tensors))
         other = grid("FourRooms")
         other.bank.load(tmp_path / "old")
         assert other.bank.filled == (0,)
@@ -186,7 +186,7 @@ class TestSlotsOf:
 
     @pytest.mark.parametrize("about", [{}, {"slots": 3}, {"slots": ["a"]}])
     def test_a_strangers(self, about: Any, tmp_path: Path) -> None:
-        write(tmp_path / "stranger", about, {})
+        (tmp_path / "stranger").write_bytes(packed(about, {}))
         with pytest.raises(ValueError, match="stranger is damaged: "):
             slots_of(tmp_path / "stranger")
 
@@ -204,7 +204,7 @@ class TestSlotsOf:
 def test_a_strangers_description_that_makes_no_sense(there: Any, tmp_path: Path) -> None:
     about, tensors = read(saved(grid(), tmp_path / "options", "features"))
     about["made_for"] = there
-    write(tmp_path / "stranger", about, tensors)
+    (tmp_path / "stranger").write_bytes(packed(about, tensors))
     with pytest.raises(ValueError, match="stranger is damaged: "):
         grid().bank.load(tmp_path / "stranger")
 

@@ -5,7 +5,7 @@ import pytest
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options.runs import config as configs
-from sb3_options.runs.config import CLASSES, A2CConfig, DQNConfig, PPOConfig, TrainConfig
+from sb3_options.runs.config import CLASSES, A2CConfig, DQNConfig, MaskablePPOConfig, PPOConfig, TrainConfig
 from sb3_options.runs.flags import parse
 
 
@@ -20,7 +20,7 @@ def test_flags_win_over_the_file_wherever_they_stand(tmp_path: Path) -> None:
         config = parse(args)
         assert (config.seed, config.n_timesteps, config.discover) == (4, 500, True)
         assert (config.discovery.capacity, config.discovery.decay) == (9, 0.25)
-    assert parse([]) == DQNConfig()
+    assert parse([]) == MaskablePPOConfig()
 
 
 def test_an_empty_file_means_the_defaults(tmp_path: Path) -> None:
@@ -73,8 +73,8 @@ def refusal(capsys: pytest.CaptureFixture[str], args: list[str]) -> str:
         (["--gamma", "1.5"], "gamma should be less than or equal to 1, got 1.5"),
         (["--gamma", "nan"], "gamma should be less than or equal to 1, got nan"),
         (["--learning-rate", "0"], "learning_rate should be greater than 0, got 0.0"),
-        (["--exploration-fraction", "0"], "exploration_fraction should be greater than 0, got 0.0"),
-        (["--exploration-final-eps", "2"], "exploration_final_eps should be less than or equal to 1, got 2.0"),
+        (["dqn", "--exploration-fraction", "0"], "exploration_fraction should be greater than 0, got 0.0"),
+        (["dqn", "--exploration-final-eps", "2"], "exploration_final_eps should be less than or equal to 1, got 2.0"),
         (["--max-option-exploration=2"], "max_option_exploration should be less than or equal to 1, got 2.0"),
         (["ppo", "--gae-lambda", "1.5"], "gae_lambda should be less than or equal to 1, got 1.5"),
         (["ppo", "--clip-range", "0"], "clip_range should be greater than 0, got 0.0"),
@@ -104,7 +104,7 @@ def refusal(capsys: pytest.CaptureFixture[str], args: list[str]) -> str:
             "--learning-starts has no effect on ppo: it is a setting of dqn, qrdqn, optiondqn. Leave it out.",
         ),
         (
-            ["--n-epochs", "3"],
+            ["dqn", "--n-epochs", "3"],
             "--n-epochs has no effect on dqn: it is a setting of ppo, recurrentppo, maskableppo. Leave it out.",
         ),
         (["--algo", "a2c", "--batch-size", "32"], "--batch-size has no effect on a2c"),
@@ -112,7 +112,7 @@ def refusal(capsys: pytest.CaptureFixture[str], args: list[str]) -> str:
         (["ppo", "--no-interruption"], "--interruption has no effect on ppo: it is a setting of dqn, qrdqn,"),
         (["--algo=ppo", "--max-option-exploration=1"], "--max-option-exploration has no effect on ppo"),
         (["--algo=ppo", "--max-runs=5"], "--max-runs has no effect on ppo: it is a setting of maskableppo."),
-        (["--teach-head"], "--teach-head has no effect on dqn: it was removed in 0.2"),
+        (["dqn", "--teach-head"], "--teach-head has no effect on dqn: it was removed in 0.2"),
         (["--algo", "sarsa"], "There is no algorithm 'sarsa': choose from dqn, qrdqn,"),
         (["sarsa"], "There is no algorithm 'sarsa': choose from dqn, qrdqn,"),
         (["--config"], "argument --config: expected one argument"),
@@ -204,4 +204,4 @@ class TestHelp:
     def test_shows_the_defaults_of_the_environment(self, capsys: pytest.CaptureFixture[str]) -> None:
         text = " ".join(self.text(capsys, "--env", "sb3_options/Pioneer-v0", "--help").replace("│", " ").split())
         assert "(default: sb3_options/Pioneer-v0)" in text
-        assert "Primitive steps, over all environments. (default: 30000)" in text
+        assert "Primitive steps of all environments. (default: 30000)" in text

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from sb3_options import OptionsWrapper
-from sb3_options.runs.video import RecordFrames, Video
+from sb3_options.runs.video import CAPTION_HEIGHT, RecordFrames, Video
 from tests.support.helpers import CountingEnv, steady_option
 from tests.support.sb3_helpers import read_video
 
@@ -63,6 +63,23 @@ class TestVideo:
             env.step(2)
             env.step(0)
         assert taken == [0, 40, 80, 120, 160, 200] * 2
+
+    def test_names_the_option_that_runs(self) -> None:
+        taken: list[Any] = []
+        recorder = RecordFrames(Drawing(CountingEnv(terminate_at=5)), taken.append, 1)
+        env = OptionsWrapper(recorder)
+        said: list[str] = []
+        recorder.caption = lambda: said.append(env.running_option()) or said[-1]  # type: ignore[func-returns-value]  # None
+        env.bank.add(steady_option(max_duration=2, name="forwards"), 1)
+        env.reset()
+        env.step(0)
+        env.step(3)
+        env.step(1)
+        assert said == ["primitive action"] * 2 + ["option 1: forwards"] * 2 + ["primitive action"]
+        assert {picture.shape for picture in taken} == {(33 + CAPTION_HEIGHT, 47, 3)}
+        np.testing.assert_array_equal(taken[0][:33], 0)
+        assert np.array_equal(taken[0][33:], taken[1][33:])
+        assert not np.array_equal(taken[1][33:], taken[2][33:])
 
     def test_of_an_environment_that_draws_nothing(self, tmp_path: Path) -> None:
         video = Video(tmp_path / "f.mp4", 10.0)

@@ -1,0 +1,1 @@
+"""What a new user meets first, over many seeds: ``python -m experiments.first_hour``."""

@@ -1,0 +1,153 @@
+"""Options inside SB3's ``model.zip``: a model that has learned to choose options is nothing without them.
+
+SB3's ``save`` writes a zip file of its own members. `keep_options` adds the options file as one more, which SB3's
+``load`` passes over. ``load`` gives a model the entries of the member ``data``, so one of these holds the same content
+as text: it is still there when SB3 alone has loaded the model, and a callback can put the options back.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import zipfile
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, TypeVar
+
+import gymnasium as gym
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.vec_env import VecEnv
+
+from sb3_options.atomic import atomic_write
+from sb3_options.learning.checks import check_wrapped
+from sb3_options.options.archive import CARRIED, NAME, Source, content_in, packed_text, unpacked_text
+from sb3_options.options.bank import OptionBank
+from sb3_options.options.file import slots_of
+
+M = TypeVar("M", bound=BaseAlgorithm)
+
+
+def load_model(algorithm: type[M], path: str | os.PathLike[str], env: gym.Env[Any, Any] | VecEnv, **kwargs: Any) -> M:
+    """Load a model and put its options into the environment it is to act in.
+
+    The model's ``save`` keeps the options from then on. SB3's ``load`` unpickles: use it for files that you trust.
+
+    Args:
+        algorithm: ``DQN``, ``MaskablePPO`` …
+        path: Of a ``model.zip`` that was saved while a callback of this library was with the model, or after that.
+        env: Wrapped in `OptionsWrapper`.
+        **kwargs: For ``algorithm.load``.
+
+    Returns:
+        The model, with ``env`` as its environment.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It holds no options, or these do not fit the environment.
+    """
+    path = Path(path) if Path(path).is_file() else Path(f"{os.fspath(path)}.zip")  # as SB3 does
+    content = content_in(path)
+    model = algorithm.load(path, env=env, **kwargs)
+    model.__dict__.pop(CARRIED, None)
+    load_options(content, _env_of(model))
+    keep_options(model)
+    return model
+
+
+def load_options(source: Source, env: gym.Env[Any, Any] | VecEnv) -> None:
+    """Put the options of a file into the slots of an environment, also in worker processes.
+
+    Args:
+        source: Path of an options file or of a ``model.zip``.
+        env: Wrapped in `OptionsWrapper`.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It holds no options, these do not fit, or the environment is not wrapped.
+    """
+    content = content_in(source)
+    if isinstance(env, VecEnv):
+        check_wrapped(env, "The environment")
+        env.env_method("load_options", content)
+    elif env.has_wrapper_attr("load_options"):
+        env.get_wrapper_attr("load_options")(content)
+    else:
+        raise ValueError(f"{env} is not wrapped in OptionsWrapper: it has no slots for options.")
+
+
+def put_back(model: BaseAlgorithm, venv: VecEnv) -> None:
+    """Put the options that a model carries since SB3 loaded it into those environments that lack them.
+
+    Raises:
+        ValueError: They do not fit.
+    """
+    text = model.__dict__.pop(CARRIED, None)
+    if text is None:
+        return
+    content = unpacked_text(text)
+    if not set(slots_of(content)) <= set(venv.get_attr("bank", [0])[0].filled):
+        load_options(content, venv)
+
+
+def keep_options(model: BaseAlgorithm, bank: OptionBank | None = None) -> None:
+    """Let the model's ``save`` write the options too, whoever calls it: a ``CheckpointCallback``, say.
+
+    Args:
+        model: Its environment is wrapped in `OptionsWrapper`.
+        bank: The options; by default those in the model's environment when it is saved.
+    """
+    model.save = _Save(model, bank)  # type: ignore[method-assign]  # it takes what save takes
+
+
+class _Save:
+    """Takes the place of a model's ``save``."""
+
+    def __init__(self, model: BaseAlgorithm, bank: OptionBank | None) -> None:
+        self._model, self._asks = model, bank is None
+        self._bank = _bank_of(model) if bank is None else bank
+
+    def __call__(
+        self,
+        path: str | os.PathLike[str] | io.BufferedIOBase,
+        exclude: Iterable[str] | None = None,
+        include: Iterable[str] | None = None,
+    ) -> None:
+        """What ``BaseAlgorithm.save`` does, and the options; a file at ``path`` is replaced when all is written."""
+        if self._asks:
+            with suppress(EOFError, OSError):  # worker processes have ended: these are the last options known
+                self._bank = _bank_of(self._model)
+        without = [*(exclude or ()), "save"]
+        if isinstance(path, io.BufferedIOBase):
+            whole = io.BytesIO()
+            self._write(whole, without, include)
+            path.write(whole.getbuffer())
+        else:
+            path = Path(path)
+            with (
+                atomic_write(path if path.suffix else path.with_name(f"{path.name}.zip")) as temporary,
+                temporary.open("wb+") as file,
+            ):
+                self._write(file, without, include)
+
+    def _write(self, file: io.BufferedIOBase, exclude: Iterable[str], include: Iterable[str] | None) -> None:
+        content = self._bank.content()
+        setattr(self._model, CARRIED, packed_text(content))
+        try:
+            type(self._model).save(self._model, file, exclude, include)
+        finally:
+            delattr(self._model, CARRIED)  # while it is in an environment with options, these are the model's
+        with zipfile.ZipFile(file, "a") as archive:
+            archive.writestr(NAME, content)
+
+
+def _env_of(model: BaseAlgorithm) -> VecEnv:
+    venv = model.get_env()
+    if venv is None:
+        raise ValueError("The model has no environment to put options into: pass env=.")
+    return venv
+
+
+def _bank_of(model: BaseAlgorithm) -> OptionBank:
+    bank: OptionBank = _env_of(model).get_attr("bank", [0])[0]
+    return bank

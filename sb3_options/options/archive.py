@@ -1,0 +1,85 @@
+"""Where the content of an options file is: in a file of its own, or in the ``model.zip`` of a model that uses it."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import zipfile
+import zlib
+from pathlib import Path
+from typing import TypeAlias
+
+NAME = "options.safetensors"
+"""Of the file in the folder of a run, and of the member of a ``model.zip``."""
+
+CARRIED = "carried_options"
+"""Entry of a ``model.zip``'s ``data`` with the same content as text: SB3's own ``load`` and ``save`` keep it."""
+
+MAX_BYTES = 1 << 30
+"""Largest content that is unpacked from a ``model.zip``, so that a small file cannot fill the memory."""
+
+Source: TypeAlias = str | os.PathLike[str] | bytes
+"""Path of an options file or of a ``model.zip``, or the content of an options file."""
+
+
+def name_of(source: Source) -> str:
+    """What to call it in errors."""
+    return "What the model carries" if isinstance(source, bytes) else os.fspath(source)
+
+
+def content_in(source: Source) -> bytes:
+    """The content of an options file, wherever it is. It is not checked, and nothing is unpickled.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is a ``model.zip`` without options, or damaged.
+    """
+    if isinstance(source, bytes):
+        return source
+    path = Path(source)
+    if not path.is_file():
+        raise FileNotFoundError(f"There is no options file at {path}.")
+    with path.open("rb") as file:
+        if file.read(4) != b"PK\3\4":
+            file.seek(0)
+            return file.read()
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if NAME in archive.namelist():
+                return _member(archive, NAME)
+            # A model that SB3 loaded and saved, both without this library, only has the text.
+            data = json.loads(_member(archive, "data")) if "data" in archive.namelist() else {}
+            if CARRIED in data:
+                return unpacked_text(data[CARRIED])
+    except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is no options file, or it is damaged: {error}") from error
+    raise ValueError(
+        f"{path} holds no options: its model was saved without a callback of this library. If there is a file of its "
+        "options, use that."
+    )
+
+
+def packed_text(content: bytes) -> str:
+    """The content of an options file as text, which JSON takes."""
+    return base64.b64encode(zlib.compress(content)).decode("ascii")
+
+
+def unpacked_text(text: str) -> bytes:
+    """The inverse of `packed_text`.
+
+    Raises:
+        ValueError: The text is something else, or too long.
+        zlib.error: It is damaged.
+    """
+    unpacker = zlib.decompressobj()
+    content = unpacker.decompress(base64.b64decode(text, validate=True), MAX_BYTES)
+    if not unpacker.eof:
+        raise ValueError(f"its options are cut off, or have more than {MAX_BYTES:,} bytes")
+    return content
+
+
+def _member(archive: zipfile.ZipFile, name: str) -> bytes:
+    if archive.getinfo(name).file_size > MAX_BYTES:
+        raise ValueError(f"{name} has more than {MAX_BYTES:,} bytes")
+    return archive.read(name)

@@ -1,0 +1,59 @@
+"""What training says of itself at its end, beside the same training without discovery."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from rich.table import Table
+
+from sb3_options.experience.trajectories import EpisodeRecord
+
+LAST = 100
+"""Episodes at the end of training that are averaged."""
+
+IN_A_ROW = 20
+"""Successes in a row by which a task counts as learned."""
+
+
+def closing_table(histories: Mapping[str, Sequence[EpisodeRecord]]) -> Table:
+    """Return, success and length of training episodes, exploration included.
+
+    Args:
+        histories: Of every training, the episodes in the order in which they ended, by the heading of its column.
+
+    Returns:
+        A row for each measure, a column for each training; "–" where there is nothing to average.
+    """
+    table = Table("", *histories)
+    columns = [_measures(history) for history in histories.values()]
+    for name in columns[0]:
+        table.add_row(name, *(column[name] for column in columns))
+    return table
+
+
+def _measures(history: Sequence[EpisodeRecord]) -> dict[str, str]:
+    last = history[-LAST:]
+    return {
+        f"return, last {LAST} episodes": _mean([e.total_reward for e in last]),
+        f"success rate, last {LAST} episodes": _mean([e.success for e in last]),
+        f"primitive steps, last {LAST} episodes": _mean([e.steps for e in last]),
+        "return, all episodes": _mean([e.total_reward for e in history]),
+        "success rate, all episodes": _mean([e.success for e in history]),
+        "primitive steps, all episodes": _mean([e.steps for e in history]),
+        "episodes": f"{len(history):,}",
+        f"{IN_A_ROW} successes in a row after": _learned_after(history),
+    }
+
+
+def _mean(values: Sequence[float]) -> str:
+    return f"{np.mean(values):,.4g}" if values else "–"
+
+
+def _learned_after(history: Sequence[EpisodeRecord]) -> str:
+    in_a_row = 0
+    for episode in history:
+        in_a_row = in_a_row + 1 if episode.success else 0
+        if in_a_row == IN_A_ROW:
+            return f"{episode.timestep:,} steps"
+    return "–"

@@ -1,0 +1,46 @@
+"""The study of a new user's first hour, small."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.first_hour import __main__ as first_hour
+from experiments.first_hour.conditions import BY_DEFAULT, COMPETENT_EPISODES, CONDITIONS, competent_after, to_goal
+from sb3_options.experience.trajectories import EpisodeRecord
+
+RESULTS = Path(__file__).parents[2] / "docs" / "results"
+
+
+def test_writes_what_it_found(tmp_path: Path) -> None:
+    conditions = ("maskableppo", "maskableppo, filter by distances")
+    study = first_hour.Study(task="lake", out=tmp_path, runs=2, n_timesteps=300, jobs=1, conditions=conditions)
+    first_hour.main(study)
+    content = json.loads((tmp_path / "results.json").read_text())
+    assert set(content["summary"]) == set(conditions)
+    assert [run["seed"] for run in content["runs"]["maskableppo"]] == [1000, 1001]
+    assert content["command"].endswith("--n-timesteps 300 --conditions maskableppo 'maskableppo, filter by distances'")
+
+
+def test_every_condition_is_one() -> None:
+    assert {name for names in BY_DEFAULT.values() for name in names} == set(CONDITIONS)
+
+
+def test_competence_takes_success_and_short_ways() -> None:
+    good = [EpisodeRecord(30 * i, 1.0, True, 30) for i in range(1, COMPETENT_EPISODES + 1)]
+    assert competent_after(good) == 30 * COMPETENT_EPISODES
+    assert competent_after(good[1:]) is None
+    assert competent_after([e._replace(success=False) for e in good]) is None
+    assert competent_after([e._replace(steps=41) for e in good]) is None
+
+
+def test_cells_to_the_goal_of_the_lake() -> None:
+    assert [to_goal("FrozenLake-v1", np.eye(64)[state]) for state in (63, 62, 55, 0)] == [0, 1, 1, 14]
+
+
+@pytest.mark.parametrize("name", ["first-hour-rooms", "first-hour-rooms-dqn", "first-hour-lake"])
+def test_the_committed_numbers_are_those_of_their_runs(name: str) -> None:
+    content = json.loads((RESULTS / f"{name}.json").read_text())
+    for condition, runs in content["runs"].items():
+        assert first_hour.summarise(runs) == content["summary"][condition]

@@ -1,0 +1,253 @@
+"""Options travel inside ``model.zip``, whoever saves the model and whoever loads it."""
+
+import io
+import json
+import logging
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from sb3_contrib import MaskablePPO
+from sb3_contrib.common.maskable.evaluation import evaluate_policy as evaluate_masked
+from stable_baselines3 import DQN, PPO
+from stable_baselines3.common.callbacks import CheckpointCallback, EvalCallback
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNormalize
+
+from sb3_options import MacroQ, OptionBank, OptionDQN, OptionReplayBuffer, OptionsWrapper, load_model, load_options
+from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
+from sb3_options.density.regions import Region
+from sb3_options.options.archive import NAME, content_in
+from sb3_options.options.option import SubgoalOption
+from sb3_options.options.policies import TabularPolicy
+from tests.support.helpers import steady_option
+from tests.support.sb3_helpers import TINY, env_of, make_optioned_rooms, optioned_rooms, small_rooms
+
+SLOT = 2
+DQN_KIND = {"replay_buffer_class": OptionReplayBuffer, **TINY}
+PPO_KIND = {"n_steps": 32, "batch_size": 32, "n_epochs": 1, "policy_kwargs": {"net_arch": [16]}, "seed": 0}
+
+
+def option() -> SubgoalOption:
+    """To the right, in the left half of the small rooms."""
+    inside = np.array([[x, y] for x in range(4) for y in range(5)], dtype=np.float64)
+    policy = TabularPolicy(np.eye(45), np.eye(4)[np.full(45, 3)])
+    return SubgoalOption(Region(np.array([[4.0, 2.0]]), np.ones(2), 0.0), Region(inside, np.ones(2), 0.0), policy)
+
+
+def trained(algorithm: Any, env: Any = None, callback: Any = None, steps: int = 200) -> Any:
+    """A model that has been trained with the option in its slot."""
+    if env is None:
+        env = optioned_rooms()
+    if not isinstance(env, SubprocVecEnv | DummyVecEnv):
+        env.bank.add(option(), SLOT)
+    kind = PPO_KIND if algorithm in (PPO, MaskablePPO) else DQN_KIND
+    model = MacroQ(env, gamma=0.9, seed=0) if algorithm is MacroQ else algorithm("MlpPolicy", env, gamma=0.9, **kind)
+    model.learn(steps, callback=SubgoalDiscoveryCallback(max_new_options=0) if callback is None else callback)
+    return model
+
+
+def held(source: Any) -> tuple[int, ...]:
+    """The slots that the options of a file fill."""
+    bank = OptionBank(4, 4)
+    bank.load(source)
+    return bank.filled
+
+
+def of_env(model: Any) -> tuple[int, ...]:
+    return tuple(env_of(model).get_attr("bank", [0])[0].filled)
+
+
+@pytest.mark.parametrize("algorithm", [DQN, OptionDQN, PPO, MaskablePPO, MacroQ])
+def test_a_loaded_model_has_its_options_and_acts_as_before(algorithm: Any, tmp_path: Path) -> None:
+    model = trained(algorithm)
+    model.save(tmp_path / "model")
+    again = load_model(algorithm, tmp_path / "model", optioned_rooms())
+    assert of_env(again) == (SLOT,)
+    states = np.eye(45, dtype=np.float32)
+    masks = {}
+    if algorithm is MaskablePPO:
+        masks = {"action_masks": env_of(again).env_method("available", states)[0]}
+        np.testing.assert_array_equal(masks["action_masks"], env_of(model).env_method("available", states)[0])
+    np.testing.assert_array_equal(
+        model.predict(states, deterministic=True, **masks)[0], again.predict(states, deterministic=True, **masks)[0]
+    )
+    again.save(tmp_path / "again.zip")
+    assert held(tmp_path / "again.zip") == (SLOT,)
+
+
+def test_sb3_loads_the_file_and_the_callback_puts_the_options_back(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    trained(PPO).save(tmp_path / "model.zip")
+    for callback in (SubgoalDiscoveryCallback(max_new_options=0), PrimitiveStepsCallback()):
+        model = PPO.load(tmp_path / "model.zip", env=optioned_rooms())
+        assert of_env(model) == ()
+        model.learn(1_000, callback=callback)
+        assert of_env(model) == (SLOT,)
+        model.save(tmp_path / "later.zip")
+        assert held(tmp_path / "later.zip") == (SLOT,)
+    assert caplog.records == []
+
+
+def test_what_sb3_loads_and_saves_by_itself_keeps_them(tmp_path: Path) -> None:
+    """As ``rl_zoo3.push_to_hub`` does."""
+    trained(DQN).save(tmp_path / "model.zip")
+    DQN.load(tmp_path / "model.zip").save(tmp_path / "pushed.zip")
+    with zipfile.ZipFile(tmp_path / "pushed.zip") as archive:
+        assert NAME not in archive.namelist()
+    assert content_in(tmp_path / "pushed.zip") == content_in(tmp_path / "model.zip")
+    assert of_env(load_model(DQN, tmp_path / "pushed.zip", optioned_rooms())) == (SLOT,)
+
+
+def test_the_member_is_an_options_file_of_its_own(tmp_path: Path) -> None:
+    trained(DQN).save(tmp_path / "model.zip")
+    with zipfile.ZipFile(tmp_path / "model.zip") as archive:
+        (tmp_path / "options").write_bytes(archive.read(NAME))
+        entries = json.loads(archive.read("data"))
+    assert held(tmp_path / "options") == held(tmp_path / "model.zip") == (SLOT,)
+    assert "save" not in entries
+    env = optioned_rooms()
+    load_options(tmp_path / "model.zip", env)
+    assert env.bank.filled == (SLOT,)
+
+
+def test_checkpoints_and_the_best_model_keep_them(tmp_path: Path) -> None:
+    eval_env = make_vec_env(small_rooms, wrapper_class=OptionsWrapper, wrapper_kwargs={"gamma": 0.9})
+    callbacks = [
+        SubgoalDiscoveryCallback(max_new_options=0),
+        CheckpointCallback(100, str(tmp_path / "checkpoints")),
+        EvalCallback(eval_env, eval_freq=100, n_eval_episodes=1, best_model_save_path=str(tmp_path), verbose=0),
+    ]
+    trained(DQN, callback=callbacks)
+    checkpoints = list((tmp_path / "checkpoints").iterdir())
+    assert len(checkpoints) >= 1
+    for path in [*checkpoints, tmp_path / "best_model.zip"]:
+        assert held(path) == (SLOT,)
+
+
+@pytest.mark.parametrize("kind", [DummyVecEnv, SubprocVecEnv])
+def test_vectorised_environments(kind: Any, tmp_path: Path) -> None:
+    trained(MaskablePPO).save(tmp_path / "model.zip")
+    venv = kind([make_optioned_rooms] * 2)
+    try:
+        model = load_model(MaskablePPO, tmp_path / "model.zip", VecNormalize(venv, training=False))
+        assert [bank.filled for bank in venv.get_attr("bank")] == [(SLOT,)] * 2
+        evaluate_masked(model, env_of(model), n_eval_episodes=2, warn=False)
+    finally:
+        venv.close()
+    model.save(tmp_path / "later.zip")  # the worker processes have ended
+    assert held(tmp_path / "later.zip") == (SLOT,)
+
+
+def test_an_option_that_waits_for_a_rollout_is_saved(tmp_path: Path) -> None:
+    class Installs(SubgoalDiscoveryCallback):
+        def _on_step(self) -> bool:
+            if self.num_timesteps == 10:
+                self._options.install(0, option())
+                assert env_of(self.model).get_attr("bank")[0].filled == (SLOT,)
+                self.model.save(tmp_path / "model.zip")
+            return super()._on_step()
+
+    trained(PPO, callback=Installs(max_new_options=0))
+    assert held(tmp_path / "model.zip") == (0, SLOT)
+
+
+def test_a_file_object(tmp_path: Path) -> None:
+    model, buffer = trained(DQN), io.BytesIO()
+    model.save(buffer)
+    with (tmp_path / "model.zip").open("wb") as file:
+        model.save(file)
+    (tmp_path / "buffer.zip").write_bytes(buffer.getvalue())
+    assert held(tmp_path / "model.zip") == held(tmp_path / "buffer.zip") == (SLOT,)
+    buffer.seek(0)
+    DQN.load(buffer)
+
+
+def test_an_error_leaves_the_older_file_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = trained(DQN)
+    model.save(tmp_path / "model.zip")
+    before = (tmp_path / "model.zip").read_bytes()
+
+    def full(*args: Any) -> None:
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr(zipfile.ZipFile, "writestr", full)
+    with pytest.raises(OSError, match="No space left"):
+        model.save(tmp_path / "model.zip")
+    assert (tmp_path / "model.zip").read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["model.zip"]
+
+
+def test_what_to_leave_out_is_left_out(tmp_path: Path) -> None:
+    trained(DQN).save(tmp_path / "model.zip", exclude=["learning_rate"], include=["replay_buffer"])
+    with zipfile.ZipFile(tmp_path / "model.zip") as archive:
+        entries = json.loads(archive.read("data"))
+    assert "learning_rate" not in entries
+    assert "replay_buffer" in entries
+
+
+def test_a_model_that_has_none_says_so(tmp_path: Path) -> None:
+    DQN("MlpPolicy", optioned_rooms(), **DQN_KIND).save(tmp_path / "model.zip")
+    with pytest.raises(ValueError, match=r"model\.zip holds no options: its model was saved without a callback"):
+        load_model(DQN, tmp_path / "model.zip", optioned_rooms())
+    with pytest.raises(FileNotFoundError, match="There is no options file at"):
+        load_model(DQN, tmp_path / "other", optioned_rooms())
+
+
+def test_environments_without_slots_are_refused(tmp_path: Path) -> None:
+    trained(DQN).save(tmp_path / "model.zip")
+    with pytest.raises(ValueError, match="is not wrapped in OptionsWrapper"):
+        load_options(tmp_path / "model.zip", small_rooms())
+    with pytest.raises(ValueError, match="The environment is not wrapped in OptionsWrapper"):
+        load_options(tmp_path / "model.zip", DummyVecEnv([small_rooms]))
+
+
+def test_hand_made_options_have_to_be_there(tmp_path: Path) -> None:
+    env = optioned_rooms()
+    env.bank.add(steady_option(3, name="by hand"), 0)
+    trained(PPO, env).save(tmp_path / "model.zip")
+    model = PPO.load(tmp_path / "model.zip", env=optioned_rooms())
+    with pytest.raises(ValueError, match="slot 0 held the hand-made option 'by hand', which is code"):
+        model.learn(64, callback=SubgoalDiscoveryCallback())
+
+
+def test_closed_options_do_not_come_back(tmp_path: Path) -> None:
+    """What was saved once is not what the model carries while it is trained on."""
+    model = trained(DQN)
+    model.save(tmp_path / "model.zip")
+    env_of(model).env_method("set_option", SLOT, None)
+    model.learn(50, callback=SubgoalDiscoveryCallback(max_new_options=0))
+    assert of_env(model) == ()
+
+
+class TestWarning:
+    def test_predictions_without_the_options_say_so_once(
+        self, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        model = trained(DQN)
+        with_bias(model)
+        model.save(tmp_path / "model.zip")
+        caplog.set_level(logging.WARNING)
+        lost = DQN.load(tmp_path / "model.zip", env=optioned_rooms())
+        evaluate_policy(lost, env_of(lost), n_eval_episodes=2, warn=False)
+        (record,) = caplog.records
+        assert "Slot 2 was chosen, and it is empty: a random primitive action takes its place" in record.message
+        caplog.clear()
+        found = load_model(DQN, tmp_path / "model.zip", optioned_rooms())
+        evaluate_policy(found, env_of(found), n_eval_episodes=2, warn=False)
+        assert caplog.records == []
+
+    def test_a_callback_that_fills_slots_needs_none(self, caplog: pytest.LogCaptureFixture) -> None:
+        trained(DQN, callback=SubgoalDiscoveryCallback())
+        assert caplog.records == []
+        DQN("MlpPolicy", optioned_rooms(), gamma=0.9, **DQN_KIND).learn(150)
+        assert "it is empty" in caplog.text
+
+
+def with_bias(model: Any) -> None:
+    """Let the option be the greedy choice everywhere."""
+    model.q_net.q_net[-1].bias.data[4 + SLOT] += 10.0

@@ -1,0 +1,87 @@
+"""Options inside a ``model.zip`` that may come from anybody."""
+
+import json
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sb3_options import OptionBank
+from sb3_options.options import archive
+from sb3_options.options.archive import CARRIED, NAME, content_in, packed_text, unpacked_text
+
+CONTENT = OptionBank(4, 4).content()
+
+
+def zipped(path: Path, members: Mapping[str, str | bytes], compression: int = zipfile.ZIP_STORED) -> Path:
+    with zipfile.ZipFile(path, "w", compression) as file:
+        for name, content in members.items():
+            file.writestr(name, content)
+    return path
+
+
+def test_the_member_is_found_also_compressed(tmp_path: Path) -> None:
+    for compression in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        path = zipped(tmp_path / "model.zip", {"data": "{}", NAME: CONTENT}, compression)
+        assert content_in(path) == CONTENT
+        OptionBank(4, 4).load(path)
+
+
+def test_the_member_goes_before_the_text(tmp_path: Path) -> None:
+    data = json.dumps({CARRIED: packed_text(b"older")})
+    assert content_in(zipped(tmp_path / "a", {"data": data})) == b"older"
+    assert content_in(zipped(tmp_path / "b", {"data": data, NAME: CONTENT})) == CONTENT
+
+
+def test_nothing_else_in_the_archive_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = zipped(tmp_path / "model.zip", {"data": "no json", "policy.pth": b"no tensors", NAME: CONTENT})
+    read: list[str] = []
+    member = zipfile.ZipFile.read
+
+    def noted(self: zipfile.ZipFile, name: str) -> bytes:
+        read.append(name)
+        return member(self, name)
+
+    monkeypatch.setattr(zipfile.ZipFile, "read", noted)
+    assert content_in(path) == CONTENT
+    assert read == [NAME]
+
+
+@pytest.mark.parametrize(
+    "members",
+    [
+        {"data": "no json"},
+        {"data": json.dumps({CARRIED: 3})},
+        {"data": json.dumps({CARRIED: "no base64!"})},
+        {"data": json.dumps({CARRIED: packed_text(CONTENT)[:40]})},
+        {"data": "[" * 100_000},
+    ],
+    ids=["data", "type", "text", "cut", "nested"],
+)
+def test_damage_is_said_in_one_line(members: dict[str, str], tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"model\.zip is no options file, or it is damaged: ") as error:
+        content_in(zipped(tmp_path / "model.zip", members))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("members", [{}, {"data": "{}"}, {"data": "[]"}, {"policy.pth": "x"}])
+def test_an_archive_without_options(members: dict[str, str], tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"model\.zip holds no options"):
+        content_in(zipped(tmp_path / "model.zip", {"other": "", **members}))
+
+
+def test_little_does_not_become_much(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(archive, "MAX_BYTES", 1_000)
+    bomb: Any = b"\0" * 1_001
+    for members in ({NAME: bomb}, {"data": bomb}, {"data": json.dumps({CARRIED: packed_text(bomb)})}):
+        with pytest.raises(ValueError, match="more than 1,000 bytes"):
+            content_in(zipped(tmp_path / "model.zip", members, zipfile.ZIP_DEFLATED))
+
+
+def test_text_is_the_inverse_of_content() -> None:
+    assert unpacked_text(packed_text(CONTENT)) == CONTENT
+    with pytest.raises(zlib.error):
+        unpacked_text("AAAA")
