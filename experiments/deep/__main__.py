@@ -1,4 +1,4 @@
-"""``python -m experiments.deep --task same|transfer --env … --algo dqn,ppo --runs 20 --out FOLDER``.
+"""``python -m experiments.deep --task same|transfer|deadline --env … --algo dqn,ppo --runs 20 --out FOLDER``.
 
 Trains every algorithm in every environment three times a seed: stock Stable-Baselines3, with options that it discovers
 (or brings along, in transfer), and with random repeats in their place. Writes ``results.json`` and ``curves.png``.
@@ -32,16 +32,17 @@ class Study(Flags):
     """Does an agent learn faster with options that it discovers?
 
     Attributes:
-        task: Learn one task from nothing, or one whose goal has moved, with the options of the old one.
+        task: Learn one task from nothing; or one whose goal has moved, with the options of the old one; or the same
+            with a deadline that random walks hardly ever keep.
         env: Which gridworlds, with commas between; by default all that have the task.
         algo: Which algorithms, with commas between: dqn and ppo, which with options keep to their initiation sets
             (OptionDQN, MaskablePPO); dqn-unmasked, ppo-unmasked and qrdqn, which do not.
-        arms: What is compared, with commas between: stock, options, repeats.
+        arms: What is compared, with commas between: stock, carried (the network of the old task), options, repeats.
         control_runs: Seeds of the random repeats; by default as many.
         settings: Of the algorithms and of discovery.
     """
 
-    task: Literal["same", "transfer"] = "same"
+    task: Literal["same", "transfer", "deadline"] = "same"
     env: str = ""
     algo: str = "dqn,ppo"
     arms: str = "stock,options,repeats"
@@ -94,6 +95,7 @@ def main(study: Study) -> None:
         "settings": dataclasses.asdict(study.settings),
         "tasks": {env: dataclasses.asdict(TASKS[study.task, env]) for env in environments},
         "results": numbers,
+        "runs": {env: {algo: _plain(runs[env, algo]) for algo in algorithms} for env in environments},
     }
     write(study.out, content, {"curves": draw(study.task, runs, lengths)})
     show(
@@ -102,6 +104,11 @@ def main(study: Study) -> None:
         "counts with its whole length.",
         f"Results: {study.out / 'results.json'}, {study.out / 'curves.png'}",
     )
+
+
+def _plain(arms: dict[str, Any]) -> dict[str, Any]:
+    """What the numbers can be worked out from again, without the curves' lengths."""
+    return {arm: [{k: v for k, v in run.items() if k != "length"} for run in of] for arm, of in arms.items()}
 
 
 def _run(study: Study, arm: Arm) -> dict[tuple[str, str], Any]:

@@ -21,8 +21,10 @@ from experiments.deep.tasks import Task
 from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.runs.evaluation import greedy_episodes
 
-Arm: TypeAlias = Literal["stock", "options", "repeats"]
+Arm: TypeAlias = Literal["stock", "carried", "options", "repeats"]
 ARMS: tuple[Arm, ...] = get_args(Arm)
+STOCK: frozenset[Arm] = frozenset({"stock", "carried"})
+"""Those without the library; the network of ``carried`` has learned the old task."""
 ALGORITHMS: dict[str, tuple[Any, Any]] = {
     "dqn": (DQN, OptionDQN),
     "ppo": (PPO, MaskablePPO),
@@ -44,7 +46,7 @@ def make_env(task: Task, algo: str, arm: Arm, settings: DeepSettings, seed: int,
 
     def make(i: int) -> gym.Env[Any, Any]:
         env: gym.Env[Any, Any] = Monitor(gym.make(task.env, **{**task.target, **kwargs}))
-        if arm == "stock":
+        if arm in STOCK:
             return env
         max_runs = settings.max_runs[family(algo)] if arm == "options" else 0
         optioned = OptionsWrapper(env, settings.max_options, gamma=GAMMA, max_runs=max_runs or None)
@@ -65,12 +67,12 @@ def make_model(algo: str, venv: VecEnv, arm: Arm, settings: DeepSettings, seed: 
     common: dict[str, Any] = {"gamma": GAMMA, "seed": seed, "device": "cpu"}
     if issubclass(stock, OffPolicyAlgorithm):
         buffer: dict[str, Any] = {}
-        if arm != "stock":
+        if arm not in STOCK:
             buffer = {"replay_buffer_class": OptionReplayBuffer, "replay_buffer_kwargs": settings.buffer}
         own = {**settings.arguments(algo, arm), **buffer}
     else:
         own = settings.arguments(algo, arm)
-    made: BaseAlgorithm = (stock if arm == "stock" else with_options)("MlpPolicy", venv, **common, **own)
+    made: BaseAlgorithm = (stock if arm in STOCK else with_options)("MlpPolicy", venv, **common, **own)
     return made
 
 

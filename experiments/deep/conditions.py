@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any, NamedTuple, cast
 
 import numpy as np
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList, EvalCallback
 
 from experiments.common.gridworlds import world_of
@@ -26,6 +28,14 @@ class Served(EvalCallback):
         return True
 
 
+class Trained(NamedTuple):
+    """A run, the callback that discovered options in it, and the model."""
+
+    result: Result
+    discovery: SubgoalDiscoveryCallback | None
+    model: BaseAlgorithm
+
+
 def train(
     task: Task,
     algo: str,
@@ -34,24 +44,27 @@ def train(
     seed: int,
     *,
     options: Path | None = None,
+    carried: BaseAlgorithm | None = None,
     steps_after: int | None = None,
-) -> tuple[Result, SubgoalDiscoveryCallback | None]:
+) -> Trained:
     """Train once in the target.
 
     Args:
         task: Which.
         algo: Of `ALGORITHMS`.
-        arm: Stock, discovered options, or random repeats in their place.
+        arm: Stock, stock with the network of the old task, discovered options, or random repeats in their place.
         settings: Of everything.
         seed: Of everything random.
         options: A file of options to begin with, in which case none are discovered.
+        carried: Of the old task, whose parameters the model begins with.
         steps_after: In place of the settings'.
 
     Returns:
         ``steps``, ``success`` and ``length`` of each evaluation, ``final_success`` and ``final_length``, and what was
-        discovered; the callback that discovered it.
+        discovered; the callback that discovered it; the model.
     """
     limit = round(SLACK * optimal_steps(world_of(task.env, **task.target)))
+    limit = min(limit, task.target.get("max_steps", limit))
     venv = make_env(task, algo, arm, settings, seed, settings.n_envs)
     eval_env = make_env(task, algo, arm, settings, EVAL_SEED + seed, settings.evaluation_episodes, max_steps=limit)
     if options is not None:
@@ -59,6 +72,8 @@ def train(
             for wrapper in each.envs:  # type: ignore[attr-defined]  # a DummyVecEnv
                 wrapper.bank.load(options)
     model = make_model(algo, venv, arm, settings, seed)
+    if carried is not None:
+        model.set_parameters(cast("Any", carried.get_parameters()))
     if steps_after is None:
         steps_after = settings.steps_after[family(algo)]
     evaluations = Evaluations(eval_env, settings.evaluate_every, steps_after, EVAL_SEED + seed)
@@ -96,26 +111,25 @@ def train(
             for d in (discovery.discoveries if discovery else [])
         ],
     }
-    return result, discovery
+    return Trained(result, discovery, model)
 
 
-def discover(task: Task, algo: str, settings: DeepSettings, seed: int) -> SubgoalDiscoveryCallback:
-    """Train in the old task of a transfer, for its options.
+def train_source(task: Task, algo: str, arm: Arm, settings: DeepSettings, seed: int) -> Trained:
+    """Train in the old task of a transfer, for its options or its network.
 
     Args:
         task: Which has a source.
         algo: As for `train`.
+        arm: Likewise.
         settings: Of everything; but options are not tried there, as what does harm may help where the goal has moved.
         seed: Of the run in the target; the source has one of its own.
 
     Returns:
-        The callback that holds the options.
+        As of `train`.
     """
     source = Task(task.env, task.source or {}, n_timesteps=task.source_timesteps)
     untried = dataclasses.replace(settings, withhold=dict.fromkeys(settings.withhold, 0.0))
-    discovery = train(source, algo, "options", untried, SOURCE_SEED + seed, steps_after=source.n_timesteps)[1]
-    assert discovery is not None  # of this arm
-    return discovery
+    return train(source, algo, arm, untried, SOURCE_SEED + seed, steps_after=source.n_timesteps)
 
 
 def run(task: Task, algo: str, arm: Arm, settings: DeepSettings, folder: Path, seed: int) -> Result:
@@ -132,11 +146,13 @@ def run(task: Task, algo: str, arm: Arm, settings: DeepSettings, folder: Path, s
     Returns:
         As of `train`; with ``brought``, the subgoals of the options brought along.
     """
-    if task.source is None or arm != "options":
-        return train(task, algo, arm, settings, seed)[0]
-    discovery = discover(task, algo, settings, seed)
+    if task.source is None or arm not in ("carried", "options"):
+        return train(task, algo, arm, settings, seed).result
+    _, discovery, model = train_source(task, algo, arm, settings, seed)
+    if discovery is None:
+        return train(task, algo, arm, settings, seed, carried=model).result
     options = folder / "options" / f"{seed}.safetensors"
     options.parent.mkdir(parents=True, exist_ok=True)
     discovery.bank.save(options)
     subgoals = [[float(x) for x in d.subgoal] for d in discovery.discoveries]
-    return {**train(task, algo, arm, settings, seed, options=options)[0], "brought": subgoals}
+    return {**train(task, algo, arm, settings, seed, options=options).result, "brought": subgoals}

@@ -12,8 +12,13 @@ from experiments.common.seeds import Result
 from experiments.deep.summary import GRID, curve, iqm, iqm_interval, steps_to_success
 from sb3_options.experience.observations import FloatArray
 
-COLOURS = {"stock": "0.45", "options": "#d62728", "repeats": "#1f77b4"}
-LABELS = {"stock": "stock", "options": "discovered options", "repeats": "random repeats"}
+COLOURS = {"stock": "0.45", "carried": "#2ca02c", "options": "#d62728", "repeats": "#1f77b4"}
+LABELS = {
+    "stock": "stock",
+    "carried": "stock, network carried over",
+    "options": "discovered options",
+    "repeats": "random repeats",
+}
 N_BANDS = 500
 APART = 0.025
 

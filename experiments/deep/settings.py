@@ -101,7 +101,7 @@ class DeepSettings:
         """What the runs of one arm of an algorithm depend on."""
         own = {"algorithm": self.arguments(algo, arm), "steps_after": self.steps_after[family(algo)]}
         common = ["n_envs", "evaluate_every", "evaluation_episodes", "final_evaluations"]
-        if arm != "stock":
+        if arm not in ("stock", "carried"):
             common += ["max_options", "max_new_options", "discovery", "option", "callback", "buffer"]
             own["max_option_exploration"] = self.max_option_exploration[family(algo)]
         if arm == "options":
@@ -112,7 +112,7 @@ class DeepSettings:
     def arguments(self, algo: str, arm: str) -> dict[str, Any]:
         """Of the algorithm itself; random repeats take those of options."""
         sides: Sides = getattr(self, family(algo))
-        return sides[self.both_as or ("stock" if arm == "stock" else "options")]
+        return sides[self.both_as or ("stock" if arm in ("stock", "carried") else "options")]
 
     def switched(self) -> list[str]:
         """The flags of what is not as by default, as far as the study varies it."""

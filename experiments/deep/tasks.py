@@ -40,8 +40,10 @@ TASKS = {
     ("same", "KeyDoor"): Task("sb3_options/KeyDoor-v0"),
     ("transfer", "TwoRooms"): Task("sb3_options/TwoRooms-v0", {"goal": (20, 0), **MOVED}, {}),
     ("transfer", "FourRooms"): Task("sb3_options/FourRooms-v0", {"goal": (11, 8), **MOVED}, {}),
+    ("deadline", "TwoRooms"): Task("sb3_options/TwoRooms-v0", {"goal": (20, 0), "max_steps": 100, **MOVED}, {}),
+    ("deadline", "KeyDoor"): Task("sb3_options/KeyDoor-v0", {"goal": (12, 0), "max_steps": 150, **MOVED}, {}),
 }
-"""The goal moves to another corner of its room."""
+"""The goal moves to another corner of its room. With a deadline, random walks hardly ever reach it in time."""
 
 
 def optimal_steps(world: GridWorld) -> float:

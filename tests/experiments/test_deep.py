@@ -42,6 +42,23 @@ def test_steps_to_success() -> None:
     assert steps_to_success(result([0, 1000, 2000], [0.0, 0.85, 1.0]), 9000) == 9000
 
 
+@pytest.mark.parametrize("arm", ["carried", "options"])
+def test_what_the_old_task_leaves(arm: Any, tmp_path: Path) -> None:
+    """The network of ``carried`` begins with what it learned there; the rest begins anew."""
+    task = tasks.Task("sb3_options/TwoRooms-v0", {"goal": (20, 0)}, {}, n_timesteps=64, source_timesteps=600)
+    settings = DeepSettings(evaluate_every=1000, evaluation_episodes=1, final_evaluations=1)
+    result = conditions.run(task, "ppo", arm, settings, tmp_path, 0)
+    assert ("brought" in result) == (arm == "options")
+    source = conditions.train_source(task, "ppo", arm, settings, 0)
+    before = conditions.train(task, "ppo", arm, settings, 0, carried=source.model if arm == "carried" else None)
+    learned = source.model.policy.state_dict()
+    began = before.model.policy.state_dict()
+    far = [
+        float((learned[k] - began[k]).abs().max()) for k in learned if k in began and began[k].shape == learned[k].shape
+    ]
+    assert (max(far) < 0.2) == (arm == "carried")
+
+
 def test_a_curve_holds_its_last_value() -> None:
     np.testing.assert_array_equal(curve(result([0, 900, 1500], [0.0, 0.4, 1.0]), 2500), [0, 0, 0.4, 1, 1, 1])
 
@@ -201,7 +218,7 @@ def test_options_are_tried_in_the_target_only(monkeypatch: pytest.MonkeyPatch) -
     full = tasks.TASKS["transfer", "TwoRooms"]
     task = tasks.Task(full.env, full.target, full.source, 300, 300)
     settings = DeepSettings(evaluation_episodes=2, final_evaluations=1)
-    conditions.discover(task, "ppo", settings, 0)
+    conditions.train_source(task, "ppo", "options", settings, 0)
     conditions.train(task, "ppo", "options", settings, 0)
     assert tried == [None, TrialSettings(withhold=0.3)]
 
