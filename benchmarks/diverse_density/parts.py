@@ -332,7 +332,14 @@ def _one_more_bag(n_bags: int, n_instances: int, added: int, seed: int) -> dict[
     rng = np.random.default_rng(seed)
     # No share of the limit of the running average is ever reached, or the place would be taken and left out.
     settings = DiscoverySettings(
-        capacity=n_bags, search="incremental", start_radius=0, goal_radius=0, threshold=math.nextafter(1, 0)
+        capacity=n_bags,
+        search="incremental",
+        start_radius=0,
+        goal_radius=0,
+        threshold=math.nextafter(1, 0),
+        loops="keep",
+        min_passing=0.0,
+        leak=0.0,
     )
     discovery = SubgoalDiscovery(settings)
     for _ in range(n_bags):

@@ -305,9 +305,8 @@ class TestOptions:
     def test_discovery_goes_on_elsewhere(self, run: Run, tmp_path: Path) -> None:
         (tmp_path / "config.yml").write_text(CONFIG)
         args = ["--config", str(tmp_path / "config.yml"), "--options", str(run.folder / "options.safetensors")]
-        folder = cli.train(
-            parse([*args, "--tensorboard-log", str(tmp_path), "--discovery.min-density", "0", "--seed", "1"])
-        )
+        args += ["--discovery.min-passing", "0", "--discovery.loops", "keep"]  # the doorway is taken: any place will do
+        folder = cli.train(parse([*args, "--tensorboard-log", str(tmp_path), "--seed", "1"]))
         bank = OptionBank(4, 4)
         bank.load(folder / "options.safetensors")
         assert bank.filled == (0, 1)
