@@ -85,6 +85,7 @@ class TrainConfig:
         vec_env: "subproc" gives each a process.
         eval_freq: Primitive steps per evaluation; 0: none.
         eval_episodes: Episodes of an evaluation.
+        eval_max_steps: Longest of them, in primitive steps; 0: any.
         progress: Show a progress bar.
         device: "cpu", "cuda" or "auto".
         num_threads: Threads of torch; small networks want one.
@@ -111,6 +112,7 @@ class TrainConfig:
     vec_env: Literal["dummy", "subproc"] = "dummy"
     eval_freq: Natural = 0
     eval_episodes: Count = 10
+    eval_max_steps: Natural = 1_000
     progress: bool = True
     device: str = "auto"
     num_threads: Count = 1

@@ -32,7 +32,7 @@ FIRST = (
 )
 """What a user changes first, and ``--help`` shows first."""
 
-LAST = ("close_harmful", "eval_episodes", "vec_env", "device", "num_threads", "progress")
+LAST = ("close_harmful", "eval_episodes", "eval_max_steps", "vec_env", "device", "num_threads", "progress")
 """What is rarely changed."""
 
 INTRODUCTION = """Train an agent that discovers its own options, or evaluate one.

@@ -20,6 +20,7 @@ from sb3_options.runs.interrupts import ignore_interrupts
 
 CONFIG = "config.yml"
 MODEL = "model.zip"
+BEST = "best_model.zip"
 OPTIONS = NAME
 MONITOR = "monitor"
 SUBGOALS = "subgoals.png"
@@ -121,6 +122,7 @@ def make_env(
     beneath: Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]] | None = None,
     render_mode: str | None = None,
     subproc: bool = False,
+    max_steps: int = 0,
 ) -> VecEnv:
     """Environments with option slots, and a ``Monitor`` beneath these, so that it counts primitive steps.
 
@@ -134,6 +136,7 @@ def make_env(
         beneath: A wrapper to put beneath the options as well.
         render_mode: For the environment.
         subproc: Whether each lives in a process of its own.
+        max_steps: Primitive steps after which an episode is cut off, if the environment does not end it; 0 for never.
 
     Returns:
         A ``DummyVecEnv``, or a ``SubprocVecEnv``.
@@ -143,6 +146,10 @@ def make_env(
         ValueError: Its options do not fit.
     """
     keywords = config.env_kwargs | ({} if render_mode is None else {"render_mode": render_mode})
+    if max_steps:
+        own = keywords.get("max_episode_steps", gym.spec(config.env).max_episode_steps)
+        # Beneath the Monitor, for SB3 counts the episodes that a Monitor reports.
+        keywords = keywords | {"max_episode_steps": max_steps if own is None else min(own, max_steps)}
     options = options_file(config)
     max_runs = config.max_runs if isinstance(config, MaskablePPOConfig) else None
 
