@@ -61,6 +61,8 @@ class EvaluateConfig:
         episodes: How many to play.
         seed: Of the environment.
         env: Environment to play in; by default the run's.
+        env_wrapper: Wrapper for it, module:Class, where the run had one.
+        feature_map: Feature map φ, module:function; likewise.
         video: Write the first ten episodes to this file, MP4 or GIF.
         best: Play the best model of --eval-freq, not the last.
     """
@@ -69,6 +71,8 @@ class EvaluateConfig:
     episodes: int = 100
     seed: int = EVAL_SEED
     env: str | None = None
+    env_wrapper: str | None = None
+    feature_map: str | None = None
     video: Path | None = None
     best: bool = False
 

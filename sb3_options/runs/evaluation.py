@@ -99,6 +99,8 @@ def evaluate_run(
     episodes: int = 100,
     seed: int = 10_000,
     env: str | None = None,
+    env_wrapper: str | None = None,
+    feature_map: str | None = None,
     video: Path | None = None,
     best: bool = False,
 ) -> Evaluation:
@@ -111,6 +113,8 @@ def evaluate_run(
         episodes: How many to play, at least 1.
         seed: Of the environment.
         env: Id of the environment to play in; by default the run's, unless it names a module.
+        env_wrapper: Wrapper of the environment, ``module:Class``, which the run must have been trained with.
+        feature_map: Feature map, ``module:function``; likewise.
         video: Where to write the first `VIDEO_EPISODES` episodes, which are played for it beforehand: an .mp4 or .gif
             file. None writes nothing.
         best: The model that did best in an evaluation while training, with the options of that time, instead of the
@@ -135,7 +139,8 @@ def evaluate_run(
     if video is not None and video.suffix.lower() not in (".mp4", ".gif"):
         raise ValueError(f"--video must end in .mp4 or .gif, got {video}.")
     # What the run started with is in its own options file, too.
-    config = replace(configs.load(run / runs.CONFIG, env=env), options=None)
+    trusted = {"env": env, "env_wrapper": env_wrapper, "feature_map": feature_map}
+    config = replace(configs.load(run / runs.CONFIG, trusted), options=None)
     runs.check_env_id(config.env)
     if video is not None:
         mode, fps = render_mode_of(config.env, config.env_kwargs)

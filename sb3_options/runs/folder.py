@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import importlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -113,6 +114,26 @@ def options_file(config: TrainConfig) -> Path | None:
     return path
 
 
+def named(text: str, flag: str) -> Callable[..., Any]:
+    """What ``module:name`` names.
+
+    Args:
+        text: From the command line, for it imports the module.
+        flag: It was given for.
+
+    Raises:
+        ModuleNotFoundError: There is no such module.
+        ValueError: It names nothing that can be called.
+    """
+    module, _, name = text.partition(":")
+    if not (module and name):
+        raise ValueError(f"{flag} takes module:name, got {text!r}.")
+    found = getattr(importlib.import_module(module), name, None)
+    if not callable(found):
+        raise ValueError(f"{flag}: the module {module} has nothing named {name} that can be called.")
+    return found  # type: ignore[no-any-return]  # of a user's module
+
+
 def make_env(
     config: TrainConfig,
     n_envs: int,
@@ -143,7 +164,8 @@ def make_env(
 
     Raises:
         FileNotFoundError: ``--options`` names no file.
-        ValueError: Its options do not fit.
+        ModuleNotFoundError: ``--env-wrapper`` or ``--feature-map`` names a module that there is not.
+        ValueError: The options do not fit, or one of these two names nothing.
     """
     keywords = config.env_kwargs | ({} if render_mode is None else {"render_mode": render_mode})
     if max_steps:
@@ -158,14 +180,25 @@ def make_env(
             ignore_interrupts()
         if beneath is not None:
             env = beneath(env)
-        return OptionsWrapper(env, config.max_options, gamma=config.gamma, options_file=options, max_runs=max_runs)
+        return OptionsWrapper(
+            env,
+            config.max_options,
+            gamma=config.gamma,
+            feature_map=None if config.feature_map is None else named(config.feature_map, "--feature-map"),
+            options_file=options,
+            max_runs=max_runs,
+        )
+
+    def wrapped(**kwargs: Any) -> gym.Env[Any, Any]:
+        env: gym.Env[Any, Any] = named(str(config.env_wrapper), "--env-wrapper")(gym.make(env_id, **kwargs))
+        return env
 
     env_id = config.env
     if subproc and env_id.startswith(OWN_NAMESPACE):
         env_id = f"sb3_options.envs:{env_id}"  # nobody has registered it there
 
     return make_vec_env(
-        env_id,
+        env_id if config.env_wrapper is None else wrapped,
         n_envs=n_envs,
         seed=seed,
         env_kwargs=keywords,
