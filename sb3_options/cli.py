@@ -33,9 +33,10 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.runs import config as configs
 from sb3_options.runs import evaluation
 from sb3_options.runs import folder as runs
-from sb3_options.runs.algorithms import callback_settings, eval_callback_class, make_model
+from sb3_options.runs.algorithms import callback_settings, make_model
 from sb3_options.runs.closing import closing_table
 from sb3_options.runs.config import TrainConfig
+from sb3_options.runs.eval_callback import eval_callback_class
 from sb3_options.runs.flags import parse
 from sb3_options.runs.interrupts import Interrupts, StopWhenNoted
 
@@ -60,14 +61,20 @@ class EvaluateConfig:
         episodes: How many to play.
         seed: Of the environment.
         env: Environment to play in; by default the run's.
+        env_wrapper: Wrapper for it, module:Class, where the run had one.
+        feature_map: Feature map φ, module:function; likewise.
         video: Write the first ten episodes to this file, MP4 or GIF.
+        best: Play the best model of --eval-freq, not the last.
     """
 
     run: Annotated[Path, tyro.conf.Positional]
     episodes: int = 100
     seed: int = EVAL_SEED
     env: str | None = None
+    env_wrapper: str | None = None
+    feature_map: str | None = None
     video: Path | None = None
+    best: bool = False
 
 
 def main(args: Sequence[str] | None = None) -> None:
@@ -165,9 +172,16 @@ def _learn(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Pat
         model.tensorboard_log = str(folder)
         callbacks: list[BaseCallback] = [discovery]
         if config.eval_freq > 0:
-            envs.append(runs.make_env(config, 1, EVAL_SEED + config.seed, subproc=subproc))
+            limit = config.eval_max_steps
+            envs.append(runs.make_env(config, 1, EVAL_SEED + config.seed, subproc=subproc, max_steps=limit))
             evaluation_callback = eval_callback_class(config.algo)(
-                envs[1], n_eval_episodes=config.eval_episodes, eval_freq=1, log_path=str(folder), verbose=0
+                interrupts,
+                envs[1],
+                n_eval_episodes=config.eval_episodes,
+                eval_freq=1,
+                log_path=str(folder),
+                best_model_save_path=str(folder),
+                verbose=0,
             )
             # EvalCallback counts calls of step, of which one may be many primitive steps.
             callbacks.append(EveryNTimesteps(config.eval_freq, evaluation_callback))
@@ -255,6 +269,8 @@ def _report(
     python = escape(_python())
     console.print(f"TensorBoard:  {python} -m tensorboard.main --logdir {path}")
     console.print(f"Evaluate:     {python} train.py evaluate {path} --video {path}/video.mp4")
+    if (folder / runs.BEST).is_file():
+        console.print("Best model:   add --best; it is the one whose evaluation gave the highest return")
 
 
 def _python() -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,14 +19,25 @@ from sb3_options.experience.observations import FloatArray, IntArray, batch_size
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import SubgoalOption
 
-PANEL_SIZE = (6.4, 3.6)
+PANEL_WIDTH = 6.4
+"""Of a panel, in inches."""
+
+HEIGHTS = (3.4, 6.0)
+"""Lowest and highest panel, in inches; between them a panel has the shape of its map."""
+
 WORST_SHOWN = 60.0
-"""Log densities this far below the best share the darkest colour, in nats."""
+"""Log densities this far below the best share the darkest colour, in nats, unless too few are above that."""
+
+SHARE_SHOWN = 0.25
+"""Share of the states that have a brighter colour: without a leak all but the best are hundreds of nats below it."""
 
 TEXT_WIDTH = 80
 """Characters of a line of text."""
 
 SUBGOAL_COLOUR = "#d62728"
+START: dict[str, Any] = {"marker": "o", "markersize": 4, "color": "white", "markeredgecolor": "black"}
+GOAL: dict[str, Any] = {"marker": "D", "markersize": 8, "color": "white", "markeredgecolor": "black"}
+SUBGOAL: dict[str, Any] = {"marker": "*", "markersize": 15, "color": SUBGOAL_COLOUR, "markeredgecolor": "white"}
 MARGIN = 0.75
 """Free space around the outermost centres, in sides of a rectangle."""
 
@@ -43,11 +55,12 @@ def discovery_figures(discovery: SubgoalDiscovery, bank: OptionBank) -> dict[str
         ``diverse_density``, ``first_visits``, ``initiation_set`` and ``option_policy``; empty before any search, and
         the last two only once there is an option in a space that can be drawn.
     """
+    panels, height = _panels(discovery, bank)
     figures: dict[str, Figure] = {}
-    for name, draw in _panels(discovery, bank).items():
-        figure = Figure(figsize=PANEL_SIZE, layout="constrained")
+    for name, draw in panels.items():
+        figures[name] = figure = Figure(figsize=(PANEL_WIDTH, height), layout="compressed")
         draw(figure.add_subplot())
-        figures[name] = figure
+        _add_legend(figure)
     return figures
 
 
@@ -65,10 +78,10 @@ def subgoals_figure(discovery: SubgoalDiscovery, bank: OptionBank, text: str | N
     if text is None and not discovery.found:
         text = discovery.why_nothing()
     text = textwrap.fill(text or "", TEXT_WIDTH)
-    panels = _panels(discovery, bank)
+    panels, height = _panels(discovery, bank)
     columns = min(2, max(1, len(panels)))
     rows = max(1, -(-len(panels) // columns))
-    figure = Figure(figsize=(PANEL_SIZE[0] * columns, PANEL_SIZE[1] * rows), layout="constrained")
+    figure = Figure(figsize=(PANEL_WIDTH * columns, height * rows), layout="compressed")
     for i, draw in enumerate(panels.values()):
         draw(figure.add_subplot(rows, columns, i + 1))
     if not panels:
@@ -77,36 +90,74 @@ def subgoals_figure(discovery: SubgoalDiscovery, bank: OptionBank, text: str | N
         axes.text(0.5, 0.5, text, ha="center", va="center")
     elif text:
         figure.suptitle(text, fontsize="medium")
+    _add_legend(figure)
     return figure
 
 
-def _panels(discovery: SubgoalDiscovery, bank: OptionBank) -> dict[str, Callable[[Axes], None]]:
+def _add_legend(figure: Figure) -> None:
+    """Say once, below all panels, what the marks in them mean."""
+    marks = {label: mark for axes in figure.axes for mark, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    if marks:
+        figure.legend(marks.values(), marks.keys(), loc="outside lower center", ncols=len(marks), fontsize="large")
+
+
+class Title(NamedTuple):
+    """What a panel shows, and in which unit."""
+
+    name: str
+    unit: str
+
+
+DENSITY = Title("log diverse density", "nats")
+VISITS = Title("successful trajectories that visit", "trajectories")
+
+
+class _Marks(NamedTuple):
+    """Where trajectories began, where successful ones ended, and the subgoals; (n, d) each."""
+
+    starts: FloatArray
+    goals: FloatArray
+    subgoals: FloatArray
+
+    def draw(self, axes: Axes, place: Callable[[FloatArray], tuple[FloatArray, FloatArray]]) -> None:
+        """Mark them where ``place`` has them, x and y."""
+        kinds = {"start": START, "goal: where a success ended": GOAL, "subgoal": SUBGOAL}
+        for points, (label, style) in zip(self, kinds.items(), strict=True):
+            if len(points):
+                axes.plot(*place(points), linestyle="", label=label, **style)
+
+
+def _panels(discovery: SubgoalDiscovery, bank: OptionBank) -> tuple[dict[str, Callable[[Axes], None]], float]:
+    """What draws each panel, by name, and the height of one in inches."""
     bags = discovery.found[-1].bags if discovery.found else discovery.last.bags
     if bags is None or discovery.scale is None:
-        return {}
+        return {}, HEIGHTS[0]
     seen = np.unique(np.concatenate([t.features for t in discovery.database]), axis=0)
     density = np.asarray(discovery.engine().log_density(seen, bags))
     visits = _first_visits(discovery, seen)
-    centres = [finding.subgoal.points[0] for finding in discovery.found]
+    d = seen.shape[1]
+    runs = list(discovery.database)
+    marks = _Marks(
+        np.unique([t.features[t.trajectory.visits[0]] for t in runs], axis=0),
+        np.unique(np.reshape([t.features[t.trajectory.visits[-1]] for t in runs if t.success], (-1, d)), axis=0),
+        np.reshape([finding.subgoal.points[0] for finding in discovery.found], (-1, d)),
+    )
+    shown = np.maximum(density, min(density.max() - WORST_SHOWN, np.quantile(density, 1.0 - SHARE_SHOWN)))
     if discovery.kind == "categorical":
-        numbers = seen.argmax(axis=1)
-        marked = [int(c.argmax()) for c in centres]
         return {
-            "diverse_density": lambda axes: _bars(axes, "log diverse density", numbers, density, marked),
-            "first_visits": lambda axes: _bars(axes, "successful trajectories that visit", numbers, visits, marked),
-        }
-    cells = _Cells(seen, discovery.scale, centres)
+            "diverse_density": lambda axes: _bars(axes, DENSITY, seen, density, marks),
+            "first_visits": lambda axes: _bars(axes, VISITS, seen, visits, marks),
+        }, HEIGHTS[0]
+    cells = _Cells(seen, discovery.scale, marks)
     panels: dict[str, Callable[[Axes], None]] = {
-        "diverse_density": lambda axes: cells.draw(
-            axes, "log diverse density", np.maximum(density, density.max() - WORST_SHOWN)
-        ),
-        "first_visits": lambda axes: cells.draw(axes, "successful trajectories that visit", visits),
+        "diverse_density": lambda axes: cells.draw(axes, DENSITY, shown),
+        "first_visits": lambda axes: cells.draw(axes, VISITS, visits),
     }
     options = [o for o in bank.slots if isinstance(o, SubgoalOption)]
     if options:
         panels["initiation_set"] = lambda axes: cells.draw_sets(axes, [o.initiation_set for o in options])
         panels["option_policy"] = lambda axes: _draw_policies(axes, cells, discovery, options)
-    return panels
+    return panels, cells.height
 
 
 def _first_visits(discovery: SubgoalDiscovery, seen: FloatArray) -> IntArray:
@@ -119,13 +170,26 @@ def _first_visits(discovery: SubgoalDiscovery, seen: FloatArray) -> IntArray:
     return counts
 
 
-def _bars(axes: Axes, title: str, states: IntArray, values: FloatArray | IntArray, marked: list[int]) -> None:
+def _bars(axes: Axes, title: Title, seen: FloatArray, values: FloatArray | IntArray, marks: _Marks) -> None:
+    states = seen.argmax(axis=1)
     order = np.argsort(states)
     axes.plot(states[order], values[order], ".", markersize=5, color="0.4")
-    for state in marked:
-        axes.axvline(state, color=SUBGOAL_COLOUR, linewidth=1.0)
-    axes.set_title(title)
-    axes.set_xlabel("state")
+    of = dict(zip(states.tolist(), values.tolist(), strict=True))
+
+    def place(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        numbers = points.argmax(axis=1)
+        return numbers.astype(float), np.array([of.get(n, np.nan) for n in numbers.tolist()])
+
+    marks.draw(axes, place)
+    axes.set(title=title.name, xlabel="number of the state", ylabel=title.unit)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.yaxis.set_major_locator(_ticks(values))
+
+
+def _ticks(values: FloatArray | IntArray) -> MaxNLocator:
+    """Ticks at whole numbers, where these are enough to tell values apart."""
+    whole = np.issubdtype(values.dtype, np.integer) or np.ptp(values) >= 2
+    return MaxNLocator(nbins=6, integer=bool(whole), min_n_ticks=1)
 
 
 class _Cells:
@@ -134,23 +198,25 @@ class _Cells:
     Where features hardly repeat, neighbours are next to nothing apart, and the rectangles have sides of one unit.
     """
 
-    def __init__(self, seen: FloatArray, scale: FloatArray, centres: list[FloatArray]) -> None:
+    def __init__(self, seen: FloatArray, scale: FloatArray, marks: _Marks) -> None:
         flat = seen if seen.shape[1] > 1 else np.column_stack([seen, np.zeros(len(seen))])
         sides = scale if len(scale) > 1 else np.array([scale[0], 1.0])
         self.positions, self.row_of = np.unique(flat[:, :2], axis=0, return_inverse=True)
         self.side = np.array([max(1.0 / s, _spacing(x)) for s, x in zip(sides, self.positions.T, strict=False)])
-        self.centres = centres
+        self.marks, self.n_features = marks, seen.shape[1]
+        extent = np.ptp(self.positions, axis=0) + 2 * MARGIN * self.side
+        self.is_map = self.n_features > 1 and bool(np.isclose(*self.side))
+        self.height = float(np.clip(PANEL_WIDTH * extent[1] / extent[0], *HEIGHTS)) if self.is_map else HEIGHTS[0]
 
-    def draw(self, axes: Axes, title: str, values: FloatArray | IntArray) -> None:
-        """Colour every square by the largest value that falls into it; a star marks each subgoal."""
+    def draw(self, axes: Axes, title: Title, values: FloatArray | IntArray) -> None:
+        """Colour every square by the largest value that falls into it."""
         largest = np.full(len(self.positions), -np.inf)
         np.maximum.at(largest, self.row_of.reshape(-1), values)
         squares = PatchCollection(self._squares(self.positions), cmap="viridis")
         squares.set_array(largest)
         axes.add_collection(squares)
-        whole = np.issubdtype(values.dtype, np.integer)
-        axes.figure.colorbar(squares, ax=axes, shrink=0.8, ticks=MaxNLocator(integer=whole, min_n_ticks=1))
-        self._finish(axes, title)
+        axes.figure.colorbar(squares, ax=axes, ticks=_ticks(values), label=title.unit)
+        self._finish(axes, title.name)
 
     def draw_sets(self, axes: Axes, regions: list[Region]) -> None:
         """Shade the initiation sets over everything seen."""
@@ -174,6 +240,7 @@ class _Cells:
             scale=1,
             width=0.004,
             color="#08519c",
+            zorder=3,  # above the marks
         )
         self._finish(axes, "option policy: where the greedy action leads")
 
@@ -186,21 +253,20 @@ class _Cells:
         return [Rectangle(tuple(p - self.side / 2), *self.side) for p in positions[:, :2]]
 
     def _finish(self, axes: Axes, title: str) -> None:
-        for centre in self.centres:
-            x, y = (centre[0], centre[1]) if len(centre) > 1 else (centre[0], 0.0)
-            axes.plot(x, y, "*", color=SUBGOAL_COLOUR, markersize=14, markeredgecolor="white")
+        self.marks.draw(axes, lambda points: tuple(np.array([_plane(p) for p in points]).T))
         margin = MARGIN * self.side
         low, high = self.positions.min(axis=0) - margin, self.positions.max(axis=0) + margin
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(high[1], low[1])  # rows are counted downwards, as in the map
         if np.ptp(self.positions[:, 1]) == 0:
             axes.set_yticks([])  # there is but one feature to show
-        elif np.isclose(self.side[0], self.side[1]):
+        elif self.is_map:
             axes.set_aspect("equal")
         if np.array_equal(self.positions, np.round(self.positions)):
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
             axes.yaxis.set_major_locator(MaxNLocator(integer=True))
-        axes.set_title(title)
+        names = [f"feature {i} of {self.n_features}" for i in (1, 2)]
+        axes.set(title=title, xlabel=names[0], ylabel=names[1] if self.n_features > 1 else "")
 
 
 def _spacing(values: FloatArray) -> float:

@@ -8,7 +8,6 @@ from typing import Any
 
 import gymnasium as gym
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
@@ -70,15 +69,6 @@ def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> Ba
     # SB3 seeds environment i with seed + i, so that the runs of seeds 0 and 1 would share all but one of them.
     env.seed(config.seed * env.num_envs)
     return model
-
-
-def eval_callback_class(algo: str) -> type[EvalCallback]:
-    """The one that masks, for an algorithm that is given masks from outside."""
-    if algo != "maskableppo":
-        return EvalCallback
-    from sb3_contrib.common.maskable.callbacks import MaskableEvalCallback
-
-    return MaskableEvalCallback
 
 
 def callback_settings(config: TrainConfig) -> dict[str, Any]:

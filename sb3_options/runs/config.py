@@ -64,6 +64,7 @@ PAIRS = tyro.constructors.PrimitiveConstructorSpec[dict[str, Any]](
 )
 """How the command line spells keyword arguments."""
 
+NAME = tyro.conf.arg(metavar="NAME")  # of something in a module
 Count: TypeAlias = Annotated[int, Field(ge=1)]
 Natural: TypeAlias = Annotated[int, Field(ge=0)]
 Share: TypeAlias = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -78,6 +79,8 @@ class TrainConfig:
         algo: Name of the algorithm.
         env: Gymnasium id; its actions are Discrete.
         env_kwargs: Keyword arguments of the environment.
+        env_wrapper: Wrapper for it, module:Class.
+        feature_map: Feature map φ, module:function.
         n_timesteps: Primitive steps of all environments.
         seed: Of everything random.
         tensorboard_log: Folder for run folders.
@@ -85,9 +88,10 @@ class TrainConfig:
         vec_env: "subproc" gives each a process.
         eval_freq: Primitive steps per evaluation; 0: none.
         eval_episodes: Episodes of an evaluation.
+        eval_max_steps: Longest, in primitive steps; 0: any.
         progress: Show a progress bar.
         device: "cpu", "cuda" or "auto".
-        num_threads: Threads of torch; small networks want one.
+        num_threads: Threads of torch; small networks want 1.
         options: Run, model or options to start with.
         max_options: Number of option slots.
         max_new_options: Most to discover; None fills the slots.
@@ -104,6 +108,8 @@ class TrainConfig:
     algo: Annotated[str, tyro.conf.Suppress]
     env: str = "sb3_options/TwoRooms-v0"
     env_kwargs: Annotated[dict[str, Any], BeforeValidator(keywords_of), PAIRS] = field(default_factory=dict)
+    env_wrapper: Annotated[str | None, NAME] = None
+    feature_map: Annotated[str | None, NAME] = None
     n_timesteps: Count = 60_000
     seed: Natural = 0
     tensorboard_log: Path = Path("runs")
@@ -111,10 +117,11 @@ class TrainConfig:
     vec_env: Literal["dummy", "subproc"] = "dummy"
     eval_freq: Natural = 0
     eval_episodes: Count = 10
+    eval_max_steps: Natural = 1_000
     progress: bool = True
     device: str = "auto"
     num_threads: Count = 1
-    options: Path | None = None
+    options: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     max_options: Natural = 4
     max_new_options: Natural | None = 1
     discover: bool = True
@@ -146,7 +153,7 @@ class DQNConfig(TrainConfig):
         target_update_interval: Decisions between target updates.
         exploration_fraction: Share of training over which ε falls.
         exploration_final_eps: ε after that.
-        max_option_exploration: Largest share of options when exploring.
+        max_option_exploration: Largest share of options in exploring.
         n_steps: Decisions of a return.
         interruption: End options worth less than others.
         intra_option: Steps teach options that agree.
@@ -261,6 +268,9 @@ CLASSES: dict[str, type[TrainConfig]] = {
 GROUPS = {"discovery": DiscoverySettings, "option": OptionLearningSettings}
 """The settings that are classes of settings themselves."""
 
+IMPORTING = {"env": "environment", "env_wrapper": "wrapper", "feature_map": "feature map"}
+"""The settings that may import a module, and what each of them is: the command line alone is trusted with them."""
+
 COMMON = frozenset(f.name for f in dataclasses.fields(TrainConfig))
 """The settings that every algorithm has."""
 
@@ -271,18 +281,18 @@ HAD_BY_ALL = {f.name: f.default for of in (MaskablePPOConfig, DQNConfig) for f i
 """Default of every setting in 0.1, where a file of a run named those of all algorithms. The last ones are gone."""
 
 
-def load(path: Path, *, env: str | None = None) -> TrainConfig:
+def load(path: Path, trusted: Mapping[str, str | None] | None = None) -> TrainConfig:
     """The configuration that `save` wrote, by this version or by 0.1.
 
     Args:
         path: Of the file.
-        env: What takes the place of its environment.
+        trusted: What the user has named on the command line, as `read` takes it.
 
     Raises:
         OSError: The file cannot be read.
-        ValueError: It is no configuration, or names an environment that would import a module.
+        ValueError: It is no configuration, or names what would import a module.
     """
-    return made(read(path, env=env), path)
+    return made(read(path, trusted), path)
 
 
 def save(config: TrainConfig, path: Path) -> None:
@@ -292,26 +302,29 @@ def save(config: TrainConfig, path: Path) -> None:
         temporary.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
 
 
-def read(path: Path, *, env: str | None = None) -> dict[str, Any]:
+def read(path: Path, trusted: Mapping[str, str | None] | None = None) -> dict[str, Any]:
     """The settings in a file, not checked yet.
 
     Args:
         path: Of the file.
-        env: What takes the place of the file's own environment.
+        trusted: ``env``, ``env_wrapper`` and ``feature_map``, which take the place of the file's own; None leaves it.
 
     Raises:
         OSError: The file cannot be read.
-        ValueError: It holds no settings, or its environment would import a module.
+        ValueError: It holds no settings, or names what would import a module.
     """
     values = yaml_file.read_mapping(path)
-    if env is not None:
-        return {**values, "env": env}
-    name = str(values.get("env"))
-    if ":" in name or name.startswith("GymV"):  # GymV21Environment and GymV26Environment make what their env_id names
-        raise ValueError(
-            f"{path} names the environment {name!r}, which would import a module. If you trust it, pass --env {name}."
-        )
-    return values
+    values = {str(name).replace("-", "_"): value for name, value in values.items()}
+    given = {name: value for name, value in (trusted or {}).items() if value is not None}
+    for name, what in IMPORTING.items():
+        text = str(values.get(name) or "")
+        # GymV21Environment and GymV26Environment make what their env_id names.
+        if name not in given and (":" in text or text.startswith("GymV") if name == "env" else text):
+            flag = f"--{name.replace('_', '-')}"
+            raise ValueError(
+                f"{path} names the {what} {text!r}, which would import a module. If you trust it, pass {flag} {text}."
+            )
+    return values | given
 
 
 def default_algo(env_id: str) -> str:

@@ -94,7 +94,15 @@ def greedy_episodes(
 
 
 def evaluate_run(
-    run: Path, *, episodes: int = 100, seed: int = 10_000, env: str | None = None, video: Path | None = None
+    run: Path,
+    *,
+    episodes: int = 100,
+    seed: int = 10_000,
+    env: str | None = None,
+    env_wrapper: str | None = None,
+    feature_map: str | None = None,
+    video: Path | None = None,
+    best: bool = False,
 ) -> Evaluation:
     """Load a run folder and act greedily in its environment, with options interrupted as in training.
 
@@ -105,8 +113,12 @@ def evaluate_run(
         episodes: How many to play, at least 1.
         seed: Of the environment.
         env: Id of the environment to play in; by default the run's, unless it names a module.
+        env_wrapper: Wrapper of the environment, ``module:Class``, which the run must have been trained with.
+        feature_map: Feature map, ``module:function``; likewise.
         video: Where to write the first `VIDEO_EPISODES` episodes, which are played for it beforehand: an .mp4 or .gif
             file. None writes nothing.
+        best: The model that did best in an evaluation while training, with the options of that time, instead of the
+            last one.
 
     Returns:
         The evaluation.
@@ -118,23 +130,27 @@ def evaluate_run(
     """
     if episodes < 1:
         raise ValueError(f"--episodes must be at least 1, got {episodes}.")
-    for name in (runs.CONFIG, runs.MODEL, runs.OPTIONS):
+    model = runs.BEST if best else runs.MODEL
+    if best and (run / runs.CONFIG).is_file() and not (run / model).is_file():
+        raise FileNotFoundError(f"{run} has no {model}: train with --eval-freq, which keeps it.")
+    for name in (runs.CONFIG, model, runs.OPTIONS):
         if not (run / name).is_file():
             raise FileNotFoundError(f"{run} is no run folder: it lacks {name}.")
     if video is not None and video.suffix.lower() not in (".mp4", ".gif"):
         raise ValueError(f"--video must end in .mp4 or .gif, got {video}.")
     # What the run started with is in its own options file, too.
-    config = replace(configs.load(run / runs.CONFIG, env=env), options=None)
+    trusted = {"env": env, "env_wrapper": env_wrapper, "feature_map": feature_map}
+    config = replace(configs.load(run / runs.CONFIG, trusted), options=None)
     runs.check_env_id(config.env)
     if video is not None:
         mode, fps = render_mode_of(config.env, config.env_kwargs)
         with video_file(video, fps) as film:
-            _play(run, config, min(episodes, VIDEO_EPISODES), seed, film, mode)
-    return _play(run, config, episodes, seed)
+            _play(run / model, config, min(episodes, VIDEO_EPISODES), seed, film, mode)
+    return _play(run / model, config, episodes, seed)
 
 
 def _play(
-    run: Path, config: TrainConfig, episodes: int, seed: int, film: Video | None = None, mode: str | None = None
+    saved: Path, config: TrainConfig, episodes: int, seed: int, film: Video | None = None, mode: str | None = None
 ) -> Evaluation:
     cameras: list[RecordFrames] = []
 
@@ -151,10 +167,11 @@ def _play(
         venv.seed(seed)  # the model has seeded it with the training seed
         # set_parameters reads tensors only, where load would unpickle.
         try:
-            model.set_parameters(str(run / runs.MODEL), device=model.device)
+            model.set_parameters(str(saved), device=model.device)
         except (RuntimeError, ValueError, UnpicklingError) as error:
-            raise ValueError(f"{run / runs.MODEL} is damaged, or does not fit {run / runs.CONFIG}: {error}") from error
-        venv.get_attr("bank")[0].load(run / runs.OPTIONS)
+            raise ValueError(f"{saved} is damaged, or does not fit {saved.with_name(runs.CONFIG)}: {error}") from error
+        # A model of 0.1 holds no options.
+        venv.get_attr("bank")[0].load(saved.with_name(runs.OPTIONS) if saved.name == runs.MODEL else saved)
         if isinstance(config, DQNConfig) and config.interruption:
             interrupt_options(model, venv)
         venv.env_method("record_trajectories", True)

@@ -32,7 +32,17 @@ FIRST = (
 )
 """What a user changes first, and ``--help`` shows first."""
 
-LAST = ("close_harmful", "eval_episodes", "vec_env", "device", "num_threads", "progress")
+LAST = (
+    "env_wrapper",
+    "feature_map",
+    "close_harmful",
+    "eval_episodes",
+    "eval_max_steps",
+    "vec_env",
+    "device",
+    "num_threads",
+    "progress",
+)
 """What is rarely changed."""
 
 INTRODUCTION = """Train an agent that discovers its own options, or evaluate one.
@@ -56,14 +66,15 @@ def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
         The configuration: flags over the file of ``--config`` over the defaults of environment and algorithm.
     """
     early = argparse.ArgumentParser(prog=prog, add_help=False, allow_abbrev=False)
-    for name in ("--algo", "--env", "--config"):
+    for name in ("--algo", "--env", "--env-wrapper", "--feature-map", "--config"):
         early.add_argument(name)
     early.add_argument("-h", "--help", nargs="?", const=True, choices=(*GROUPS, "all"))
     first = [word for word in args[:1] if not word.startswith("-")]
     given, flags = early.parse_known_args(args[len(first) :])
     try:
-        values = {} if given.config is None else configs.read(Path(given.config), env=given.env)
-        values |= {} if given.env is None else {"env": given.env}
+        trusted = {name: value for name in configs.IMPORTING if (value := getattr(given, name)) is not None}
+        values = {} if given.config is None else configs.read(Path(given.config), trusted)
+        values |= trusted
         # A file that names no algorithm was written for DQN.
         unnamed = configs.default_algo(given.env or TrainConfig.env) if given.config is None else "dqn"
         algo = given.algo or (first or [str(values.get("algo", unnamed))])[0]
@@ -96,7 +107,7 @@ def _show_help(default: TrainConfig, section: str | bool, prog: str) -> None:
     groups = {name: getattr(default, name) for name in GROUPS if section in (name, "all")}
     if section not in GROUPS:
         names = [f.name for f in dataclasses.fields(of) if f.name not in (*FIRST, *LAST, *GROUPS, "algo")]
-        rest = {"learning": view("How the agent learns.", names)(), "other": view("Rarely changed.", LAST)()}
+        rest = {"learning": view("How the agent learns.", names)(), "other": view("", LAST)()}
         groups = rest | groups
     everything = view("", () if section in GROUPS else FIRST, **groups)
     tyro.cli(everything, prog=prog, description=INTRODUCTION, args=["--help"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import importlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from sb3_options.runs.interrupts import ignore_interrupts
 
 CONFIG = "config.yml"
 MODEL = "model.zip"
+BEST = "best_model.zip"
 OPTIONS = NAME
 MONITOR = "monitor"
 SUBGOALS = "subgoals.png"
@@ -112,6 +114,26 @@ def options_file(config: TrainConfig) -> Path | None:
     return path
 
 
+def named(text: str, flag: str) -> Callable[..., Any]:
+    """What ``module:name`` names.
+
+    Args:
+        text: From the command line, for it imports the module.
+        flag: It was given for.
+
+    Raises:
+        ModuleNotFoundError: There is no such module.
+        ValueError: It names nothing that can be called.
+    """
+    module, _, name = text.partition(":")
+    if not (module and name):
+        raise ValueError(f"{flag} takes module:name, got {text!r}.")
+    found = getattr(importlib.import_module(module), name, None)
+    if not callable(found):
+        raise ValueError(f"{flag}: the module {module} has nothing named {name} that can be called.")
+    return found  # type: ignore[no-any-return]  # of a user's module
+
+
 def make_env(
     config: TrainConfig,
     n_envs: int,
@@ -121,6 +143,7 @@ def make_env(
     beneath: Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]] | None = None,
     render_mode: str | None = None,
     subproc: bool = False,
+    max_steps: int = 0,
 ) -> VecEnv:
     """Environments with option slots, and a ``Monitor`` beneath these, so that it counts primitive steps.
 
@@ -134,15 +157,21 @@ def make_env(
         beneath: A wrapper to put beneath the options as well.
         render_mode: For the environment.
         subproc: Whether each lives in a process of its own.
+        max_steps: Primitive steps after which an episode is cut off, if the environment does not end it; 0 for never.
 
     Returns:
         A ``DummyVecEnv``, or a ``SubprocVecEnv``.
 
     Raises:
         FileNotFoundError: ``--options`` names no file.
-        ValueError: Its options do not fit.
+        ModuleNotFoundError: ``--env-wrapper`` or ``--feature-map`` names a module that there is not.
+        ValueError: The options do not fit, or one of these two names nothing.
     """
     keywords = config.env_kwargs | ({} if render_mode is None else {"render_mode": render_mode})
+    if max_steps:
+        own = keywords.get("max_episode_steps", gym.spec(config.env).max_episode_steps)
+        # Beneath the Monitor, for SB3 counts the episodes that a Monitor reports.
+        keywords = keywords | {"max_episode_steps": max_steps if own is None else min(own, max_steps)}
     options = options_file(config)
     max_runs = config.max_runs if isinstance(config, MaskablePPOConfig) else None
 
@@ -151,14 +180,25 @@ def make_env(
             ignore_interrupts()
         if beneath is not None:
             env = beneath(env)
-        return OptionsWrapper(env, config.max_options, gamma=config.gamma, options_file=options, max_runs=max_runs)
+        return OptionsWrapper(
+            env,
+            config.max_options,
+            gamma=config.gamma,
+            feature_map=None if config.feature_map is None else named(config.feature_map, "--feature-map"),
+            options_file=options,
+            max_runs=max_runs,
+        )
+
+    def wrapped(**kwargs: Any) -> gym.Env[Any, Any]:
+        env: gym.Env[Any, Any] = named(str(config.env_wrapper), "--env-wrapper")(gym.make(env_id, **kwargs))
+        return env
 
     env_id = config.env
     if subproc and env_id.startswith(OWN_NAMESPACE):
         env_id = f"sb3_options.envs:{env_id}"  # nobody has registered it there
 
     return make_vec_env(
-        env_id,
+        env_id if config.env_wrapper is None else wrapped,
         n_envs=n_envs,
         seed=seed,
         env_kwargs=keywords,

@@ -23,9 +23,9 @@ TERMINAL = [signal.SIGINT] + ([signal.SIGHUP] if hasattr(signal, "SIGHUP") else 
 class Interrupts:
     """Takes SIGINT, SIGTERM and SIGHUP while its ``with`` block runs, and gives the handlers back afterwards.
 
-    The first signal sets `noted`, for `StopWhenNoted` to end training after the step that is under way. A second one
-    raises `KeyboardInterrupt`, for a user who does not want to wait for an evaluation. Once `saving` is set, a signal
-    changes nothing. Each time the user is told.
+    The first signal sets `noted`, for `StopWhenNoted` to end training after the step that is under way, in the middle
+    of an evaluation too. A second one raises `KeyboardInterrupt`, for a user who does not want to wait. Once `saving`
+    is set, a signal changes nothing. Each time the user is told.
 
     SIGINT is taken even where it was ignored, as it is in the background processes of a shell script; SIGHUP is left to
     ``nohup``. Outside the main thread, where Python allows no handlers, nothing happens.

@@ -1,3 +1,4 @@
+import dataclasses
 import functools
 import io
 from collections.abc import Callable
@@ -97,7 +98,8 @@ class TestMaps:
         squares = patches(discovery_figures(discovery, bank)["diverse_density"])
         seen = np.unique(np.concatenate([t.features for t in discovery.database]), axis=0)
         values = np.asarray(discovery.engine().log_density(seen, discovery.found[0].bags))
-        np.testing.assert_allclose(squares.get_array(), np.maximum(values, values.max() - 60))  # type: ignore[arg-type]  # set above
+        worst = min(values.max() - 60, np.quantile(values, 0.75))
+        np.testing.assert_allclose(squares.get_array(), np.maximum(values, worst))  # type: ignore[arg-type]  # set above
         centres = np.array([path.get_extents().get_points().mean(axis=0) for path in squares.get_paths()])
         np.testing.assert_allclose(centres, seen, atol=1e-9)
 
@@ -116,6 +118,45 @@ class TestMaps:
         for figure in discovery_figures(discovery, bank).values():
             (star,) = [line for line in figure.axes[0].lines if line.get_marker() == "*"]
             assert [np.ravel(c)[0] for c in star.get_data()] == discovery.found[0].subgoal.points[0].tolist()
+
+    def test_start_and_goal_are_marked_and_the_legend_names_the_marks(self) -> None:
+        discovery, bank = discovered("environment", xy)
+        starts = {tuple(t.features[0]) for t in discovery.database}
+        goals = {tuple(t.features[t.trajectory.visits[-1]]) for t in discovery.database if t.success}
+        assert len(goals) == 1
+        for figure in discovery_figures(discovery, bank).values():
+            marked = {line.get_marker(): np.asarray(line.get_xydata()) for line in figure.axes[0].lines}
+            assert {tuple(p) for p in marked["o"]} == starts
+            assert {tuple(p) for p in marked["D"]} == goals
+            (legend,) = figure.legends
+            assert [t.get_text() for t in legend.get_texts()] == ["start", "goal: where a success ended", "subgoal"]
+
+    def test_axes_have_names_and_colours_units(self) -> None:
+        figures = discovery_figures(*discovered("environment", xy))
+        for figure in figures.values():
+            assert figure.axes[0].get_xlabel() == "feature 1 of 2"
+            assert figure.axes[0].get_ylabel() == "feature 2 of 2"
+        bars = [figures[name].axes[1] for name in NAMES[:2]]
+        assert [axes.get_ylabel() for axes in bars] == ["nats", "trajectories"]
+
+    def test_ticks_are_whole_numbers(self) -> None:
+        for figure in discovery_figures(*discovered("environment", xy)).values():
+            drawn(figure)
+            ticks = [axes.get_yticks() for axes in figure.axes] + [figure.axes[0].get_xticks()]
+            assert all(len(t) > 1 and np.array_equal(t, np.round(t)) for t in ticks)
+
+    def test_without_a_leak_a_quarter_of_the_states_is_told_apart(self) -> None:
+        discovery, bank = discovered("environment", xy)
+        settings = dataclasses.replace(discovery.settings, leak=0.0, scale=4.0, start_radius=0.0, goal_radius=0.0)
+        discovery = SubgoalDiscovery(settings, kind="environment")
+        for trajectory in walks(30):
+            discovery.add(trajectory, xy(np.asarray(trajectory.states, dtype=np.float64)))
+        discovery.search()
+        seen = np.unique(np.concatenate([t.features for t in discovery.database]), axis=0)
+        values = np.asarray(discovery.engine().log_density(seen, discovery.last.bags))  # type: ignore[arg-type]  # searched
+        assert (values > values.max() - 60).mean() < 0.15  # a fixed scale would show these only
+        shown = np.asarray(patches(discovery_figures(discovery, bank)["diverse_density"]).get_array())
+        assert (shown > shown.min()).mean() >= 0.2
 
     def test_arrows_lead_to_the_subgoal(self) -> None:
         discovery, bank = discovered("environment", xy)
@@ -167,8 +208,12 @@ def test_numbered_states_are_bars() -> None:
     for figure in figures.values():
         states = np.asarray(figure.axes[0].lines[0].get_xdata())
         assert len(states) == len(np.unique(states)) > 30
-        (mark,) = figure.axes[0].lines[1:]
-        assert np.asarray(mark.get_xdata())[0] == discovery.found[0].subgoal.points[0].argmax()
+        marked = {line.get_marker(): np.asarray(line.get_xydata()) for line in figure.axes[0].lines}
+        assert marked["*"][0, 0] == discovery.found[0].subgoal.points[0].argmax()
+        assert marked["*"][0].tolist() in marked["."].tolist()
+        assert set(marked) == {".", "o", "D", "*"}
+        assert figure.axes[0].get_xlabel() == "number of the state"
+        assert figure.axes[0].get_ylabel() in ("nats", "trajectories")
 
 
 def test_before_any_search_there_is_nothing_to_draw() -> None:

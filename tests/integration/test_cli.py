@@ -93,7 +93,7 @@ class TestTrain:
         events = {name for name in names if "events.out.tfevents" in name}
         assert len(events) == 1
         assert names - events == {
-            "config.yml", "model.zip", "options.safetensors", "subgoals.png", "evaluations.npz",
+            "config.yml", "model.zip", "best_model.zip", "options.safetensors", "subgoals.png", "evaluations.npz",
             "monitor/0.monitor.csv",
         }  # fmt: skip
 

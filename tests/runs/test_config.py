@@ -22,6 +22,7 @@ from sb3_options.runs.config import (
 
 COMMON: dict[str, Any] = {
     "env": "Taxi-v3", "env_kwargs": {"is_rainy": True, "map": "S#\nSG", "max_steps": 7}, "n_timesteps": 123,
+    "env_wrapper": "a_module:Wrapper", "feature_map": "a_module:phi", "eval_max_steps": 70,
     "seed": 9, "tensorboard_log": Path("else/where"), "n_envs": 3, "eval_freq": 50, "eval_episodes": 4,
     "progress": False, "device": "cpu", "num_threads": 2, "vec_env": "subproc", "options": Path("a/run"),
     "max_options": 2, "max_new_options": None, "discover": False, "compare": True, "gamma": 0.5,
@@ -79,7 +80,8 @@ def test_every_field_survives_saving_and_loading(config: TrainConfig, tmp_path: 
     continuing = DQNConfig(discovery=DiscoverySettings(segmentation="peaks"))
     for each in (config, type(config)(), continuing, dataclasses.replace(config, net_arch=())):  # type: ignore[call-arg]
         configs.save(each, tmp_path / "config.yml")
-        assert configs.load(tmp_path / "config.yml") == each
+        trusted = {"env_wrapper": each.env_wrapper, "feature_map": each.feature_map}
+        assert configs.load(tmp_path / "config.yml", trusted) == each
 
 
 def test_saving_replaces_a_file_whole(tmp_path: Path) -> None:

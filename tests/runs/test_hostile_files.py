@@ -105,7 +105,7 @@ def test_the_command_line_itself_may_name_a_module(tmp_path: Path) -> None:
     (tmp_path / "config.yml").write_text("env: evil_module:Env-v0\nseed: 3\n")
     config = parse(["--config", str(tmp_path / "config.yml"), "--env", "my_module:Env-v0"])
     assert (config.env, config.seed) == ("my_module:Env-v0", 3)
-    assert configs.load(tmp_path / "config.yml", env="my_module:Env-v0") == config
+    assert configs.load(tmp_path / "config.yml", {"env": "my_module:Env-v0"}) == config
 
 
 def test_files_that_are_no_text(tmp_path: Path) -> None:

@@ -1,0 +1,113 @@
+"""Evaluation while training: limited, shown, ended by an interrupt; the best model is kept with its options."""
+
+import os
+import shutil
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from stable_baselines3 import DQN
+
+from sb3_options import OptionBank, cli
+from sb3_options.runs import folder as runs
+from sb3_options.runs.config import DQNConfig, MaskablePPOConfig, TrainConfig
+from sb3_options.runs.evaluation import evaluate_run
+from tests.support.helpers import CountingEnv
+
+Register = Callable[..., list[int]]
+
+
+@pytest.fixture
+def register() -> Iterator[Register]:
+    """Registers an environment that ends after some steps, and counts the steps of all its copies."""
+
+    def register(*, ends_after: float, in_step: Callable[[int], object] = lambda _: None, **spec: Any) -> list[int]:
+        steps = [0]
+
+        def step(env: CountingEnv, action: int) -> Any:
+            steps[0] += 1
+            in_step(steps[0])
+            return np.array([float(env.time)]), 1.0, env.time >= ends_after, False, {}
+
+        gym.register("Evaluated-v0", lambda: CountingEnv(step=step), **spec)  # type: ignore[arg-type]  # no arguments
+        return steps
+
+    yield register
+    gym.registry.pop("Evaluated-v0", None)
+
+
+def settings(tmp_path: Path, of: type[TrainConfig] = DQNConfig, **kwargs: Any) -> Any:
+    common: dict[str, Any] = {"eval_freq": 50, "progress": False, "device": "cpu", "tensorboard_log": tmp_path}
+    return of(env="Evaluated-v0", **(common | kwargs))
+
+
+@pytest.mark.parametrize(("own", "limit", "expected"), [(None, 30, 30), (20, 30, 20), (200, 30, 30)])
+def test_an_evaluation_ends_where_the_policy_never_arrives(
+    own: int | None, limit: int, expected: int, register: Register, tmp_path: Path
+) -> None:
+    register(ends_after=np.inf, max_episode_steps=own)
+    folder = cli.train(settings(tmp_path, n_timesteps=60, eval_max_steps=limit, eval_episodes=2))
+    assert np.load(folder / "evaluations.npz")["ep_lengths"].tolist() == [[expected] * 2]
+
+
+def test_the_limit_is_for_evaluation_only(register: Register, tmp_path: Path) -> None:
+    register(ends_after=40)
+    folder = cli.train(settings(tmp_path, n_timesteps=100, eval_max_steps=30, eval_episodes=1))
+    assert [line.split(",")[1] for line in (folder / "monitor" / "0.monitor.csv").read_text().splitlines()[2:]] == [
+        "40"
+    ] * 2
+
+
+@pytest.mark.parametrize("of", [DQNConfig, MaskablePPOConfig])
+def test_the_progress_bar_says_where_an_evaluation_is(
+    of: type[TrainConfig], register: Register, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    bar = "stable_baselines3.common.callbacks.tqdm.set_description"
+    monkeypatch.setattr(bar, lambda self, text, refresh=True: said.append(text))
+    register(ends_after=150)
+    cli.train(settings(tmp_path, of, n_envs=1, n_timesteps=110, eval_freq=100, eval_episodes=2, progress=True))
+    assert said == [
+        "evaluating: episode 1 of 2, decision 0",
+        "evaluating: episode 1 of 2, decision 100",
+        "evaluating: episode 2 of 2, decision 0",
+        "evaluating: episode 2 of 2, decision 100",
+        "evaluated: 150",
+    ]
+
+
+def test_an_interrupt_ends_an_evaluation_and_training(
+    register: Register, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    steps = register(ends_after=10, in_step=lambda step: os.kill(os.getpid(), signal.SIGINT) if step == 75 else None)
+    folder = cli.train(settings(tmp_path, eval_episodes=1_000))
+    assert steps == [75]
+    assert "Interrupted after 50 primitive steps" in capfd.readouterr().out
+    assert DQN.load(folder / "model.zip").num_timesteps == 50
+    assert not (folder / "evaluations.npz").exists()
+
+
+class TestBestModel:
+    def test_is_kept_and_can_be_played_without_the_last_one(
+        self, register: Register, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        register(ends_after=10)
+        folder = cli.train(settings(tmp_path, n_timesteps=120))
+        assert "Best model:   add --best" in capsys.readouterr().out
+        assert DQN.load(folder / "best_model.zip").num_timesteps == 50  # no later one was better
+        OptionBank(2, 4).load(folder / "best_model.zip")
+        (folder / "model.zip").unlink()
+        shutil.copy(folder / "config.yml", folder / "options.safetensors")  # of the last model, and damaged
+        cli.main(["evaluate", str(folder), "--best", "--episodes", "2"])
+        assert "2 episodes" in capsys.readouterr().out
+
+    def test_is_missed_with_the_remedy(self, register: Register, tmp_path: Path) -> None:
+        register(ends_after=10)
+        folder = cli.train(settings(tmp_path, n_timesteps=20, eval_freq=0))
+        assert not (folder / runs.BEST).exists()
+        with pytest.raises(FileNotFoundError, match=r"has no best_model\.zip: train with --eval-freq, which"):
+            evaluate_run(folder, best=True)
