@@ -1,0 +1,1 @@
+"""Do empty slots harm?"""
