@@ -223,7 +223,7 @@ def children_of(pid: int) -> list[int]:
 @pytest.mark.slow
 @pytest.mark.parametrize("what", ["worker killed", "interrupt", "interrupt while ignored", "terminal's interrupt"])
 def test_command_line_keeps_what_was_learned(tmp_path: Path, what: str) -> None:
-    command = [sys.executable, str(ROOT / "train.py"), "--n-envs", "2", "--vec-env", "subproc", "--no-progress"]
+    command = [sys.executable, str(ROOT / "train.py"), "dqn", "--n-envs", "2", "--vec-env", "subproc", "--no-progress"]
     if what == "interrupt while ignored":  # as in a script's background
         command = ["sh", "-c", 'trap "" INT; exec "$@"', "sh", *command]
     with subprocess.Popen(
