@@ -206,18 +206,17 @@ class OptionReplayBuffer(ReplayBuffer):
         """
         size = self.size()
         named = self.actions[:size, 0] == action
-        others = np.flatnonzero(~named)
+        rows, others = np.flatnonzero(named), np.flatnonzero(~named)
+        if self._successors is not None:
+            self._successors.cut(rows)
         if len(others) == 0:
             self.pos, self.full = 0, False
             return
-        rows = np.flatnonzero(named)
         source = others[np.searchsorted(others, rows) % len(others)]
         for column in self._columns():
             column[rows] = column[source]
         if self.consistency is not None:
             self.consistency.copy_rows(source, rows)
-        if self._successors is not None:
-            self._successors.cut(rows)
 
     def add(
         self,

@@ -220,6 +220,19 @@ def test_intra_option_rows_stay_single_steps(rng: np.random.Generator) -> None:
         assert torch.equal(getattr(mixed, name), together), name
 
 
+def test_a_buffer_of_one_option_alone_is_emptied_with_its_successors() -> None:
+    info = {"option": {"index": 0, "duration": 2, "discount": 0.81, "termination": "subgoal"}}
+    buffer = OptionReplayBuffer(10, spaces.Box(0.0, 1.0, (1,)), spaces.Discrete(3), "cpu", macro_q=False, n_steps=3)
+    for place in (0.0, 0.5):
+        here, there = np.full((1, 1), place), np.full((1, 1), place + 0.5)
+        buffer.add(here, there, np.array([2]), np.ones(1), np.zeros(1), [info])
+    buffer.forget_action(2)
+    assert buffer.size() == 0
+    assert buffer._successors is not None
+    assert (buffer._successors.following == -1).all()
+    assert buffer._successors.newest(0).size == 0
+
+
 @pytest.mark.parametrize("n", [0, -1])
 def test_needs_at_least_one_decision(n: int) -> None:
     with pytest.raises(ValueError, match="n_steps must be at least 1 decision"):
