@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial.distance import cdist
 
 from sb3_options.density.arrays import BoolArray, FloatArray
+from sb3_options.density.groups import FeatureGroup
 
 
 @dataclass(frozen=True)
@@ -15,21 +16,31 @@ class Region:
     """A union of balls of one radius in concept space: a subgoal (one ball) or an initiation set (many).
 
     Attributes:
-        points: Centres, shape (n, d).
-        scale: Factor for every feature before distances are taken, shape (d,).
+        points: Centres, shape (n, d), or (n, k) in the group's own features.
+        scale: Factor for every feature before distances are taken, shape (d,) or (k,).
         radius: In scaled units, ≥ 0.
+        group: The features that count, if not all do.
     """
 
     points: FloatArray
     scale: FloatArray
     radius: float
+    group: FeatureGroup | None = field(default=None, kw_only=True)
 
     def contains(self, features: FloatArray) -> BoolArray:
-        """Whether min over centres of ‖scale · (feature − centre)‖ ≤ radius, shape (batch,)."""
+        """Whether min over centres of ‖scale · (feature − centre)‖ ≤ radius, for features (batch, d), shape (batch,).
+
+        With a group only places of the group are in the region.
+        """
         if len(self.points) == 0:
             return np.zeros(len(features), dtype=bool)
-        nearest: FloatArray = cdist(features * self.scale, self.points * self.scale).min(axis=1)
-        return nearest <= self.radius
+        nearest: FloatArray = cdist(self.own(features) * self.scale, self.points * self.scale).min(axis=1)
+        inside: BoolArray = nearest <= self.radius
+        return inside if self.group is None else inside & self.group.is_place(features)
+
+    def own(self, features: FloatArray) -> FloatArray:
+        """The features that count, of all features (batch, d)."""
+        return features if self.group is None else self.group.own(features)
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import copy
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Literal, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
+from sb3_options.density.groups import FeatureGroup, checked_groups
 from sb3_options.experience.observations import FeatureMap, FloatArray, Observations, batch_of_one, flatten
 from sb3_options.options.file import SpaceSignature
 
@@ -31,11 +32,14 @@ class Features(NamedTuple):
         size: Dimensions d of concept space; None where φ refuses a made-up observation, until there is a real one.
         kind: ``given`` by the user, ``environment`` (its ``concept_features``), ``categorical`` (one-hot code of a
             ``Discrete`` space, in which all states are equally far apart) or ``identity`` (the flat observation).
+        groups: The features that make a concept together: ``concept_groups()`` of the environment, or of a given map
+            that is an object with such a method. Empty where all features do.
     """
 
     map: FeatureMap
     size: int | None
     kind: FeatureKind
+    groups: tuple[FeatureGroup, ...] = ()
 
 
 class _OneHot:
@@ -61,7 +65,7 @@ def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | None) -> Features 
 
     Raises:
         TypeError: ``feature_map`` is not callable.
-        ValueError: A given map or the environment's own does not return shape (batch, d).
+        ValueError: A given map or the environment's own does not return shape (batch, d), or its groups do not fit.
     """
     space = env.observation_space
     if feature_map is not None:
@@ -70,10 +74,13 @@ def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | None) -> Features 
                 "feature_map must be a function from a batch of observations to features (batch, d), "
                 f"got {type(feature_map).__name__}."
             )
-        return Features(feature_map, _size_of(feature_map, space, "feature_map"), "given")
+        size = _size_of(feature_map, space, "feature_map")
+        return Features(feature_map, size, "given", _groups(getattr(feature_map, "concept_groups", None), size))
     if env.has_wrapper_attr("concept_features"):
         own: FeatureMap = env.get_wrapper_attr("concept_features")
-        return Features(own, _size_of(own, space, "the environment's concept_features"), "environment")
+        size = _size_of(own, space, "the environment's concept_features")
+        named = env.get_wrapper_attr("concept_groups") if env.has_wrapper_attr("concept_groups") else None
+        return Features(own, size, "environment", _groups(named, size))
     if isinstance(space, spaces.Discrete) and space.n <= MAX_FEATURES:
         return Features(_OneHot(space), int(space.n), "categorical")
     if isinstance(space, spaces.Box | spaces.MultiBinary | spaces.MultiDiscrete):
@@ -81,6 +88,12 @@ def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | None) -> Features 
         if size <= MAX_FEATURES:
             return Features(flatten, size, "identity")
     return None
+
+
+def _groups(named: Callable[[], Iterable[Mapping[str, Any]]] | None, size: int | None) -> tuple[FeatureGroup, ...]:
+    """The groups that a ``concept_groups`` names, if there is one."""
+    groups = () if named is None else tuple(FeatureGroup(**group) for group in named())
+    return groups if size is None else checked_groups(groups, size)
 
 
 def flat_size(space: gym.Space[Any]) -> int:

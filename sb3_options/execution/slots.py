@@ -13,6 +13,7 @@ from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 from stable_baselines3.common.monitor import Monitor
 
+from sb3_options.density.groups import FeatureGroup
 from sb3_options.execution import features as feature_maps
 from sb3_options.execution.interruption import Interruption
 from sb3_options.execution.recording import RecordTrajectories
@@ -113,6 +114,10 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
     def feature_kind(self) -> feature_maps.FeatureKind | None:
         """Where the feature map comes from; None where there is none."""
         return self.features.kind if self.features else None
+
+    def feature_groups(self) -> tuple[FeatureGroup, ...]:
+        """Which features make a concept together; empty where all do, or where there is no feature map."""
+        return self.features.groups if self.features else ()
 
     def running_option(self) -> str:
         """What runs at this moment, for people: an option and its slot, or "primitive action"."""

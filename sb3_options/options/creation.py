@@ -30,7 +30,8 @@ def learn_option(
     """An option that reaches ``subgoal``, made from saved trajectories.
 
     Args:
-        subgoal: In concept space.
+        subgoal: In concept space. If it has a group of features, so has the initiation set, and the policy acts on
+            these features alone, whatever ``policy_input`` says.
         trajectories: The saved ones.
         n_primitive: Number of primitive actions.
         settings: How.
@@ -41,6 +42,8 @@ def learn_option(
         The option, not yet bound to a feature map; None if no saved trajectory leads to the subgoal.
     """
     trajectories = list(trajectories)
+    if subgoal.group is not None:
+        settings = replace(settings, policy_input="features")
     initiation = initiation_set(subgoal, trajectories, settings)
     transitions = option_transitions(subgoal, initiation, trajectories, settings)
     if transitions is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 from collections.abc import Sequence
@@ -12,6 +13,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as from_safetensors
 from safetensors.numpy import save as to_safetensors
 
+from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import HalfSpace, Region
 from sb3_options.options import policies
 from sb3_options.options.archive import Source, content_in, name_of
@@ -23,6 +25,11 @@ FILE_FORMAT = "sb3-options 1"
 
 FILE_FORMAT_HALF_SPACE = "sb3-options 2"
 """Format of a file with a half-space, which a reader of the first format would take for a ball."""
+
+FILE_FORMAT_GROUP = "sb3-options 3"
+"""Format of a file with an option on a group of features, whose points have fewer numbers than φ."""
+
+FORMATS = (FILE_FORMAT, FILE_FORMAT_HALF_SPACE, FILE_FORMAT_GROUP)
 
 Arrays = dict[str, np.ndarray[Any, Any]]
 
@@ -187,9 +194,10 @@ def slots_of(source: Source) -> list[int]:
 def packed(about: dict[str, Any], tensors: Arrays) -> bytes:
     """JSON and arrays with their digest; `read` is the inverse."""
     half_space = any(name.endswith(".subgoal_normal") for name in tensors)
+    group = any("group" in entry for entry in about.get("slots", {}).values())
     text = json.dumps(about)
     metadata = {
-        "format": FILE_FORMAT_HALF_SPACE if half_space else FILE_FORMAT,
+        "format": FILE_FORMAT_GROUP if group else FILE_FORMAT_HALF_SPACE if half_space else FILE_FORMAT,
         "bank": text,
         "digest": digest(text, tensors),
     }
@@ -206,10 +214,10 @@ def read(source: Source) -> tuple[dict[str, Any], Arrays]:
     except (SafetensorError, KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(f"{name} is no options file, or it is damaged: {error}") from error
     metadata = header.get("__metadata__", {})
-    if metadata.get("format") not in (FILE_FORMAT, FILE_FORMAT_HALF_SPACE):
+    if metadata.get("format") not in FORMATS:
         raise ValueError(
             f"{name} is no options file of this version: its format is {metadata.get('format')!r}, "
-            f"expected {FILE_FORMAT!r} or {FILE_FORMAT_HALF_SPACE!r}."
+            f"expected one of {', '.join(map(repr, FORMATS))}."
         )
     if metadata.get("digest") != digest(metadata.get("bank", ""), tensors):
         raise ValueError(f"{name} is damaged: its contents are not what was written to it.")
@@ -239,6 +247,8 @@ def _encode(option: SubgoalOption) -> tuple[dict[str, Any], Arrays]:
         "radius": {"subgoal": float(option.subgoal.radius), "initiation": float(option.initiation_set.radius)},
         "policy_input": option.policy_input,
     }
+    if option.subgoal.group is not None:
+        entry["group"] = dataclasses.asdict(option.subgoal.group)
     return entry, {name: np.ascontiguousarray(array, dtype=np.float64) for name, array in arrays.items()}
 
 
@@ -246,10 +256,16 @@ def _decode(
     entry: dict[str, Any], arrays: Arrays, n_primitive: int, observation_size: int | None, feature_size: int | None
 ) -> SubgoalOption:
     """The option that `_encode` was given; a `ValueError` says which parts do not fit."""
-    subgoal = _region(arrays, "subgoal", entry["radius"]["subgoal"])
-    initiation = _region(arrays, "initiation", entry["radius"]["initiation"])
+    group = FeatureGroup(**entry["group"]) if "group" in entry else None
+    subgoal = _region(arrays, "subgoal", entry["radius"]["subgoal"], group)
+    initiation = _region(arrays, "initiation", entry["radius"]["initiation"], group)
     n_features = subgoal.points.shape[1]
-    if feature_size is not None and n_features != feature_size:
+    if group is not None:
+        if n_features != len(group.features):
+            raise ValueError(f"its subgoal has {n_features} features, its group names {len(group.features)}")
+        if feature_size is not None:
+            group.own(np.zeros((0, feature_size)))
+    elif feature_size is not None and n_features != feature_size:
         raise ValueError(f"its subgoals have {n_features} features, the feature map here gives {feature_size}")
     if initiation.points.shape[1] != n_features:
         raise ValueError(f"its initiation set has {initiation.points.shape[1]} features, its subgoal {n_features}")
@@ -275,7 +291,7 @@ def _policy_input(entry: dict[str, Any]) -> PolicyInput:
     return policy_input
 
 
-def _region(arrays: Arrays, name: str, radius: float) -> Region:
+def _region(arrays: Arrays, name: str, radius: float, group: FeatureGroup | None) -> Region:
     points, scale = arrays[name], arrays[f"{name}_scale"]
     if points.ndim != 2 or scale.shape != points.shape[1:]:
         raise ValueError(f"its {name} has points of shape {points.shape} and a scale of shape {scale.shape}")
@@ -283,10 +299,10 @@ def _region(arrays: Arrays, name: str, radius: float) -> Region:
         raise ValueError(f"its {name} holds numbers that are not finite, or a negative radius")
     normal = arrays.get(f"{name}_normal")
     if normal is None:
-        return Region(points, scale, float(radius))
+        return Region(points, scale, float(radius), group=group)
     if len(points) != 1 or normal.shape != scale.shape or not np.isfinite(normal).all():
         raise ValueError(f"its {name} has points of shape {points.shape} and a normal of shape {normal.shape}")
-    return HalfSpace(points, scale, float(radius), normal)
+    return HalfSpace(points, scale, float(radius), normal, group=group)
 
 
 def digest(about: str, tensors: Arrays) -> str:

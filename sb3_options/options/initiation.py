@@ -45,9 +45,11 @@ def initiation_set(
         settings: ``initiation_steps``, ``initiation_visits`` and ``initiation_radius`` are used.
 
     Returns:
-        A region with one centre for every distinct state; empty if no trajectory visits the subgoal.
+        A region with one centre for every distinct state, in the features that count for the subgoal; empty if no
+        trajectory visits the subgoal.
     """
-    points: list[FloatArray] = [np.zeros((0, subgoal.points.shape[1]))]
+    trajectories = list(trajectories)
+    points: list[FloatArray] = [t.features[:0] for t in trajectories[:1]] or [subgoal.points[:0]]
     for labelled in trajectories:
         visits = labelled.trajectory.visits
         times = np.flatnonzero(subgoal.contains(labelled.features)[visits])
@@ -59,7 +61,10 @@ def initiation_set(
         points.append(labelled.features[before])
     union = np.unique(np.concatenate(points), axis=0)
     outside = union[~subgoal.contains(union)]
-    return Region(outside, subgoal.scale, settings.initiation_radius)
+    group = subgoal.group
+    if group is not None:
+        outside = np.unique(group.own(outside[group.is_place(outside)]), axis=0)
+    return Region(outside, subgoal.scale, settings.initiation_radius, group=group)
 
 
 def option_transitions(
@@ -74,7 +79,7 @@ def option_transitions(
         subgoal: Reaching it ends the task with ``subgoal_reward``.
         initiation: Leaving it ends the task with ``leave_reward``, and so does a terminal state.
         trajectories: The saved ones.
-        settings: The rewards and ``policy_input`` are used.
+        settings: The rewards and ``policy_input`` are used; features are those that count for the subgoal.
 
     Returns:
         The steps; None if there are none.
@@ -92,7 +97,7 @@ def option_transitions(
         if trajectory.terminated:
             goes_on[-1] = False
         began, led, goes_on = began[keep], led[keep], goes_on[keep]
-        seen = labelled.features if settings.policy_input == "features" else trajectory.states
+        seen = subgoal.own(labelled.features) if settings.policy_input == "features" else trajectory.states
         shared_row = np.zeros(len(inside), dtype=np.int64)
         for local in np.unique(np.concatenate([began, led])):
             state = obs_batch.take(seen, slice(local, local + 1))

@@ -13,6 +13,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.preprocessing import get_obs_shape
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
+from sb3_options.envs import minigrid
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.options import file as option_file
 from sb3_options.options.archive import NAME
@@ -29,13 +30,15 @@ SUBGOALS = "subgoals.png"
 PACKAGES = {
     "ALE/": ("ale-py", "ale_py"),
     "BabyAI-": ("minigrid", "minigrid"),
-    "MiniGrid-": ("minigrid", "minigrid"),
     "highway-": ("highway-env", "highway_env"),
 }
 """Package and module that register environments, by how their ids begin."""
 
 ALIKE = 0.6
 """Least similarity of an id that is suggested in place of another, as `difflib` measures it."""
+
+MINIGRID, MINIGRID_MODULE = "MiniGrid-", "minigrid:"
+"""How the ids of MiniGrid begin, and how one names the module that registers it. They get a `MiniGridWrapper`."""
 
 OWN_NAMESPACE = "sb3_options/"
 """Of the environments that come with the library."""
@@ -66,7 +69,10 @@ def check_env_id(env_id: str) -> None:
 
     Raises:
         ValueError: The id is not registered.
+        ModuleNotFoundError: It is one of MiniGrid's, which is not installed.
     """
+    if _is_minigrid(env_id):
+        minigrid.require()
     # An id may name the module that registers it, as in "module:Env-v0".
     if env_id in gym.registry or ":" in env_id:
         return
@@ -76,6 +82,10 @@ def check_env_id(env_id: str) -> None:
         if env_id.startswith(prefix):
             hint = f"The package {package} registers it: pip install {package}, and pass --env {module}:{env_id}."
     raise ValueError(f"There is no environment {env_id!r}. {hint}")
+
+
+def _is_minigrid(env_id: str) -> bool:
+    return env_id.removeprefix(MINIGRID_MODULE).startswith(MINIGRID)
 
 
 def check_observations(venv: VecEnv, env_id: str) -> None:
@@ -147,7 +157,8 @@ def make_env(
 ) -> VecEnv:
     """Environments with option slots, and a ``Monitor`` beneath these, so that it counts primitive steps.
 
-    The slots start with the options of ``--options``.
+    The slots start with the options of ``--options``. An environment of MiniGrid gets a `MiniGridWrapper`, unless
+    ``--env-wrapper`` names another.
 
     Args:
         config: Of the run.
@@ -190,15 +201,22 @@ def make_env(
         )
 
     def wrapped(**kwargs: Any) -> gym.Env[Any, Any]:
-        env: gym.Env[Any, Any] = named(str(config.env_wrapper), "--env-wrapper")(gym.make(env_id, **kwargs))
+        env: gym.Env[Any, Any] = wrapper(gym.make(env_id, **kwargs))
         return env
 
     env_id = config.env
-    if subproc and env_id.startswith(OWN_NAMESPACE):
+    wrapper: Callable[..., gym.Env[Any, Any]] | None = None
+    if config.env_wrapper is not None:
+        wrapper = named(config.env_wrapper, "--env-wrapper")
+    elif _is_minigrid(env_id):
+        wrapper = minigrid.MiniGridWrapper
+    if _is_minigrid(env_id):
+        env_id = MINIGRID_MODULE + env_id.removeprefix(MINIGRID_MODULE)  # nobody has registered it in a worker
+    elif subproc and env_id.startswith(OWN_NAMESPACE):
         env_id = f"sb3_options.envs:{env_id}"  # nobody has registered it there
 
     return make_vec_env(
-        env_id if config.env_wrapper is None else wrapped,
+        env_id if wrapper is None else wrapped,
         n_envs=n_envs,
         seed=seed,
         env_kwargs=keywords,

@@ -388,8 +388,8 @@ class TestDamage:
 
     def test_another_safetensors_file(self, tmp_path: Path) -> None:
         (tmp_path / "weights").write_bytes(to_safetensors({"w": np.zeros(3)}))
-        versions = r"'sb3-options 1' or 'sb3-options 2'\.$"
-        message = rf"weights is no options file of this version: its format is None, expected {versions}"
+        versions = r"'sb3-options 1', 'sb3-options 2', 'sb3-options 3'\.$"
+        message = rf"weights is no options file of this version: its format is None, expected one of {versions}"
         refused(tmp_path / "weights", message)
 
 

@@ -1,10 +1,13 @@
+import re
+import sys
+
 import gymnasium as gym
 import pytest
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import make_model
-from sb3_options.runs.config import A2CConfig, DQNConfig, TrainConfig
+from sb3_options.runs.config import A2CConfig, DQNConfig, MaskablePPOConfig, TrainConfig
 
 
 @pytest.mark.parametrize("of", [DQNConfig, A2CConfig])
@@ -26,9 +29,10 @@ def test_runs_of_different_seeds_share_no_environment(of: type[TrainConfig], n_e
     [
         ("ALE/Pong-v5", "The package ale-py registers it: pip install ale-py, and pass --env ale_py:ALE/Pong-v5."),
         (
-            "MiniGrid-DoorKey-5x5-v0",
-            "The package minigrid registers it: pip install minigrid, and pass --env minigrid:MiniGrid-DoorKey-5x5-v0.",
+            "BabyAI-GoToObj-v0",
+            "The package minigrid registers it: pip install minigrid, and pass --env minigrid:BabyAI-GoToObj-v0.",
         ),
+        ("MiniGrid-DorKey-5x5-v0", "Did you mean 'MiniGrid-DoorKey-5x5-v0'?"),
         ("TwoRoms-v0", "Did you mean 'sb3_options/TwoRooms-v0'?"),
         ("my/Puzzle-v3", "If a package registers it, name its module: --env module:ID."),
     ],
@@ -38,3 +42,19 @@ def test_an_unknown_environment(env_id: str, hint: str, monkeypatch: pytest.Monk
     with pytest.raises(ValueError, match="There is no environment") as error:
         runs.check_env_id(env_id)
     assert str(error.value) == f"There is no environment {env_id!r}. {hint}"
+
+
+def test_minigrid_is_ready_for_training_and_its_workers_know_it() -> None:
+    for env_id in ("MiniGrid-Empty-5x5-v0", "minigrid:MiniGrid-Empty-5x5-v0"):
+        runs.check_env_id(env_id)
+        config = MaskablePPOConfig(env=env_id, device="cpu")
+        env = runs.make_env(config, 1, 0, subproc=env_id.startswith("minigrid:"))
+        runs.check_observations(env, env_id)
+        assert env.env_method("feature_kind") == ["environment"]
+        env.close()
+
+
+def test_minigrid_that_is_not_installed_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "minigrid", None)
+    with pytest.raises(ModuleNotFoundError, match=re.escape('pip install "sb3-options[minigrid]"')):
+        runs.check_env_id("MiniGrid-Empty-5x5-v0")

@@ -1,0 +1,117 @@
+"""The concept space of MiniGrid: for each kind of thing, where the nearest one in view is, relative to the agent.
+
+All is computed from the standard observation, an image (v, v, 3) of object, colour and state of the cells in view, in
+which the agent stands in the middle of the last row and looks towards the first. Nothing is read from the simulator.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+WALL, FREE, DOOR, KEY, BALL, BOX, GOAL, LAVA = 2, (1, 3), 4, 5, 6, 7, 8, 9
+"""Objects as ``minigrid.core.constants.OBJECT_TO_IDX`` numbers them; ``FREE`` is empty and floor."""
+
+OPEN, CLOSED, LOCKED = 0, 1, 2
+"""States of a door, as ``minigrid.core.constants.STATE_TO_IDX`` numbers them."""
+
+KINDS = ("closed_door", "open_door", "locked_door", "key", "ball", "box", "goal", "lava")
+"""The kinds of things. A thing that is carried is at 0, 0, where MiniGrid draws it."""
+
+AHEAD = ("wall_ahead", "free_ahead", "between_walls")
+"""Features of the cells beside the agent: 1 or 0. Between two walls, left and right, it is in a doorway or a corridor;
+MiniGrid does not draw the door that the agent stands in."""
+
+FEATURES = (*(f"{kind}_{what}" for kind in KINDS for what in ("visible", "forward", "lateral")), *AHEAD)
+"""The names of the features, in order. ``visible`` is 1 or 0; ``forward`` is in cells, ≥ 0; ``lateral`` is in cells, to
+the right positive. Both are 0 where nothing of the kind is visible. The nearest thing is the one fewest steps away."""
+
+N_KINDS = len(KINDS)
+VISIBLE_SCALE = 10.0
+"""Factor of the features that are 1 or 0, which keeps what is visible and what is not farther apart than any radius."""
+
+PAIRS = (("key", "locked_door"), ("key", "closed_door"), ("ball", "open_door"), ("box", "key"))
+"""Pairs of kinds that may matter together: what is carried, or lies somewhere, and what it is for or in the way of."""
+
+_NOTHING = N_KINDS
+_FAR = np.inf
+
+
+def _kinds() -> npt.NDArray[np.int8]:
+    """The kind of a cell by its object and state."""
+    kinds = np.full((256, 256), _NOTHING, dtype=np.int8)
+    for state, kind in ((CLOSED, "closed_door"), (OPEN, "open_door"), (LOCKED, "locked_door")):
+        kinds[DOOR, state] = KINDS.index(kind)
+    for thing, kind in ((KEY, "key"), (BALL, "ball"), (BOX, "box"), (GOAL, "goal"), (LAVA, "lava")):
+        kinds[thing] = KINDS.index(kind)
+    return kinds
+
+
+_KIND_OF = _kinds()
+
+
+def retina(images: npt.NDArray[np.integer[Any]]) -> npt.NDArray[np.float64]:
+    """φ of a batch of images of MiniGrid.
+
+    Args:
+        images: The ``image`` of each observation, (batch, v, v, 3), column, row and channel.
+
+    Returns:
+        Features in the order of `FEATURES`, (batch, 27).
+
+    Raises:
+        ValueError: The images have another shape.
+    """
+    images = np.asarray(images)
+    if images.ndim != 4 or images.shape[1] != images.shape[2] or images.shape[3] != 3:
+        raise ValueError(f"images must have shape (batch, v, v, 3), as MiniGrid's are, got {images.shape}")
+    n, view = images.shape[:2]
+    middle, last = view // 2, view - 1
+    columns, rows = np.divmod(np.arange(view * view), view)
+    forward, lateral = last - rows, columns - middle
+    steps = (forward + np.abs(lateral)).astype(np.float64)
+    objects = images[..., 0].reshape(n, -1).astype(np.intp)
+    kind = _KIND_OF[objects, images[..., 2].reshape(n, -1)]
+    distance = np.where(kind[:, None] == np.arange(N_KINDS)[:, None], steps, _FAR)  # (batch, kinds, cells)
+    nearest = distance.argmin(axis=2)
+    visible = np.take_along_axis(distance, nearest[..., None], axis=2)[..., 0] < _FAR
+    features = np.zeros((n, len(FEATURES)))
+    things = features[:, : 3 * N_KINDS].reshape(n, N_KINDS, 3)
+    things[..., 0] = visible
+    things[..., 1] = visible * forward[nearest]
+    things[..., 2] = visible * lateral[nearest]
+    ahead, left, right = middle * view + last - 1, (middle - 1) * view + last, (middle + 1) * view + last
+    features[:, -3] = objects[:, ahead] == WALL
+    walkable = np.isin(objects[:, ahead], (*FREE, GOAL)) | (kind[:, ahead] == KINDS.index("open_door"))
+    features[:, -2] = walkable
+    features[:, -1] = (objects[:, left] == WALL) & (objects[:, right] == WALL)
+    return features
+
+
+def concept_groups() -> list[dict[str, Any]]:
+    """Which features make a concept together: each kind of thing, and `PAIRS` of them.
+
+    An open door has ``between_walls`` with it, because whoever stands in it does not see it.
+
+    Returns:
+        Of each group the fields of `sb3_options.density.groups.FeatureGroup`.
+    """
+    groups = [_group(kind) for kind in KINDS]
+    return groups + [_joined(_group(one), _group(other)) for one, other in PAIRS]
+
+
+def _group(kind: str) -> dict[str, Any]:
+    first = 3 * KINDS.index(kind)
+    features, present = [first, first + 1, first + 2], [first]
+    scale = [VISIBLE_SCALE, 1.0, 1.0]
+    if kind == "open_door":
+        between = FEATURES.index("between_walls")
+        features, present, scale = [*features, between], [first, between], [*scale, VISIBLE_SCALE]
+    return {"name": kind, "features": features, "present": [present], "scale": scale}
+
+
+def _joined(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
+    joined = {name: one[name] + other[name] for name in ("features", "present", "scale")}
+    return {"name": f"{one['name']} and {other['name']}", **joined}

@@ -1,0 +1,81 @@
+"""Groups of features: which of them make a concept together, whatever the others are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sb3_options.density.arrays import BoolArray, FloatArray
+
+
+@dataclass(frozen=True)
+class FeatureGroup:
+    """Features of concept space that make a concept together (the subsets of McGovern & Barto 2001, §7 and §8).
+
+    A concept of the group says nothing of the other features: "a closed door straight ahead, whatever else".
+
+    Attributes:
+        name: For people.
+        features: Numbers of the group's own features among all of φ, k of them.
+        present: Sets of these numbers. Where all features of one set are 0, what the group is about is not there: that
+            is no place, neither a subgoal nor in an initiation set. By default every state is one.
+        scale: Factor for each of its own features before distances are taken, (k,); None for 1.
+
+    Raises:
+        ValueError: An argument is out of its range.
+    """
+
+    name: str
+    features: Sequence[int]
+    present: Sequence[Sequence[int]] = ()
+    scale: Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse arguments out of range, and make them tuples, which compare."""
+        features = tuple(map(int, self.features))
+        present = tuple(tuple(map(int, numbers)) for numbers in self.present)
+        scale = (1.0,) * len(features) if self.scale is None else tuple(map(float, self.scale))
+        if not features or len(set(features)) < len(features) or min(features) < 0:
+            raise ValueError(f"group {self.name!r}: features must be distinct numbers from 0, at least one: {features}")
+        if not all(numbers and set(numbers) <= set(features) for numbers in present):
+            raise ValueError(f"group {self.name!r}: present must be sets of its features {features}, got {present}")
+        if len(scale) != len(features) or not (np.isfinite(scale).all() and min(scale) > 0):
+            raise ValueError(f"group {self.name!r}: scale must be {len(features)} numbers above 0, got {scale}")
+        for name, value in (("features", features), ("present", present), ("scale", scale)):
+            object.__setattr__(self, name, value)
+
+    def own(self, features: FloatArray) -> FloatArray:
+        """The group's own features (batch, k) of all features (batch, d).
+
+        Raises:
+            ValueError: There are fewer features than it names.
+        """
+        if max(self.features) >= features.shape[1]:
+            raise ValueError(
+                f"group {self.name!r} names feature {max(self.features)}, the feature map gives {features.shape[1]}"
+            )
+        return features[:, list(self.features)]
+
+    def is_place(self, features: FloatArray) -> BoolArray:
+        """Whether what the group is about is there, for features (batch, d), shape (batch,)."""
+        there = np.ones(len(features), dtype=bool)
+        for numbers in self.present:
+            there &= (features[:, list(numbers)] != 0).any(axis=1)
+        return there
+
+
+def checked_groups(groups: Iterable[FeatureGroup], n_features: int) -> tuple[FeatureGroup, ...]:
+    """The groups themselves.
+
+    Raises:
+        ValueError: One of them names a feature that there is not, or two have one name.
+    """
+    groups = tuple(groups)
+    for group in groups:
+        group.own(np.zeros((0, n_features)))
+    names = [group.name for group in groups]
+    if len(set(names)) < len(names):
+        raise ValueError(f"two groups of features have the same name: {sorted(names)}")
+    return groups
