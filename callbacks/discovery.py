@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar
 
 import torch
@@ -16,8 +16,10 @@ from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
 from sb3_options.callbacks.records import ClosedOption, DiscoveredOption, OptionStatistics
 from sb3_options.callbacks.trials import OptionTrials
+from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.figures import discovery_figures
+from sb3_options.discovery.grouped import discovery_on
 from sb3_options.discovery.settings import DiscoverySettings, described
 from sb3_options.discovery.static_filter import StaticFilter
 from sb3_options.discovery.subgoals import SubgoalDiscovery
@@ -60,6 +62,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         success: Which trajectories make positive bags; by default ``info["is_success"]``, or, in an environment without
             it, a positive last reward above all earlier ones in a terminal state.
         static_filter: What may be a subgoal; by default not near the start and end of a trajectory.
+        groups: The features that make a concept together, each a `FeatureGroup` or a mapping of its fields; by default
+            those that the environment or φ names. Without any, all features do.
         max_new_options: Most options to make, not counting closed ones; by default as many as there are slots.
         max_option_exploration: Largest share of all options together among the exploratory choices of DQN, QRDQN and
             OptionDQN.
@@ -85,6 +89,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         *,
         success: SuccessRule = reported_success,
         static_filter: StaticFilter | None = None,
+        groups: Iterable[FeatureGroup | Mapping[str, Any]] | None = None,
         max_new_options: int | None = None,
         max_option_exploration: float = 0.5,
         opening_share: float | None = None,
@@ -101,6 +106,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             raise ValueError(f"max_new_options must be at least 0, got {max_new_options}.")
         self.success = success
         self.static_filter = static_filter
+        self.groups = None if groups is None else tuple(_as(FeatureGroup, group) for group in groups)
         self.max_new_options = max_new_options
         self.interruption = interruption
         self.trial = None if trial is None else _as(TrialSettings, trial)
@@ -141,7 +147,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             interruption=self.interruption,
         )
         if self.discovery is None:
-            self.discovery = SubgoalDiscovery(
+            groups = venv.env_method("feature_groups", indices=[0])[0] if self.groups is None else self.groups
+            self.discovery = discovery_on(
+                groups,
                 self.settings,
                 success=self.success,
                 static_filter=self.static_filter,
@@ -244,6 +252,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     def _make_option(self, subgoal: Region) -> None:
         centre = subgoal.points[0]
         where = described(centre, self._search.kind)
+        if subgoal.group is not None:
+            where = f"{subgoal.group.name} at {where}"
         option = self._learn(subgoal, f"reach {where}")
         if option is None:
             logger.warning("No option for the subgoal at %s: no saved trajectory leads to it.", centre)

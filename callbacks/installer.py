@@ -225,9 +225,12 @@ def _n_available(others: Sequence[Option | None], option: Option) -> float:
     """How many of the others are available in the mean state of an option's initiation set, as far as is known."""
     if not isinstance(option, SubgoalOption) or not len(option.initiation_set.points):
         return len(others)
-    points = option.initiation_set.points
+    points, group = option.initiation_set.points, option.subgoal.group
     return sum(
-        float(other.initiation_set.contains(points).mean()) if isinstance(other, SubgoalOption) else 1.0
+        # Points of one group say nothing of the features of another.
+        float(other.initiation_set.covers(points).mean())
+        if isinstance(other, SubgoalOption) and other.subgoal.group == group
+        else 1.0
         for other in others
     )
 

@@ -62,7 +62,7 @@ class FeatureGroup:
         """Whether what the group is about is there, for features (batch, d), shape (batch,)."""
         there = np.ones(len(features), dtype=bool)
         for numbers in self.present:
-            there &= (features[:, list(numbers)] != 0).any(axis=1)
+            there &= np.any(features[:, list(numbers)] != 0, axis=1)
         return there
 
 

@@ -32,11 +32,15 @@ class Region:
 
         With a group only places of the group are in the region.
         """
-        if len(self.points) == 0:
-            return np.zeros(len(features), dtype=bool)
-        nearest: FloatArray = cdist(self.own(features) * self.scale, self.points * self.scale).min(axis=1)
-        inside: BoolArray = nearest <= self.radius
+        inside = self.covers(self.own(features))
         return inside if self.group is None else inside & self.group.is_place(features)
+
+    def covers(self, points: FloatArray) -> BoolArray:
+        """`contains` for places given by the features that count alone, (batch, d) or (batch, k)."""
+        if len(self.points) == 0:
+            return np.zeros(len(points), dtype=bool)
+        nearest: FloatArray = cdist(points * self.scale, self.points * self.scale).min(axis=1)
+        return nearest <= self.radius
 
     def own(self, features: FloatArray) -> FloatArray:
         """The features that count, of all features (batch, d)."""
@@ -53,7 +57,7 @@ class HalfSpace(Region):
 
     normal: FloatArray
 
-    def contains(self, features: FloatArray) -> BoolArray:
+    def covers(self, points: FloatArray) -> BoolArray:
         """Whether normal · (feature − point) ≥ 0, shape (batch,)."""
-        inside: BoolArray = (features - self.points[0]) @ self.normal >= 0
+        inside: BoolArray = (points - self.points[0]) @ self.normal >= 0
         return inside

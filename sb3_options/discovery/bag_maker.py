@@ -9,7 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from sb3_options.density.bags import Bags
+from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
+from sb3_options.discovery.contrast import Contrast
 from sb3_options.discovery.settings import DiscoverySettings, default_scale, is_one_hot
 from sb3_options.discovery.static_filter import (
     StaticFilter,
@@ -72,13 +74,23 @@ class BagMaker:
         settings: How.
         static_filter: What may be a subgoal; by default not near start and goal.
         kind: Where φ comes from, for `default_scale`.
+        group: The features that count, if not all do. Then the other states than places of the group are no instances.
+        contrast: Of the group: what a state of a successful trajectory must stand out by to be an instance.
 
     Attributes:
-        scale: Factor for every feature, (d,); None before the first bags.
+        scale: Factor for every feature that counts, (d,); None before the first bags.
     """
 
-    def __init__(self, settings: DiscoverySettings, static_filter: StaticFilter | None, kind: str | None) -> None:
+    def __init__(
+        self,
+        settings: DiscoverySettings,
+        static_filter: StaticFilter | None,
+        kind: str | None,
+        group: FeatureGroup | None = None,
+        contrast: Contrast | None = None,
+    ) -> None:
         self.settings, self.kind, self.static_filter = settings, kind, static_filter
+        self.group, self.contrast = group, contrast
         self.scale: FloatArray | None = None
         self._passing = PassingShare(settings.subgoal_radius)
         self._known: dict[int, _Known] = {}
@@ -94,6 +106,8 @@ class BagMaker:
         positive = [t for t in database if t.success]
         if len(positive) < self.settings.min_positive:
             return None
+        if self.scale is None and self.group is not None:
+            self.scale = np.asarray(self.group.scale) * (self.settings.scale or 1.0)
         if self.scale is None:
             seen = np.concatenate([t.features for t in database])
             given = self.settings.scale
@@ -118,13 +132,18 @@ class BagMaker:
             known.kept = None
 
     def _know(self, labelled: LabelledTrajectory, scale: FloatArray) -> _Known:
-        scaled, visits = labelled.features * scale, labelled.trajectory.visits
+        features, visits = self._own(labelled), labelled.trajectory.visits
+        scaled = features * scale
         erase = labelled.success and self.settings.loops == "erase"
         rows = loop_erased(scaled, visits, self.settings.subgoal_radius) if erase else np.arange(len(scaled))
         _, first = np.unique(scaled[rows], axis=0, return_index=True)  # different observations may have the same φ
         rows = rows[np.sort(first)]
         allowed = self._allowed(labelled, scale)
-        return _Known(labelled, rows, labelled.features[rows], scaled[rows], allowed[rows])
+        return _Known(labelled, rows, features[rows], scaled[rows], allowed[rows])
+
+    def _own(self, labelled: LabelledTrajectory) -> FloatArray:
+        """The features that count, (m, d)."""
+        return labelled.features if self.group is None else self.group.own(labelled.features)
 
     def _allowed(self, labelled: LabelledTrajectory, scale: FloatArray) -> BoolArray:
         """Which states the static filter leaves, (m,)."""
@@ -132,15 +151,19 @@ class BagMaker:
         if self._counts_steps:
             return steps_from_start_and_goal(visits, s.start_radius, s.goal_radius)
         static_filter = self.static_filter or near_start_and_goal(s.start_radius, s.goal_radius)
-        return kept_by(static_filter, labelled.features, int(visits[-1]), scale)
+        allowed = kept_by(static_filter, self._own(labelled), int(visits[-1]), scale)
+        return allowed if self.group is None else allowed & self.group.is_place(labelled.features)
 
     @property
     def _counts_steps(self) -> bool:
         """Whether radii are steps along the trajectory, because states have no distances."""
-        return self.kind == "categorical" and self.static_filter is None
+        return self.kind == "categorical" and self.static_filter is None and self.group is None
 
     def _passages(self, known: Sequence[_Known]) -> list[BoolArray]:
-        """Which states the ways near them lead through: `DiscoverySettings.min_passing`."""
+        """Which states the ways near them lead through, and which stand out: `DiscoverySettings.min_passing`."""
+        if self.contrast is not None:
+            least = self.settings.min_contrast
+            return [k.allowed & self.contrast.stands_out(k.labelled.features[k.rows], least) for k in known]
         if self.settings.min_passing == 0.0:
             return [k.allowed for k in known]
         shares = self._passing.update([k.scaled for k in known])

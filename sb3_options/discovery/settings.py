@@ -28,6 +28,8 @@ class DiscoverySettings:
             (`ways.loop_erased`); ``keep`` makes it of all it visited, as the paper does.
         min_passing: Of the successful ways that come near a state, the share that must lead through it, or it is no
             instance: nearly all that come near a doorway pass it (`ways.PassingShare`). 0 takes every state.
+        min_contrast: Where φ has groups of features: by how much more of the successful trajectories than of the others
+            must visit a state, or it is no instance (`contrast.Contrast`).
         negative_bags: Whether unsuccessful trajectories become negative bags.
         negative_strength: η in (0, 1]: how strongly an instance of a negative bag speaks against a concept near it.
             Below 1 because an unsuccessful trajectory may well pass a bottleneck (the paper's §8).
@@ -59,6 +61,7 @@ class DiscoverySettings:
     min_positive: Annotated[int, Field(ge=1)] = 8
     loops: Literal["erase", "keep"] = "erase"
     min_passing: Annotated[float, Field(ge=0, lt=1)] = 0.7
+    min_contrast: Annotated[float, Field(ge=-1, lt=1)] = 0.3
     negative_bags: bool = True
     negative_strength: Annotated[float, Field(gt=0, le=1)] = 0.1
     leak: Annotated[float, Field(ge=0, lt=1)] = 0.3

@@ -11,6 +11,7 @@ import numpy as np
 
 from sb3_options.density.bags import Bags
 from sb3_options.density.diverse_density import DiverseDensity, Peak
+from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.incremental import IncrementalSearch
 from sb3_options.density.regions import Region
 from sb3_options.discovery.bag_maker import BagMaker, FilteredBags
@@ -69,6 +70,7 @@ class SubgoalDiscovery:
         static_filter: What may be a subgoal; by default not near start and goal.
         kind: Where φ comes from, for `default_scale`.
         taken: Subgoals that have an option already, besides those `found`.
+        group: The features that count, if not all do.
     """
 
     settings: DiscoverySettings = field(default_factory=DiscoverySettings)
@@ -76,6 +78,7 @@ class SubgoalDiscovery:
     static_filter: StaticFilter | None = None
     kind: str | None = None
     taken: Sequence[Region] = ()
+    group: FeatureGroup | None = None
 
     def __post_init__(self) -> None:
         """Set up what grows with experience."""
@@ -131,6 +134,11 @@ class SubgoalDiscovery:
         Returns:
             A new subgoal, if a concept has become persistent. It counts as taken from then on.
         """
+        self.update()
+        return self._new_subgoal()
+
+    def update(self) -> None:
+        """Search the bags once and update the running averages; `search` without its end."""
         began = time.perf_counter()
         evidence = self._evidence()
         peaks: list[Peak] = []
@@ -141,7 +149,11 @@ class SubgoalDiscovery:
             self.tracker.update(self._places(peaks), self.scale)
         self.last = Search(peaks, evidence, time.perf_counter() - began)
         self.seconds += self.last.seconds
-        return self._new_subgoal()
+
+    def leading_average(self) -> float:
+        """The largest running average; 0 before the first peak."""
+        leading = self.tracker.leading()
+        return 0.0 if leading is None else leading.average
 
     def _peaks(self, evidence: FilteredBags, engine: DiverseDensity) -> list[Peak]:
         if self.settings.search != "incremental" or engine.method == "exhaustive":
@@ -207,7 +219,7 @@ class SubgoalDiscovery:
             assert self.scale is not None  # a concept is tracked only after a search
             assert self.last.evidence is not None
             point = _nearest(np.concatenate(self.last.evidence.positive), concept.point, self.scale)
-            subgoal = Region(point[None], self.scale, self.settings.subgoal_radius)
+            subgoal = Region(point[None], self.scale, self.settings.subgoal_radius, group=self.group)
             self.found.append(FoundSubgoal(subgoal, self.last.evidence.bags, self.last.peaks[0].log_density))
             self.tracker = PeakTracker(
                 decay=self.settings.decay, threshold=self.settings.threshold, radius=self.settings.peak_radius

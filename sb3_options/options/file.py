@@ -194,7 +194,8 @@ def slots_of(source: Source) -> list[int]:
 def packed(about: dict[str, Any], tensors: Arrays) -> bytes:
     """JSON and arrays with their digest; `read` is the inverse."""
     half_space = any(name.endswith(".subgoal_normal") for name in tensors)
-    group = any("group" in entry for entry in about.get("slots", {}).values())
+    slots = about.get("slots")
+    group = isinstance(slots, dict) and any("group" in entry for entry in slots.values())
     text = json.dumps(about)
     metadata = {
         "format": FILE_FORMAT_GROUP if group else FILE_FORMAT_HALF_SPACE if half_space else FILE_FORMAT,

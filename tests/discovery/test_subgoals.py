@@ -488,6 +488,7 @@ RANGES: list[tuple[str, tuple[Any, ...], str]] = [
     ("segmentation", ("lives", None), "should be 'episodes' or 'peaks'"),
     ("peak_reward", (math.nan, math.inf), "should be a finite number"),
     ("min_passing", (-0.1, 1.0, math.nan), "should be (greater than or equal to 0|less than 1)"),
+    ("min_contrast", (-1.1, 1.0, math.nan), "should be (greater than or equal to -1|less than 1)"),
     ("loops", ("cut", 1), "should be 'erase' or 'keep'"),
     ("decay", (0.0, 1.0, -0.1, math.nan), "should be (greater than 0|less than 1)"),
     ("threshold", (1.0, -0.1, math.nan), "should be (greater than or equal to 0|less than 1)"),

@@ -13,6 +13,7 @@ from safetensors import safe_open
 from safetensors.numpy import load as from_safetensors
 from safetensors.numpy import save as to_safetensors
 
+from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import HalfSpace, Region
 from sb3_options.experience.observations import FloatArray, Observations, flatten
 from sb3_options.options.bank import OptionBank
@@ -256,6 +257,30 @@ class TestFile:
         bank.save(tmp_path / "balls.safetensors")
         with safe_open(tmp_path / "balls.safetensors", framework="numpy") as file:
             assert file.metadata()["format"] == "sb3-options 1"
+
+    def test_an_option_on_a_group_of_features(self, tmp_path: Path) -> None:
+        group = FeatureGroup("second", [1], present=[[1]], scale=[2])
+        policy = TabularPolicy(np.array([[1.0], [2.0]]), np.eye(N_PRIMITIVE)[:2])
+        subgoal = Region(np.array([[3.0]]), np.array([2.0]), 0.5, group=group)
+        initiation = Region(np.array([[1.0], [2.0]]), np.array([2.0]), 0.5, group=group)
+        bank = empty_bank()
+        bank.add(SubgoalOption(subgoal, initiation, policy, policy_input="features"))
+        bank.save(tmp_path / "options")
+        loaded = empty_bank()
+        loaded.load(tmp_path / "options")
+        points = np.array([[9.0, 1.0], [-9.0, 2.0], [0.0, 3.0], [1.0, 0.0]])
+        for option in (bank[0], loaded[0]):
+            assert isinstance(option, SubgoalOption)
+            assert option.subgoal.group == option.initiation_set.group == group
+            option = option.bind(lambda observations: observations)  # type: ignore[arg-type,return-value]  # identity
+            assert option.initiation(points).tolist() == [True, True, False, False]
+            assert option.termination(points).tolist() == [0, 0, 1, 0]
+            assert option.policy(points[:2]).tolist() == [0, 1]
+        with safe_open(tmp_path / "options", framework="numpy") as file:
+            assert file.metadata()["format"] == "sb3-options 3"
+        narrow = OptionBank(N_PRIMITIVE, 4, feature_size=1)
+        with pytest.raises(ValueError, match="group 'second' names feature 1, the feature map gives 1"):
+            narrow.load(tmp_path / "options")
 
     def test_hand_made_options_must_be_there_already(self, tmp_path: Path) -> None:
         bank = filled_bank()

@@ -5,8 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
-from sb3_options.experience.observations import flatten
+from sb3_options.experience.observations import FloatArray, flatten
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.options.creation import (
     OptionGrowth,
@@ -43,6 +44,33 @@ class TestLearnOption:
         assert self.learn() is None
         assert self.learn(walk([1, 2, 3, 4]), walk([9, 8, 7])) is None
         assert self.learn(walk([5, 6, 7])) is None
+
+    def test_on_a_group_of_features_nothing_else_counts(self) -> None:
+        """The place is feature 1; feature 2 says where there is a place at all, the others are noise."""
+        noise = np.random.default_rng(0)
+        group = FeatureGroup("place", [1, 2], present=[[2]], scale=[1, 10])
+        door = Region(np.array([[5.0, 1.0]]), np.array([1.0, 10.0]), 0.5, group=group)
+
+        def seen(places: FloatArray, there: FloatArray) -> FloatArray:
+            rest = noise.random((2, len(places)))
+            return np.stack([rest[0], places * there, there, rest[1]], axis=1)
+
+        known = []
+        for trajectory in self.trajectories:
+            places = trajectory.features[:, 0]
+            known.append(replace(trajectory, features=seen(places, (places != 2).astype(float))))
+        option = learn_option(door, known, 2, OptionLearningSettings(initiation_steps=4), generator())
+        assert option is not None
+        assert option.policy_input == "features"
+        np.testing.assert_array_equal(option.initiation_set.points, [[1, 1], [3, 1], [4, 1]])  # nobody knows of 2
+        bound = option.bind(lambda features: np.asarray(features))
+        places = np.arange(8.0)
+        assert np.flatnonzero(bound.initiation(seen(places, np.ones(8)))).tolist() == [1, 3, 4]
+        assert not bound.initiation(seen(places, np.zeros(8))).any()
+        assert bound.policy(seen(places, np.ones(8)))[3:5].tolist() == [RIGHT] * 2
+        further = learn_further(option, known[0], OptionLearningSettings())
+        assert isinstance(further.option_policy, TabularPolicy)
+        assert further.option_policy.states.shape[1] == 2
 
     @pytest.mark.parametrize("kind", ["table", "network"])
     def test_a_policy_of_features_needs_no_more_of_the_observation(self, kind: str) -> None:

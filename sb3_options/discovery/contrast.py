@@ -1,0 +1,98 @@
+"""How much oftener successful trajectories visit a state of a group of features than unsuccessful ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from sb3_options.density.groups import FeatureGroup
+from sb3_options.experience.observations import BoolArray, FloatArray
+from sb3_options.experience.trajectories import LabelledTrajectory
+
+MAX_START_SHARE = 0.5
+"""A state in which more than this share of the trajectories begin is nothing to reach."""
+
+PAIR_GAIN = 0.1
+"""A state of a group must contrast this much more than the same state in a part of the group."""
+
+NO_PLACE = -1.0
+"""Contrast of a state that is no place of the group; no place has less."""
+
+
+class Contrast:
+    """Shares of trajectories that visit each state of a group, successful ones minus the others.
+
+    Diverse density asks whether all successful trajectories have an instance in common, and counts unsuccessful ones
+    weakly. On a few features much is common to all trajectories: a wall ahead, say. What matters for success is visited
+    oftener by those that succeed. A share of n trajectories is taken as (visits + 1) / (n + 2), so that a few of them
+    show little.
+
+    Args:
+        group: The features that count.
+        radius: A state is visited within this distance, in scaled units.
+        parts: Of groups whose features are some of this one's.
+    """
+
+    def __init__(self, group: FeatureGroup, radius: float, parts: Sequence[Contrast] = ()) -> None:
+        self.group, self.radius, self.parts = group, radius, parts
+        self._values: dict[bytes, float] = {}
+        self._visits: dict[int, _Visits] = {}
+
+    def update(self, trajectories: Sequence[LabelledTrajectory]) -> None:
+        """Count the visits of these trajectories, and of no others."""
+        self._visits = {id(t): self._visits.get(id(t)) or _Visits(t, self.group) for t in trajectories}
+        visits = [self._visits[id(t)] for t in trajectories]
+        states, which = np.unique(np.concatenate([v.states for v in visits]), axis=0, return_inverse=True)
+        columns = np.split(which.ravel(), np.cumsum([len(v.states) for v in visits])[:-1])
+        visited, began = np.zeros((2, len(visits), len(states)), dtype=np.float32)
+        for i, (v, its) in enumerate(zip(visits, columns, strict=True)):
+            visited[i, its] = 1.0
+            if v.first is not None:
+                began[i, its[v.first]] = 1.0
+        scaled = states * np.asarray(self.group.scale)
+        near = (cdist(scaled, scaled) <= self.radius).astype(np.float32)
+        reached = visited @ near > 0
+        success = np.array([t.success for t in trajectories], dtype=bool)
+        values = _share(reached[success]) - _share(reached[~success])
+        values[(began @ near > 0).mean(axis=0) > MAX_START_SHARE] = NO_PLACE
+        self._values = {_key(state): float(value) for state, value in zip(states, values, strict=True)}
+
+    def largest(self) -> float:
+        """Of all states; `NO_PLACE` where there is none."""
+        return max(self._values.values(), default=NO_PLACE)
+
+    def of(self, features: FloatArray) -> FloatArray:
+        """The contrast of states by all their features (m, d), shape (m,); they were in an updated trajectory."""
+        places = self.group.is_place(features)
+        values = np.full(len(features), NO_PLACE)
+        values[places] = [self._values[_key(state)] for state in self.group.own(features[places])]
+        return values
+
+    def stands_out(self, features: FloatArray, least: float) -> BoolArray:
+        """Which states (m, d) have a contrast of ``least``, and more than in a part of the group, shape (m,)."""
+        values = self.of(features)
+        enough: BoolArray = values >= least
+        for part in self.parts:
+            enough &= values >= part.of(features) + PAIR_GAIN
+        return enough
+
+
+class _Visits:
+    """The distinct places of a group that a trajectory visited, (n, k), and the row of the first if it began there."""
+
+    def __init__(self, labelled: LabelledTrajectory, group: FeatureGroup) -> None:
+        self.labelled = labelled  # kept, so that no other takes its id
+        places = group.is_place(labelled.features)
+        self.states, which = np.unique(group.own(labelled.features[places]), axis=0, return_inverse=True)
+        self.first = int(which.ravel()[0]) if places[0] else None
+
+
+def _share(reached: BoolArray) -> FloatArray:
+    shares: FloatArray = (reached.sum(axis=0) + 1.0) / (len(reached) + 2.0)
+    return shares
+
+
+def _key(state: FloatArray) -> bytes:
+    return (state + 0.0).tobytes()  # -0.0 and 0.0 are one state

@@ -1,0 +1,116 @@
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from sb3_options.density.groups import FeatureGroup
+from sb3_options.discovery.contrast import NO_PLACE, Contrast
+from sb3_options.discovery.grouped import GroupedDiscovery, OutcomeDatabase, discovery_on
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.subgoals import SubgoalDiscovery
+from sb3_options.experience.observations import FloatArray
+from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
+
+# Features: key visible, key ahead, wall visible, wall ahead, noise.
+KEY = FeatureGroup("key", [0, 1], present=[[0]], scale=[10, 1])
+WALL = FeatureGroup("wall", [2, 3], present=[[2]], scale=[10, 1])
+BOTH = FeatureGroup("both", [0, 1, 2, 3], present=[[0], [2]], scale=[10, 1, 10, 1])
+SOON = DiscoverySettings(start_radius=0, goal_radius=0, min_positive=4, decay=0.5, threshold=0.5)
+
+
+def trajectory(states: Sequence[Sequence[float]], success: bool) -> tuple[Trajectory, FloatArray]:
+    features = np.array(states, dtype=np.float64)
+    n = len(features)
+    rewards = np.zeros(n - 1)
+    return Trajectory(features, np.arange(n), np.zeros(n - 1, dtype=int), rewards, True, False, success), features
+
+
+def walk(rng: np.random.Generator, success: bool) -> tuple[Trajectory, FloatArray]:
+    """Each sees walls at all distances; those that succeed come to a key, from where it is 3 ahead to 1 ahead."""
+    noise = lambda: float(rng.normal())  # noqa: E731
+    states = [[0, 0, 1, d, noise()] for d in rng.permutation(5)[:4]]
+    if success:
+        states += [[1, d, 1, 2, noise()] for d in (3, 2, 1)][int(rng.integers(2)) :]
+    elif rng.random() < 0.5:
+        states += [[1, 3, 1, 2, noise()]]
+    states += [[0, 0, 0, 0, noise()]]
+    return trajectory(states, success)
+
+
+def discovered(groups: Sequence[FeatureGroup], settings: DiscoverySettings = SOON) -> SubgoalDiscovery:
+    discovery = discovery_on(groups, settings)
+    rng = np.random.default_rng(0)
+    for i in range(60):
+        discovery.add(*walk(rng, success=i % 2 == 0))
+        discovery.search()
+    return discovery
+
+
+def test_the_subgoal_is_in_the_features_of_the_group_that_matters() -> None:
+    found = discovered([WALL, KEY]).found
+    assert [(f.subgoal.group, f.subgoal.points.tolist()) for f in found] == [(KEY, [[1, 1]])]
+    inside = found[0].subgoal.contains(
+        np.array([[1, 1, 0, 0, 99], [1, 1, 1, 4, -99], [1, 2, 0, 0, 0], [0, 1, 0, 0, 0]])
+    )
+    assert inside.tolist() == [True, True, False, False]
+
+
+def test_without_contrast_what_all_have_in_common_is_found_too() -> None:
+    found = discovered([WALL, KEY], DiscoverySettings(**{**vars(SOON), "min_contrast": -1.0, "spacing": 0.5})).found
+    assert {f.subgoal.group for f in found} == {WALL, KEY}
+
+
+def test_a_pair_must_contrast_more_than_its_parts() -> None:
+    assert {f.subgoal.group for f in discovered([KEY, WALL, BOTH]).found} == {KEY}
+
+
+def test_without_groups_it_is_the_discovery_on_all_features() -> None:
+    assert type(discovery_on([], SOON)) is SubgoalDiscovery
+
+
+def test_where_nothing_stands_out_it_says_so() -> None:
+    assert "min_contrast is 0.3" in discovered([WALL]).why_nothing()
+
+
+def labelled(states: Sequence[Sequence[float]], success: bool) -> LabelledTrajectory:
+    return LabelledTrajectory(*trajectory(states, success), success)
+
+
+def test_contrast_by_hand() -> None:
+    contrast = Contrast(KEY, radius=0.5)
+    trajectories = [
+        labelled([[0, 0, 0, 0, 0], [1, 2, 0, 0, 0], [1, 1, 0, 0, 0], [1, 1, 0, 0, 1]], True),
+        labelled([[0, 0, 0, 0, 0], [1, 1, 0, 0, 0]], True),
+        labelled([[0, 0, 0, 0, 0], [1, 2, 0, 0, 0]], False),
+        labelled([[0, 0, 0, 0, 0], [0, 0, 1, 0, 0]], False),
+        labelled([[0, 0, 0, 0, 0], [0, 0, 1, 1, 0]], False),
+    ]
+    contrast.update(trajectories)
+    values = contrast.of(np.array([[1, 1, 7, 7, 7], [1, 2, 0, 0, 0], [0, 1, 0, 0, 0]]))
+    np.testing.assert_allclose(values, [3 / 4 - 1 / 5, 2 / 4 - 2 / 5, NO_PLACE])
+    assert contrast.largest() == pytest.approx(3 / 4 - 1 / 5)
+    # 2 is a neighbour of 1 within a wider radius.
+    wide = Contrast(KEY, radius=1.0)
+    wide.update(trajectories)
+    np.testing.assert_allclose(wide.of(np.array([[1.0, 1, 0, 0, 0]])), [3 / 4 - 2 / 5])
+
+
+def test_where_most_begin_is_no_place_to_reach() -> None:
+    contrast = Contrast(KEY, radius=0.5)
+    begins = [labelled([[1, 1, 0, 0, 0], [0, 0, 0, 0, 0]], True) for _ in range(4)]
+    others = [labelled([[0, 0, 0, 0, 0], [1, 1, 0, 0, 0]], True), *(labelled([[0] * 5, [1, 3, 0, 0, 0]], False),) * 2]
+    contrast.update([*begins, *others])
+    assert contrast.of(np.array([[1.0, 1, 0, 0, 0]])).tolist() == [NO_PLACE]
+    contrast.update([*begins[:2], *others])
+    assert contrast.of(np.array([[1.0, 1, 0, 0, 0]]))[0] > 0
+
+
+def test_few_successes_are_not_pushed_out_by_many_failures() -> None:
+    database = OutcomeDatabase(2)
+    first, second, third = (labelled([[0] * 5, [i] * 5], True) for i in range(3))
+    for success in (first, second, third):
+        database.add(success)
+        for _ in range(5):
+            database.add(labelled([[0] * 5, [1] * 5], False))
+    assert len(database) == 4
+    assert [t for t in database if t.success] == [second, third]
