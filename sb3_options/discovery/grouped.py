@@ -17,7 +17,6 @@ from sb3_options.discovery.subgoals import Search, SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory, TrajectoryDatabase
 
-
 SEARCH_GROWTH = 0.05
 """A search waits until this share of the successful trajectories is new: fewer hardly change what is common to all."""
 

@@ -5,7 +5,7 @@ import pytest
 
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.discovery.contrast import NO_PLACE, Contrast
-from sb3_options.discovery.grouped import GroupedDiscovery, OutcomeDatabase, discovery_on
+from sb3_options.discovery.grouped import OutcomeDatabase, discovery_on
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray
