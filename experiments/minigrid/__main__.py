@@ -1,0 +1,77 @@
+"""Options that travel: discovered in a small task of MiniGrid, used in a large one, against PPO with the same frames.
+
+``python -m experiments.minigrid --runs 8 --out FOLDER`` writes ``results.json`` and ``minigrid.png``. Interrupted, it
+goes on where it was. Needs the extra ``minigrid``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import tyro
+from rich.table import Table
+
+from experiments.common.documents import number
+from experiments.common.seeds import Part, run_parts
+from experiments.common.study import Flags, show, write
+from experiments.minigrid import settings
+from experiments.minigrid.conditions import run
+from experiments.minigrid.plots import draw
+from experiments.minigrid.settings import ARMS, FAMILIES, Arm
+from experiments.minigrid.summary import Summary, summarise
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study(Flags):
+    """Train agents through the stages of a family of tasks for many seeds.
+
+    Attributes:
+        family: Which.
+        arms: Which agents.
+    """
+
+    runs: int = 8
+    family: str = "MultiRoom-4"
+    arms: tuple[Arm, ...] = ARMS
+
+
+def main(study: Study) -> None:
+    """Run the study, and write and print what it found."""
+    if study.family not in FAMILIES:
+        raise SystemExit(f"--family must be one of {', '.join(FAMILIES)}, got {study.family}.")
+    parts = [
+        Part(arm, partial(run, study.family, arm), study.out / study.family / arm.replace(", ", "_"))
+        for arm in study.arms
+    ]
+    used = {
+        "stages": FAMILIES[study.family],
+        "ppo": settings.PPO,
+        "n_envs": settings.N_ENVS,
+        "max_options": settings.MAX_OPTIONS,
+        "discovery": settings.DISCOVERY,
+        "opening_share": settings.OPENING_SHARE,
+        "episodes": settings.EPISODES,
+    }
+    results = run_parts(parts, study.seeds(), settings=used, jobs=study.jobs, description="Training")
+    summary = summarise(study.family, results)
+    command = f"python -m experiments.minigrid --family {study.family} --runs {study.runs} "
+    command += f"--first-seed {study.first_seed} --arms {' '.join(map(repr, study.arms))}"
+    content = {"command": command, **used, "summary": summary, "runs": results}
+    write(study.out, content, {"minigrid": draw(study.family, results)}, dpi=110)
+    show(_table(summary), f"Results: {study.out / 'results.json'}, {study.out / 'minigrid.png'}")
+
+
+def _table(summary: Summary) -> Table:
+    table = Table("agent", "seeds", *(f"success, {how}" for how in ("sampled", "greedy")), "frames to 0.8", "seconds")
+    for arm, row in summary["arms"].items():
+        success = [number(row["success"][how]) for how in ("sampled", "greedy")]
+        frames = [str(at) if at is not None else "never" for at in row["frames_to"]["0.8"]]
+        table.add_row(arm, str(row["n_runs"]), *success, ", ".join(frames), number(row["seconds"], form="{:.0f}"))
+    for arm, interval in summary["uniform"].items():
+        table.add_row(f"uniform choice among options ({arm}) and primitives", "", number(interval))
+    return table
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Study))

@@ -1,0 +1,119 @@
+"""Environments, agents, what is noted while they train, and how they are judged."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from sb3_contrib import MaskablePPO
+from stable_baselines3 import PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import VecEnv
+
+from experiments.minigrid import settings
+from experiments.minigrid.hand_made import options_on
+from sb3_options import OptionsWrapper
+from sb3_options.envs.minigrid import make
+
+Chooser = Callable[[Any, npt.NDArray[np.bool_]], npt.NDArray[np.integer[Any]]]
+"""Observations and masks (n_envs, n_actions) → actions (n_envs,)."""
+
+
+def venv_of(
+    env_id: str, seed: int, *, options: Path | None = None, hand_made: bool = False, slots: bool = True
+) -> VecEnv:
+    """Parallel environments of one task.
+
+    Args:
+        env_id: Of the task.
+        seed: Of the first.
+        options: File of the options they begin with.
+        hand_made: Whether they have the options by hand.
+        slots: Whether they have slots for options.
+    """
+
+    def wrapped(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+        if not slots:
+            return env
+        optioned = OptionsWrapper(env, settings.MAX_OPTIONS, gamma=settings.GAMMA, options_file=options)
+        for option in options_on(optioned.concept_features) if hand_made else ():
+            optioned.bank.add(option)
+        return optioned
+
+    return make_vec_env(make, settings.N_ENVS, seed=seed, env_kwargs={"env_id": env_id}, wrapper_class=wrapped)
+
+
+def model_of(venv: VecEnv, seed: int, *, masked: bool) -> BaseAlgorithm:
+    """PPO, or MaskablePPO, which chooses options only where they may begin."""
+    algorithm = MaskablePPO if masked else PPO
+    return algorithm("MlpPolicy", venv, seed=seed, device="cpu", **settings.PPO)
+
+
+class Notes(BaseCallback):
+    """Notes how training goes.
+
+    Attributes:
+        curve: After each rollout primitive steps so far, and the success rate of the last episodes.
+        runs: Of each slot, how its runs ended.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.curve: list[tuple[int, float]] = []
+        self.runs: dict[int, Counter[str]] = {}
+        self._successes: deque[bool] = deque(maxlen=settings.EPISODES)
+
+    def _on_step(self) -> bool:
+        for info in self.locals["infos"]:
+            if "is_success" in info:
+                self._successes.append(info["is_success"])
+            run = info.get("option", {})
+            if run.get("index", -1) >= 0 and run.get("inside", True):
+                self.runs.setdefault(run["index"], Counter())[run["termination"]] += 1
+        return True
+
+    def _on_rollout_end(self) -> None:
+        self.curve.append((self.num_timesteps, float(np.mean(self._successes or [0.0]))))
+
+
+def success_rate(choose: Chooser, venv: VecEnv, seed: int) -> float:
+    """The share of fresh episodes that succeed; every environment plays as many."""
+    venv.seed(seed)
+    left = np.full(venv.num_envs, -(-settings.EPISODES // venv.num_envs))
+    observations, successes = venv.reset(), []
+    masks = np.ones((venv.num_envs, int(venv.action_space.n)), dtype=bool)  # type: ignore[attr-defined]  # Discrete
+    while left.any():
+        if venv.has_attr("action_masks"):
+            masks = np.stack(venv.env_method("action_masks"))
+        observations, _, dones, infos = venv.step(choose(observations, masks))
+        for i in np.flatnonzero(dones & (left > 0)):
+            left[i] -= 1
+            successes.append(infos[i]["is_success"])
+    return float(np.mean(successes))
+
+
+def learned(model: BaseAlgorithm, *, deterministic: bool) -> Chooser:
+    """The choices of a model."""
+
+    def choose(observations: Any, masks: npt.NDArray[np.bool_]) -> npt.NDArray[np.integer[Any]]:
+        known = {"action_masks": masks} if isinstance(model, MaskablePPO) else {}
+        return model.predict(observations, deterministic=deterministic, **known)[0]  # type: ignore[return-value]  # of a batch
+
+    return choose
+
+
+def uniform(seed: int) -> Chooser:
+    """Uniformly random choices among what may begin: primitive actions and options."""
+    rng = np.random.default_rng(seed)
+
+    def choose(observations: Any, masks: npt.NDArray[np.bool_]) -> npt.NDArray[np.integer[Any]]:
+        return np.array([rng.choice(np.flatnonzero(mask)) for mask in masks])
+
+    return choose

@@ -1,0 +1,74 @@
+"""Options by hand on the retina: what discovery could find at best."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from sb3_options import Option
+from sb3_options.envs.minigrid import FEATURES
+from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, IntArray
+
+LEFT, RIGHT, FORWARD, TOGGLE = 0, 1, 2, 5
+"""Actions of MiniGrid."""
+
+COLUMN = {name: i for i, name in enumerate(FEATURES)}
+
+
+def options_on(features: FeatureMap) -> list[Option]:
+    """Open a closed door, go into an open one, go to the goal, go ahead.
+
+    Args:
+        features: φ of MiniGrid.
+    """
+
+    def made(
+        name: str,
+        begins: Callable[[FloatArray], BoolArray],
+        acts: Callable[[FloatArray], IntArray],
+        ends: Callable[[FloatArray], BoolArray],
+    ) -> Option:
+        return Option(
+            lambda seen: begins(features(seen)),
+            lambda seen: acts(features(seen)),
+            lambda seen: ends(features(seen)),
+            max_duration=20,
+            name=name,
+        )
+
+    def visible(kind: str) -> Callable[[FloatArray], BoolArray]:
+        return lambda x: x[:, COLUMN[f"{kind}_visible"]] > 0
+
+    def not_between(x: FloatArray) -> BoolArray:
+        return x[:, COLUMN["between_walls"]] == 0
+
+    def never(x: FloatArray) -> BoolArray:
+        return np.zeros(len(x), dtype=bool)
+
+    def always_ahead(x: FloatArray) -> IntArray:
+        return np.full(len(x), FORWARD)
+
+    return [
+        made("open a door", visible("closed_door"), lambda x: approach(x, "closed_door", TOGGLE), never),
+        made(
+            "into the doorway",
+            lambda x: visible("open_door")(x) & not_between(x),
+            lambda x: approach(x, "open_door", FORWARD),
+            never,
+        ),
+        made("to the goal", visible("goal"), lambda x: approach(x, "goal", FORWARD), never),
+        made("ahead", lambda x: x[:, COLUMN["free_ahead"]] > 0, always_ahead, never),
+    ]
+
+
+def approach(features: FloatArray, kind: str, there: int) -> IntArray:
+    """The action that leads to the cell before the nearest thing of a kind, and ``there`` when it is straight ahead.
+
+    The way is ahead as long as that is free and the thing is not beside the agent, then to the side.
+    """
+    forward, lateral = features[:, COLUMN[f"{kind}_forward"]], features[:, COLUMN[f"{kind}_lateral"]]
+    free = features[:, COLUMN["free_ahead"]] > 0
+    turn = np.where(lateral > 0, RIGHT, LEFT)
+    straight = np.where(forward == 1, there, FORWARD)
+    return np.where(lateral == 0, straight, np.where((forward > 0) & free, FORWARD, turn))

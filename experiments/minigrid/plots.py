@@ -1,0 +1,38 @@
+"""The picture of the study."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from matplotlib.figure import Figure
+
+from experiments.common.seeds import Result
+from experiments.minigrid.conditions import stages_of
+from experiments.minigrid.settings import EPISODES, FAMILIES
+
+COLOURS = {"discovered": "#d62728", "hand-made": "#2ca02c", "stock, curriculum": "#1f77b4", "stock": "#7f7f7f"}
+
+
+def draw(family: str, results: Mapping[str, Sequence[Result]]) -> Figure:
+    """Training success by frames of all stages, a line a seed."""
+    figure = Figure(figsize=(7.2, 3.6), layout="constrained")
+    axes = figure.subplots()
+    for name, runs in results.items():
+        for i, run in enumerate(runs):
+            before = 0
+            for stage, noted in zip(stages_of(family, name), run["stages"], strict=True):  # type: ignore[arg-type]  # arms
+                frames = [before + at for at, _ in noted["curve"]]
+                success = [rate for _, rate in noted["curve"]]
+                label = name if i == 0 and before == 0 else None
+                axes.plot(frames, success, color=COLOURS[name], linewidth=1.2, label=label)
+                before += stage.frames
+    before = 0
+    for stage in FAMILIES[family]:
+        axes.axvline(before, color="0.8", linewidth=0.8, zorder=0)
+        axes.text(before, 1.03, f" {stage.env_id.removeprefix('MiniGrid-')}", fontsize=8)
+        before += stage.frames
+    axes.set_ylim(-0.02, 1.02)
+    axes.set_xlabel("primitive steps of all stages; “stock” spends all of them in the last task")
+    axes.set_ylabel(f"success, last {EPISODES} episodes")
+    axes.legend(fontsize=8)
+    return figure

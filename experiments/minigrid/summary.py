@@ -1,0 +1,76 @@
+"""The numbers of the study, for results.json."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from experiments.common.seeds import Result
+from experiments.minigrid.conditions import stages_of
+from experiments.minigrid.settings import REACHED, Arm
+from sb3_options.runs.intervals import mean_interval
+
+Summary = dict[str, dict[str, Any]]
+
+
+def frames_to(run: Result, family: str, arm: Arm, success: float) -> int | None:
+    """Frames of all stages until the training success of the last task first is at least this; None if never."""
+    before = sum(stage.frames for stage in stages_of(family, arm)[:-1])
+    for frames, rate in run["stages"][-1]["curve"]:
+        if rate >= success:
+            return int(before + frames)
+    return None
+
+
+def summarise(family: str, results: Mapping[str, Sequence[Result]]) -> Summary:
+    """What each agent came to.
+
+    Args:
+        family: Of the tasks.
+        results: By agent.
+
+    Returns:
+        ``arms``: by agent the success in fresh episodes with its 95 % interval over seeds, the frames of all stages to
+        each success of `REACHED` for every seed, and the seconds; ``uniform``: success of a uniform choice;
+        ``options``: by subgoal in how many seeds it was discovered, and of its runs the share that reached it, by stage.
+    """
+    summary: Summary = {"arms": {}, "uniform": {}, "options": {}}
+    for name, runs in results.items():
+        arm: Arm = name  # type: ignore[assignment]  # the names of the parts are arms
+        summary["arms"][name] = {
+            "n_runs": len(runs),
+            "success": {how: _mean([run["success"][how] for run in runs]) for how in ("sampled", "greedy")},
+            "frames_to": {str(least): [frames_to(run, family, arm, least) for run in runs] for least in REACHED},
+            "seconds": _mean([sum(stage["seconds"] for stage in run["stages"]) for run in runs]),
+        }
+        if "uniform" in runs[0]["success"]:
+            summary["uniform"][name] = _mean([run["success"]["uniform"] for run in runs])
+    summary["options"] = _options(results.get("discovered", ()))
+    return summary
+
+
+def _options(runs: Sequence[Result]) -> dict[str, Any]:
+    """By subgoal, how many seeds discovered it, and how many of its runs reached it in each stage."""
+    found: Counter[str] = Counter()
+    ends: dict[str, list[Counter[str]]] = {}
+    for run in runs:
+        for option in run["options"]:
+            found[option["where"]] += 1
+            counts = ends.setdefault(option["where"], [Counter() for _ in run["stages"]])
+            for stage, count in zip(run["stages"], counts, strict=True):
+                count.update(stage["option_runs"].get(str(option["slot"]), {}))
+    return {
+        where: {
+            "n_runs": n,
+            "reached": [count["subgoal"] / count.total() if count else None for count in ends[where]],
+            "runs": [count.total() for count in ends[where]],
+        }
+        for where, n in found.most_common()
+    }
+
+
+def _mean(values: Sequence[float]) -> dict[str, Any]:
+    return mean_interval(np.array(values, dtype=np.float64))._asdict()
