@@ -21,8 +21,9 @@ from experiments.minigrid import settings
 from experiments.minigrid.hand_made import options_on
 from sb3_options import OptionsWrapper
 from sb3_options.envs.minigrid import make
+from sb3_options.experience.observations import BoolArray
 
-Chooser = Callable[[Any, npt.NDArray[np.bool_]], npt.NDArray[np.integer[Any]]]
+Chooser = Callable[[Any, BoolArray], npt.NDArray[Any]]
 """Observations and masks (n_envs, n_actions) → actions (n_envs,)."""
 
 
@@ -88,7 +89,8 @@ def success_rate(choose: Chooser, venv: VecEnv, seed: int) -> float:
     venv.seed(seed)
     left = np.full(venv.num_envs, -(-settings.EPISODES // venv.num_envs))
     observations, successes = venv.reset(), []
-    masks = np.ones((venv.num_envs, int(venv.action_space.n)), dtype=bool)  # type: ignore[attr-defined]  # Discrete
+    n_actions = int(venv.action_space.n)  # type: ignore[attr-defined]  # it is Discrete
+    masks: BoolArray = np.ones((venv.num_envs, n_actions), dtype=np.bool_)
     while left.any():
         if venv.has_attr("action_masks"):
             masks = np.stack(venv.env_method("action_masks"))
@@ -102,9 +104,10 @@ def success_rate(choose: Chooser, venv: VecEnv, seed: int) -> float:
 def learned(model: BaseAlgorithm, *, deterministic: bool) -> Chooser:
     """The choices of a model."""
 
-    def choose(observations: Any, masks: npt.NDArray[np.bool_]) -> npt.NDArray[np.integer[Any]]:
+    def choose(observations: Any, masks: BoolArray) -> npt.NDArray[Any]:
         known = {"action_masks": masks} if isinstance(model, MaskablePPO) else {}
-        return model.predict(observations, deterministic=deterministic, **known)[0]  # type: ignore[return-value]  # of a batch
+        actions, _ = model.predict(observations, deterministic=deterministic, **known)  # type: ignore[arg-type]  # only MaskablePPO has masks
+        return actions
 
     return choose
 
@@ -113,7 +116,7 @@ def uniform(seed: int) -> Chooser:
     """Uniformly random choices among what may begin: primitive actions and options."""
     rng = np.random.default_rng(seed)
 
-    def choose(observations: Any, masks: npt.NDArray[np.bool_]) -> npt.NDArray[np.integer[Any]]:
+    def choose(observations: Any, masks: BoolArray) -> npt.NDArray[Any]:
         return np.array([rng.choice(np.flatnonzero(mask)) for mask in masks])
 
     return choose

@@ -41,7 +41,8 @@ def options_on(features: FeatureMap) -> list[Option]:
         return lambda x: x[:, COLUMN[f"{kind}_visible"]] > 0
 
     def not_between(x: FloatArray) -> BoolArray:
-        return x[:, COLUMN["between_walls"]] == 0
+        outside: BoolArray = x[:, COLUMN["between_walls"]] == 0
+        return outside
 
     def never(x: FloatArray) -> BoolArray:
         return np.zeros(len(x), dtype=bool)

@@ -35,7 +35,7 @@ def summarise(family: str, results: Mapping[str, Sequence[Result]]) -> Summary:
     Returns:
         ``arms``: by agent the success in fresh episodes with its 95 % interval over seeds, the frames of all stages to
         each success of `REACHED` for every seed, and the seconds; ``uniform``: success of a uniform choice;
-        ``options``: by subgoal in how many seeds it was discovered, and of its runs the share that reached it, by stage.
+        ``options``: by subgoal, how many seeds discovered it, and the share of its runs that reached it, by stage.
     """
     summary: Summary = {"arms": {}, "uniform": {}, "options": {}}
     for name, runs in results.items():

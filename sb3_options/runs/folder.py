@@ -201,8 +201,8 @@ def make_env(
         )
 
     def wrapped(**kwargs: Any) -> gym.Env[Any, Any]:
-        env: gym.Env[Any, Any] = wrapper(gym.make(env_id, **kwargs))
-        return env
+        assert wrapper is not None  # it is not called then
+        return wrapper(gym.make(env_id, **kwargs))
 
     env_id = config.env
     wrapper: Callable[..., gym.Env[Any, Any]] | None = None

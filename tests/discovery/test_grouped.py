@@ -27,7 +27,10 @@ def trajectory(states: Sequence[Sequence[float]], success: bool) -> tuple[Trajec
 
 def walk(rng: np.random.Generator, success: bool) -> tuple[Trajectory, FloatArray]:
     """Each sees walls at all distances; those that succeed come to a key, from where it is 3 ahead to 1 ahead."""
-    noise = lambda: float(rng.normal())  # noqa: E731
+
+    def noise() -> float:
+        return float(rng.normal())
+
     states = [[0, 0, 1, d, noise()] for d in rng.permutation(5)[:4]]
     if success:
         states += [[1, d, 1, 2, noise()] for d in (3, 2, 1)][int(rng.integers(2)) :]

@@ -1,3 +1,5 @@
+from typing import Any
+
 import gymnasium as gym
 import minigrid  # noqa: F401  # registers its environments
 import numpy as np
@@ -27,7 +29,7 @@ def test_every_environment_is_one_vector(env_id: str) -> None:
 
 
 def test_the_image_can_be_read_back_from_the_vector() -> None:
-    inner = ViewSizeWrapper(gym.make("MiniGrid-LockedRoom-v0"), agent_view_size=9)
+    inner: Any = ViewSizeWrapper(gym.make("MiniGrid-LockedRoom-v0"), agent_view_size=9)  # type: ignore[no-untyped-call]  # of minigrid
     env = MiniGridWrapper(inner)
     observation, _ = inner.reset(seed=3)
     rng = np.random.default_rng(0)
