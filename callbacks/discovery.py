@@ -29,7 +29,7 @@ from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.success import SuccessRule, reported_success
 from sb3_options.experience.trajectories import EpisodeRecord, LabelledTrajectory, Trajectory
 from sb3_options.options.bank import OptionBank
-from sb3_options.options.creation import OptionGrowth, learn_further, learn_option
+from sb3_options.options.creation import OptionGrowth, joined, learn_further, learn_option
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.settings import OptionLearningSettings
 
@@ -73,6 +73,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         interruption: Whether options of DQN, QRDQN and OptionDQN end where going on is worth less than the best
             alternative (`execution.interruption`).
         trial: How options are tried, and closed where they prove harmful (`execution.trials`); by default they are not.
+        min_reached: An option is closed when less than this share of its last runs reached the subgoal, in [0, 1]; 0
+            closes none. Runs that the end of the episode cut off do not count.
         save_path: File for the options, written each time one is made; None writes nothing.
         seed: Of option policies that are networks, and of trials.
         verbose: 1 prints each new option.
@@ -95,6 +97,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         opening_share: float | None = None,
         interruption: bool = True,
         trial: TrialSettings | Mapping[str, Any] | None = None,
+        min_reached: float = 0.0,
         save_path: str | os.PathLike[str] | None = None,
         seed: int = 0,
         verbose: int = 0,
@@ -104,6 +107,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.option_settings = _as(OptionLearningSettings, option_settings or {})
         if max_new_options is not None and max_new_options < 0:
             raise ValueError(f"max_new_options must be at least 0, got {max_new_options}.")
+        if not 0.0 <= min_reached <= 1.0:
+            raise ValueError(f"min_reached must be a share, in [0, 1], got {min_reached}.")
+        self.min_reached = min_reached
         self.success = success
         self.static_filter = static_filter
         self.groups = None if groups is None else tuple(_as(FeatureGroup, group) for group in groups)
@@ -156,6 +162,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                 kind=venv.env_method("feature_kind", indices=[0])[0],
                 taken=[option.subgoal for option in self.bank.slots if isinstance(option, SubgoalOption)],
             )
+        for slot, option in enumerate(self.bank.slots):
+            if isinstance(option, SubgoalOption) and slot not in self._made_here:
+                self._growth.adopted(slot)
         if self.settings.segmentation == "peaks" and set(venv.get_attr("max_runs")) != {None}:
             raise ValueError("max_runs counts in an episode, and a continuing task has none: leave it out with peaks.")
         venv.env_method("record_trajectories", True, self.settings.reward_peaks())
@@ -203,6 +212,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             if self._trials is not None:
                 for slot, why in self._trials.episode_ended(report, success=success, filled=self._options.installed()):
                     self._close_option(slot, why)
+            self._close_unreliable()
             self._learn_from(trajectory, success)
         except ValueError as error:
             # One episode that cannot be used is no reason to end training.
@@ -229,6 +239,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             later: SubgoalOption | None = option
             if self.option_settings.grow and self._growth.is_due(slot, option.subgoal, labelled):
                 later = self._learn(option.subgoal, option.name)
+                if later is not None and slot not in self._made_here:
+                    later = joined(option, later)
             elif self.option_settings.keep_learning:
                 later = learn_further(option, labelled, self.option_settings)
             if later is not None and later is not option:
@@ -285,9 +297,17 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             except OSError as error:
                 logger.warning("The options could not be saved to %s, training goes on: %s", self.save_path, error)
 
+    def _close_unreliable(self) -> None:
+        """Close options whose runs too often end elsewhere than at the subgoal."""
+        for slot in self._options.installed() if self.min_reached else ():
+            reached = self._statistics.reached(slot)
+            if reached is not None and reached < self.min_reached and isinstance(self.bank[slot], SubgoalOption):
+                self._close_option(slot, "unreliable")
+
     def _close_option(self, slot: int, why: Verdict) -> None:
         self._options.uninstall(slot)
         self._made_here.discard(slot)
+        self._statistics.forget(slot)
         self.closed.append(ClosedOption(slot, self.episodes, self.num_timesteps, why))
         logger.info("The option in slot %d proved %s and is closed, after %d episodes.", slot, why, self.episodes)
         if self.verbose:

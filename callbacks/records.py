@@ -11,6 +11,9 @@ from sb3_options.execution.trials import Verdict
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.option_run import OptionRun
 
+MIN_RUNS = 50
+"""Of so many last runs that ended by themselves is judged how many reached the subgoal, or nothing is."""
+
 WINDOW = 100
 """Durations and terminations are averaged over this many last runs of a slot."""
 
@@ -46,7 +49,7 @@ class ClosedOption:
         slot: Its slot, which another may fill.
         episode: Number of episodes that had ended.
         timestep: Primitive steps taken.
-        why: What its trial showed.
+        why: What its trial showed; or that too few of its runs reached the subgoal, "unreliable".
     """
 
     slot: int
@@ -76,6 +79,19 @@ class OptionStatistics:
             return
         self._last.setdefault(run.index, deque(maxlen=WINDOW)).append((run.duration, run.termination))
         self._endings.setdefault(run.index, set()).add(run.termination)
+
+    def reached(self, slot: int) -> float | None:
+        """Share of a slot's last runs that reached the subgoal, of those that neither the episode nor a choice ended.
+
+        None if these are fewer than `MIN_RUNS`.
+        """
+        count = Counter(why for _, why in self._last.get(slot, ()))
+        decided = count["subgoal"] + count["left_initiation"] + count["max_duration"]
+        return count["subgoal"] / decided if decided >= MIN_RUNS else None
+
+    def forget(self, slot: int) -> None:
+        """Forget the last runs of an option that is closed."""
+        self._last.pop(slot, None)
 
     def values(self) -> dict[str, float]:
         """By tag: choices, runs and single steps outside; mean duration and the share of each end of the last runs."""

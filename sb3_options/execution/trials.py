@@ -29,7 +29,7 @@ from sb3_options.execution.option_step import primitive_of
 from sb3_options.experience.observations import BoolArray, FloatArray
 from sb3_options.options.option import Option
 
-Verdict: TypeAlias = Literal["harmful"]
+Verdict: TypeAlias = Literal["harmful", "unreliable"]
 
 Share: TypeAlias = Annotated[float, Field(gt=0, lt=1)]
 Episodes: TypeAlias = Annotated[int, Field(ge=1)]

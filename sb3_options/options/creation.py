@@ -113,6 +113,37 @@ def learn_further(
     return option.with_policy(TabularPolicy(states[known], values[known]))
 
 
+def joined(option: SubgoalOption, later: SubgoalOption) -> SubgoalOption:
+    """An option from elsewhere together with one for the same subgoal that was learned here.
+
+    The trajectories that the first was made from are not at hand, so nothing can be learned from all of them: I is the
+    union of both, and π that of the later one in the states that it knows.
+
+    Args:
+        option: From another task.
+        later: Learned in this one.
+
+    Returns:
+        The option; the first one itself if a policy is not a table or they act on different things.
+    """
+    known, new = option.option_policy, later.option_policy
+    same = isinstance(known, TabularPolicy) and isinstance(new, TabularPolicy)
+    if not same or option.policy_input != later.policy_input:
+        return option
+    assert isinstance(known, TabularPolicy)
+    assert isinstance(new, TabularPolicy)
+    rows, states, values = known.rows_for(new.states)
+    values[rows] = new.values
+    union = np.unique(np.concatenate([option.initiation_set.points, later.initiation_set.points]), axis=0)
+    other = option.with_policy(TabularPolicy(states, values))
+    other.initiation_set = replace(option.initiation_set, points=union)
+    return other
+
+
+FIRST_GROWTH = 5
+"""An option from elsewhere counts as made from this many trajectories."""
+
+
 class OptionGrowth:
     """Says when an option is learned anew: each time twice as many trajectories have reached its subgoal.
 
@@ -128,6 +159,11 @@ class OptionGrowth:
         """Count the ``trajectories`` that the option in ``slot`` was made from."""
         self._reached[slot] = self._learned_from[slot] = sum(_reaches(subgoal, t) for t in trajectories)
 
+    def adopted(self, slot: int) -> None:
+        """Count from now on for an option that was made elsewhere."""
+        self._reached.setdefault(slot, 0)
+        self._learned_from.setdefault(slot, FIRST_GROWTH)
+
     def is_due(self, slot: int, subgoal: Region, trajectory: LabelledTrajectory) -> bool:
         """Whether the option in ``slot`` is to be learned anew after one more trajectory.
 
@@ -137,7 +173,7 @@ class OptionGrowth:
             trajectory: The new one.
 
         Returns:
-            True at every doubling; never for an option that was not `made` here.
+            True at every doubling; never for an option that was neither `made` nor `adopted`.
         """
         if slot not in self._reached:
             return False

@@ -32,7 +32,7 @@ class OptionLearningSettings:
         keep_learning: Whether an option with a table goes on learning from every later trajectory.
         step_size: α of that learning, in (0, 1].
         grow: Whether an option is learned anew, initiation set and policy, from all saved trajectories each time
-            twice as many of them have reached its subgoal.
+            twice as many of them have reached its subgoal. An option from a file gains what is learned here.
     """
 
     policy_input: PolicyInput = "observation"

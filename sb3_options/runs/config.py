@@ -334,7 +334,8 @@ def default_algo(env_id: str) -> str:
 
 def _shipped(env_id: str) -> dict[str, Any]:
     """The settings that ship for an environment."""
-    return yaml_file.read_mapping(TUNED_FOLDER / TUNED[env_id]) if env_id in TUNED else {}
+    file = TUNED.get(env_id, "minigrid.yml" if "MiniGrid-" in env_id else None)
+    return {} if file is None else yaml_file.read_mapping(TUNED_FOLDER / file)
 
 
 def tuned(env_id: str, algo: str = "dqn") -> TrainConfig:

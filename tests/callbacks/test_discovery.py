@@ -23,10 +23,13 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from sb3_options import OptionBank, OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
-from sb3_options.callbacks.records import WINDOW, OptionStatistics
+from sb3_options.callbacks.records import MIN_RUNS, WINDOW, OptionStatistics
+from sb3_options.density.regions import Region
+from sb3_options.envs import Direction
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning import heads
 from sb3_options.options.option import SubgoalOption
+from sb3_options.options.policies import TabularPolicy
 from tests.support import processes
 from tests.support.helpers import DictEnv, place_of, steady_option
 from tests.support.sb3_helpers import (
@@ -51,6 +54,48 @@ def model_of(env: Any = None, algorithm: type[OffPolicyAlgorithm] = DQN, **kwarg
     buffer = {"replay_buffer_class": OptionReplayBuffer}
     env = optioned_rooms() if env is None else env
     return algorithm("MlpPolicy", env, gamma=0.9, **buffer | TINY | RANDOM | kwargs)
+
+
+def to_the_doorway(action: int, *nearby: tuple[float, float]) -> SubgoalOption:
+    """An option for the doorway that always takes one action, in force near some places."""
+    scale = np.ones(2)
+    return SubgoalOption(
+        Region(np.array([DOORWAY]), scale, 0.5),
+        Region(np.array(nearby), scale, 0.5),
+        TabularPolicy(np.array([DOORWAY]), np.eye(N_PRIMITIVE)[[action]]),
+        policy_input="features",
+        max_duration=3,
+    )
+
+
+def test_an_option_that_does_not_reach_its_subgoal_is_closed(tmp_path: Path) -> None:
+    env = optioned_rooms()
+    right, left = Direction.RIGHT, Direction.LEFT
+    env.bank.add(to_the_doorway(right, (3, 2)))
+    env.bank.add(to_the_doorway(left, (3, 2), (2, 2), (1, 2), (0, 2)))
+    callback = SubgoalDiscoveryCallback(max_new_options=0, min_reached=0.5, interruption=False)
+    model_of(env, seed=0).learn(6000, callback=callback)
+    assert [(closed.slot, closed.why) for closed in callback.closed] == [(1, "unreliable")]
+    assert callback.bank.filled == env.bank.filled == (0,)
+
+
+def test_an_option_from_a_file_grows_where_it_is_used(tmp_path: Path) -> None:
+    env = optioned_rooms()
+    env.bank.add(to_the_doorway(Direction.RIGHT, (3, 2)))
+    env.bank.save(tmp_path / "options")
+    env = OptionsWrapper(small_rooms(), 4, gamma=0.9, options_file=tmp_path / "options")
+    callback = SubgoalDiscoveryCallback(max_new_options=0, option_settings={"grow": True, "value_function": "table"})
+    model_of(env).learn(2 * STEPS, callback=callback)
+    option = env.bank[0]
+    assert isinstance(option, SubgoalOption)
+    points = {tuple(point) for point in option.initiation_set.points}
+    assert (3, 2) in points
+    assert len(points) > 5
+
+
+def test_a_share_is_refused_out_of_range() -> None:
+    with pytest.raises(ValueError, match=r"min_reached must be a share, in \[0, 1\], got 2"):
+        SubgoalDiscoveryCallback(min_reached=2)
 
 
 def banks(venv: VecEnv) -> list[OptionBank]:
@@ -447,3 +492,15 @@ def test_saved_and_loaded_in_a_new_process_acts_the_same(tmp_path: Path) -> None
     assert result.returncode == 0, result.stderr
     for name, values in expected.items():
         np.testing.assert_array_equal(np.load(tmp_path / f"{name}.npy"), values)
+
+
+def test_only_runs_that_ended_by_themselves_say_whether_an_option_reaches() -> None:
+    statistics = OptionStatistics()
+    ends = ["subgoal"] * 30 + ["left_initiation"] * 10 + ["max_duration"] * 9 + ["truncated", "interrupted"] * 20
+    for why in ends:
+        statistics.add(OptionRun(0, 1, 0.9, 0.9, why, inside=True))  # type: ignore[arg-type]  # terminations
+    assert statistics.reached(0) is None
+    statistics.add(OptionRun(0, 1, 0.9, 0.9, "left_initiation", inside=True))
+    assert statistics.reached(0) == 30 / MIN_RUNS
+    statistics.forget(0)
+    assert statistics.reached(0) is None

@@ -11,6 +11,7 @@ from sb3_options.experience.observations import FloatArray, flatten
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.options.creation import (
     OptionGrowth,
+    joined,
     learn_further,
     learn_option,
 )
@@ -166,6 +167,33 @@ def test_slots_are_counted_apart() -> None:
     assert growth.is_due(0, ball(2.0), REACHES)
     assert not growth.is_due(1, ball(1.0), REACHES)
     assert growth.is_due(1, ball(1.0), MISSES)
+
+
+def test_an_adopted_option_is_learned_anew_once_enough_reach_it_here() -> None:
+    growth = OptionGrowth()
+    growth.adopted(0)
+    assert [growth.is_due(0, ball(2.0), REACHES) for _ in range(20)] == [n in (10, 20) for n in range(1, 21)]
+
+
+def test_joined_options_start_where_either_does_and_act_as_the_later_one_where_it_knows() -> None:
+    def learned(*places: float) -> SubgoalOption:
+        option = learn_option(DOOR, [walk(places)] * 4, 2, OptionLearningSettings(initiation_steps=3), generator())
+        assert option is not None
+        return option
+
+    first, later = learned(2, 3, 4, 5), learned(8, 7, 6, 5)
+    assert isinstance(later.option_policy, TabularPolicy)
+    # Here the way from 4 leads left.
+    later = later.with_policy(TabularPolicy(*(np.concatenate(pair) for pair in (
+        (later.option_policy.states, [[4.0]]), (later.option_policy.values, [[-1.0, -np.inf]])
+    ))))  # fmt: skip
+    both = joined(first, later).bind(flatten)
+    places = np.arange(10.0)[:, None]
+    assert np.flatnonzero(both.initiation(places)).tolist() == [2, 3, 4, 6, 7, 8]
+    assert both.policy(places[[2, 3, 4, 6, 7, 8]]).tolist() == [RIGHT, RIGHT, LEFT, LEFT, LEFT, LEFT]
+    assert np.flatnonzero(first.bind(flatten).initiation(places)).tolist() == [2, 3, 4]  # unchanged
+    network = learned(2, 3, 4, 5).with_policy(NetworkPolicy(np.zeros(1), np.ones(1), [np.eye(1, 2)], [np.zeros(2)]))
+    assert joined(network, later) is network
 
 
 def test_an_option_made_elsewhere_stays_what_it_is() -> None:

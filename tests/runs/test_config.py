@@ -32,7 +32,7 @@ COMMON: dict[str, Any] = {
         capacity=7, min_positive=2, negative_bags=False, negative_strength=0.5, leak=0.125, search="exhaustive",
         scale=2.5, start_radius=1.0, goal_radius=0.0, decay=0.75, threshold=0.25, peak_radius=2.0, peak_tolerance=0.01,
         subgoal_radius=1.25, spacing=1.5, max_places=6, max_extent=2.5,
-        loops="keep", min_passing=0.25,
+        loops="keep", min_passing=0.25, min_contrast=0.35,
     ),
     "option": OptionLearningSettings(
         policy_input="features", initiation_steps=4, initiation_visits="every", initiation_radius=0.75, max_duration=9,
@@ -142,6 +142,10 @@ def test_an_environment_brings_its_own_defaults() -> None:
     assert dqn.discovery.scale == ppo.discovery.scale == pytest.approx(11.46)
     assert (dqn.train_freq, dqn.exploration_fraction) == (1, 0.3)
     assert dqn.gamma == ppo.gamma == 0.95
+    for name in ("MiniGrid-Empty-5x5-v0", "minigrid:MiniGrid-Empty-5x5-v0"):
+        for algo in CLASSES:
+            grid = configs.tuned(name, algo)
+            assert (grid.env, grid.gamma, grid.max_new_options, grid.discovery.capacity) == (name, 0.99, None, 500)
     assert configs.tuned("CartPole-v1") == DQNConfig(env="CartPole-v1")
 
 
