@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import os
 from collections.abc import Iterable, Mapping
@@ -31,6 +32,7 @@ from sb3_options.experience.trajectories import EpisodeRecord, LabelledTrajector
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.creation import OptionGrowth, joined, learn_further, learn_option
 from sb3_options.options.option import SubgoalOption
+from sb3_options.options.policies import PolicyInput
 from sb3_options.options.settings import OptionLearningSettings
 
 logger = logging.getLogger("sb3_options")
@@ -238,7 +240,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                 continue
             later: SubgoalOption | None = option
             if self.option_settings.grow and self._growth.is_due(slot, option.subgoal, labelled):
-                later = self._learn(option.subgoal, option.name)
+                later = self._learn(option.subgoal, option.name, option.policy_input)
                 if later is not None and slot not in self._made_here:
                     later = joined(option, later)
             elif self.option_settings.keep_learning:
@@ -246,12 +248,12 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             if later is not None and later is not option:
                 self._options.replace(slot, later)
 
-    def _learn(self, subgoal: Region, name: str) -> SubgoalOption | None:
+    def _learn(self, subgoal: Region, name: str, policy_input: PolicyInput) -> SubgoalOption | None:
         return learn_option(
             subgoal,
             self._search.database,
             self._options.n_primitive,
-            self.option_settings,
+            dataclasses.replace(self.option_settings, policy_input=policy_input),
             self._generator,
             name=name,
         )
@@ -266,7 +268,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         where = described(centre, self._search.kind)
         if subgoal.group is not None:
             where = f"{subgoal.group.name} at {where}"
-        option = self._learn(subgoal, f"reach {where}")
+        option = self._learn(subgoal, f"reach {where}", self.option_settings.policy_input)
         if option is None:
             logger.warning("No option for the subgoal at %s: no saved trajectory leads to it.", centre)
             return
