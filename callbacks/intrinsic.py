@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from stable_baselines3.common.buffers import RolloutBuffer
+from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 
 from sb3_options.execution.features import MAX_FEATURES
@@ -23,6 +23,7 @@ from sb3_options.experience.observations import (
     take,
 )
 from sb3_options.experience.option_run import OptionRun
+from sb3_options.learning.bonus_replay import RowBonuses, set_bonus
 from sb3_options.learning.novelty import (
     Keys,
     Novelty,
@@ -35,6 +36,7 @@ from sb3_options.learning.novelty import (
     exact_keys,
     is_table_like,
 )
+from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.learning.rollout_buffer import add_bonuses
 
 
@@ -46,8 +48,10 @@ class IntrinsicRewardCallback(BaseCallback):
     gets Σ γⁱ bᵢ over all of them, also those inside.
 
     Advantages and returns of PPO, A2C and the other algorithms with rollouts are those of rewards with the bonus
-    (`add_bonuses`). Environments, monitors and evaluations see the rewards of the task alone. It works without options,
-    and with them beside `SubgoalDiscoveryCallback` or `PrimitiveStepsCallback`, in any order.
+    (`add_bonuses`). DQN and the other algorithms with a replay buffer get it when they sample a batch, as it is by
+    then: what was new when it was stored may be well known. Environments, monitors and evaluations see the rewards of
+    the task alone. It works without options, and with them beside `SubgoalDiscoveryCallback` or
+    `PrimitiveStepsCallback`, in any order.
 
     There is one value function for both rewards, so a bonus ends with the episode, which that of Burda et al. (2018)
     does not.
@@ -101,17 +105,33 @@ class IntrinsicRewardCallback(BaseCallback):
         gamma: float = self.model.gamma  # type: ignore[attr-defined]  # every algorithm has it
         if gamma >= 1.0:
             raise ValueError(f"A bonus needs gamma below 1, or its return has no bound, got gamma={gamma}.")
-        if not isinstance(getattr(self.model, "rollout_buffer", None), RolloutBuffer):
-            raise TypeError(
-                f"{type(self.model).__name__} has no rollout or replay buffer of Stable-Baselines3 that a bonus could "
-                "be added to: IntrinsicRewardCallback is for PPO, A2C, DQN and the like."
-            )
+        self._check_buffers()
         if self.scale is None:
             self.scale = ReturnScale(gamma, self.training_env.num_envs)
         elif len(self.scale.returns) != self.training_env.num_envs:
             self.scale.returns = np.zeros(self.training_env.num_envs)
         if self.novelty is None and self.kind == "counts":
             self.novelty = StateCounts(self._keys(space_of_environments(self.training_env)))
+
+    def _check_buffers(self) -> None:
+        """Refuse an algorithm without a buffer, or with one that does not hold what a bonus is for."""
+        if not isinstance(getattr(self.model, "rollout_buffer", self._replay), RolloutBuffer | ReplayBuffer):
+            raise TypeError(
+                f"{type(self.model).__name__} has no rollout or replay buffer of Stable-Baselines3 that a bonus could "
+                "be added to: IntrinsicRewardCallback is for PPO, A2C, DQN and the like."
+            )
+        if isinstance(self._replay, OptionReplayBuffer) and not self._replay.macro_q:
+            raise ValueError(
+                "The bonus of an option is that of the primitive steps inside it, which a replay buffer with "
+                "macro_q=False does not store: leave out replay_buffer_kwargs={'macro_q': False}."
+            )
+        if isinstance(self._replay, OptionReplayBuffer) and self._replay.row_bonuses is None:
+            # An earlier version pickled it, and did not note how long runs were: they get the bonus of their last step.
+            self._replay.row_bonuses = RowBonuses(self._replay.buffer_size)
+
+    @property
+    def _replay(self) -> ReplayBuffer | None:
+        return getattr(self.model, "replay_buffer", None)
 
     def _keys(self, space: spaces.Space[Any]) -> Keys:
         if self.feature_map is not None:
@@ -133,6 +153,8 @@ class IntrinsicRewardCallback(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         self._sums.clear()
+        if self._replay is not None:  # not when training starts: another callback may replace the buffer then
+            set_bonus(self._replay, self._bonus_now)
 
     def _on_step(self) -> bool:
         runs = [OptionRun.from_info(info) if "option" in info else None for info in self.locals["infos"]]
@@ -143,7 +165,20 @@ class IntrinsicRewardCallback(BaseCallback):
         return True
 
     def _on_rollout_end(self) -> None:
-        add_bonuses(self.model.rollout_buffer, self._bonus_weight * np.array(self._sums))  # type: ignore[attr-defined]  # checked at the start
+        if self._replay is None:
+            buffer: RolloutBuffer = self.model.rollout_buffer  # type: ignore[attr-defined]  # checked at the start
+            add_bonuses(buffer, self._bonus_weight * np.array(self._sums))
+
+    def _on_training_end(self) -> None:
+        if self._replay is not None:
+            set_bonus(self._replay, None)
+
+    def _bonus_now(self, observations: Observations) -> FloatArray:
+        """The present bonus of observations as a replay buffer stores them: not normalised."""
+        assert self.novelty is not None  # nothing is sampled before something was visited
+        normalizer = self.model.get_vec_normalize_env()
+        venv = self.training_env if normalizer is None else normalizer.venv
+        return self._bonus_weight * self.novelty.of(as_wrapper_sees(venv, observations))
 
     def _last_observations(self) -> list[Observations]:
         """Where each environment arrived, as it gave it itself: a batch of one each."""
