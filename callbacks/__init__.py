@@ -1,6 +1,7 @@
 """Stable-Baselines3 callbacks of sb3-options."""
 
 from sb3_options.callbacks.discovery import SubgoalDiscoveryCallback
+from sb3_options.callbacks.intrinsic import IntrinsicRewardCallback
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
 from sb3_options.callbacks.records import ClosedOption, DiscoveredOption
 from sb3_options.callbacks.zoo import ZooDiscoveryCallback
@@ -9,6 +10,7 @@ from sb3_options.execution.trials import TrialSettings
 __all__ = [
     "ClosedOption",
     "DiscoveredOption",
+    "IntrinsicRewardCallback",
     "PrimitiveStepsCallback",
     "SubgoalDiscoveryCallback",
     "TrialSettings",

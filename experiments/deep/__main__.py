@@ -11,7 +11,7 @@ import dataclasses
 import time
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import tyro
 from rich.table import Table
@@ -19,7 +19,8 @@ from rich.table import Table
 from experiments.common.documents import number
 from experiments.common.seeds import Part, run_parts
 from experiments.common.study import Flags, show, write
-from experiments.deep.agents import ALGORITHMS, ARMS, Arm
+from experiments.deep.agents import ALGORITHMS
+from experiments.deep.arms import ARMS, Arm, has_arm
 from experiments.deep.conditions import run
 from experiments.deep.plots import draw
 from experiments.deep.settings import DeepSettings
@@ -37,7 +38,9 @@ class Study(Flags):
         env: Which gridworlds, with commas between; by default all that have the task.
         algo: Which algorithms, with commas between: dqn and ppo, which with options keep to their initiation sets
             (OptionDQN, MaskablePPO); dqn-unmasked, ppo-unmasked and qrdqn, which do not.
-        arms: What is compared, with commas between: stock, carried (the network of the old task), options, repeats.
+        arms: What is compared, with commas between: stock, carried (the network of the old task), n-step (returns over
+            10 steps, DQN only), count-bonus and rnd (intrinsic rewards); options, options-n-step, options-bonus (of
+            state counts); repeats.
         control_runs: Seeds of the random repeats; by default as many.
         settings: Of the algorithms and of discovery.
     """
@@ -64,6 +67,8 @@ class Study(Flags):
                     raise SystemExit(
                         f"--{name}: there is no {value!r} for --task {self.task}, choose from {', '.join(possible)}."
                     )
+        if not any(has_arm(algo, cast("Arm", arm)) for algo in self.chosen("algo") for arm in self.chosen("arms")):
+            raise SystemExit("--arms: n-step returns need an algorithm with a replay buffer, for instance --algo dqn.")
 
     def chosen(self, name: str) -> list[str]:
         """The values of a flag that has commas between them."""
@@ -114,7 +119,7 @@ def _plain(arms: dict[str, Any]) -> dict[str, Any]:
 def _run(study: Study, arm: Arm) -> dict[tuple[str, str], Any]:
     n = study.control_runs if arm == "repeats" else None
     found: dict[tuple[str, str], Any] = {}
-    for algo in study.chosen("algo"):
+    for algo in filter(lambda algo: has_arm(algo, arm), study.chosen("algo")):
         parts = []
         for env in study.chosen("env"):
             folder = study.out / "runs" / f"{env}-{algo}-{arm}"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -15,16 +16,13 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
+from experiments.deep.arms import N_STEP, OPTIONS, STOCK, Arm
 from experiments.deep.repeats import RandomRepeat
 from experiments.deep.settings import GAMMA, DeepSettings, family
 from experiments.deep.tasks import Task
 from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.runs.evaluation import greedy_episodes
 
-Arm: TypeAlias = Literal["stock", "carried", "options", "repeats"]
-ARMS: tuple[Arm, ...] = get_args(Arm)
-STOCK: frozenset[Arm] = frozenset({"stock", "carried"})
-"""Those without the library; the network of ``carried`` has learned the old task."""
 ALGORITHMS: dict[str, tuple[Any, Any]] = {
     "dqn": (DQN, OptionDQN),
     "ppo": (PPO, MaskablePPO),
@@ -48,7 +46,7 @@ def make_env(task: Task, algo: str, arm: Arm, settings: DeepSettings, seed: int,
         env: gym.Env[Any, Any] = Monitor(gym.make(task.env, **{**task.target, **kwargs}))
         if arm in STOCK:
             return env
-        max_runs = settings.max_runs[family(algo)] if arm == "options" else 0
+        max_runs = settings.max_runs[family(algo)] if arm in OPTIONS else 0
         optioned = OptionsWrapper(env, settings.max_options, gamma=GAMMA, max_runs=max_runs or None)
         if arm == "repeats":
             rng = np.random.default_rng([seed + i, REPEAT_SEED])
@@ -65,13 +63,14 @@ def make_model(algo: str, venv: VecEnv, arm: Arm, settings: DeepSettings, seed: 
     """The untrained model."""
     stock, with_options = ALGORITHMS[algo]
     common: dict[str, Any] = {"gamma": GAMMA, "seed": seed, "device": "cpu"}
+    own = settings.arguments(algo, arm)
     if issubclass(stock, OffPolicyAlgorithm):
-        buffer: dict[str, Any] = {}
-        if arm not in STOCK:
-            buffer = {"replay_buffer_class": OptionReplayBuffer, "replay_buffer_kwargs": settings.buffer}
-        own = {**settings.arguments(algo, arm), **buffer}
-    else:
-        own = settings.arguments(algo, arm)
+        n_steps = {"n_steps": settings.n_steps} if arm in N_STEP else {}
+        if arm in STOCK:
+            own = {**own, **n_steps}
+        else:  # SB3 hands its own argument to its own buffers only
+            buffer = {**settings.buffer, **n_steps}
+            own = {**own, "replay_buffer_class": OptionReplayBuffer, "replay_buffer_kwargs": buffer}
     made: BaseAlgorithm = (stock if arm in STOCK else with_options)("MlpPolicy", venv, **common, **own)
     return made
 
@@ -84,18 +83,29 @@ class Evaluations(BaseCallback):
         every: Primitive steps.
         steps_after: Training ends this many primitive steps after `reached_at`.
         seed: Every evaluation sees the same episodes.
+
+    Attributes:
+        points: Primitive steps, success rate and mean length of each evaluation.
+        seconds: Of training before each of them, without the evaluations.
     """
 
     def __init__(self, venv: VecEnv, every: int, steps_after: int, seed: int) -> None:
         super().__init__()
         self.venv, self.every, self.steps_after, self.seed = venv, every, steps_after, seed
         self.points: list[tuple[int, float, float]] = []
+        self.seconds: list[float] = []
         self._next = 0
+
+    def _on_training_start(self) -> None:
+        self._began = time.perf_counter()
 
     def _on_step(self) -> bool:
         if self.num_timesteps >= self._next:
+            paused = time.perf_counter()
+            self.seconds.append(round(paused - self._began, 3))
             self._next = (self.num_timesteps // self.every + 1) * self.every
             self.points.append((self.num_timesteps, *greedy(self.model, self.venv, self.seed)))
+            self._began += time.perf_counter() - paused
             reached = reached_at([at for at, _, _ in self.points], [success for _, success, _ in self.points])
             return reached is None or self.num_timesteps < reached + self.steps_after
         return True

@@ -12,10 +12,16 @@ from stable_baselines3.common.callbacks import BaseCallback, CallbackList, EvalC
 
 from experiments.common.gridworlds import world_of
 from experiments.common.seeds import Result
-from experiments.deep.agents import Arm, Evaluations, greedy, make_env, make_model
+from experiments.deep.agents import Evaluations, greedy, make_env, make_model
+from experiments.deep.arms import BONUS, OPTIONS, Arm
 from experiments.deep.settings import DeepSettings, family
 from experiments.deep.tasks import SLACK, Task, optimal_steps
-from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback, TrialSettings
+from sb3_options.callbacks import (
+    IntrinsicRewardCallback,
+    PrimitiveStepsCallback,
+    SubgoalDiscoveryCallback,
+    TrialSettings,
+)
 
 SOURCE_SEED, EVAL_SEED, FINAL_SEED = 300_000, 500_000, 10_000_000
 """Added to a run's seed for the old task, for its evaluations, and for those at its end."""
@@ -52,7 +58,7 @@ def train(
     Args:
         task: Which.
         algo: Of `ALGORITHMS`.
-        arm: Stock, stock with the network of the old task, discovered options, or random repeats in their place.
+        arm: Of `ARMS`.
         settings: Of everything.
         seed: Of everything random.
         options: A file of options to begin with, in which case none are discovered.
@@ -60,8 +66,8 @@ def train(
         steps_after: In place of the settings'.
 
     Returns:
-        ``steps``, ``success`` and ``length`` of each evaluation, ``final_success`` and ``final_length``, and what was
-        discovered; the callback that discovered it; the model.
+        ``steps``, ``success`` and ``length`` of each evaluation and the ``seconds`` of training before it,
+        ``final_success`` and ``final_length``, and what was discovered; the callback that discovered it; the model.
     """
     limit = round(SLACK * optimal_steps(world_of(task.env, **task.target)))
     limit = min(limit, task.target.get("max_steps", limit))
@@ -79,7 +85,7 @@ def train(
     evaluations = Evaluations(eval_env, settings.evaluate_every, steps_after, EVAL_SEED + seed)
     discovery = None
     callbacks: list[BaseCallback] = [evaluations]
-    if arm == "options":
+    if arm in OPTIONS:
         withhold = settings.withhold[family(algo)]
         discovery = SubgoalDiscoveryCallback(
             settings.discovery,
@@ -93,6 +99,8 @@ def train(
         callbacks = [discovery, *callbacks, Served(eval_env)]
     elif arm == "repeats":
         callbacks = [PrimitiveStepsCallback(), *callbacks]
+    if arm in BONUS:
+        callbacks = [IntrinsicRewardCallback(BONUS[arm], weight=settings.bonus_weight, seed=seed), *callbacks]
     model.learn(task.n_timesteps, callback=CallbackList(callbacks))
     steps, success, lengths = zip(*evaluations.points, strict=True)
     last = [
@@ -104,6 +112,7 @@ def train(
         "steps": list(steps),
         "success": list(success),
         "length": list(lengths),
+        "seconds": evaluations.seconds,
         "final_success": float(np.mean([success for success, _ in last])),
         "final_length": float(np.mean([length for _, length in last])),
         "options": [
@@ -115,7 +124,7 @@ def train(
 
 
 def train_source(task: Task, algo: str, arm: Arm, settings: DeepSettings, seed: int) -> Trained:
-    """Train in the old task of a transfer, for its options or its network.
+    """Train in the old task of a transfer, for its options or its network; bonus and n-step returns are the target's.
 
     Args:
         task: Which has a source.
@@ -129,7 +138,8 @@ def train_source(task: Task, algo: str, arm: Arm, settings: DeepSettings, seed: 
     """
     source = Task(task.env, task.source or {}, n_timesteps=task.source_timesteps)
     untried = dataclasses.replace(settings, withhold=dict.fromkeys(settings.withhold, 0.0))
-    return train(source, algo, arm, untried, SOURCE_SEED + seed, steps_after=source.n_timesteps)
+    plain: Arm = "options" if arm in OPTIONS else "stock"
+    return train(source, algo, plain, untried, SOURCE_SEED + seed, steps_after=source.n_timesteps)
 
 
 def run(task: Task, algo: str, arm: Arm, settings: DeepSettings, folder: Path, seed: int) -> Result:
@@ -146,7 +156,7 @@ def run(task: Task, algo: str, arm: Arm, settings: DeepSettings, folder: Path, s
     Returns:
         As of `train`; with ``brought``, the subgoals of the options brought along.
     """
-    if task.source is None or arm not in ("carried", "options"):
+    if task.source is None or not (arm == "carried" or arm in OPTIONS):
         return train(task, algo, arm, settings, seed).result
     _, discovery, model = train_source(task, algo, arm, settings, seed)
     if discovery is None:

@@ -12,11 +12,26 @@ from experiments.common.seeds import Result
 from experiments.deep.summary import GRID, curve, iqm, iqm_interval, steps_to_success
 from sb3_options.experience.observations import FloatArray
 
-COLOURS = {"stock": "0.45", "carried": "#2ca02c", "options": "#d62728", "repeats": "#1f77b4"}
+COLOURS = {
+    "stock": "0.45",
+    "carried": "#2ca02c",
+    "n-step": "black",
+    "count-bonus": "#9467bd",
+    "rnd": "#17becf",
+    "options": "#d62728",
+    "options-n-step": "#8c1515",
+    "options-bonus": "#ff7f0e",
+    "repeats": "#1f77b4",
+}
 LABELS = {
     "stock": "stock",
     "carried": "stock, network carried over",
+    "n-step": "stock, n-step returns",
+    "count-bonus": "stock, count bonus",
+    "rnd": "stock, RND",
     "options": "discovered options",
+    "options-n-step": "options, n-step returns",
+    "options-bonus": "options, count bonus",
     "repeats": "random repeats",
 }
 N_BANDS = 500

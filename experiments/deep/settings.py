@@ -6,6 +6,8 @@ import dataclasses
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
+from experiments.deep.arms import BONUS, N_STEP, OPTIONS, STOCK, Arm
+
 GAMMA = 0.97
 
 
@@ -73,6 +75,8 @@ class DeepSettings:
         option: Other than the defaults of `OptionLearningSettings`.
         callback: Switches of `SubgoalDiscoveryCallback`: ``interruption``.
         buffer: Switches of `OptionReplayBuffer`: ``intra_option``, ``macro_q``.
+        n_steps: Decisions of the n-step returns, stock and with options.
+        bonus_weight: Of `IntrinsicRewardCallback`.
         evaluate_every: Primitive steps between evaluations.
         evaluation_episodes: Episodes of each.
         steps_after: A run ends this many primitive steps after it has reached 90 %, by the algorithm's family.
@@ -92,31 +96,40 @@ class DeepSettings:
     option: dict[str, Any] = field(default_factory=lambda: {"grow": True})
     callback: dict[str, Any] = field(default_factory=lambda: {"interruption": True})
     buffer: dict[str, Any] = field(default_factory=lambda: {"intra_option": False})
+    n_steps: int = 10
+    bonus_weight: float = 0.1
     evaluate_every: int = 1000
     evaluation_episodes: int = 20
     steps_after: dict[str, int] = field(default_factory=lambda: {"dqn": 6_000, "ppo": 30_000})
     final_evaluations: int = 10
 
-    def of(self, algo: str, arm: str) -> dict[str, Any]:
+    def of(self, algo: str, arm: Arm) -> dict[str, Any]:
         """What the runs of one arm of an algorithm depend on."""
         own = {"algorithm": self.arguments(algo, arm), "steps_after": self.steps_after[family(algo)]}
         common = ["n_envs", "evaluate_every", "evaluation_episodes", "final_evaluations"]
-        if arm not in ("stock", "carried"):
+        if arm not in STOCK:
             common += ["max_options", "max_new_options", "discovery", "option", "callback", "buffer"]
             own["max_option_exploration"] = self.max_option_exploration[family(algo)]
-        if arm == "options":
+        if arm in OPTIONS:
             own["max_runs"] = self.max_runs[family(algo)]
             own["withhold"] = self.withhold[family(algo)]
+        if arm in N_STEP:
+            own["n_steps"] = self.n_steps
+        if arm in BONUS:
+            own["bonus_weight"] = self.bonus_weight
         return {**own, **{name: value for name, value in dataclasses.asdict(self).items() if name in common}}
 
-    def arguments(self, algo: str, arm: str) -> dict[str, Any]:
+    def arguments(self, algo: str, arm: Arm) -> dict[str, Any]:
         """Of the algorithm itself; random repeats take those of options."""
         sides: Sides = getattr(self, family(algo))
-        return sides[self.both_as or ("stock" if arm in ("stock", "carried") else "options")]
+        return sides[self.both_as or ("stock" if arm in STOCK else "options")]
 
     def switched(self) -> list[str]:
         """The flags of what is not as by default, as far as the study varies it."""
         flags = [f"--settings.both-as {self.both_as}"] if self.both_as else []
+        for name in ("n_steps", "bonus_weight"):
+            if getattr(self, name) != getattr(DeepSettings(), name):
+                flags.append(f"--settings.{name.replace('_', '-')} {getattr(self, name)}")
         for group in ("max_option_exploration", "max_runs", "withhold"):
             for name, value in getattr(self, group).items():
                 if value != getattr(DeepSettings(), group)[name]:

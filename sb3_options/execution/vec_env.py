@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack, VecTransposeImage
+from gymnasium import spaces
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack, VecNormalize, VecTransposeImage
 from stable_baselines3.common.vec_env.stacked_observations import StackedObservations
 
 
@@ -23,11 +24,42 @@ def as_wrapper_sees(venv: VecEnv, observations: Any) -> Any:
         The batch as the environments beneath gave it.
     """
     while isinstance(venv, VecEnvWrapper):
-        if isinstance(venv, VecTransposeImage):
-            observations = _channels_last(venv, observations)
-        elif isinstance(venv, VecFrameStack):
-            observations = _newest_frame(venv.stacked_obs, observations)
+        observations = _undone(venv, observations)
         venv = venv.venv
+    return observations
+
+
+def as_environments_gave(venv: VecEnv, observations: Any) -> Any:
+    """`as_wrapper_sees` for observations that ``VecNormalize`` has normalised; what it clipped stays clipped.
+
+    Args:
+        venv: The algorithm's environment.
+        observations: A batch as the algorithm sees it.
+    """
+    while isinstance(venv, VecEnvWrapper):
+        if isinstance(venv, VecNormalize):
+            observations = venv.unnormalize_obs(observations)
+        observations = _undone(venv, observations)
+        venv = venv.venv
+    return observations
+
+
+def space_of_environments(venv: VecEnv) -> spaces.Space[Any]:
+    """The space of what `as_environments_gave` returns."""
+    space = venv.observation_space
+    while isinstance(venv, VecEnvWrapper):
+        if isinstance(venv, VecNormalize | VecTransposeImage | VecFrameStack):
+            space = venv.venv.observation_space
+        venv = venv.venv
+    return space
+
+
+def _undone(venv: VecEnvWrapper, observations: Any) -> Any:
+    """What one of SB3's wrappers was given."""
+    if isinstance(venv, VecTransposeImage):
+        return _channels_last(venv, observations)
+    if isinstance(venv, VecFrameStack):
+        return _newest_frame(venv.stacked_obs, observations)
     return observations
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +11,13 @@ Rows = npt.NDArray[np.int64]
 
 END = -1
 """Nothing is stored that follows: the episode ended, or the newest decision."""
+
+
+class Column(Protocol):
+    """A number of each row of a replay buffer."""
+
+    def __getitem__(self, rows: Rows, /) -> npt.NDArray[np.float32]:
+        """Of some rows."""
 
 
 class NStepReturns(NamedTuple):
@@ -85,9 +92,7 @@ class Successors:
         self.following[rows] = END
         self._newest = [newest[~np.isin(newest, rows)] for newest in self._newest]
 
-    def returns(
-        self, rows: Rows, n: int, rewards: npt.NDArray[np.float32], discounts: npt.NDArray[np.float32]
-    ) -> NStepReturns:
+    def returns(self, rows: Rows, n: int, rewards: Column, discounts: npt.NDArray[np.float32]) -> NStepReturns:
         """The n-step returns from some rows.
 
         Args:

@@ -16,6 +16,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from sb3_options.experience.observations import BoolArray, Observations, take
 from sb3_options.experience.option_run import OptionRun
+from sb3_options.learning.bonus_replay import RowBonuses
 from sb3_options.learning.intra_option import ConsistencyTable
 from sb3_options.learning.n_step import Successors
 from sb3_options.learning.replay_samples import OptionReplayBufferSamples
@@ -68,6 +69,7 @@ class OptionReplayBuffer(ReplayBuffer):
     consistency: ConsistencyTable | None = None
     heads_are_closed = False  # of empty slots, by a callback or by OptionDQN
     n_steps = 1  # of a buffer that an earlier version pickled
+    row_bonuses: RowBonuses | None = None  # likewise
     _successors: Successors | None = None
 
     def __init__(
@@ -100,6 +102,7 @@ class OptionReplayBuffer(ReplayBuffer):
         self.n_steps = n_steps
         if n_steps > 1:
             self._successors = Successors(buffer_size, n_envs)
+        self.row_bonuses = RowBonuses(buffer_size)
         self.written = 0
         self._spaces = (
             observation_space.spaces if isinstance(observation_space, spaces.Dict) else {"": observation_space}
@@ -165,6 +168,7 @@ class OptionReplayBuffer(ReplayBuffer):
     def _columns(self) -> list[npt.NDArray[Any]]:
         """Every array with one row per transition."""
         columns = [self.actions, self.rewards, self.dones, self.timeouts, self.discounts, self.next_available]
+        columns += [] if self.row_bonuses is None else [self.row_bonuses.inner_steps]
         return [*columns, *self._observations.values(), *self._next_observations.values()]
 
     def track_availability(self, max_options: int) -> None:
@@ -174,12 +178,14 @@ class OptionReplayBuffer(ReplayBuffer):
 
     def next_observations_stored(self) -> Observations:
         """The next observations of all stored transitions, as the VecEnv gave them, row by row."""
-        return self._as_given(self._next_observations, np.s_[: self.size()])
+        return self._arrived_in(np.s_[: self.size()])
 
     def stored(self, rows: slice | npt.NDArray[Any]) -> tuple[Observations, npt.NDArray[np.int64], Observations]:
         """Observations as the VecEnv gave them, augmented actions (n,) and next observations of some rows."""
-        given = self._as_given(self._observations, rows), self._as_given(self._next_observations, rows)
-        return given[0], self.actions[rows, 0], given[1]
+        return self._as_given(self._observations, rows), self.actions[rows, 0], self._arrived_in(rows)
+
+    def _arrived_in(self, rows: slice | npt.NDArray[Any]) -> Observations:
+        return self._as_given(self._next_observations, rows)
 
     def _as_given(self, stored: Rows, rows: slice | npt.NDArray[Any]) -> Observations:
         taken = {k: v[rows] for k, v in stored.items()}
@@ -257,6 +263,8 @@ class OptionReplayBuffer(ReplayBuffer):
             self._write(here, there, chosen[None], reward[this], done[this], timeout, run.discount, last)
             if self.macro_q and run.index >= 0 and run.actions is not None:
                 inner = (self.pos + np.arange(run.duration)) % self.buffer_size
+                if self.row_bonuses is not None:
+                    self.row_bonuses.inner_steps[decision] = run.duration
                 self._write_inner(run, there, bool(done[i]), timeout)
             if self._successors is not None:
                 self._successors.add(i, decision, inner, follows=follows, done=bool(done[i]))
@@ -323,6 +331,8 @@ class OptionReplayBuffer(ReplayBuffer):
         if self.handle_timeout_termination:
             self.timeouts[rows] = timeouts
         self.discounts[rows] = discounts
+        if self.row_bonuses is not None:
+            self.row_bonuses.inner_steps[rows] = 0
         if self.tracks_availability:
             self.next_available[rows] = False if available is None else available
         if self.consistency is not None:
@@ -369,13 +379,17 @@ class OptionReplayBuffer(ReplayBuffer):
             n, last = len(drawn), first.copy()
             returns = self._successors.returns(drawn, self.n_steps, self.rewards, self.discounts)
             last[:n], rewards[:n], discounts[:n] = returns
+        rewards = self._normalize_reward(rewards.reshape(-1, 1), env)
+        if self.row_bonuses is not None and self.row_bonuses.bonus is not None:
+            successors = self._successors, self.n_steps
+            rewards += self.row_bonuses.sampled(drawn, one_step, self._arrived_in, self.discounts, *successors)
         dones = self.dones[last] * (1 - self.timeouts[last])
         return OptionReplayBufferSamples(
             observations=tensors(self._observations, first),
             actions=self.to_torch(self.actions[first]),
             next_observations=tensors(self._next_observations, last),
             dones=self.to_torch(dones.reshape(-1, 1)),
-            rewards=self.to_torch(self._normalize_reward(rewards.reshape(-1, 1), env)),
+            rewards=self.to_torch(rewards),
             discounts=self.to_torch(discounts.reshape(-1, 1)),
             next_available=self.to_torch(self.next_available[last]) if self.tracks_availability else None,
         )

@@ -51,6 +51,26 @@ def smdp_advantages(
     return advantages
 
 
+def add_bonuses(buffer: RolloutBuffer, bonuses: FloatArray) -> None:
+    """Turn a complete rollout into the one of rewards with a bonus.
+
+    Generalised advantage estimation is linear in rewards and values. So what `smdp_advantages` makes of the bonuses,
+    with values of 0, is what they add to the advantages and returns that are there.
+
+    Args:
+        buffer: Of any class; its advantages are computed.
+        bonuses: Σ γⁱ bᵢ over the k primitive steps of each transition, (n_steps, n_envs).
+    """
+    nothing = np.zeros_like(bonuses)
+    discounts = buffer.discounts if isinstance(buffer, SMDPAdvantages) else np.full_like(bonuses, buffer.gamma)
+    # After the last step nothing of the bonus follows, whether the episode ended there or not.
+    goes_on = 1.0 - np.concatenate([buffer.episode_starts[1:], nothing[:1]])
+    advantages = smdp_advantages(bonuses, nothing, nothing, discounts, goes_on, buffer.gae_lambda)
+    buffer.rewards += bonuses.astype(np.float32)
+    buffer.advantages += advantages.astype(np.float32)
+    buffer.returns += advantages.astype(np.float32)
+
+
 def normalized_rewards(
     rewards: npt.NDArray[Any], runs: Sequence[OptionRun], normalizer: VecNormalize | None
 ) -> FloatArray:

@@ -1,0 +1,229 @@
+"""`IntrinsicRewardCallback`: a bonus for what is new, added where advantages and targets are computed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
+from stable_baselines3.common.callbacks import BaseCallback
+
+from sb3_options.execution.features import MAX_FEATURES
+from sb3_options.execution.vec_env import as_environments_gave, as_wrapper_sees, space_of_environments
+from sb3_options.experience.observations import (
+    FeatureMap,
+    FloatArray,
+    Observations,
+    batch_of_one,
+    batch_size,
+    concatenate,
+    flatten,
+    take,
+)
+from sb3_options.experience.option_run import OptionRun
+from sb3_options.learning.bonus_replay import RowBonuses, set_bonus
+from sb3_options.learning.novelty import (
+    Keys,
+    Novelty,
+    NoveltyKind,
+    RandomNetworkDistillation,
+    ReturnScale,
+    RNDSettings,
+    StateCounts,
+    binned_keys,
+    exact_keys,
+    is_table_like,
+)
+from sb3_options.learning.replay_buffer import OptionReplayBuffer
+from sb3_options.learning.rollout_buffer import add_bonuses
+
+
+class IntrinsicRewardCallback(BaseCallback):
+    """Adds a bonus to the reward of every primitive step that arrives in what is new.
+
+    The agent learns from r + w b(s') / σ. σ is the running standard deviation of the intrinsic return
+    (`ReturnScale`), so that w, the ``weight``, means the same for every kind of bonus. An option of k primitive steps
+    gets Σ γⁱ bᵢ over all of them, also those inside.
+
+    Advantages and returns of PPO, A2C and the other algorithms with rollouts are those of rewards with the bonus
+    (`add_bonuses`). DQN and the other algorithms with a replay buffer get it when they sample a batch, as it is by
+    then: what was new when it was stored may be well known. Environments, monitors and evaluations see the rewards of
+    the task alone. It works without options, and with them beside `SubgoalDiscoveryCallback` or
+    `PrimitiveStepsCallback`, in any order.
+
+    There is one value function for both rewards, so a bonus ends with the episode, which that of Burda et al. (2018)
+    does not.
+
+    Args:
+        kind: ``counts``, 1 / √N of the visits to a state; or ``rnd``, random network distillation.
+        weight: w, at least 0.
+        feature_map: What is counted or predicted, φ from a batch of observations to (batch, d). By default ``rnd`` sees
+            the flat observation. ``counts`` counts observations of whole numbers as they are, images among them; of
+            others the environment's ``concept_features`` or the feature map of `OptionsWrapper`, or else the flat
+            observation, in bins.
+        bin_width: Of the features that are counted, which are rounded to whole multiples of it.
+        rnd: Settings of the networks, or a mapping of them.
+        seed: Of the networks' weights.
+
+    Attributes:
+        novelty: Counts or networks, from the first training on; a later training goes on with them.
+
+    Raises:
+        ValueError: An argument is out of its range; or, when training starts, there is nothing that can be counted, or
+            γ is 1.
+        TypeError: When training starts: the algorithm has no buffer that a bonus could be added to.
+    """
+
+    def __init__(
+        self,
+        kind: NoveltyKind = "counts",
+        *,
+        weight: float = 0.1,
+        feature_map: FeatureMap | None = None,
+        bin_width: float = 1.0,
+        rnd: RNDSettings | Mapping[str, Any] | None = None,
+        seed: int = 0,
+    ) -> None:
+        super().__init__()
+        if kind not in ("counts", "rnd"):
+            raise ValueError(f"kind must be 'counts' or 'rnd', got {kind!r}.")
+        if not weight >= 0.0:
+            raise ValueError(f"weight must be at least 0, got {weight}.")
+        if not bin_width > 0.0:
+            raise ValueError(f"bin_width must be above 0, got {bin_width}.")
+        self.kind, self.weight, self.bin_width, self.seed = kind, weight, bin_width, seed
+        self.feature_map = feature_map
+        self.rnd = RNDSettings(**rnd) if isinstance(rnd, Mapping) else rnd
+        self.novelty: Novelty | None = None
+        self.scale: ReturnScale | None = None
+        self._sums: list[list[float]] = []
+        self._bonus_weight = 0.0
+
+    def _on_training_start(self) -> None:
+        gamma: float = self.model.gamma  # type: ignore[attr-defined]  # every algorithm has it
+        if gamma >= 1.0:
+            raise ValueError(f"A bonus needs gamma below 1, or its return has no bound, got gamma={gamma}.")
+        self._check_buffers()
+        if self.scale is None:
+            self.scale = ReturnScale(gamma, self.training_env.num_envs)
+        elif len(self.scale.returns) != self.training_env.num_envs:
+            self.scale.returns = np.zeros(self.training_env.num_envs)
+        if self.novelty is None and self.kind == "counts":
+            self.novelty = StateCounts(self._keys(space_of_environments(self.training_env)))
+
+    def _check_buffers(self) -> None:
+        """Refuse an algorithm without a buffer, or with one that does not hold what a bonus is for."""
+        if not isinstance(getattr(self.model, "rollout_buffer", self._replay), RolloutBuffer | ReplayBuffer):
+            raise TypeError(
+                f"{type(self.model).__name__} has no rollout or replay buffer of Stable-Baselines3 that a bonus could "
+                "be added to: IntrinsicRewardCallback is for PPO, A2C, DQN and the like."
+            )
+        if isinstance(self._replay, OptionReplayBuffer) and not self._replay.macro_q:
+            raise ValueError(
+                "The bonus of an option is that of the primitive steps inside it, which a replay buffer with "
+                "macro_q=False does not store: leave out replay_buffer_kwargs={'macro_q': False}."
+            )
+        if isinstance(self._replay, OptionReplayBuffer) and self._replay.row_bonuses is None:
+            # An earlier version pickled it, and did not note how long runs were: they get the bonus of their last step.
+            self._replay.row_bonuses = RowBonuses(self._replay.buffer_size)
+
+    @property
+    def _replay(self) -> ReplayBuffer | None:
+        return getattr(self.model, "replay_buffer", None)
+
+    def _keys(self, space: spaces.Space[Any]) -> Keys:
+        if self.feature_map is not None:
+            return binned_keys(self.feature_map, self.bin_width)
+        if is_table_like(space):
+            return exact_keys(space)
+        if self.training_env.has_attr("concept_features"):
+            return binned_keys(self._concept_features, self.bin_width)
+        if isinstance(space, spaces.Box) and np.prod(space.shape) <= MAX_FEATURES:
+            return binned_keys(flatten, self.bin_width)
+        raise ValueError(
+            f"There is nothing to count in {space}: pass IntrinsicRewardCallback(feature_map=...) a function from a "
+            "batch of observations to features (batch, d), or choose 'rnd'."
+        )
+
+    def _concept_features(self, observations: Observations) -> FloatArray:
+        features: FloatArray = self.training_env.env_method("concept_features", observations, indices=[0])[0]
+        return features
+
+    def _on_rollout_start(self) -> None:
+        self._sums.clear()
+        if self._replay is not None:  # not when training starts: another callback may replace the buffer then
+            set_bonus(self._replay, self._bonus_now)
+
+    def _on_step(self) -> bool:
+        runs = [OptionRun.from_info(info) if "option" in info else None for info in self.locals["infos"]]
+        arrived = [_arrived_in(run, last) for run, last in zip(runs, self._last_observations(), strict=True)]
+        bonuses = self._visit(arrived)
+        self._bonus_weight = self._weight_after(bonuses)
+        self._sums.append([_discounted(run, of_run) for run, of_run in zip(runs, bonuses, strict=True)])
+        return True
+
+    def _on_rollout_end(self) -> None:
+        if self._replay is None:
+            buffer: RolloutBuffer = self.model.rollout_buffer  # type: ignore[attr-defined]  # checked at the start
+            add_bonuses(buffer, self._bonus_weight * np.array(self._sums))
+
+    def _on_training_end(self) -> None:
+        if self._replay is not None:
+            set_bonus(self._replay, None)
+
+    def _bonus_now(self, observations: Observations) -> FloatArray:
+        """The present bonus of observations as a replay buffer stores them: not normalised."""
+        assert self.novelty is not None  # nothing is sampled before something was visited
+        normalizer = self.model.get_vec_normalize_env()
+        venv = self.training_env if normalizer is None else normalizer.venv
+        return self._bonus_weight * self.novelty.of(as_wrapper_sees(venv, observations))
+
+    def _last_observations(self) -> list[Observations]:
+        """Where each environment arrived, as it gave it itself: a batch of one each."""
+        normalizer, venv = self.model.get_vec_normalize_env(), self.training_env
+        if normalizer is None:
+            given = as_wrapper_sees(venv, self.locals["new_obs"])
+        else:  # the originals: what was clipped is lost in the others
+            given = as_wrapper_sees(normalizer.venv, normalizer.get_original_obs())
+        last = [take(given, slice(i, i + 1)) for i in range(venv.num_envs)]
+        for i, (done, info) in enumerate(zip(self.locals["dones"], self.locals["infos"], strict=True)):
+            if done and info.get("terminal_observation") is not None:
+                last[i] = as_environments_gave(venv, batch_of_one(info["terminal_observation"]))
+        return last
+
+    def _visit(self, arrived: list[Observations]) -> list[FloatArray]:
+        """The bonuses of the primitive steps of each environment, not yet weighted, (k,) each."""
+        together = concatenate(arrived)
+        if self.novelty is None:  # only now is the size of observations, or of the user's features, known for certain
+            features = self.feature_map or flatten
+            self.novelty = RandomNetworkDistillation(features(together).shape[1], features, self.rnd, self.seed)
+        ends = np.cumsum([batch_size(each) for each in arrived])[:-1]
+        return np.split(self.novelty.visit(together), ends)
+
+    def _weight_after(self, bonuses: list[FloatArray]) -> float:
+        """Let σ go on by these bonuses; then w / σ, which is logged."""
+        assert self.novelty is not None  # something was visited
+        assert self.scale is not None  # made when training started
+        self.scale.update(bonuses)
+        weight = self.weight / self.scale.std
+        self.logger.record_mean("intrinsic/bonus", weight * float(np.mean(np.concatenate(bonuses))))
+        self.logger.record("intrinsic/return_std", self.scale.std)
+        for name, value in self.novelty.records().items():
+            self.logger.record(f"intrinsic/{name}", value)
+        return weight
+
+
+def _arrived_in(run: OptionRun | None, last: Observations) -> Observations:
+    """Where the primitive steps of a run led, the last of them to ``last``."""
+    if run is None or run.observations is None:
+        return last
+    return concatenate([take(run.observations, slice(1, None)), last])
+
+
+def _discounted(run: OptionRun | None, bonuses: FloatArray) -> float:
+    """Σ γⁱ bᵢ over the primitive steps of a run."""
+    if run is None or len(bonuses) == 1:
+        return float(bonuses[0])
+    return float(run.gamma ** np.arange(len(bonuses)) @ bonuses)

@@ -1,0 +1,245 @@
+"""How new an observation is: state counts, random network distillation, and the scale of what they say."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Any, Literal, Protocol, TypeAlias
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.running_mean_std import RunningMeanStd
+from torch import nn
+from torch.nn import functional
+
+from sb3_options.checked import Field, settings
+from sb3_options.experience.observations import FeatureMap, FloatArray, Observations, batch_size, flatten
+
+Keys: TypeAlias = Callable[[Observations], list[bytes]]
+"""A batch of observations → what each of them is counted as."""
+
+NoveltyKind: TypeAlias = Literal["counts", "rnd"]
+
+LONGEST_KEY = 64
+"""Bytes; an observation of more, an image say, is counted under its hash."""
+
+CLIP = 5.0
+"""Normalised observations are clipped to ± this (Burda et al. 2018, §2.4)."""
+
+SMALLEST = 1e-8
+"""Added to variances before their root is divided by."""
+
+
+class Novelty(Protocol):
+    """What `IntrinsicRewardCallback` adds to rewards, before it is scaled."""
+
+    def visit(self, observations: Observations) -> FloatArray:
+        """How new each observation is that was arrived in, (batch,); from now on it is less so."""
+
+    def of(self, observations: Observations) -> FloatArray:
+        """How new each observation is by now, (batch,), without a visit."""
+
+    def records(self) -> dict[str, float]:
+        """What is logged of it, by name."""
+
+
+class StateCounts:
+    """1 / √N(s) of the number of visits N(s), those of all environments together (Strehl & Littman 2008; MBIE-EB).
+
+    Args:
+        keys: What is counted.
+    """
+
+    def __init__(self, keys: Keys) -> None:
+        self.keys = keys
+        self.visits: dict[bytes, int] = {}
+
+    def visit(self, observations: Observations) -> FloatArray:
+        """Count each observation, then 1 / √N, (batch,): 1 the first time; one that is there twice counts twice."""
+        counts = np.empty(batch_size(observations))
+        for i, key in enumerate(self.keys(observations)):
+            counts[i] = self.visits[key] = self.visits.get(key, 0) + 1
+        return 1.0 / np.sqrt(counts)
+
+    def of(self, observations: Observations) -> FloatArray:
+        """1 / √N, (batch,); 1 of what was never visited."""
+        counts = [self.visits.get(key, 1) for key in self.keys(observations)]
+        return 1.0 / np.sqrt(np.array(counts, dtype=np.float64))
+
+    def records(self) -> dict[str, float]:
+        """How many different states were visited."""
+        return {"states": float(len(self.visits))}
+
+
+def is_table_like(space: spaces.Space[Any]) -> bool:
+    """Whether observations are whole numbers in all their parts, so that each can be counted as it is."""
+    if isinstance(space, spaces.Dict):
+        return all(is_table_like(part) for part in space.spaces.values())
+    return space.dtype is not None and np.issubdtype(space.dtype, np.integer)
+
+
+def exact_keys(space: spaces.Space[Any]) -> Keys:
+    """Each observation is counted as itself.
+
+    Args:
+        space: Of the observations; `is_table_like`.
+    """
+    parts = space.spaces if isinstance(space, spaces.Dict) else {"": space}
+
+    def keys(observations: Observations) -> list[bytes]:
+        given = observations if isinstance(observations, Mapping) else {"": observations}
+        rows = [np.asarray(given[name], dtype=part.dtype) for name, part in sorted(parts.items())]
+        return [_short(b"".join(row[i].tobytes() for row in rows)) for i in range(batch_size(observations))]
+
+    return keys
+
+
+def binned_keys(features: FeatureMap, bin_width: float = 1.0) -> Keys:
+    """Each observation is counted as the bin its features are in: the nearest whole multiples of ``bin_width``.
+
+    Args:
+        features: φ, a batch of observations → (batch, d).
+        bin_width: In units of concept space.
+    """
+
+    def keys(observations: Observations) -> list[bytes]:
+        bins = np.rint(np.asarray(features(observations)) / bin_width).astype(np.int64)
+        return [_short(row.tobytes()) for row in bins]
+
+    return keys
+
+
+def _short(key: bytes) -> bytes:
+    return key if len(key) <= LONGEST_KEY else hashlib.blake2b(key, digest_size=16).digest()
+
+
+@settings
+class RNDSettings:
+    """Settings of `RandomNetworkDistillation`.
+
+    Attributes:
+        features: Numbers that the random network makes of an observation.
+        hidden: Units of the hidden layer; the predictor has one such layer more.
+        learning_rate: Of Adam.
+        batch_size: The predictor takes a gradient step each time this many observations were visited.
+    """
+
+    features: Annotated[int, Field(ge=1)] = 64
+    hidden: Annotated[int, Field(ge=1)] = 128
+    learning_rate: Annotated[float, Field(gt=0)] = 1e-3
+    batch_size: Annotated[int, Field(ge=1)] = 64
+
+
+class RandomNetworkDistillation:
+    """How badly a network predicts what a random one makes of an observation (Burda et al. 2018, §2.2).
+
+    Features are normalised by their running mean and standard deviation, and clipped. The error is the mean of squares
+    over what the random network makes of them. Each visited observation is learned from once, as in the paper (4 epochs
+    of a quarter of the batch).
+
+    Args:
+        size: How many features there are.
+        features: Of a batch of observations, (batch, size): `flatten`, or a feature map.
+        settings: Of the networks.
+        seed: Of their weights.
+    """
+
+    def __init__(
+        self, size: int, features: FeatureMap = flatten, settings: RNDSettings | None = None, seed: int = 0
+    ) -> None:
+        self.features, self.settings = features, settings or RNDSettings()
+        self.statistics = RunningMeanStd(shape=(size,))
+        self.loss = math.nan
+        with torch.random.fork_rng(devices=[]):  # the model's own draws stay as they are without a bonus
+            torch.manual_seed(seed)
+            self.target = _network(size, self.settings, n_hidden=1).requires_grad_(requires_grad=False)
+            self.predictor = _network(size, self.settings, n_hidden=2)
+        self._optimizer = torch.optim.Adam(self.predictor.parameters(), lr=self.settings.learning_rate)
+        self._visited: list[torch.Tensor] = []
+
+    def visit(self, observations: Observations) -> FloatArray:
+        """The error before the predictor learns from these observations, (batch,)."""
+        rows = np.asarray(self.features(observations), dtype=np.float64)
+        self.statistics.update(rows)
+        normalized = self._normalized(rows)
+        errors = self._errors(normalized)
+        self._visited.append(normalized)
+        if sum(map(len, self._visited)) >= self.settings.batch_size:
+            self._learn(torch.cat(self._visited))
+            self._visited.clear()
+        return errors
+
+    def of(self, observations: Observations) -> FloatArray:
+        """The present error, (batch,)."""
+        return self._errors(self._normalized(np.asarray(self.features(observations), dtype=np.float64)))
+
+    def records(self) -> dict[str, float]:
+        """The predictor's last loss; nothing before the first."""
+        return {} if math.isnan(self.loss) else {"loss": self.loss}
+
+    def _normalized(self, rows: FloatArray) -> torch.Tensor:
+        scaled = (rows - self.statistics.mean) / np.sqrt(self.statistics.var + SMALLEST)
+        return torch.as_tensor(np.clip(scaled, -CLIP, CLIP), dtype=torch.float32)
+
+    def _errors(self, normalized: torch.Tensor) -> FloatArray:
+        with torch.no_grad():
+            squares = (self.predictor(normalized) - self.target(normalized)).square().mean(dim=1)
+        errors: FloatArray = squares.numpy().astype(np.float64)
+        return errors
+
+    def _learn(self, normalized: torch.Tensor) -> None:
+        loss = functional.mse_loss(self.predictor(normalized), self.target(normalized))
+        self._optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]  # torch ships no annotation for it
+        self._optimizer.step()
+        self.loss = loss.item()
+
+
+def _network(size: int, settings: RNDSettings, *, n_hidden: int) -> nn.Sequential:
+    widths = [size, *[settings.hidden] * n_hidden]
+    layers: list[nn.Module] = []
+    for before, after in itertools.pairwise(widths):
+        layers += [nn.Linear(before, after), nn.ReLU()]
+    made = nn.Sequential(*layers, nn.Linear(settings.hidden, settings.features))
+    for layer in made:
+        if isinstance(layer, nn.Linear):
+            nn.init.orthogonal_(layer.weight, math.sqrt(2.0))
+            nn.init.zeros_(layer.bias)
+    return made
+
+
+class ReturnScale:
+    """The running standard deviation of the intrinsic return, by which bonuses are divided (Burda et al. 2018, §2.4).
+
+    The return is Gₜ = γ Gₜ₋₁ + bₜ over the primitive steps of each environment, on across the ends of episodes.
+
+    Args:
+        gamma: γ, below 1.
+        n_envs: Parallel environments.
+    """
+
+    def __init__(self, gamma: float, n_envs: int) -> None:
+        self.gamma = gamma
+        self.returns = np.zeros(n_envs)
+        self.statistics = RunningMeanStd(shape=())
+
+    def update(self, bonuses: Sequence[FloatArray]) -> None:
+        """Go on by some primitive steps.
+
+        Args:
+            bonuses: Of each environment, those of its last primitive steps, (k,) each.
+        """
+        passed = []
+        for env, of_env in enumerate(bonuses):
+            for bonus in of_env:
+                self.returns[env] = self.gamma * self.returns[env] + bonus
+                passed.append(self.returns[env])
+        self.statistics.update(np.array(passed))
+
+    @property
+    def std(self) -> float:
+        """The standard deviation so far."""
+        return float(np.sqrt(self.statistics.var + SMALLEST))

@@ -1,0 +1,111 @@
+"""Counts, random network distillation and the scale of bonuses, against what can be worked out by hand."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+
+from sb3_options.experience.observations import flatten
+from sb3_options.learning.novelty import (
+    RandomNetworkDistillation,
+    ReturnScale,
+    RNDSettings,
+    StateCounts,
+    binned_keys,
+    exact_keys,
+    is_table_like,
+)
+
+
+def test_one_over_the_root_of_visits() -> None:
+    counts = StateCounts(exact_keys(spaces.Discrete(5)))
+    np.testing.assert_allclose(counts.visit(np.array([3, 1, 3])), [1.0, 1.0, 2**-0.5])
+    np.testing.assert_allclose(counts.visit(np.array([3])), [3**-0.5])
+    np.testing.assert_allclose(counts.of(np.array([1, 3, 4])), [1.0, 3**-0.5, 1.0])
+    np.testing.assert_allclose(counts.of(np.array([4])), [1.0])  # asking is no visit
+    assert counts.records() == {"states": 2.0}
+
+
+def test_bins_are_around_whole_multiples() -> None:
+    counts = StateCounts(binned_keys(flatten, 0.5))
+    counts.visit(np.array([[1.0, 2.0], [1.24, 1.76], [1.26, 2.0]]))
+    np.testing.assert_allclose(counts.of(np.array([[1.1, 2.1], [1.5, 2.0], [2.0, 2.0]])), [2**-0.5, 1.0, 1.0])
+    assert len(counts.visits) == 2
+
+
+@pytest.mark.parametrize(
+    ("space", "table_like"),
+    [
+        (spaces.Discrete(4), True),
+        (spaces.MultiDiscrete([2, 3]), True),
+        (spaces.MultiBinary(3), True),
+        (spaces.Box(0, 255, (40, 40, 3), np.uint8), True),
+        (spaces.Dict({"a": spaces.Discrete(3), "b": spaces.Box(0, 9, (2,), np.int16)}), True),
+        (spaces.Dict({"a": spaces.Discrete(3), "b": spaces.Box(0, 9, (2,))}), False),
+        (spaces.Box(0.0, 1.0, (2,)), False),
+    ],
+)
+def test_what_can_be_counted_as_it_is(space: Any, table_like: bool) -> None:
+    assert is_table_like(space) is table_like
+    if table_like:
+        space.seed(0)
+        one, other = space.sample(), space.sample()
+        batch = {k: np.stack([one[k], other[k], one[k]]) for k in one} if isinstance(one, dict) else np.stack(
+            [one, other, one]
+        )  # fmt: skip
+        keys = exact_keys(space)(batch)
+        assert keys[0] == keys[2] != keys[1]
+        assert max(map(len, keys)) <= 64
+
+
+def test_whole_numbers_of_another_type_are_the_same_state() -> None:
+    keys = exact_keys(spaces.Discrete(5))
+    assert keys(np.array([3], np.int32)) == keys(np.array([3], np.int64))
+
+
+def test_the_error_falls_where_the_predictor_has_been() -> None:
+    rng = np.random.default_rng(0)
+    rnd = RandomNetworkDistillation(8, settings=RNDSettings(batch_size=32))
+    known, new = np.eye(8)[rng.integers(4, size=(400, 16))], np.eye(8)[4:]
+    first = rnd.visit(known[0])
+    for batch in known[1:]:
+        rnd.visit(batch)
+    assert rnd.of(np.eye(8)[:4]).mean() < 0.1 * first.mean()
+    assert rnd.of(np.eye(8)[:4]).max() < 0.1 * rnd.of(new).min()
+    assert rnd.records()["loss"] < 0.1 * first.mean()
+
+
+def test_the_error_is_of_normalised_and_clipped_features() -> None:
+    rnd = RandomNetworkDistillation(2)
+    seen = np.random.default_rng(0).normal([100.0, -3.0], [10.0, 0.1], size=(50, 2))
+    rnd.visit(seen)
+    rows = torch.tensor(np.clip((np.array([[110.0, 7.0]]) - seen.mean(axis=0)) / seen.std(axis=0), -5, 5)).float()
+    with torch.no_grad():
+        error = (rnd.predictor(rows) - rnd.target(rows)).square().mean()
+    np.testing.assert_allclose(rnd.of(np.array([[110.0, 7.0]])), error, rtol=1e-3)
+
+
+def test_networks_come_from_their_seed_and_draw_nothing_else() -> None:
+    torch.manual_seed(7)
+    expected = torch.rand(3)
+    torch.manual_seed(7)
+    one, same, other = (RandomNetworkDistillation(3, seed=seed) for seed in (1, 1, 2))
+    assert torch.equal(torch.rand(3), expected)
+    rows = np.random.default_rng(0).normal(size=(4, 3))
+    np.testing.assert_array_equal(one.of(rows), same.of(rows))
+    assert (one.of(rows) != other.of(rows)).all()
+
+
+def test_the_return_goes_on_across_episodes_and_is_of_primitive_steps() -> None:
+    rng = np.random.default_rng(0)
+    runs = [[rng.random(int(rng.integers(1, 5))) for _ in range(2)] for _ in range(40)]
+    scale = ReturnScale(0.9, 2)
+    for step in runs:
+        scale.update(step)
+    returns = []
+    for env in range(2):
+        flat = np.concatenate([step[env] for step in runs])
+        returns += [sum(0.9 ** (t - i) * flat[i] for i in range(t + 1)) for t in range(len(flat))]
+    assert scale.std == pytest.approx(np.std(returns), rel=1e-3)
