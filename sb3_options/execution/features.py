@@ -79,8 +79,9 @@ def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | None) -> Features 
     if env.has_wrapper_attr("concept_features"):
         own: FeatureMap = env.get_wrapper_attr("concept_features")
         size = _size_of(own, space, "the environment's concept_features")
-        named = env.get_wrapper_attr("concept_groups") if env.has_wrapper_attr("concept_groups") else None
-        return Features(own, size, "environment", _groups(named, size))
+        # Of the wrapper that has φ: another one beneath may name groups of other features.
+        owner = getattr(own, "__self__", None)
+        return Features(own, size, "environment", _groups(getattr(owner, "concept_groups", None), size))
     if isinstance(space, spaces.Discrete) and space.n <= MAX_FEATURES:
         return Features(_OneHot(space), int(space.n), "categorical")
     if isinstance(space, spaces.Box | spaces.MultiBinary | spaces.MultiDiscrete):

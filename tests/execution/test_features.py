@@ -8,6 +8,7 @@ from gymnasium import spaces
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import OptionsWrapper
+from sb3_options.execution.concepts import ConceptsInObservation
 from sb3_options.execution.features import MAX_FEATURES, flat_size, resolve
 from tests.support.helpers import CountingEnv, DictEnv, place_of
 
@@ -142,3 +143,32 @@ def test_text_is_named_by_its_key() -> None:
     env = env_with(spaces.Dict({"image": spaces.Box(0, 255, (7, 7, 3), np.uint8), "mission": spaces.Text(20)}))
     with pytest.raises(ValueError, match=r"Observations hold text \(mission\), from which neither"):
         OptionsWrapper(env)
+
+
+class _Grouped(gym.Wrapper[Any, Any, Any, Any]):
+    """Names features, and which of them belong together."""
+
+    def concept_features(self, observations: Any) -> Any:
+        return np.zeros((len(observations), 3))
+
+    def concept_groups(self) -> list[dict[str, Any]]:
+        return [{"name": "last", "features": [2]}]
+
+
+def test_groups_come_from_whoever_has_the_feature_map() -> None:
+    env = _Grouped(gym.make("sb3_options/TwoRooms-v0"))
+    (group,) = OptionsWrapper(env).feature_groups()
+    assert (group.name, group.features) == ("last", (2,))
+    above = ConceptsInObservation(env, lambda env, info: [0.0, 0.0], 2)
+    assert OptionsWrapper(above).feature_groups() == ()
+    assert OptionsWrapper(env, feature_map=lambda obs: np.zeros((len(obs), 1))).feature_groups() == ()
+    assert OptionsWrapper(gym.make("sb3_options/TwoRooms-v0")).feature_groups() == ()
+
+
+def test_groups_that_do_not_fit_the_feature_map_are_refused() -> None:
+    class Wide(_Grouped):
+        def concept_groups(self) -> list[dict[str, Any]]:
+            return [{"name": "last", "features": [3]}]
+
+    with pytest.raises(ValueError, match="group 'last' names feature 3, the feature map gives 3"):
+        OptionsWrapper(Wide(gym.make("sb3_options/TwoRooms-v0")))
