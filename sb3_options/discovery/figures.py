@@ -14,6 +14,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from sb3_options.density.regions import Region
+from sb3_options.discovery.settings import described
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray, IntArray, batch_size
 from sb3_options.options.bank import OptionBank
@@ -73,12 +74,16 @@ def subgoals_figure(discovery: SubgoalDiscovery, bank: OptionBank, text: str | N
         text: Said above the panels; by default why nothing was found, where that is so.
 
     Returns:
-        A figure; only the text where nothing was searched.
+        A figure; only text where nothing was searched, or where concepts are on groups of features.
     """
     if text is None and not discovery.found:
         text = discovery.why_nothing()
-    text = textwrap.fill(text or "", TEXT_WIDTH)
     panels, height = _panels(discovery, bank)
+    if not (text or panels):
+        names = [f"{f.subgoal.group.name} at " if f.subgoal.group else "" for f in discovery.found]
+        where = [described(f.subgoal.points[0], discovery.kind) for f in discovery.found]
+        text = f"Subgoals: {'; '.join(map(str.__add__, names, where))}. Groups of features have no map to draw them in."
+    text = textwrap.fill(text or "", TEXT_WIDTH)
     columns = min(2, max(1, len(panels)))
     rows = max(1, -(-len(panels) // columns))
     figure = Figure(figsize=(PANEL_WIDTH * columns, height * rows), layout="compressed")

@@ -3,8 +3,10 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from sb3_options import OptionBank
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.discovery.contrast import NO_PLACE, Contrast
+from sb3_options.discovery.figures import discovery_figures, subgoals_figure
 from sb3_options.discovery.grouped import OutcomeDatabase, discovery_on
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.subgoals import SubgoalDiscovery
@@ -73,6 +75,13 @@ def test_without_groups_it_is_the_discovery_on_all_features() -> None:
 
 def test_where_nothing_stands_out_it_says_so() -> None:
     assert "min_contrast is 0.3" in discovered([WALL]).why_nothing()
+
+
+def test_the_picture_names_the_subgoals() -> None:
+    figure = subgoals_figure(discovered([WALL, KEY]), OptionBank(2, 1))
+    (axes,) = figure.axes
+    assert "Subgoals: key at 1, 1." in axes.texts[0].get_text().replace("\n", " ")
+    assert discovery_figures(discovered([WALL, KEY]), OptionBank(2, 1)) == {}
 
 
 def labelled(states: Sequence[Sequence[float]], success: bool) -> LabelledTrajectory:
