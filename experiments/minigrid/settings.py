@@ -30,8 +30,7 @@ FAMILIES: dict[str, tuple[Stage, ...]] = {
     ),
     "MultiRoom-6": (
         Stage("MiniGrid-MultiRoom-N2-S4-v0", 40_000),
-        Stage("MiniGrid-MultiRoom-N4-S5-v1", 60_000),
-        Stage("MiniGrid-MultiRoom-N4-S5-v0", 200_000),
+        Stage("MiniGrid-MultiRoom-N4-S5-v0", 160_000),
     ),
     "DoorKey": (
         Stage("MiniGrid-DoorKey-5x5-v0", 60_000),
