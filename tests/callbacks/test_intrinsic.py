@@ -105,12 +105,12 @@ def logged(n_envs: int, *, options: bool) -> tuple[DummyVecEnv, list[StepLog]]:
     return DummyVecEnv([lambda env=env: wrapped(env) for env in logs]), logs  # type: ignore[misc]  # bound early
 
 
-@pytest.mark.parametrize("options", [True, False])
-@pytest.mark.parametrize("algorithm", [PPO, A2C, TRPO, MaskablePPO, RecurrentPPO])
-@pytest.mark.parametrize("bonus_first", [True, False])
+@pytest.mark.parametrize(
+    ("algorithm", "options", "bonus_first"),
+    [(algorithm, True, True) for algorithm in (PPO, A2C, TRPO, MaskablePPO, RecurrentPPO)]
+    + [(PPO, True, False), (PPO, False, True), (RecurrentPPO, False, True)],
+)
 def test_advantages_are_those_of_rewards_with_the_bonus(algorithm: Any, options: bool, bonus_first: bool) -> None:
-    if algorithm is MaskablePPO and not options:
-        pytest.skip("needs masks, which the corridor has not")
     venv, logs = logged(2, options=options)
     model = make(algorithm, venv)
     before, after = Rollout(), Rollout()
@@ -294,6 +294,18 @@ def test_n_step_returns_of_sb3_have_the_bonus_too() -> None:
     assert type(model.replay_buffer) is NStepReplayBuffer
 
 
+class Menu(gym.Wrapper[Any, Any, Any, Any]):
+    """An environment without option slots whose info uses the word for something else."""
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        *result, info = self.env.step(action)
+        return (*result, {**info, "option": "of the day"})  # type: ignore[return-value]  # five of them
+
+
+def test_an_info_of_another_meaning_is_let_be() -> None:
+    make(PPO, Menu(small_rooms())).learn(64, callback=IntrinsicRewardCallback())
+
+
 def test_the_reward_of_the_task_is_what_monitors_see() -> None:
     model = make(PPO, small_rooms(max_steps=20))
     model.learn(256, callback=IntrinsicRewardCallback(weight=10.0))
@@ -329,6 +341,14 @@ class TestErrors:
         agent = MacroQ(optioned_rooms(), gamma=0.9)
         with pytest.raises(TypeError, match="MacroQ has no rollout or replay buffer of Stable-Baselines3"):
             agent.learn(10, callback=IntrinsicRewardCallback())
+
+    def test_a_buffer_of_a_users_own(self) -> None:
+        class Own(ReplayBuffer):
+            pass
+
+        model = DQN("MlpPolicy", small_rooms(), gamma=0.9, replay_buffer_class=Own)
+        with pytest.raises(TypeError, match="A bonus cannot be added to what Own samples"):
+            model.learn(10, callback=IntrinsicRewardCallback())
 
     def test_a_buffer_without_the_steps_inside_options(self) -> None:
         model = OptionDQN("MlpPolicy", optioned_rooms(), gamma=0.9, replay_buffer_kwargs={"macro_q": False})
