@@ -2,6 +2,7 @@
 
 from sb3_options import moved
 from sb3_options.density.diverse_density import DiverseDensity
+from sb3_options.execution.concepts import ConceptsInObservation, WithoutConcepts
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.learning.dqn import OptionDQN
 from sb3_options.learning.expansion import expand_action_space
@@ -18,6 +19,7 @@ __version__ = "0.2.0.dev0"
 moved.install()
 
 __all__ = [
+    "ConceptsInObservation",
     "DiverseDensity",
     "MacroQ",
     "Option",
@@ -27,6 +29,7 @@ __all__ = [
     "OptionReplayBuffer",
     "OptionRolloutBuffer",
     "OptionsWrapper",
+    "WithoutConcepts",
     "__version__",
     "expand_action_space",
     "interrupt_options",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import shlex
 import shutil
 import sys
 from collections.abc import Sequence
@@ -39,6 +40,7 @@ from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.eval_callback import eval_callback_class
 from sb3_options.runs.flags import parse
 from sb3_options.runs.interrupts import Interrupts, StopWhenNoted
+from sb3_options.runs.users_code import flag, importing
 
 console = Console(highlight=False, soft_wrap=True)
 errors = Console(highlight=False, soft_wrap=True, stderr=True)
@@ -134,13 +136,13 @@ def train(config: TrainConfig) -> Path:
     if not folder.exists():
         raise KeyboardInterrupt("before the first step: there is nothing to keep")
     _draw(config, discovery, folder)
-    unit = "episode" if config.discovery.segmentation == "episodes" else "segment"
+    unit = _unit(config)
     took = f"{discovery.num_timesteps:,} primitive steps, {discovery.episodes:,} {unit}s"
     console.print(f"\n[bold]{'Interrupted' if interrupts.noted else 'Finished'}[/] after {took}.")
     if config.options is not None:
         what = ", ".join(started_with) or "none"
         console.print(f"Started with the options of {escape(str(config.options))}: {escape(what)}.")
-    _report(discovery, stock, folder, unit)
+    _report(config, discovery, stock, folder)
     return folder
 
 
@@ -243,11 +245,15 @@ def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path
         figure.savefig(temporary, dpi=FIGURE_DPI)
 
 
+def _unit(config: TrainConfig) -> str:
+    return "episode" if config.discovery.segmentation == "episodes" else "segment"
+
+
 def _report(
-    discovery: SubgoalDiscoveryCallback, stock: SubgoalDiscoveryCallback | None, folder: Path, unit: str
+    config: TrainConfig, discovery: SubgoalDiscoveryCallback, stock: SubgoalDiscoveryCallback | None, folder: Path
 ) -> None:
     if discovery.discoveries:
-        table = Table("option", "subgoal", f"found after {unit}", "primitive steps", "initiation states")
+        table = Table("option", "subgoal", f"found after {_unit(config)}", "primitive steps", "initiation states")
         for found in discovery.discoveries:
             table.add_row(
                 str(found.slot),
@@ -270,7 +276,9 @@ def _report(
     console.print(f"Run folder:   {path}")
     python = escape(_python())
     console.print(f"TensorBoard:  {python} -m tensorboard.main --logdir {path}")
-    console.print(f"Evaluate:     {python} train.py evaluate {path} --video {path}/video.mp4")
+    # What imports a module is named anew, for the file of a run is not trusted with it.
+    named = "".join(f" {flag(n)} {shlex.quote(t)}" for n, t in importing(vars(config)).items())
+    console.print(f"Evaluate:     {python} train.py evaluate {path} --video {path}/video.mp4{escape(named)}")
     if (folder / runs.BEST).is_file():
         console.print("Best model:   add --best; it is the one whose evaluation gave the highest return")
 

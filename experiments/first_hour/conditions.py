@@ -43,11 +43,12 @@ CONDITIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "maskableppo, no discovery": ("maskableppo", {"max_new_options": 0}),
     "dqn": ("dqn", {}),
     "dqn, no discovery": ("dqn", {"max_new_options": 0}),
+    "optiondqn": ("optiondqn", {}),
     "maskableppo, filter by distances": ("maskableppo", {"static_filter": near_start_and_goal()}),
 }
 """Algorithm, and what its callback is told, by the name of the condition."""
 
-BY_DEFAULT = {"rooms": tuple(CONDITIONS)[:4], "lake": ("maskableppo", "maskableppo, filter by distances")}
+BY_DEFAULT = {"rooms": tuple(CONDITIONS)[:5], "lake": ("maskableppo", "maskableppo, filter by distances")}
 """Conditions of each task."""
 
 

@@ -19,6 +19,7 @@ from sb3_options.checked import Field, readable, settings
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.runs import yaml_file
+from sb3_options.runs.users_code import IMPORTING, flag, importing
 
 DEFAULT_ALGO = "maskableppo"
 """What ``train.py`` demonstrates: its options run in their initiation sets only, and lead where they are meant to."""
@@ -270,9 +271,6 @@ CLASSES: dict[str, type[TrainConfig]] = {
 GROUPS = {"discovery": DiscoverySettings, "option": OptionLearningSettings}
 """The settings that are classes of settings themselves."""
 
-IMPORTING = {"env": "environment", "env_wrapper": "wrapper", "feature_map": "feature map"}
-"""The settings that may import a module, and what each of them is: the command line alone is trusted with them."""
-
 COMMON = frozenset(f.name for f in dataclasses.fields(TrainConfig))
 """The settings that every algorithm has."""
 
@@ -318,13 +316,11 @@ def read(path: Path, trusted: Mapping[str, str | None] | None = None) -> dict[st
     values = yaml_file.read_mapping(path)
     values = {str(name).replace("-", "_"): value for name, value in values.items()}
     given = {name: value for name, value in (trusted or {}).items() if value is not None}
-    for name, what in IMPORTING.items():
-        text = str(values.get(name) or "")
-        # GymV21Environment and GymV26Environment make what their env_id names.
-        if name not in given and (":" in text or text.startswith("GymV") if name == "env" else text):
-            flag = f"--{name.replace('_', '-')}"
+    for name, text in importing(values).items():
+        if name not in given:
             raise ValueError(
-                f"{path} names the {what} {text!r}, which would import a module. If you trust it, pass {flag} {text}."
+                f"{path} names the {IMPORTING[name]} {text!r}, which would import a module. If you trust it, pass "
+                f"{flag(name)} {text}."
             )
     return values | given
 
@@ -362,8 +358,8 @@ def made(values: Mapping[str, Any], where: str | Path) -> TrainConfig:
 
     def kept(values: Mapping[str, Any], group: str = "") -> dict[str, Any]:
         those = {}
-        for flag, value in values.items():
-            name = str(flag).replace("-", "_")
+        for spelt, value in values.items():
+            name = str(spelt).replace("-", "_")
             if name in known[group]:
                 those[name] = kept(value, f"{name}.") if name in GROUPS and isinstance(value, Mapping) else value
             elif group + name not in HAD_BY_ALL:

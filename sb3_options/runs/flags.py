@@ -15,6 +15,7 @@ import tyro
 
 from sb3_options.runs import config as configs
 from sb3_options.runs.config import GROUPS, TrainConfig
+from sb3_options.runs.users_code import IMPORTING
 
 FIRST = (
     "env",
@@ -73,7 +74,7 @@ def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
     first = [word for word in args[:1] if not word.startswith("-")]
     given, flags = early.parse_known_args(args[len(first) :])
     try:
-        trusted = {name: value for name in configs.IMPORTING if (value := getattr(given, name)) is not None}
+        trusted = {name: value for name in IMPORTING if (value := getattr(given, name)) is not None}
         values = {} if given.config is None else configs.read(Path(given.config), trusted)
         values |= trusted
         # A file that names no algorithm was written for DQN.

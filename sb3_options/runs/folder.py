@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import importlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from sb3_options.options import file as option_file
 from sb3_options.options.archive import NAME
 from sb3_options.runs.config import MaskablePPOConfig, TrainConfig
 from sb3_options.runs.interrupts import ignore_interrupts
+from sb3_options.runs.users_code import named
 
 CONFIG = "config.yml"
 MODEL = "model.zip"
@@ -112,26 +112,6 @@ def options_file(config: TrainConfig) -> Path | None:
             f"it: pass --max-options {needed} or more."
         )
     return path
-
-
-def named(text: str, flag: str) -> Callable[..., Any]:
-    """What ``module:name`` names.
-
-    Args:
-        text: From the command line, for it imports the module.
-        flag: It was given for.
-
-    Raises:
-        ModuleNotFoundError: There is no such module.
-        ValueError: It names nothing that can be called.
-    """
-    module, _, name = text.partition(":")
-    if not (module and name):
-        raise ValueError(f"{flag} takes module:name, got {text!r}.")
-    found = getattr(importlib.import_module(module), name, None)
-    if not callable(found):
-        raise ValueError(f"{flag}: the module {module} has nothing named {name} that can be called.")
-    return found  # type: ignore[no-any-return]  # of a user's module
 
 
 def make_env(

@@ -60,6 +60,7 @@ def test_a_run_with_both_is_trained_and_evaluated(
 ) -> None:
     cli.main(command_line(tmp_path, *FLAGS, "--eval-freq", "200", "--eval-episodes", "1", *workers))
     (run,) = (tmp_path / "runs" / "dqn").iterdir()
+    assert "".join(f" {each}" for each in FLAGS) in " ".join(capsys.readouterr().out.split())  # of "Evaluate:"
     config = configs.load(run / "config.yml", {"env_wrapper": "a:b", "feature_map": "c:d"})
     assert (config.env_wrapper, config.feature_map) == ("a:b", "c:d")
     bank = OptionBank(4, 4, feature_size=2)

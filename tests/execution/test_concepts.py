@@ -1,0 +1,117 @@
+"""A concept space that reads the environment or its infos."""
+
+import warnings
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3 import PPO
+
+from sb3_options import ConceptsInObservation, OptionsWrapper, WithoutConcepts
+from sb3_options.callbacks import SubgoalDiscoveryCallback
+from tests.support.sb3_helpers import DOORWAY, FAST_DISCOVERY, small_rooms
+
+
+class Blind(gym.Wrapper[Any, Any, Any, Any]):
+    """Rooms in which the agent sees how many steps it took; its place stands in ``info``."""
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        super().__init__(env)
+        self.observation_space = spaces.Box(0.0, np.inf, (1,), np.float32)
+        self.place = np.zeros(2)
+
+    def reset(self, **kwargs: Any) -> Any:
+        """Start."""
+        self.place, info = self.env.reset(**kwargs)
+        self.steps = 0
+        return np.zeros(1, np.float32), {**info, "place": self.place}
+
+    def step(self, action: Any) -> Any:
+        """One step."""
+        self.place, *rest, info = self.env.step(action)
+        self.steps += 1
+        return np.full(1, self.steps, np.float32), *rest, {**info, "place": self.place}
+
+
+def blind_rooms() -> gym.Env[Any, Any]:
+    """Two small rooms."""
+    return Blind(small_rooms(observation="xy"))
+
+
+def from_info(env: gym.Env[Any, Any], info: dict[str, Any]) -> Any:
+    return info["place"]
+
+
+def from_env(env: gym.Env[Any, Any], info: dict[str, Any]) -> Any:
+    return env.get_wrapper_attr("place")
+
+
+def test_discovers_a_doorway_that_no_observation_shows() -> None:
+    env = OptionsWrapper(ConceptsInObservation(blind_rooms(), from_info, size=2), max_options=1, gamma=0.9)
+    policy: dict[str, Any] = {"features_extractor_class": WithoutConcepts}
+    model = PPO("MultiInputPolicy", env, gamma=0.9, n_steps=256, seed=0, ent_coef=0.1, policy_kwargs=policy)
+    callback = SubgoalDiscoveryCallback(FAST_DISCOVERY, {"policy_input": "features"}, max_new_options=1)
+    model.learn(4_000, callback=callback)
+    assert [np.abs(found.subgoal - DOORWAY).max() <= 1 for found in callback.discoveries] == [True]
+
+
+@pytest.mark.parametrize("source", [from_info, from_env])
+def test_reads_infos_or_the_environment(source: Any) -> None:
+    inner = blind_rooms()
+    env = ConceptsInObservation(inner, source, size=2)
+    env.reset(seed=0)
+    observation, *_ = env.step(0)
+    np.testing.assert_array_equal(observation["concepts"], inner.get_wrapper_attr("place"))
+    np.testing.assert_array_equal(observation["observation"], [1.0])
+
+
+def test_follows_gymnasiums_contract() -> None:
+    with warnings.catch_warnings():
+        # It is a wrapper, and φ has no bounds.
+        warnings.filterwarnings("ignore", message=".*(different from the unwrapped version|is .?infinity)")
+        check_env(ConceptsInObservation(blind_rooms(), from_info, size=2), skip_render_check=True)
+
+
+def test_the_network_need_not_see_the_concepts() -> None:
+    space = ConceptsInObservation(blind_rooms(), from_info, size=2).observation_space
+    assert isinstance(space, spaces.Dict)
+    extractor = WithoutConcepts(space)
+    one = {"observation": torch.ones(1, 1), "concepts": torch.zeros(1, 2)}
+    other = one | {"concepts": torch.ones(1, 2)}
+    assert extractor.features_dim == 1
+    assert torch.equal(extractor(one), extractor(other))
+
+
+def test_keeps_the_keys_of_a_dict() -> None:
+    inner = ConceptsInObservation(blind_rooms(), from_info, size=2)
+    renamed = gym.wrappers.TransformObservation(
+        inner,
+        lambda observation: {"steps": observation["observation"]},
+        spaces.Dict({"steps": inner.observation_space["observation"]}),  # type: ignore[index]
+    )
+    observation, _ = ConceptsInObservation(renamed, from_info, size=2).reset(seed=0)
+    assert set(observation) == {"steps", "concepts"}
+
+
+@pytest.mark.parametrize(
+    ("source", "size", "message"),
+    [
+        (from_info, 3, "must return 3 finite numbers"),
+        (lambda *_: [0.0, np.nan], 2, "must return 2 finite numbers"),
+    ],
+)
+def test_refuses_other_features(source: Any, size: int, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        ConceptsInObservation(blind_rooms(), source, size=size).reset(seed=0)
+
+
+def test_refuses_what_it_cannot_wrap() -> None:
+    env = ConceptsInObservation(blind_rooms(), from_info, size=2)
+    with pytest.raises(ValueError, match="already"):
+        ConceptsInObservation(env, from_info, size=2)
+    with pytest.raises(ValueError, match="at least 1"):
+        ConceptsInObservation(blind_rooms(), from_info, size=0)
