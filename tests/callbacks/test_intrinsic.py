@@ -197,8 +197,18 @@ def visits_of(bonus: IntrinsicRewardCallback) -> dict[bytes, int]:
 @pytest.mark.parametrize("options", [True, False])
 @pytest.mark.parametrize("kind", ["box", "discrete", "dict", "dict_discrete", "image"])
 def test_every_kind_of_observation_is_counted_as_the_environment_gave_it(
-    kind: str, options: bool, algorithm: Any
+    kind: str, options: bool, algorithm: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    asked = 0
+
+    def of_known_states(self: StateCounts, observations: Any) -> Any:
+        nonlocal asked
+        counts = np.array([self.visits[key] for key in self.keys(observations)])
+        asked += len(counts)
+        return 1.0 / np.sqrt(counts)
+
+    monkeypatch.setattr(StateCounts, "of", of_known_states)
+
     def wrapped() -> gym.Env[Any, Any]:
         return optioned(kind) if options else StepLog(Corridor(kind))
 
@@ -215,6 +225,7 @@ def test_every_kind_of_observation_is_counted_as_the_environment_gave_it(
     logs = [step for i in range(2) for step in venv.get_attr("log")[i]]
     expected = Counter(place_in(step.next_state) for step in logs)
     assert sorted(visits_of(bonus).values()) == sorted(expected.values())
+    assert (asked > 100) == (algorithm is DQN)
 
 
 def test_what_vec_wrappers_do_to_observations_is_undone() -> None:
