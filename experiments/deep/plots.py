@@ -38,6 +38,8 @@ LABELS = {
 N_BANDS = 500
 APART = 0.025
 N_SECONDS = 200
+MOST_INSIDE = 4
+"""A legend of more arms stands below the panels."""
 
 
 def draw(task: str, runs: dict[tuple[str, str], dict[str, Sequence[Result]]], lengths: dict[str, int]) -> Figure:
@@ -104,7 +106,11 @@ def _panels(
         axes.set_xlabel(over)
     for axes in panels[:, 0]:
         axes.set_ylabel("success rate")
-    panels[0, 0].legend(loc="lower right", fontsize=8)
+    shown = {label: line for axes in panels.flat for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    if len(shown) > MOST_INSIDE:
+        figure.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=3, fontsize=8)
+    else:
+        panels[0, 0].legend(loc="lower right", fontsize=8)
     return figure
 
 
