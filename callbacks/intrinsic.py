@@ -116,7 +116,7 @@ class IntrinsicRewardCallback(BaseCallback):
             self.novelty = StateCounts(self._keys(space_of_environments(self.training_env)))
         self._has_options = any(self.training_env.env_is_wrapped(OptionsWrapper))
         if self._replay is not None:
-            set_bonus(self._replay, self._bonus_now)
+            set_bonus(self._replay, None)  # refuses classes that are not known
 
     def _check_buffers(self) -> None:
         """Refuse an algorithm without a buffer, or with one that does not hold what a bonus is for."""
@@ -158,6 +158,9 @@ class IntrinsicRewardCallback(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         self._sums.clear()
+        if self._replay is not None:
+            # Nothing is sampled in a rollout; what an exception ends there leaves the buffer as it was.
+            set_bonus(self._replay, None)
 
     def _on_step(self) -> bool:
         runs = [OptionRun.from_info(info) if self._has_options else None for info in self.locals["infos"]]
@@ -168,7 +171,9 @@ class IntrinsicRewardCallback(BaseCallback):
         return True
 
     def _on_rollout_end(self) -> None:
-        if self._replay is None:
+        if self._replay is not None:
+            set_bonus(self._replay, self._bonus_now)
+        else:
             buffer: RolloutBuffer = self.model.rollout_buffer  # type: ignore[attr-defined]  # checked at the start
             add_bonuses(buffer, self._bonus_weight * np.array(self._sums))
 

@@ -147,8 +147,8 @@ class Batch(BaseCallback):
     def _on_step(self) -> bool:
         return not hasattr(self, "added")
 
-    def _on_rollout_start(self) -> None:
-        if self.num_timesteps < self.at:
+    def _on_rollout_end(self) -> None:
+        if self.num_timesteps < self.at or hasattr(self, "added"):
             return
         buffer: Any = self.model.replay_buffer  # type: ignore[attr-defined]  # of off-policy algorithms
         rows = np.arange(buffer.size())
@@ -297,6 +297,19 @@ def test_a_checkpoint_of_the_replay_buffer_can_be_loaded(tmp_path: Path) -> None
     model.load_replay_buffer(tmp_path / "rl_model_replay_buffer_100_steps.pkl")
     model.learn(100, callback=IntrinsicRewardCallback())
     model.learn(50)
+
+
+def test_an_exception_leaves_no_bonus_behind() -> None:
+    class Fails(BaseCallback):
+        def _on_step(self) -> bool:
+            if self.num_timesteps == 100:
+                raise RuntimeError("an accident")
+            return True
+
+    model = DQN("MlpPolicy", small_rooms(), gamma=0.9, learning_starts=10)
+    with pytest.raises(RuntimeError, match="an accident"):
+        model.learn(200, callback=[IntrinsicRewardCallback(), Fails()])
+    assert type(model.replay_buffer) is ReplayBuffer
 
 
 def test_n_step_returns_of_sb3_have_the_bonus_too() -> None:
