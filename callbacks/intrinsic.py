@@ -12,6 +12,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from sb3_options.execution.features import MAX_FEATURES
 from sb3_options.execution.vec_env import as_environments_gave, as_wrapper_sees, space_of_environments
+from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.observations import (
     FeatureMap,
     FloatArray,
@@ -73,7 +74,8 @@ class IntrinsicRewardCallback(BaseCallback):
     Raises:
         ValueError: An argument is out of its range; or, when training starts, there is nothing that can be counted, or
             γ is 1.
-        TypeError: When training starts: the algorithm has no buffer that a bonus could be added to.
+        TypeError: When training starts: the algorithm has no buffer that a bonus could be added to, or one of a class
+            that is not known.
     """
 
     def __init__(
@@ -112,6 +114,9 @@ class IntrinsicRewardCallback(BaseCallback):
             self.scale.returns = np.zeros(self.training_env.num_envs)
         if self.novelty is None and self.kind == "counts":
             self.novelty = StateCounts(self._keys(space_of_environments(self.training_env)))
+        self._has_options = any(self.training_env.env_is_wrapped(OptionsWrapper))
+        if self._replay is not None:
+            set_bonus(self._replay, None)  # refuses classes that are not known
 
     def _check_buffers(self) -> None:
         """Refuse an algorithm without a buffer, or with one that does not hold what a bonus is for."""
@@ -153,11 +158,12 @@ class IntrinsicRewardCallback(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         self._sums.clear()
-        if self._replay is not None:  # not when training starts: another callback may replace the buffer then
-            set_bonus(self._replay, self._bonus_now)
+        if self._replay is not None:
+            # Nothing is sampled in a rollout; what an exception ends there leaves the buffer as it was.
+            set_bonus(self._replay, None)
 
     def _on_step(self) -> bool:
-        runs = [OptionRun.from_info(info) if "option" in info else None for info in self.locals["infos"]]
+        runs = [OptionRun.from_info(info) if self._has_options else None for info in self.locals["infos"]]
         arrived = [_arrived_in(run, last) for run, last in zip(runs, self._last_observations(), strict=True)]
         bonuses = self._visit(arrived)
         self._bonus_weight = self._weight_after(bonuses)
@@ -165,7 +171,9 @@ class IntrinsicRewardCallback(BaseCallback):
         return True
 
     def _on_rollout_end(self) -> None:
-        if self._replay is None:
+        if self._replay is not None:
+            set_bonus(self._replay, self._bonus_now)
+        else:
             buffer: RolloutBuffer = self.model.rollout_buffer  # type: ignore[attr-defined]  # checked at the start
             add_bonuses(buffer, self._bonus_weight * np.array(self._sums))
 

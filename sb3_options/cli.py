@@ -26,7 +26,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options.atomic import atomic_write
-from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.callbacks import IntrinsicRewardCallback, SubgoalDiscoveryCallback
 from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.execution.trials import TrialSettings
 from sb3_options.execution.workers import WorkerLostError, end_workers
@@ -173,6 +173,8 @@ def _learn(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Pat
         model = make_model(config, envs[0])
         model.tensorboard_log = str(folder)
         callbacks: list[BaseCallback] = [discovery]
+        if config.bonus != "none":
+            callbacks.append(IntrinsicRewardCallback(config.bonus, seed=config.seed))
         if config.eval_freq > 0:
             limit = config.eval_max_steps
             envs.append(runs.make_env(config, 1, EVAL_SEED + config.seed, subproc=subproc, max_steps=limit))

@@ -1,7 +1,8 @@
 """``python -m experiments.deep --task same|transfer|deadline --env … --algo dqn,ppo --runs 20 --out FOLDER``.
 
-Trains every algorithm in every environment three times a seed: stock Stable-Baselines3, with options that it discovers
-(or brings along, in transfer), and with random repeats in their place. Writes ``results.json`` and ``curves.png``.
+Trains every algorithm in every environment once an arm and seed: stock Stable-Baselines3, with options that it
+discovers (or brings along, in transfer), with random repeats in their place, and what else ``--arms`` names. Writes
+``results.json``, ``curves.png`` and, over the seconds of training, ``seconds.png``.
 Interrupted, it goes on where it was: every finished run is kept below ``FOLDER/runs``.
 """
 
@@ -22,7 +23,7 @@ from experiments.common.study import Flags, show, write
 from experiments.deep.agents import ALGORITHMS
 from experiments.deep.arms import ARMS, Arm, has_arm
 from experiments.deep.conditions import run
-from experiments.deep.plots import draw
+from experiments.deep.plots import draw, draw_seconds
 from experiments.deep.settings import DeepSettings
 from experiments.deep.summary import summarise
 from experiments.deep.tasks import TASKS
@@ -102,12 +103,12 @@ def main(study: Study) -> None:
         "results": numbers,
         "runs": {env: {algo: _plain(runs[env, algo]) for algo in algorithms} for env in environments},
     }
-    write(study.out, content, {"curves": draw(study.task, runs, lengths)})
+    write(study.out, content, {"curves": draw(study.task, runs, lengths), "seconds": draw_seconds(study.task, runs)})
     show(
         _table(numbers),
         "Steps to 90 %: interquartile means with 95 % stratified bootstrap intervals; a run that never gets there "
         "counts with its whole length.",
-        f"Results: {study.out / 'results.json'}, {study.out / 'curves.png'}",
+        f"Results: {study.out / 'results.json'}, {study.out / 'curves.png'}, {study.out / 'seconds.png'}",
     )
 
 

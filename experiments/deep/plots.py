@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from experiments.common.curves import Band, draw_band
 from experiments.common.seeds import Result
-from experiments.deep.summary import GRID, curve, iqm, iqm_interval, steps_to_success
+from experiments.deep.summary import GRID, curve, curve_at, iqm, iqm_interval, steps_to_success
 from sb3_options.experience.observations import FloatArray
 
 COLOURS = {
@@ -36,6 +37,9 @@ LABELS = {
 }
 N_BANDS = 500
 APART = 0.025
+N_SECONDS = 200
+MOST_INSIDE = 4
+"""A legend of more arms stands below the panels."""
 
 
 def draw(task: str, runs: dict[tuple[str, str], dict[str, Sequence[Result]]], lengths: dict[str, int]) -> Figure:
@@ -46,6 +50,45 @@ def draw(task: str, runs: dict[tuple[str, str], dict[str, Sequence[Result]]], le
         runs: Environment and algorithm → arm → results.
         lengths: Longest training by environment.
     """
+
+    def arm_in(axes: Axes, env: str, arm: str, results: Sequence[Result]) -> None:
+        at = np.arange(0, lengths[env] + 1, GRID)
+        curves = band(np.array([curve(r, lengths[env]) for r in results]))
+        draw_band(axes, at, curves, COLOURS[arm], f"{LABELS[arm]} ({len(results)} runs)")
+        reached = iqm_interval(np.array([steps_to_success(r, lengths[env]) for r in results]))
+        height = 0.9 + APART * list(COLOURS).index(arm)  # side by side where they overlap
+        axes.plot(reached.mean, height, "o", color=COLOURS[arm], markersize=5)
+        axes.hlines(height, reached.low, reached.high, color=COLOURS[arm], linewidth=2)
+
+    return _panels(task, runs, "primitive steps", arm_in)
+
+
+def draw_seconds(task: str, runs: dict[tuple[str, str], dict[str, Sequence[Result]]]) -> Figure:
+    """The same over seconds of training, the evaluations left out; runs shared the machine with each other.
+
+    Args:
+        task: For the title.
+        runs: As for `draw`.
+    """
+
+    def arm_in(axes: Axes, env: str, arm: str, results: Sequence[Result]) -> None:
+        del env
+        timed = [r for r in results if "seconds" in r]  # kept by an earlier version without
+        if timed:
+            at = np.linspace(0.0, max(r["seconds"][-1] for r in timed), N_SECONDS)
+            curves = band(np.array([curve_at(r["seconds"], r["success"], at) for r in timed]))
+            draw_band(axes, at, curves, COLOURS[arm], f"{LABELS[arm]} ({len(timed)} runs)")
+
+    return _panels(task, runs, "seconds of training", arm_in)
+
+
+def _panels(
+    task: str,
+    runs: dict[tuple[str, str], dict[str, Sequence[Result]]],
+    over: str,
+    arm_in: Callable[[Axes, str, str, Sequence[Result]], None],
+) -> Figure:
+    """One panel for each environment and algorithm, in which ``arm_in`` draws every arm that has results."""
     environments = list(dict.fromkeys(env for env, _ in runs))
     algorithms = list(dict.fromkeys(algo for _, algo in runs))
     size = (4.6 * len(environments), 3.1 * len(algorithms))
@@ -54,23 +97,20 @@ def draw(task: str, runs: dict[tuple[str, str], dict[str, Sequence[Result]]], le
     for row, algo in zip(panels, algorithms, strict=True):
         for axes, env in zip(row, environments, strict=True):
             for arm, results in runs.get((env, algo), {}).items():
-                if not results:
-                    continue
-                at = np.arange(0, lengths[env] + 1, GRID)
-                curves = band(np.array([curve(r, lengths[env]) for r in results]))
-                draw_band(axes, at, curves, COLOURS[arm], f"{LABELS[arm]} ({len(results)} runs)")
-                reached = iqm_interval(np.array([steps_to_success(r, lengths[env]) for r in results]))
-                height = 0.9 + APART * list(COLOURS).index(arm)  # side by side where they overlap
-                axes.plot(reached.mean, height, "o", color=COLOURS[arm], markersize=5)
-                axes.hlines(height, reached.low, reached.high, color=COLOURS[arm], linewidth=2)
+                if results:
+                    arm_in(axes, env, arm, results)
             axes.set_title(f"{algo.upper()}, {env}, {task}")
-            axes.set_ylim(-0.03, 1.05)
+            axes.set_ylim(-0.03, 0.93 + APART * len(COLOURS))
             axes.grid(alpha=0.25)
     for axes in panels[-1]:
-        axes.set_xlabel("primitive steps")
+        axes.set_xlabel(over)
     for axes in panels[:, 0]:
         axes.set_ylabel("success rate")
-    panels[0, 0].legend(loc="lower right", fontsize=8)
+    shown = {label: line for axes in panels.flat for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    if len(shown) > MOST_INSIDE:
+        figure.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=3, fontsize=8)
+    else:
+        panels[0, 0].legend(loc="lower right", fontsize=8)
     return figure
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import tyro
 
 from experiments.common.documents import fill, number
+from experiments.deep.arms import OPTIONS
 from experiments.deep.plots import LABELS
 
 COLUMNS = (
@@ -74,7 +75,7 @@ def rows(study: dict[str, Any]) -> Iterator[str]:
                 cells = [
                     f"{algo.upper()}, {env}: {LABELS[arm]}",
                     str(of["n_runs"]),
-                    str(of["with_option"]) if arm == "options" else "",
+                    str(of["with_option"]) if arm in OPTIONS else "",
                     number(of["steps_to_90"], form="{:,.0f}"),
                     number(of.get("steps_to_90_of_stock")),
                     number(of.get("probability_of_improvement")),

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.stats import mannwhitneyu, trim_mean
 
 from experiments.common.seeds import Result
@@ -68,9 +69,19 @@ def steps_to_success(result: Result, n_timesteps: int) -> float:
 
 def curve(result: Result, n_timesteps: int) -> FloatArray:
     """Success rate on the grid, from the last evaluation before each point; a run that was stopped keeps its last."""
-    at = np.arange(0, n_timesteps + 1, GRID)
-    last = np.searchsorted(result["steps"], at, side="right") - 1
-    values: FloatArray = np.asarray(result["success"])[np.maximum(last, 0)]
+    return curve_at(result["steps"], result["success"], np.arange(0, n_timesteps + 1, GRID))
+
+
+def curve_at(when: Sequence[float], success: Sequence[float], at: npt.NDArray[Any]) -> FloatArray:
+    """Success rate at some points, from the last evaluation before each.
+
+    Args:
+        when: Of each evaluation, in primitive steps or seconds.
+        success: Its success rate.
+        at: The points, in the same unit.
+    """
+    last = np.searchsorted(when, at, side="right") - 1
+    values: FloatArray = np.asarray(success)[np.maximum(last, 0)]
     return values
 
 

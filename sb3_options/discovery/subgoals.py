@@ -19,6 +19,7 @@ from sb3_options.discovery.outcomes import Outcomes
 from sb3_options.discovery.peaks import PeakTracker, plateau_centres
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.static_filter import StaticFilter
+from sb3_options.discovery.ways import loop_erased
 from sb3_options.experience.observations import FloatArray, batch_size
 from sb3_options.experience.success import SuccessRule, reported_success
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory, TrajectoryDatabase
@@ -204,6 +205,19 @@ class SubgoalDiscovery:
         bags = self._maker.make(self.database, [*self.taken, *found])
         self.kind = self._maker.kind  # what was seen may show that states have no distances
         return bags
+
+    def passing_share(self, subgoal: Region) -> float:
+        """The share of the successes in the database whose way, without loops, leads through a region.
+
+        An option that no success needs to pass may be taken out of its slot. 0 without a success.
+        """
+        passed = []
+        for labelled in filter(lambda each: each.success, self.database):
+            scale = np.ones(labelled.features.shape[1]) if self.scale is None else self.scale
+            visits = labelled.trajectory.visits
+            way = loop_erased(labelled.features * scale, visits, self.settings.subgoal_radius)
+            passed.append(bool(subgoal.contains(labelled.features[way]).any()))
+        return float(np.mean(passed)) if passed else 0.0
 
     def engine(self) -> DiverseDensity:
         """The diverse density these settings mean."""

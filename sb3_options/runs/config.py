@@ -65,7 +65,7 @@ PAIRS = tyro.constructors.PrimitiveConstructorSpec[dict[str, Any]](
 )
 """How the command line spells keyword arguments."""
 
-NAME = tyro.conf.arg(metavar="NAME")  # of something in a module
+NAME, KIND = tyro.conf.arg(metavar="NAME"), tyro.conf.arg(metavar="KIND")  # of something in a module; of a choice
 Count: TypeAlias = Annotated[int, Field(ge=1)]
 Natural: TypeAlias = Annotated[int, Field(ge=0)]
 Share: TypeAlias = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -86,7 +86,7 @@ class TrainConfig:
         seed: Of everything random.
         tensorboard_log: Folder for run folders.
         n_envs: Parallel environments.
-        vec_env: "subproc" gives each a process.
+        vec_env: "dummy"; "subproc": a process each.
         eval_freq: Primitive steps per evaluation; 0: none.
         eval_episodes: Episodes of an evaluation.
         eval_max_steps: Longest, in primitive steps; 0: any.
@@ -101,6 +101,7 @@ class TrainConfig:
         gamma: Discount γ per primitive step.
         learning_rate: Step size of the optimiser.
         net_arch: Hidden layers of the network.
+        bonus: "counts" or "rnd": an intrinsic reward.
         close_harmful: Close options that prove harmful.
         discovery: How subgoals are found.
         option: How options are learned.
@@ -115,7 +116,7 @@ class TrainConfig:
     seed: Natural = 0
     tensorboard_log: Path = Path("runs")
     n_envs: Count = 1
-    vec_env: Literal["dummy", "subproc"] = "dummy"
+    vec_env: Annotated[Literal["dummy", "subproc"], KIND] = "dummy"
     eval_freq: Natural = 0
     eval_episodes: Count = 10
     eval_max_steps: Natural = 1_000
@@ -130,6 +131,7 @@ class TrainConfig:
     gamma: Annotated[float, Field(gt=0.0, le=1.0)] = 0.97
     learning_rate: Positive = 5e-4
     net_arch: tuple[Count, ...] = (64, 64)
+    bonus: Annotated[Literal["none", "counts", "rnd"], KIND] = "none"
     close_harmful: bool = False
     discovery: DiscoverySettings = field(default_factory=DiscoverySettings)
     option: OptionLearningSettings = field(default_factory=OptionLearningSettings)

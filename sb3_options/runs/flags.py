@@ -36,6 +36,7 @@ FIRST = (
 LAST = (
     "env_wrapper",
     "feature_map",
+    "bonus",
     "close_harmful",
     "eval_episodes",
     "eval_max_steps",

@@ -2,22 +2,28 @@
 
 import math
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch
 from sb3_contrib import QRDQN, TRPO, MaskablePPO, RecurrentPPO
 from stable_baselines3 import A2C, DQN, PPO
-from stable_baselines3.common.callbacks import BaseCallback, CallbackList
-from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList, CheckpointCallback
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecFrameStack, VecNormalize
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator  # type: ignore[import-untyped]  # no stubs
 
-from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper
-from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback
+from sb3_options import MacroQ, OptionDQN, OptionReplayBuffer, OptionsWrapper
+from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.learning.bonus_replay import set_bonus
+from sb3_options.learning.novelty import StateCounts
+from tests.learning.test_replay_buffer import optioned, place_in
 from tests.learning.test_rollout_buffer import GAMMA, LAMBDA, make
-from tests.support.helpers import steady_option
-from tests.support.sb3_helpers import Corridor, StepLog
+from tests.support.helpers import DictEnv, steady_option
+from tests.support.sb3_helpers import Corridor, StepLog, make_optioned_rooms, optioned_rooms, places, small_rooms
 
 WEIGHT = 0.5
 
@@ -99,12 +105,12 @@ def logged(n_envs: int, *, options: bool) -> tuple[DummyVecEnv, list[StepLog]]:
     return DummyVecEnv([lambda env=env: wrapped(env) for env in logs]), logs  # type: ignore[misc]  # bound early
 
 
-@pytest.mark.parametrize("options", [True, False])
-@pytest.mark.parametrize("algorithm", [PPO, A2C, TRPO, MaskablePPO, RecurrentPPO])
-@pytest.mark.parametrize("bonus_first", [True, False])
+@pytest.mark.parametrize(
+    ("algorithm", "options", "bonus_first"),
+    [(algorithm, True, True) for algorithm in (PPO, A2C, TRPO, MaskablePPO, RecurrentPPO)]
+    + [(PPO, True, False), (PPO, False, True), (RecurrentPPO, False, True)],
+)
 def test_advantages_are_those_of_rewards_with_the_bonus(algorithm: Any, options: bool, bonus_first: bool) -> None:
-    if algorithm is MaskablePPO and not options:
-        pytest.skip("needs masks, which the corridor has not")
     venv, logs = logged(2, options=options)
     model = make(algorithm, venv)
     before, after = Rollout(), Rollout()
@@ -141,8 +147,8 @@ class Batch(BaseCallback):
     def _on_step(self) -> bool:
         return not hasattr(self, "added")
 
-    def _on_rollout_start(self) -> None:
-        if self.num_timesteps < self.at:
+    def _on_rollout_end(self) -> None:
+        if self.num_timesteps < self.at or hasattr(self, "added"):
             return
         buffer: Any = self.model.replay_buffer  # type: ignore[attr-defined]  # of off-policy algorithms
         rows = np.arange(buffer.size())
@@ -180,3 +186,195 @@ def test_a_replay_buffer_is_relabelled_with_the_counts_of_now(algorithm: Any, no
     expected = [sum(GAMMA**i / math.sqrt(visits[place(step)]) for i, step in enumerate(run)) for run in rows]
     assert max(map(len, rows)) > 3
     np.testing.assert_allclose(batch.added, weight * np.array(expected), rtol=1e-3, atol=1e-5)
+
+
+def visits_of(bonus: IntrinsicRewardCallback) -> dict[bytes, int]:
+    assert isinstance(bonus.novelty, StateCounts)
+    return bonus.novelty.visits
+
+
+@pytest.mark.parametrize("algorithm", [PPO, DQN])
+@pytest.mark.parametrize("options", [True, False])
+@pytest.mark.parametrize("kind", ["box", "discrete", "dict", "dict_discrete", "image"])
+def test_every_kind_of_observation_is_counted_as_the_environment_gave_it(
+    kind: str, options: bool, algorithm: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = 0
+
+    def of_known_states(self: StateCounts, observations: Any) -> Any:
+        nonlocal asked
+        counts = np.array([self.visits[key] for key in self.keys(observations)])
+        asked += len(counts)
+        return 1.0 / np.sqrt(counts)
+
+    monkeypatch.setattr(StateCounts, "of", of_known_states)
+
+    def wrapped() -> gym.Env[Any, Any]:
+        return optioned(kind) if options else StepLog(Corridor(kind))
+
+    venv = DummyVecEnv([wrapped, wrapped])
+    policy = "MultiInputPolicy" if kind.startswith("dict") else "MlpPolicy"
+    own: dict[str, Any] = {"n_steps": 32, "batch_size": 64, "n_epochs": 1}
+    if algorithm is DQN:
+        own = {"learning_starts": 20, "exploration_fraction": 1.0, "batch_size": 8, "buffer_size": 1000}
+        own |= {"replay_buffer_class": OptionReplayBuffer} if options else {}
+    model = algorithm(policy, venv, gamma=GAMMA, policy_kwargs={"net_arch": [8]}, seed=0, **own)
+    # An image is whole numbers; of the parts of a dict one is not, so it needs a feature map.
+    bonus = IntrinsicRewardCallback(feature_map=places if kind.startswith("dict") else None)
+    model.learn(160, callback=[bonus, PrimitiveStepsCallback()] if options else bonus)
+    logs = [step for i in range(2) for step in venv.get_attr("log")[i]]
+    expected = Counter(place_in(step.next_state) for step in logs)
+    assert sorted(visits_of(bonus).values()) == sorted(expected.values())
+    assert (asked > 100) == (algorithm is DQN)
+
+
+def test_what_vec_wrappers_do_to_observations_is_undone() -> None:
+    """Normalised, clipped and stacked for the algorithm; counted as the environments gave them, last ones too."""
+    venv, logs = logged(2, options=False)
+    stacked = VecFrameStack(venv, 3)
+    env = VecNormalize(stacked, clip_obs=1.0, norm_reward=False, gamma=GAMMA)
+    bonus = IntrinsicRewardCallback()
+    make(PPO, env).learn(128, callback=bonus)
+    expected = Counter(place(step) for log in logs for step in log.log)
+    ended = sum(step.terminated or step.truncated for log in logs for step in log.log)
+    # What was clipped of the last observation of an episode cannot be recovered.
+    assert sum((expected - Counter(read(visits_of(bonus)))).values()) <= ended
+    assert ended < 20
+
+
+def read(visits: dict[bytes, int]) -> dict[tuple[int, ...], int]:
+    return {tuple(np.frombuffer(key, dtype=np.int64).tolist()): n for key, n in visits.items()}
+
+
+def test_worker_processes_count_the_same() -> None:
+    counted_by = []
+    for made in (DummyVecEnv, SubprocVecEnv):
+        venv: Any = made([make_optioned_rooms] * 2)
+        venv.seed(3)
+        bonus = IntrinsicRewardCallback()
+        model = PPO("MlpPolicy", venv, n_steps=32, batch_size=64, n_epochs=1, gamma=0.9, seed=0)
+        model.learn(64, callback=[SubgoalDiscoveryCallback(), bonus])
+        counted_by.append(visits_of(bonus))
+        venv.close()
+    assert counted_by[0] == counted_by[1]
+    assert len(counted_by[0]) > 3
+
+
+def test_without_weight_nothing_changes() -> None:
+    weights = []
+    for callback in (None, IntrinsicRewardCallback(weight=0.0), IntrinsicRewardCallback("rnd", weight=0.0)):
+        model = make(PPO, Corridor())
+        model.learn(256, callback=callback)
+        weights.append(torch.cat([p.detach().flatten() for p in model.policy.parameters()]))
+    assert torch.equal(weights[0], weights[1])
+    assert torch.equal(weights[0], weights[2])
+
+
+@pytest.mark.parametrize("algorithm", [PPO, DQN])
+@pytest.mark.parametrize("kind", ["counts", "rnd"])
+def test_logs_and_goes_on(kind: Any, algorithm: Any, tmp_path: Path) -> None:
+    own: dict[str, Any] = {"n_steps": 64} if algorithm is PPO else {"learning_starts": 10}
+    model = algorithm("MlpPolicy", small_rooms(), gamma=0.9, seed=0, tensorboard_log=str(tmp_path), **own)
+    bonus = IntrinsicRewardCallback(kind)
+    model.learn(640, callback=bonus)
+    before = bonus.novelty
+    model.learn(640, callback=bonus, reset_num_timesteps=False)
+    assert bonus.novelty is before
+    if isinstance(before, StateCounts):
+        assert sum(before.visits.values()) == 1280
+    scalars = EventAccumulator(str(min(tmp_path.rglob("events*"))))
+    scalars.Reload()
+    shown = {"counts": "intrinsic/states", "rnd": "intrinsic/loss"}[kind]
+    assert {"intrinsic/bonus", "intrinsic/return_std", shown} <= set(scalars.Tags()["scalars"])
+    assert 0 < scalars.Scalars("intrinsic/bonus")[-1].value < 0.2
+
+
+def test_a_checkpoint_of_the_replay_buffer_can_be_loaded(tmp_path: Path) -> None:
+    model = DQN("MlpPolicy", small_rooms(), gamma=0.9, learning_starts=10)
+    saving = CheckpointCallback(100, str(tmp_path), save_replay_buffer=True)
+    model.learn(200, callback=[IntrinsicRewardCallback(), saving])
+    assert type(model.replay_buffer) is ReplayBuffer
+    model.load_replay_buffer(tmp_path / "rl_model_replay_buffer_100_steps.pkl")
+    model.learn(100, callback=IntrinsicRewardCallback())
+    model.learn(50)
+
+
+def test_an_exception_leaves_no_bonus_behind() -> None:
+    class Fails(BaseCallback):
+        def _on_step(self) -> bool:
+            if self.num_timesteps == 100:
+                raise RuntimeError("an accident")
+            return True
+
+    model = DQN("MlpPolicy", small_rooms(), gamma=0.9, learning_starts=10)
+    with pytest.raises(RuntimeError, match="an accident"):
+        model.learn(200, callback=[IntrinsicRewardCallback(), Fails()])
+    assert type(model.replay_buffer) is ReplayBuffer
+
+
+def test_n_step_returns_of_sb3_have_the_bonus_too() -> None:
+    model = DQN("MlpPolicy", small_rooms(), gamma=0.9, learning_starts=10, n_steps=5)
+    model.learn(200, callback=IntrinsicRewardCallback())
+    assert type(model.replay_buffer) is NStepReplayBuffer
+
+
+class Menu(gym.Wrapper[Any, Any, Any, Any]):
+    """An environment without option slots whose info uses the word for something else."""
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        *result, info = self.env.step(action)
+        return (*result, {**info, "option": "of the day"})
+
+
+def test_an_info_of_another_meaning_is_let_be() -> None:
+    make(PPO, Menu(small_rooms())).learn(64, callback=IntrinsicRewardCallback())
+
+
+def test_the_reward_of_the_task_is_what_monitors_see() -> None:
+    model = make(PPO, small_rooms(max_steps=20))
+    model.learn(256, callback=IntrinsicRewardCallback(weight=10.0))
+    returns = [float(episode["r"]) for episode in model.ep_info_buffer or ()]
+    assert len(returns) > 5
+    assert set(returns) <= {0.0, 1.0}
+
+
+class TestErrors:
+    @pytest.mark.parametrize(
+        ("arguments", "text"),
+        [
+            ({"kind": "icm"}, "kind must be 'counts' or 'rnd', got 'icm'"),
+            ({"weight": -0.1}, "weight must be at least 0, got -0.1"),
+            ({"bin_width": 0.0}, "bin_width must be above 0, got 0.0"),
+            ({"rnd": {"features": 0}}, "RNDSettings: features should be greater than or equal to 1, got 0"),
+        ],
+    )
+    def test_bad_arguments(self, arguments: dict[str, Any], text: str) -> None:
+        with pytest.raises(ValueError, match=text):
+            IntrinsicRewardCallback(**arguments)
+
+    def test_no_discount(self) -> None:
+        with pytest.raises(ValueError, match=r"needs gamma below 1, or its return has no bound, got gamma=1\.0"):
+            make(PPO, Corridor(), gamma=1.0).learn(64, callback=IntrinsicRewardCallback())
+
+    def test_nothing_to_count(self) -> None:
+        model = PPO("MultiInputPolicy", DictEnv(), n_steps=16, batch_size=16)
+        with pytest.raises(ValueError, match=r"nothing to count in Dict.*pass IntrinsicRewardCallback\(feature_map"):
+            model.learn(16, callback=IntrinsicRewardCallback())
+
+    def test_an_algorithm_without_a_buffer(self) -> None:
+        agent = MacroQ(optioned_rooms(), gamma=0.9)
+        with pytest.raises(TypeError, match="MacroQ has no rollout or replay buffer of Stable-Baselines3"):
+            agent.learn(10, callback=IntrinsicRewardCallback())
+
+    def test_a_buffer_of_a_users_own(self) -> None:
+        class Own(ReplayBuffer):
+            pass
+
+        model = DQN("MlpPolicy", small_rooms(), gamma=0.9, replay_buffer_class=Own)
+        with pytest.raises(TypeError, match="A bonus cannot be added to what Own samples"):
+            model.learn(10, callback=IntrinsicRewardCallback())
+
+    def test_a_buffer_without_the_steps_inside_options(self) -> None:
+        model = OptionDQN("MlpPolicy", optioned_rooms(), gamma=0.9, replay_buffer_kwargs={"macro_q": False})
+        with pytest.raises(ValueError, match=r"macro_q=False does not store: leave out replay_buffer_kwargs"):
+            model.learn(10, callback=[PrimitiveStepsCallback(), IntrinsicRewardCallback()])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import sb3_options.envs  # noqa: F401  # registers them
+from sb3_options.density.regions import Region
 from sb3_options.discovery.settings import CATEGORICAL_SCALE, DiscoverySettings, default_scale, described, is_one_hot
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray
@@ -505,3 +506,14 @@ def test_settings_out_of_range(name: str, values: tuple[Any, ...], message: str)
 def test_every_setting_has_a_range() -> None:
     """A new field needs a row above."""
     assert {f.name for f in dataclasses.fields(DiscoverySettings)} == {name for name, *_ in RANGES} | {"negative_bags"}
+
+
+def test_passing_share_counts_the_successes_whose_way_leads_through() -> None:
+    discovery = SubgoalDiscovery(settings_of(loops="erase", subgoal_radius=0.5))
+    near = Region(np.array([[3.0]]), np.ones(1), 0.5)
+    assert discovery.passing_share(near) == 0.0
+    discovery.add(*on_a_line(0, 1, 2, 3, 4))
+    discovery.add(*on_a_line(0, 1, 2, 1, 5))
+    discovery.add(*on_a_line(0, 1, 3, 1, 4))  # 3 lies on a loop
+    discovery.add(*on_a_line(0, 3, success=False))
+    assert discovery.passing_share(near) == pytest.approx(1 / 3)

@@ -9,7 +9,7 @@ import pytest
 
 from experiments.common.gridworlds import world_of
 from experiments.deep import __main__ as deep
-from experiments.deep import conditions, report, tasks, tune
+from experiments.deep import arms, conditions, report, tasks, tune
 from experiments.deep.repeats import LONGEST, RandomRepeat
 from experiments.deep.settings import DeepSettings
 from experiments.deep.summary import (
@@ -20,7 +20,7 @@ from experiments.deep.summary import (
     steps_to_success,
     summarise,
 )
-from sb3_options import OptionsWrapper
+from sb3_options import OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback, TrialSettings
 from sb3_options.envs import GridWorld
 from tests.support.helpers import CountingEnv
@@ -42,13 +42,13 @@ def test_steps_to_success() -> None:
     assert steps_to_success(result([0, 1000, 2000], [0.0, 0.85, 1.0]), 9000) == 9000
 
 
-@pytest.mark.parametrize("arm", ["carried", "options"])
+@pytest.mark.parametrize("arm", ["carried", "options", "options-bonus"])
 def test_what_the_old_task_leaves(arm: Any, tmp_path: Path) -> None:
     """The network of ``carried`` begins with what it learned there; the rest begins anew."""
     task = tasks.Task("sb3_options/TwoRooms-v0", {"goal": (20, 0)}, {}, n_timesteps=64, source_timesteps=600)
     settings = DeepSettings(evaluate_every=1000, evaluation_episodes=1, final_evaluations=1)
     result = conditions.run(task, "ppo", arm, settings, tmp_path, 0)
-    assert ("brought" in result) == (arm == "options")
+    assert ("brought" in result) == (arm != "carried")
     source = conditions.train_source(task, "ppo", arm, settings, 0)
     before = conditions.train(task, "ppo", arm, settings, 0, carried=source.model if arm == "carried" else None)
     learned = source.model.policy.state_dict()
@@ -131,6 +131,10 @@ def test_random_repeats_are_drawn_anew_and_heavy_tailed() -> None:
         ({"env": "KeyDoor", "task": "transfer"}, "no 'KeyDoor' for --task transfer, choose from TwoRooms, FourR"),
         ({"algo": "dqn,sac"}, "--algo: there is no 'sac'"),
         ({"arms": "stock,magic"}, "--arms: there is no 'magic'"),
+        (
+            {"algo": "ppo", "arms": "n-step"},
+            "n-step returns need an algorithm with a replay buffer, for instance --alg",
+        ),
     ],
 )
 def test_what_there_is_not_is_named(tmp_path: Path, arguments: dict[str, Any], text: str) -> None:
@@ -170,9 +174,37 @@ def test_study_writes_results_and_picture_and_resumes(tmp_path: Path, monkeypatc
     assert (tmp_path / "curves.png").stat().st_size > 10_000
     kept = sorted(tmp_path.glob("runs/*/seeds/*.json"))
     assert len(kept) == 6
+    assert (tmp_path / "seconds.png").stat().st_size > 10_000
+    for run in content["runs"]["FourRooms"]["dqn"]["options"]:
+        assert len(run["seconds"]) == len(run["steps"])
+        assert run["seconds"] == sorted(run["seconds"])
+        assert 0 <= run["seconds"][0] < run["seconds"][-1] < content["seconds"]
     before = [path.stat().st_mtime_ns for path in kept]
     deep.main(study)
     assert [path.stat().st_mtime_ns for path in kept] == before
+
+
+@pytest.mark.parametrize("algo", ["dqn", "dqn-unmasked", "ppo"])
+@pytest.mark.parametrize("arm", ["n-step", "count-bonus", "rnd", "options-n-step", "options-bonus"])
+def test_arms_beside_the_three(algo: str, arm: Any) -> None:
+    """Each learns from what its name says, which a single run of a few hundred steps can show."""
+    if not arms.has_arm(algo, arm):
+        return
+    task = tasks.Task("sb3_options/TwoRooms-v0", n_timesteps=800)
+    settings = DeepSettings(evaluate_every=400, evaluation_episodes=1, final_evaluations=1, bonus_weight=0.3)
+    result, discovery, model = conditions.train(task, algo, arm, settings, 0)
+    assert len(result["seconds"]) == len(result["steps"]) >= 2
+    assert (discovery is None) == (not arm.startswith("options"))
+    buffer: Any = getattr(model, "replay_buffer", None)
+    if arm in arms.N_STEP:
+        assert buffer.n_steps == settings.n_steps == 10
+        assert settings.of(algo, arm)["n_steps"] == 10
+    if arm in arms.BONUS:
+        assert settings.of(algo, arm)["bonus_weight"] == 0.3
+        assert "bonus_weight" not in settings.of(algo, "options")
+    assert isinstance(buffer, OptionReplayBuffer) == (algo != "ppo" and discovery is not None)
+    if buffer is None:  # rewards of the task are 0 but at the goal; those of a rollout with a bonus are not
+        assert (model.rollout_buffer.rewards != 0).mean() > 0.9  # type: ignore[attr-defined]
 
 
 def test_settings_of_options_are_those_that_tuning_chose() -> None:
@@ -193,9 +225,11 @@ def test_the_command_says_what_was_varied() -> None:
         max_runs={"dqn": 7, "ppo": 0},
         withhold={"dqn": 0.1, "ppo": 0.3},
         callback={"interruption": False},
+        n_steps=3,
     )
     assert varied.switched() == [
         "--settings.both-as stock",
+        "--settings.n-steps 3",
         "--settings.max-option-exploration.ppo 0.25",
         "--settings.max-runs.dqn 7",
         "--settings.max-runs.ppo 0",

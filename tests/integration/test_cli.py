@@ -314,6 +314,17 @@ class TestOptions:
         assert np.linalg.norm(old - new) > configs.load(folder / "config.yml").discovery.spacing
 
 
+@pytest.mark.parametrize(("algo", "bonus"), [("optiondqn", "rnd"), ("maskableppo", "counts")])
+def test_an_intrinsic_reward(algo: str, bonus: str, tmp_path: Path) -> None:
+    args = [algo, "--bonus", bonus, "--n-timesteps", "1500", "--max-options", "1", "--no-progress"]
+    folder = cli.train(parse([*args, "--env-kwargs", "max_steps:100", "--tensorboard-log", str(tmp_path)]))
+    assert configs.load(folder / "config.yml").bonus == bonus
+    (events,) = folder.rglob("events*")
+    scalars = EventAccumulator(str(events))
+    scalars.Reload()
+    assert scalars.Scalars("intrinsic/bonus")[-1].value > 0
+
+
 class TestEvaluate:
     @pytest.fixture(scope="class")
     @staticmethod

@@ -66,6 +66,19 @@ def test_taxi(n_envs: int) -> None:
     assert max(episodes) == 200
 
 
+def test_intrinsic_reward_without_options() -> None:
+    from stable_baselines3 import PPO
+
+    from sb3_options.callbacks import IntrinsicRewardCallback
+
+    env = make_vec_env("sb3_options/TwoRooms-v0", n_envs=4, seed=0)
+    model = PPO("MlpPolicy", env, n_steps=64, gamma=0.97, normalize_advantage=False)
+    bonus = IntrinsicRewardCallback("counts")
+    model.learn(512, callback=bonus)
+    assert bonus.novelty is not None
+    assert bonus.novelty.records()["states"] > 5
+
+
 def test_vec_env_of_four() -> None:
     from stable_baselines3 import DQN
 

@@ -6,6 +6,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+import torch
 from gymnasium import spaces
 from stable_baselines3.common.buffers import DictReplayBuffer, NStepReplayBuffer, ReplayBuffer
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
@@ -146,8 +147,9 @@ def test_stock_buffers(made: Any, kind: str, n: int, size: int, n_steps: int, rn
     np.testing.assert_allclose(samples.rewards[:, 0] - plain.rewards[:, 0], added, atol=1e-5)
     assert samples.rewards.dtype == plain.rewards.dtype
     for name in ("actions", "dones", "discounts"):
-        before, after = getattr(plain, name, None), getattr(samples, name, None)
-        assert (before is None and after is None) or (before == after).all()
+        before: Any = getattr(plain, name, None)
+        after: Any = getattr(samples, name, None)
+        assert (before is None and after is None) or torch.equal(before, after)
     set_bonus(buffer, None)
     assert type(buffer) is made
     assert (draw(buffer, rows)[0].rewards == plain.rewards).all()
