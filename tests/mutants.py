@@ -37,7 +37,7 @@ RESULTS = Path("docs/results/mutants.json")
 MADE = Path("mutants")
 """Where mutmut writes the mutated copy of the library, and which tests reach a function."""
 
-ENOUGH = 60.0
+ENOUGH = 30.0
 """Seconds of tests a mutant meets at most; one that needs more to die counts as a survivor."""
 
 TIMES, PLUS = 4.0, 15.0
@@ -88,7 +88,9 @@ class Forks:
             began, tests = time.monotonic(), self._tests_of(name, items)
             self.found[name] = self._tested(session, name, [items[test] for test in tests]) if tests else "no tests"
             self.results.write_text(json.dumps(self.found), "utf-8")
-            print(f"{number + 1}/{len(self.names)} {self.found[name]} {time.monotonic() - began:.1f} s {name}", flush=True)
+            print(
+                f"{number + 1}/{len(self.names)} {self.found[name]} {time.monotonic() - began:.1f} s {name}", flush=True
+            )
         return True
 
     def _tests_of(self, name: str, items: dict[str, pytest.Item]) -> list[str]:

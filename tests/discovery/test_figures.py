@@ -20,7 +20,7 @@ from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.creation import learn_option
 from sb3_options.options.settings import OptionLearningSettings
-from tests.support.helpers import steady_option, trajectory_of
+from tests.support.helpers import line, steady_option, trajectory_of
 from tests.support.sb3_helpers import n_colours, small_rooms
 
 NAMES = ["diverse_density", "first_visits", "initiation_set", "option_policy"]
@@ -214,6 +214,19 @@ def test_numbered_states_are_bars() -> None:
         assert set(marked) == {".", "o", "D", "*"}
         assert figure.axes[0].get_xlabel() == "number of the state"
         assert figure.axes[0].get_ylabel() in ("nats", "trajectories")
+
+
+def test_two_panels_are_one_row() -> None:
+    assert len(subgoals_figure(*discovered("categorical", one_hot)).axes) == 2
+    assert subgoals_figure(*discovered("categorical", one_hot)).get_size_inches().tolist() == [12.8, 3.4]
+
+
+def test_a_single_success_is_counted_in_whole_trajectories() -> None:
+    discovery = SubgoalDiscovery(DiscoverySettings(min_positive=1, start_radius=0.5, goal_radius=0.5, min_passing=0.0))
+    discovery.add(line([0, 1, 2, 3, 4]).trajectory, np.arange(5.0)[:, None], success=True)
+    discovery.search()
+    ticks = discovery_figures(discovery, OptionBank(4, 2))["first_visits"].axes[1].get_yticks()
+    assert ticks.tolist() == ticks.round().tolist()
 
 
 def test_before_any_search_there_is_nothing_to_draw() -> None:

@@ -265,3 +265,18 @@ def test_one_wrapper_is_enough() -> None:
     env.reset(seed=0)
     with pytest.raises(ValueError, match=r"wrap in OptionsWrapper once only\.$"):
         env.step(0)
+
+
+def test_says_what_runs_while_it_runs() -> None:
+    said: list[str] = []
+
+    def step(inner: CountingEnv, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        said.append(env.running_option())
+        return np.array([float(inner.time)]), 0.0, False, False, {}
+
+    env = OptionsWrapper(CountingEnv(step=step), 2)
+    env.bank.add(steady_option(max_duration=2, name="forwards"), 1)
+    env.reset()
+    for action in (0, 3, 1, 2):  # a primitive, the option, a primitive, an empty slot
+        env.step(action)
+    assert said == ["primitive action", *["option 1: forwards"] * 2, "primitive action", "primitive action"]
