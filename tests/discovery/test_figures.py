@@ -10,10 +10,11 @@ import numpy.typing as npt
 import pytest
 import torch
 from matplotlib.collections import PatchCollection
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
-from sb3_options.discovery.figures import discovery_figures, subgoals_figure
+from sb3_options.discovery.figures import INITIATION_COLOUR, discovery_figures, subgoals_figure
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.trajectories import Trajectory
@@ -167,9 +168,18 @@ class TestMaps:
         cells = np.asarray(bank[0].initiation_set.points)  # type: ignore[union-attr]  # discovered
         assert {tuple(s) for s in starts.round(6)} <= {tuple(c) for c in cells}
         assert len(starts) > 0.7 * len(cells)
+        lengths = np.linalg.norm(moves, axis=1)
+        np.testing.assert_allclose(lengths[lengths > 0], 0.8, err_msg="however seldom an action succeeds")
         subgoal = discovery.found[0].subgoal.points[0]
         nearer = np.linalg.norm(starts + 0.1 * moves - subgoal, axis=1) < np.linalg.norm(starts - subgoal, axis=1)
         assert nearer.mean() > 0.7
+
+    def test_initiation_sets_have_a_colour_of_their_own(self) -> None:
+        axes = discovery_figures(*discovered("environment", xy))["initiation_set"].axes[0]
+        ground, shaded = (c.get_facecolor()[0] for c in axes.collections if isinstance(c, PatchCollection))
+        assert to_hex(shaded) == INITIATION_COLOUR
+        assert len(set(ground[:3])) == 1, "all else is grey"
+        assert ground[0] < 1.0
 
     def test_rows_are_counted_downwards_and_cells_are_squares(self) -> None:
         axes = discovery_figures(*discovered("environment", xy))["diverse_density"].axes[0]
