@@ -158,15 +158,16 @@ def stratified(folders: dict[str, dict[str, Any]]) -> dict[str, float]:
     return {"share": round(share, 3), "low": round(share - half, 3), "high": round(min(share + half, 1.0), 3)}
 
 
-def report(names: dict[str, list[str]], drawn: dict[str, list[str]], found: dict[str, str], label: str) -> None:
+def report(names: dict[str, list[str]], found: dict[str, str], label: str) -> None:
     """Write what became of a sample to `RESULTS`, beside earlier ones; names there say which are equivalent."""
-    results = json.loads(RESULTS.read_text("utf-8")) if RESULTS.exists() else {"samples": {}, "equivalent": {}}
+    results = json.loads(RESULTS.read_text("utf-8"))
     folders, survivors = {}, []
-    for folder, sample in drawn.items():
+    for folder in FOLDERS:
+        sample = [name for name in found if name.split(".")[1] == folder]
         counts = Counter(found[name] for name in sample)
         alive = [name for name in sample if found[name] in ("survived", "no tests")]
         equivalent = [name for name in alive if name in results["equivalent"]]
-        survivors += [name for name in alive if name not in equivalent]
+        survivors += sorted(set(alive) - set(equivalent))
         died, tried = counts["killed"] + counts["timed out"], len(sample) - len(equivalent)
         low, high = wilson(died, tried)
         folders[folder] = {
@@ -193,14 +194,15 @@ def main() -> None:
     parser.add_argument("--label", help="of the sample in the results; by default its seed")
     arguments = parser.parse_args()
     names = population()
-    drawn = draw(names, arguments.seed, arguments.each)
-    in_turn = [name for of_each in zip(*drawn.values(), strict=True) for name in of_each]
+    in_turn = [
+        n for of_each in zip(*draw(names, arguments.seed, arguments.each).values(), strict=True) for n in of_each
+    ]
     results = MADE / f"sample-{arguments.seed}-{arguments.each}.json"
     if arguments.action == "test":
         sys.exit(test(in_turn, results))
     found = json.loads(results.read_text("utf-8"))
     if arguments.action == "report":
-        report(names, drawn, found, arguments.label or f"seed {arguments.seed}")
+        report(names, found, arguments.label or f"seed {arguments.seed}")
         return
     for name in in_turn:
         if found.get(name) in ("survived", "no tests"):
