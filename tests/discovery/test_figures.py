@@ -127,6 +127,7 @@ class TestMaps:
         assert len(goals) == 1
         for figure in discovery_figures(discovery, bank).values():
             marked = {line.get_marker(): np.asarray(line.get_xydata()) for line in figure.axes[0].lines}
+            assert {line.get_linestyle() for line in figure.axes[0].lines} == {"None"}, "marks are not joined"
             assert {tuple(p) for p in marked["o"]} == starts
             assert {tuple(p) for p in marked["D"]} == goals
             (legend,) = figure.legends
@@ -187,10 +188,21 @@ class TestMaps:
         assert bottom > top
         assert axes.get_aspect() == 1.0
 
+    def test_a_panel_has_the_shape_of_its_map(self) -> None:
+        figure = discovery_figures(*discovered("environment", xy))["first_visits"]
+        (left, right), (bottom, top) = figure.axes[0].get_xlim(), figure.axes[0].get_ylim()
+        width, height = figure.get_size_inches()
+        assert height / width == pytest.approx((bottom - top) / (right - left))
+
     def test_one_picture_of_all(self) -> None:
         figure = subgoals_figure(*discovered("environment", xy))
         titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
-        assert len(titles) == 4
+        assert titles == [
+            "log diverse density",
+            "successful trajectories that visit",
+            "initiation set",
+            "option policy: where the greedy action leads",
+        ]
         assert colours(figure) > 50
 
 

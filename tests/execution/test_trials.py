@@ -85,6 +85,17 @@ def test_alpha_is_spent_over_the_looks() -> None:
     pytest.fail("no look found harm")
 
 
+@pytest.mark.parametrize(("alpha", "verdict"), [(0.1, "harmful"), (0.05, None)])
+def test_the_first_look_may_spend_half_of_alpha(alpha: float, verdict: str | None) -> None:
+    """Two episodes without the option return more than five with it: P(U ≥ 10) = 2! 5! / 7! = 1/21, about 0.048."""
+    trial = OptionTrial(TrialSettings(look_every=2, alpha=alpha))
+    for outcome in range(5):
+        assert trial.add(withheld=False, outcome=float(outcome)) is None
+    assert trial.add(withheld=True, outcome=8.0) is None
+    assert trial.add(withheld=True, outcome=9.0) == verdict
+    assert trial.p_value == pytest.approx(1 / 21)
+
+
 @pytest.mark.parametrize(
     ("settings", "match"),
     [
