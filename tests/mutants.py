@@ -98,7 +98,8 @@ class Forks:
         own = f"tests/{folder}/test_{module}"
         reached = [test for test in self.reached.get(mangled_name_from_mutant_name(name), []) if test in items]
         reached.sort(key=lambda test: (not test.startswith(own), self.seconds[test], test))
-        chosen, total = [], 0.0
+        chosen: list[str] = []
+        total = 0.0
         for test in reached:
             total += self.seconds[test]
             if total <= ENOUGH or not chosen:

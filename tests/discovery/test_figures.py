@@ -177,7 +177,8 @@ class TestMaps:
 
     def test_initiation_sets_have_a_colour_of_their_own(self) -> None:
         axes = discovery_figures(*discovered("environment", xy))["initiation_set"].axes[0]
-        ground, shaded = (c.get_facecolor()[0] for c in axes.collections if isinstance(c, PatchCollection))
+        colours_of: list[Any] = [c.get_facecolor() for c in axes.collections if isinstance(c, PatchCollection)]
+        (ground,), (shaded,) = colours_of
         assert to_hex(shaded) == INITIATION_COLOUR
         assert len(set(ground[:3])) == 1, "all else is grey"
         assert ground[0] < 1.0

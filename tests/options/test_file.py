@@ -231,7 +231,8 @@ class TestPrecision:
 
     def test_single_precision_is_written_as_double(self, tmp_path: Path) -> None:
         single = option()
-        policy = TabularPolicy(np.zeros((1, 2), np.float32), np.eye(4, dtype=np.float32)[3:])
+        states: Any = np.zeros((1, 2), np.float32)
+        policy = TabularPolicy(states, np.eye(4)[3:])
         bank = OptionBank(4, 1)
         bank.add(SubgoalOption(single.subgoal, single.initiation_set, policy))
         bank.save(tmp_path / "options")
