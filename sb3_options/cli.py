@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import gymnasium as gym
 import torch
@@ -35,11 +35,12 @@ from sb3_options.runs import config as configs
 from sb3_options.runs import evaluation
 from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import callback_settings, make_model
-from sb3_options.runs.closing import closing_table
+from sb3_options.runs.closing import IN_A_ROW, closing_table, learned_after
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.eval_callback import eval_callback_class
 from sb3_options.runs.flags import parse
 from sb3_options.runs.interrupts import Interrupts, StopWhenNoted
+from sb3_options.runs.series import KEPT, StopWhenLearned, free_slots
 from sb3_options.runs.users_code import flag, importing
 
 console = Console(highlight=False, soft_wrap=True)
@@ -90,7 +91,8 @@ def main(args: Sequence[str] | None = None) -> None:
         if args[:1] == ["evaluate"]:
             evaluate(tyro.cli(EvaluateConfig, prog="train.py evaluate", args=args[1:]))
         else:
-            train(parse(args))
+            config = parse(args)
+            (train_series if config.series else train)(config)
     except KeyboardInterrupt as interrupt:
         errors.print(" ".join(["Interrupted", *interrupt.args]) + ".")
         sys.exit(INTERRUPTED)
@@ -117,6 +119,59 @@ def train(config: TrainConfig) -> Path:
         OSError: The run folder cannot be written.
         WorkerLostError: A worker process of ``--vec-env subproc`` has ended.
     """
+    return _train(config).folder
+
+
+def train_series(config: TrainConfig) -> list[Path]:
+    """Train in one task after another; each begins with the options of the one before, and with a network of its own.
+
+    A task ends when it is learned (`StopWhenLearned`), the last one with the budget, which all tasks share. Options
+    that its successes do not need leave their slots (`free_slots`).
+
+    Args:
+        config: With a ``series``.
+
+    Returns:
+        The run folder of each task that was begun.
+
+    Raises:
+        As `train`.
+    """
+    if config.compare:
+        raise ValueError("--compare is for one task: leave it out, or train the last task of the series alone.")
+    left, options = config.n_timesteps, config.options
+    folders: list[Path] = []
+    table = Table("task", "primitive steps", f"{IN_A_ROW} successes in a row", "options", "taken out")
+    for number, task in enumerate(config.series, start=1):
+        env_kwargs = {**config.env_kwargs, **task}
+        last = number == len(config.series)
+        console.print(f"\n[bold]Task {number} of {len(config.series)}[/]: {escape(json.dumps(task))}")
+        of_task = dataclasses.replace(config, series=(), env_kwargs=env_kwargs, n_timesteps=left, options=options)
+        done = _train(of_task, until_learned=not last)
+        gone = [] if last else free_slots(done.discovery)
+        options = done.folder / KEPT
+        done.discovery.bank.save(options)
+        left -= done.discovery.num_timesteps
+        folders.append(done.folder)
+        learned = "yes" if learned_after(done.discovery.history) is not None else "no"
+        names = ", ".join(option.name for option in done.discovery.bank.slots if option is not None)
+        cells = f"{done.discovery.num_timesteps:,}", learned, names or "–", ", ".join(gone) or "–"
+        table.add_row(json.dumps(task), *map(escape, cells))
+        if done.interrupted or left <= 0:
+            break
+    console.print(table)
+    return folders
+
+
+class _Trained(NamedTuple):
+    """What is left of one training."""
+
+    folder: Path
+    discovery: SubgoalDiscoveryCallback
+    interrupted: bool
+
+
+def _train(config: TrainConfig, *, until_learned: bool = False) -> _Trained:
     torch.set_num_threads(config.num_threads)
     runs.check_env_id(config.env)
     stock: SubgoalDiscoveryCallback | None = None
@@ -127,7 +182,7 @@ def train(config: TrainConfig) -> Path:
             started_with = [f"{slot} ({option.name})" for slot, option in enumerate(bank.slots) if option is not None]
         discovery = _discovery(config)
         folder = runs.new_run_folder(config)
-        _learn(config, discovery, folder, interrupts)
+        _learn(config, discovery, folder, interrupts, until_learned=until_learned)
         if config.compare and config.discover and not interrupts.noted:
             without = dataclasses.replace(config, discover=False, compare=False, options=None)
             console.print("Once more, without discovery:")
@@ -143,7 +198,7 @@ def train(config: TrainConfig) -> Path:
         what = ", ".join(started_with) or "none"
         console.print(f"Started with the options of {escape(str(config.options))}: {escape(what)}.")
     _report(config, discovery, stock, folder)
-    return folder
+    return _Trained(folder, discovery, interrupts.noted)
 
 
 def _discovery(config: TrainConfig) -> SubgoalDiscoveryCallback:
@@ -158,7 +213,14 @@ def _discovery(config: TrainConfig) -> SubgoalDiscoveryCallback:
     )
 
 
-def _learn(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path, interrupts: Interrupts) -> None:
+def _learn(
+    config: TrainConfig,
+    discovery: SubgoalDiscoveryCallback,
+    folder: Path,
+    interrupts: Interrupts,
+    *,
+    until_learned: bool = False,
+) -> None:
     """Train, and save what was learned, however training ends; without a step taken, remove the folder."""
     subproc = config.vec_env == "subproc"
     interrupts.saving = False
@@ -190,6 +252,8 @@ def _learn(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Pat
             # EvalCallback counts calls of step, of which one may be many primitive steps.
             callbacks.append(EveryNTimesteps(config.eval_freq, evaluation_callback))
         callbacks.append(StopWhenNoted(interrupts))
+        if until_learned:
+            callbacks.append(StopWhenLearned(discovery))
         if not interrupts.noted:
             what = f"{config.algo.upper()} on {config.env} for {config.n_timesteps:,} primitive steps"
             console.print(f"Training {escape(what)}.")

@@ -16,9 +16,10 @@ from rich.table import Table
 
 from experiments.common.seeds import Part, Result, run_parts
 from experiments.common.study import Flags, show, write
-from experiments.series.conditions import ARMS, PAYS, SETTINGS, Arm, run
+from experiments.series.conditions import ARMS, SETTINGS, Arm, run
 from experiments.series.plots import draw
 from experiments.series.tasks import Chain
+from sb3_options.runs.series import PAYS
 
 
 @dataclass(frozen=True, kw_only=True)

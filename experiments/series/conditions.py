@@ -19,6 +19,7 @@ from experiments.deep.tasks import SLACK, optimal_steps
 from experiments.series.tasks import Chain
 from sb3_options import OptionsWrapper
 from sb3_options.callbacks import IntrinsicRewardCallback, SubgoalDiscoveryCallback
+from sb3_options.runs.series import free_slots
 
 Arm: TypeAlias = Literal["options", "network", "options and network", "alone", "alone, count bonus"]
 ARMS: tuple[Arm, ...] = get_args(Arm)
@@ -26,9 +27,6 @@ ARMS: tuple[Arm, ...] = get_args(Arm)
 
 SETTINGS = DeepSettings(max_options=8)
 """Those of `experiments.deep`, with more slots; options may follow each other without a limit (`max_runs`)."""
-
-PAYS = 0.5
-"""An option stays for the next task if the ways of this share of the last successes lead through its subgoal."""
 
 
 def run(arm: Arm, chain: Chain, seed: int) -> Result:
@@ -73,7 +71,7 @@ def run(arm: Arm, chain: Chain, seed: int) -> Result:
         tasks.append({"rooms": rooms, "steps": steps, "best": best, "success": success, "length": length})
         if discovery is not None:
             found = [each.subgoal.tolist() for each in discovery.discoveries]
-            freed = _free(discovery)
+            freed = len(free_slots(discovery))
             tasks[-1] |= {"found": found, "freed": freed, "kept": len(discovery.bank)}
             carried = discovery.bank.content()
         if arm in ("network", "options and network"):
@@ -115,15 +113,3 @@ def _discovery(seed: int) -> SubgoalDiscoveryCallback:
         seed=seed,
         **SETTINGS.callback,
     )
-
-
-def _free(discovery: SubgoalDiscoveryCallback) -> int:
-    """Take the options that no success needs out of their slots; how many."""
-    freed = 0
-    assert discovery.discovery is not None  # training has begun
-    for slot in discovery.bank.filled:
-        option: Any = discovery.bank[slot]
-        if discovery.discovery.passing_share(option.subgoal) < PAYS:
-            discovery.bank.remove(slot)
-            freed += 1
-    return freed

@@ -33,7 +33,7 @@ def closing_table(histories: Mapping[str, Sequence[EpisodeRecord]]) -> Table:
 
 
 def _measures(history: Sequence[EpisodeRecord]) -> dict[str, str]:
-    last = history[-LAST:]
+    last, learned = history[-LAST:], learned_after(history)
     return {
         f"return, last {LAST} episodes": _mean([e.total_reward for e in last]),
         f"success rate, last {LAST} episodes": _mean([e.success for e in last]),
@@ -42,7 +42,7 @@ def _measures(history: Sequence[EpisodeRecord]) -> dict[str, str]:
         "success rate, all episodes": _mean([e.success for e in history]),
         "primitive steps, all episodes": _mean([e.steps for e in history]),
         "episodes": f"{len(history):,}",
-        f"{IN_A_ROW} successes in a row after": _learned_after(history),
+        f"{IN_A_ROW} successes in a row after": "–" if learned is None else f"{learned:,} steps",
     }
 
 
@@ -50,10 +50,11 @@ def _mean(values: Sequence[float]) -> str:
     return f"{np.mean(values):,.4g}" if values else "–"
 
 
-def _learned_after(history: Sequence[EpisodeRecord]) -> str:
+def learned_after(history: Sequence[EpisodeRecord]) -> int | None:
+    """Primitive steps until a task counted as learned; None if it never did."""
     in_a_row = 0
     for episode in history:
         in_a_row = in_a_row + 1 if episode.success else 0
         if in_a_row == IN_A_ROW:
-            return f"{episode.timestep:,} steps"
-    return "–"
+            return episode.timestep
+    return None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import json
 from collections.abc import Mapping
 from dataclasses import field
 from pathlib import Path
@@ -19,6 +18,7 @@ from sb3_options.checked import Field, readable, settings
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.runs import yaml_file
+from sb3_options.runs.keywords import PAIRS, SERIES, keywords_of, tasks_of
 from sb3_options.runs.users_code import IMPORTING, flag, importing
 
 DEFAULT_ALGO = "maskableppo"
@@ -33,38 +33,6 @@ TUNED = {
 """File of the settings that ship for an environment, by its id."""
 
 
-def keywords_of(pairs: Any) -> Any:
-    """Pairs ``name:value`` as keyword arguments; a value is read as YAML, so that 3 is a number.
-
-    Raises:
-        ValueError: A pair has no colon, or a value is no YAML that can be read safely.
-    """
-    if not isinstance(pairs, str | list | tuple):
-        return pairs  # a mapping, or what pydantic refuses
-    keywords = {}
-    for pair in [pairs] if isinstance(pairs, str) else pairs:
-        name, colon, value = str(pair).partition(":")
-        if not colon:
-            raise ValueError(f"--env-kwargs takes pairs name:value, got {pair}.")
-        try:
-            keywords[name] = yaml_file.parse(value)
-        except ValueError as error:
-            raise ValueError(
-                f"--env-kwargs: the value of {name!r} is no YAML that can be read safely: {error}"
-            ) from error
-    return keywords
-
-
-PAIRS = tyro.constructors.PrimitiveConstructorSpec[dict[str, Any]](
-    nargs="*",
-    metavar="[NAME:VALUE ...]",
-    instance_from_str=keywords_of,
-    is_instance=lambda value: isinstance(value, dict),
-    # JSON is YAML on one line.
-    str_from_instance=lambda keywords: [f"{name}:{json.dumps(value)}" for name, value in keywords.items()],
-)
-"""How the command line spells keyword arguments."""
-
 NAME, KIND = tyro.conf.arg(metavar="NAME"), tyro.conf.arg(metavar="KIND")  # of something in a module; of a choice
 Count: TypeAlias = Annotated[int, Field(ge=1)]
 Natural: TypeAlias = Annotated[int, Field(ge=0)]
@@ -78,8 +46,9 @@ class TrainConfig:
 
     Attributes:
         algo: Name of the algorithm.
-        env: Gymnasium id; its actions are Discrete.
+        env: Gymnasium id.
         env_kwargs: Keyword arguments of the environment.
+        series: Env kwargs of tasks in turn; options stay.
         env_wrapper: Wrapper for it, module:Class.
         feature_map: Feature map φ, module:function.
         n_timesteps: Primitive steps of all environments.
@@ -110,6 +79,7 @@ class TrainConfig:
     algo: Annotated[str, tyro.conf.Suppress]
     env: str = "sb3_options/TwoRooms-v0"
     env_kwargs: Annotated[dict[str, Any], BeforeValidator(keywords_of), PAIRS] = field(default_factory=dict)
+    series: Annotated[tuple[dict[str, Any], ...], BeforeValidator(tasks_of), SERIES] = ()
     env_wrapper: Annotated[str | None, NAME] = None
     feature_map: Annotated[str | None, NAME] = None
     n_timesteps: Count = 60_000

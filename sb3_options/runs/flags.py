@@ -20,6 +20,7 @@ from sb3_options.runs.users_code import IMPORTING
 FIRST = (
     "env",
     "env_kwargs",
+    "series",
     "n_timesteps",
     "seed",
     "n_envs",

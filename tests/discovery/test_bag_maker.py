@@ -42,6 +42,13 @@ def test_not_near_start_and_end_nor_near_what_is_taken() -> None:
     assert places(bags.positive) == [[5, 12]]
 
 
+def test_spacing_has_the_unit_of_the_scale() -> None:
+    # A step of 1 counts 2: within 3 of the subgoal lies what is nearer than 1.5.
+    bags = make(line([0, 5, 8, 9, 12, 20]), scale=2.0, taken=[ball(10.0)], spacing=3.0)
+    assert bags is not None
+    assert places(bags.positive) == [[5, 8, 12]]
+
+
 def test_too_few_positive_bags_are_none() -> None:
     assert make(line([0, 5, 20]), min_positive=2) is None
     assert make(line([0, 5, 20]), line([0, 20]), min_positive=2) is None, "nothing is left of one of them"

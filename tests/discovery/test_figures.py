@@ -10,17 +10,18 @@ import numpy.typing as npt
 import pytest
 import torch
 from matplotlib.collections import PatchCollection
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
-from sb3_options.discovery.figures import discovery_figures, subgoals_figure
+from sb3_options.discovery.figures import INITIATION_COLOUR, discovery_figures, subgoals_figure
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.creation import learn_option
 from sb3_options.options.settings import OptionLearningSettings
-from tests.support.helpers import steady_option, trajectory_of
+from tests.support.helpers import line, steady_option, trajectory_of
 from tests.support.sb3_helpers import n_colours, small_rooms
 
 NAMES = ["diverse_density", "first_visits", "initiation_set", "option_policy"]
@@ -126,6 +127,7 @@ class TestMaps:
         assert len(goals) == 1
         for figure in discovery_figures(discovery, bank).values():
             marked = {line.get_marker(): np.asarray(line.get_xydata()) for line in figure.axes[0].lines}
+            assert {line.get_linestyle() for line in figure.axes[0].lines} == {"None"}, "marks are not joined"
             assert {tuple(p) for p in marked["o"]} == starts
             assert {tuple(p) for p in marked["D"]} == goals
             (legend,) = figure.legends
@@ -167,9 +169,19 @@ class TestMaps:
         cells = np.asarray(bank[0].initiation_set.points)  # type: ignore[union-attr]  # discovered
         assert {tuple(s) for s in starts.round(6)} <= {tuple(c) for c in cells}
         assert len(starts) > 0.7 * len(cells)
+        lengths = np.linalg.norm(moves, axis=1)
+        np.testing.assert_allclose(lengths[lengths > 0], 0.8, err_msg="however seldom an action succeeds")
         subgoal = discovery.found[0].subgoal.points[0]
         nearer = np.linalg.norm(starts + 0.1 * moves - subgoal, axis=1) < np.linalg.norm(starts - subgoal, axis=1)
         assert nearer.mean() > 0.7
+
+    def test_initiation_sets_have_a_colour_of_their_own(self) -> None:
+        axes = discovery_figures(*discovered("environment", xy))["initiation_set"].axes[0]
+        colours_of: list[Any] = [c.get_facecolor() for c in axes.collections if isinstance(c, PatchCollection)]
+        (ground,), (shaded,) = colours_of
+        assert to_hex(shaded) == INITIATION_COLOUR
+        assert len(set(ground[:3])) == 1, "all else is grey"
+        assert ground[0] < 1.0
 
     def test_rows_are_counted_downwards_and_cells_are_squares(self) -> None:
         axes = discovery_figures(*discovered("environment", xy))["diverse_density"].axes[0]
@@ -177,10 +189,21 @@ class TestMaps:
         assert bottom > top
         assert axes.get_aspect() == 1.0
 
+    def test_a_panel_has_the_shape_of_its_map(self) -> None:
+        figure = discovery_figures(*discovered("environment", xy))["first_visits"]
+        (left, right), (bottom, top) = figure.axes[0].get_xlim(), figure.axes[0].get_ylim()
+        width, height = figure.get_size_inches()
+        assert height / width == pytest.approx((bottom - top) / (right - left))
+
     def test_one_picture_of_all(self) -> None:
         figure = subgoals_figure(*discovered("environment", xy))
         titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
-        assert len(titles) == 4
+        assert titles == [
+            "log diverse density",
+            "successful trajectories that visit",
+            "initiation set",
+            "option policy: where the greedy action leads",
+        ]
         assert colours(figure) > 50
 
 
@@ -214,6 +237,19 @@ def test_numbered_states_are_bars() -> None:
         assert set(marked) == {".", "o", "D", "*"}
         assert figure.axes[0].get_xlabel() == "number of the state"
         assert figure.axes[0].get_ylabel() in ("nats", "trajectories")
+
+
+def test_two_panels_are_one_row() -> None:
+    assert len(subgoals_figure(*discovered("categorical", one_hot)).axes) == 2
+    assert subgoals_figure(*discovered("categorical", one_hot)).get_size_inches().tolist() == [12.8, 3.4]
+
+
+def test_a_single_success_is_counted_in_whole_trajectories() -> None:
+    discovery = SubgoalDiscovery(DiscoverySettings(min_positive=1, start_radius=0.5, goal_radius=0.5, min_passing=0.0))
+    discovery.add(line([0, 1, 2, 3, 4]).trajectory, np.arange(5.0)[:, None], success=True)
+    discovery.search()
+    ticks = discovery_figures(discovery, OptionBank(4, 2))["first_visits"].axes[1].get_yticks()
+    assert ticks.tolist() == ticks.round().tolist()
 
 
 def test_before_any_search_there_is_nothing_to_draw() -> None:

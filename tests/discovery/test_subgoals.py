@@ -317,6 +317,7 @@ class TestWithoutDistances:
         ("features", "expected"),
         [
             (np.eye(3), True),
+            (np.eye(2), True),
             (np.eye(3)[[0, 0]], True),
             (np.eye(3) * 2, False),
             (np.array([[0.0, 1.0], [1.0, 1.0]]), False),

@@ -148,13 +148,13 @@ class TestRule:
 
 def line_of(n: int, option_values: list[float], rule: dict[str, Any]) -> tuple[int, str]:
     """Runs of the option "right" from place 0 on, on a line, by the given values; primitives are worth 1."""
-    wrapped = OptionsWrapper(Corridor("discrete"), 1, gamma=GAMMA)
-    wrapped.bank.add(table_option([True] * 12, [1] * 12, [False] * 12, max_duration=n))
+    wrapped = OptionsWrapper(Corridor("discrete"), 2, gamma=GAMMA)
+    wrapped.bank.add(table_option([True] * 12, [1] * 12, [False] * 12, max_duration=n), 1)
     wrapped.reset(seed=0)
     wrapped.unwrapped.place = 0  # type: ignore[attr-defined]  # a Corridor
     wrapped._observation = 0
-    wrapped.set_interruption(Interruption(lambda s: np.array([0.0, 1.0, option_values[int(s)]]), **rule))
-    info = wrapped.step(2)[4]["option"]
+    wrapped.set_interruption(Interruption(lambda s: np.array([0.0, 1.0, 0.0, option_values[int(s)]]), **rule))
+    info = wrapped.step(3)[4]["option"]
     return info["duration"], info["termination"]
 
 

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu
 
+from sb3_options.execution.interruption import Interruption
 from sb3_options.execution.trials import OptionTrial, TrialSettings, Withholding, harm
+from tests.support.helpers import steady_option
 
 
 def closed_after(rng: np.random.Generator, effect: float, *, episodes: int = 1200, drift: float = 0.0) -> int | None:
@@ -83,6 +85,17 @@ def test_alpha_is_spent_over_the_looks() -> None:
     pytest.fail("no look found harm")
 
 
+@pytest.mark.parametrize(("alpha", "verdict"), [(0.1, "harmful"), (0.05, None)])
+def test_the_first_look_may_spend_half_of_alpha(alpha: float, verdict: str | None) -> None:
+    """Two episodes without the option return more than five with it: P(U ≥ 10) = 2! 5! / 7! = 1/21, about 0.048."""
+    trial = OptionTrial(TrialSettings(look_every=2, alpha=alpha))
+    for outcome in range(5):
+        assert trial.add(withheld=False, outcome=float(outcome)) is None
+    assert trial.add(withheld=True, outcome=8.0) is None
+    assert trial.add(withheld=True, outcome=9.0) == verdict
+    assert trial.p_value == pytest.approx(1 / 21)
+
+
 @pytest.mark.parametrize(
     ("settings", "match"),
     [
@@ -122,3 +135,25 @@ def test_withholding_reports_the_discounted_return_when_the_episode_is_over() ->
     report = withholding.note([2.0, 3.0], over=True)["option_trial"]
     assert report["outcome"] == 1 + 1 + 0.75
     assert set(report["withheld"]) == {0}
+
+
+class TestInsteadOfAWithheldOption:
+    """Three primitives, of which 1 may not be taken, and two options; the option that was chosen takes 2."""
+
+    MASK = np.array([True, False, True, True, True])
+
+    def instead(self, action: int, values: list[float] | None, seed: int = 0) -> int:
+        rule = None if values is None else Interruption(lambda _: np.array(values), masks=True)
+        withholding = Withholding([seed], gamma=0.9)
+        return withholding.instead_of(steady_option(2), action, np.zeros(1), lambda: self.MASK, 3, rule)
+
+    def test_without_values_it_is_a_step_of_its_own_policy(self) -> None:
+        assert self.instead(3, None) == 2
+
+    def test_a_greedy_choice_gives_way_to_the_best_available_primitive(self) -> None:
+        assert self.instead(3, [0.1, 9.0, 0.0, 1.0, 0.5]) == 0
+        assert self.instead(3, [0.1, 9.0, 0.2, 1.0, 1.0]) == 2, "as good as the other option is the best choice too"
+        assert self.instead(3, [-2.0, 9.0, -1.0, -0.5, -3.0]) == 2
+
+    def test_an_exploratory_choice_gives_way_to_any_available_primitive(self) -> None:
+        assert {self.instead(3, [0.1, 9.0, 0.0, 1.0, 1.5], seed) for seed in range(20)} == {0, 2}

@@ -265,3 +265,31 @@ def test_one_wrapper_is_enough() -> None:
     env.reset(seed=0)
     with pytest.raises(ValueError, match=r"wrap in OptionsWrapper once only\.$"):
         env.step(0)
+
+
+def test_says_what_runs_while_it_runs() -> None:
+    said: list[str] = []
+
+    def step(inner: CountingEnv, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        said.append(env.running_option())
+        return np.array([float(inner.time)]), 0.0, False, False, {}
+
+    env = OptionsWrapper(CountingEnv(step=step), 2)
+    env.bank.add(steady_option(max_duration=2, name="forwards"), 1)
+    env.reset()
+    for action in (0, 3, 1, 2):  # a primitive, the option, a primitive, an empty slot
+        env.step(action)
+    assert said == ["primitive action", *["option 1: forwards"] * 2, "primitive action", "primitive action"]
+
+
+def test_a_trial_discounts_every_step_inside_an_option() -> None:
+    """Step t is rewarded with t: the outcome is Σ γᵗ⁻¹ t, however the steps were taken."""
+    env = OptionsWrapper(CountingEnv(terminate_at=5), 1, gamma=0.5)
+    env.bank.add(steady_option(max_duration=3))
+    env.withhold_options({0: 1e-9}, [0])
+    env.reset()
+    for action in (0, 2, 0):
+        _, _, terminated, _, info = env.step(action)
+    assert terminated
+    outcome = sum(0.5 ** (t - 1) * t for t in range(1, 6))
+    assert info["option_trial"] == {"withheld": {0: False}, "outcome": pytest.approx(outcome)}

@@ -421,10 +421,13 @@ def test_worker_processes_and_a_model_without_environment(tmp_path: Path) -> Non
         workers.close()
 
 
-def test_another_environment_takes_the_place_of_the_models() -> None:
+def test_another_environment_takes_the_place_of_the_models(capsys: pytest.CaptureFixture[str]) -> None:
     model = trained("dqn", steps=64)
+    model.verbose = 1
     other = optioned_rooms(2)
     expand_action_space(model, 2, env=other)
+    assert "Wrapping the env in a DummyVecEnv." in capsys.readouterr().out
+    model.verbose = 0
     model.learn(64, callback=fast_callback(), reset_num_timesteps=False)
     (env,) = cast("DummyVecEnv", env_of(model)).envs
     assert env is other

@@ -9,6 +9,7 @@ import torch
 from sb3_contrib import QRDQN
 from sb3_contrib.qrdqn import qrdqn as qrdqn_module
 from stable_baselines3 import DQN
+from stable_baselines3.common.vec_env import VecNormalize
 from torch.nn import functional
 
 from sb3_options import OptionDQN, OptionReplayBuffer
@@ -115,6 +116,18 @@ def test_switched_off_a_batch_is_what_was_drawn(monkeypatch: pytest.MonkeyPatch)
     model = filled(DQN, task, True, monkeypatch)
     installed_in(model, intra_option=False)
     assert len(model.replay_buffer._get_samples(np.arange(50)).actions) == 50
+
+
+def test_rows_of_options_are_normalised_with_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = filled(DQN, random_task(0), True, monkeypatch)
+    installed_in(model)
+    # Options that are worth nothing leave the rewards alone.
+    monkeypatch.setattr(model.replay_buffer.consistency, "values", lambda _, options: torch.zeros(len(options), 1))
+    normalizer = VecNormalize(env_of(model), norm_obs=False, gamma=GAMMA)
+    normalizer.ret_rms.var = np.array(4.0)
+    plain, normalized = (model.replay_buffer._get_samples(np.arange(50), env) for env in (None, normalizer))
+    assert len(plain.rewards) > 50
+    np.testing.assert_allclose(normalized.rewards, plain.rewards / 2.0, rtol=1e-6)
 
 
 def test_without_options_a_batch_is_what_was_drawn() -> None:

@@ -77,6 +77,7 @@ def test_files_and_copies_see_a_linear_layer() -> None:
 def test_rows_of_quantiles_stand_by_action() -> None:
     rows = torch.arange(6.0).reshape(6, 1)  # 2 quantiles of 3 actions
     assert widened(rows, 1, 2)[:, 0].tolist() == [0, 1, 2, 0, 3, 4, 5, 0]
+    assert widened(rows, 1)[:, 0].tolist() == [0, 1, 2, 3, 4, 5, 0]
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import numpy.typing as npt
 import pytest
 from gymnasium import spaces
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import KVWriter, Logger
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options import MacroQ, OptionsWrapper
@@ -329,3 +330,56 @@ def test_refuses_what_it_cannot_learn() -> None:
 
 def test_the_map_is_the_one_that_the_helpers_name() -> None:
     assert GridWorld(SMALL_ROOMS).doorways == [DOORWAY]
+
+
+class Entries(KVWriter):
+    """Keeps what is written to a log."""
+
+    def __init__(self) -> None:
+        self.written: list[dict[str, Any]] = []
+
+    def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
+        assert {key for key, formats in key_excluded.items() if "tensorboard" in formats} == {
+            "time/episodes",
+            "time/total_timesteps",
+        }
+        self.written.append({**key_values, "step": step})
+
+
+def logged(env: gym.Env[Any, Any], total: int, log_interval: int | None) -> list[dict[str, Any]]:
+    entries = Entries()
+    model = MacroQ(env, seed=0)
+    model.set_logger(Logger(None, [entries]))
+    model.learn(total, log_interval=log_interval)
+    return entries.written
+
+
+def test_every_so_many_episodes_are_logged() -> None:
+    """Episodes of two steps, rewarded with 1 + 2."""
+    mean = {"rollout/ep_rew_mean": 3.0, "rollout/ep_len_mean": 2.0}
+    entries = logged(Script(terminate_at=2), 14, 3)
+    assert entries == [
+        {**mean, "time/episodes": 3, "time/total_timesteps": 6, "step": 6},
+        {**mean, "time/episodes": 6, "time/total_timesteps": 12, "step": 12},
+    ]
+    assert logged(Script(terminate_at=2), 14, None) == []
+
+
+def test_the_share_of_successes_is_logged() -> None:
+    class Succeeding(Script):
+        def step(self, action: int) -> tuple[int, float, bool, bool, dict[str, Any]]:
+            *result, _ = super().step(action)
+            return *result, {"is_success": result[2]}  # type: ignore[return-value]  # the same five
+
+    assert [entry["rollout/success_rate"] for entry in logged(Succeeding(terminate_at=2), 8, 4)] == [1.0]
+
+
+def test_the_constructor_hands_on_what_is_sb3s() -> None:
+    model = MacroQ(Script(), verbose=1, seed=7, tensorboard_log="logs")
+    assert (model.verbose, model.seed, model.tensorboard_log) == (1, 7, "logs")
+    assert model.device.type == "cpu"
+
+
+def test_the_folder_of_tensorboards_log_has_its_name(tmp_path: Path) -> None:
+    MacroQ(Script(terminate_at=2), tensorboard_log=str(tmp_path)).learn(2)
+    assert [path.name for path in tmp_path.iterdir()] == ["MacroQ_1"]

@@ -24,7 +24,7 @@ from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import batch_size
 from sb3_options.experience.option_run import OptionRun
-from sb3_options.learning.rollout_buffer import SMDPAdvantages, smdp_advantages
+from sb3_options.learning.rollout_buffer import SMDPAdvantages, option_rollout_buffer, smdp_advantages
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from tests.support.helpers import CountingEnv, DictEnv, place_of, steady_option
@@ -418,3 +418,11 @@ def test_rewards_inside_options_are_normalised_before_they_are_summed() -> None:
         whole = (actions[:, env] == 2) & (buffer.durations[:, env] == k)
         assert whole.any()
         np.testing.assert_allclose(buffer.rewards[whole, env], 10 * GAMMA ** (k - 1), rtol=1e-6)
+
+
+def test_the_buffer_stays_on_its_device() -> None:
+    model = PPO("MlpPolicy", OptionsWrapper(CountingEnv(), 1), n_steps=8, batch_size=8)
+    model.rollout_buffer.device = torch.device("meta")
+    made: Any = option_rollout_buffer(model)
+    assert made is not None
+    assert made.device == torch.device("meta")

@@ -20,7 +20,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNorm
 from sb3_options import MacroQ, OptionBank, OptionDQN, OptionReplayBuffer, OptionsWrapper, load_model, load_options
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.density.regions import Region
-from sb3_options.options.archive import NAME, content_in
+from sb3_options.options.archive import CARRIED, NAME, content_in
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from tests.support.helpers import steady_option
@@ -67,6 +67,7 @@ def test_a_loaded_model_has_its_options_and_acts_as_before(algorithm: Any, tmp_p
     model.save(tmp_path / "model")
     again = load_model(algorithm, tmp_path / "model", optioned_rooms())
     assert of_env(again) == (SLOT,)
+    assert CARRIED not in vars(again), "they are in the environment now"
     states = np.eye(45, dtype=np.float32)
     masks = {}
     if algorithm is MaskablePPO:

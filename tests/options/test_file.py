@@ -8,12 +8,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium import spaces
+from safetensors.numpy import save as to_safetensors
 
 from sb3_options import OptionBank, OptionsWrapper
 from sb3_options.envs import FOUR_ROOMS
 from sb3_options.execution.features import signature
 from sb3_options.experience.observations import flatten
-from sb3_options.options.file import digest, packed, read, slots_of
+from sb3_options.options.file import FILE_FORMAT, digest, packed, read, slots_of
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import PolicyInput, TabularPolicy
 from tests.support.helpers import ball, steady_option
@@ -214,3 +215,36 @@ def test_the_description_is_part_of_what_the_digest_covers(tmp_path: Path) -> No
     assert about["made_for"]["features"] == "environment"
     other = {**about, "made_for": {**about["made_for"], "digest": "0"}}
     assert digest(json.dumps(about), tensors) != digest(json.dumps(other), tensors)
+
+
+@pytest.mark.parametrize(
+    ("its_digest", "why"), [(digest("", {}), "KeyError"), ("another", "its contents are not what was written to it")]
+)
+def test_a_file_that_says_nothing_of_its_options_is_damaged(its_digest: str, why: str, tmp_path: Path) -> None:
+    (tmp_path / "options").write_bytes(to_safetensors({}, {"format": FILE_FORMAT, "digest": its_digest}))
+    with pytest.raises(ValueError, match=f"options is damaged: {why}"):
+        read(tmp_path / "options")
+
+
+class TestPrecision:
+    """A file holds float64, whatever an option or another program wrote with."""
+
+    def test_single_precision_is_written_as_double(self, tmp_path: Path) -> None:
+        single = option()
+        states: Any = np.zeros((1, 2), np.float32)
+        policy = TabularPolicy(states, np.eye(4)[3:])
+        bank = OptionBank(4, 1)
+        bank.add(SubgoalOption(single.subgoal, single.initiation_set, policy))
+        bank.save(tmp_path / "options")
+        _, tensors = read(tmp_path / "options")
+        assert {array.dtype for array in tensors.values()} == {np.dtype(np.float64)}
+
+    def test_single_precision_is_read_as_double(self, tmp_path: Path) -> None:
+        about, tensors = read(saved(grid(), tmp_path / "options"))
+        (tmp_path / "single").write_bytes(packed(about, {k: v.astype(np.float32) for k, v in tensors.items()}))
+        bank = OptionBank(4, 4)
+        bank.load(tmp_path / "single")
+        loaded = bank[0]
+        assert isinstance(loaded, SubgoalOption)
+        assert {array.dtype for array in loaded.option_policy.arrays().values()} == {np.dtype(np.float64)}
+        assert loaded.subgoal.points.dtype == np.float64

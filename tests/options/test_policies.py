@@ -69,6 +69,12 @@ class TestNetwork:
         assert len(np.unique(expected)) > 1
         np.testing.assert_array_equal(policy.actions(x), expected)
 
+    def test_a_layer_without_a_bias_is_no_network(self, rng: np.random.Generator) -> None:
+        whole = network(rng, [4, 8, 3])
+        policy = NetworkPolicy(whole.mean, whole.std, whole.weights, whole.biases[1:])
+        with pytest.raises(ValueError, match="zip"):
+            policy.actions(rng.normal(size=(2, 4)))
+
 
 @pytest.mark.parametrize("kind", ["table", "network", "linear"])
 def test_arrays_there_and_back(kind: str, rng: np.random.Generator) -> None:

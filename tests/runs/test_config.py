@@ -27,6 +27,7 @@ COMMON: dict[str, Any] = {
     "progress": False, "device": "cpu", "num_threads": 2, "vec_env": "subproc", "options": Path("a/run"),
     "max_options": 2, "max_new_options": None, "discover": False, "compare": True, "gamma": 0.5,
     "learning_rate": 3e-05, "net_arch": (3,), "close_harmful": True, "bonus": "rnd",
+    "series": ({"goal": [4, 2]}, {"goal": [8, 4], "max_steps": 9}),
     "discovery": DiscoverySettings(
         peak_reward=0.75, max_segment=70,
         capacity=7, min_positive=2, negative_bags=False, negative_strength=0.5, leak=0.125, search="exhaustive",

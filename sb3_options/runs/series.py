@@ -1,0 +1,55 @@
+"""A series of tasks: each begins with the options of the one before, and ends when it is learned."""
+
+from __future__ import annotations
+
+from stable_baselines3.common.callbacks import BaseCallback
+
+from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.options.option import SubgoalOption
+from sb3_options.runs.closing import IN_A_ROW
+
+PAYS = 0.5
+"""An option is kept if the ways of this share of the last successes lead through its subgoal."""
+
+KEPT = "kept_options.safetensors"
+"""File in the run folder of a task: the options that the next one begins with."""
+
+
+class StopWhenLearned(BaseCallback):
+    """Ends training when a task is learned: after `IN_A_ROW` training episodes in a row that succeeded.
+
+    Args:
+        discovery: Keeps the history of episodes.
+    """
+
+    def __init__(self, discovery: SubgoalDiscoveryCallback) -> None:
+        super().__init__()
+        self.discovery = discovery
+        self._seen = self._in_a_row = 0
+
+    def _on_step(self) -> bool:
+        for episode in self.discovery.history[self._seen :]:
+            self._in_a_row = self._in_a_row + 1 if episode.success else 0
+        self._seen = len(self.discovery.history)
+        return self._in_a_row < IN_A_ROW
+
+
+def free_slots(callback: SubgoalDiscoveryCallback) -> list[str]:
+    """Take the options that no success needs out of their slots, after a training and before the next.
+
+    Args:
+        callback: Of the training; an option stays if `PAYS` of the last successes lead through its subgoal, and all
+            stay if there was no success.
+
+    Returns:
+        Names of those that are gone.
+    """
+    discovery, bank = callback.discovery, callback.bank
+    if discovery is None or not any(each.success for each in discovery.database):
+        return []
+    gone = []
+    for slot in bank.filled:
+        option = bank[slot]
+        if isinstance(option, SubgoalOption) and discovery.passing_share(option.subgoal) < PAYS:
+            gone.append(bank.remove(slot).name)
+    return gone

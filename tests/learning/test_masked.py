@@ -1,0 +1,38 @@
+import logging
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+from sb3_options.learning.masked import unnormalized
+from tests.support.helpers import DictEnv
+
+WARNING = "An observation was clipped by VecNormalize"
+
+
+def clipping() -> tuple[VecNormalize, dict[str, npt.NDArray[Any]]]:
+    """Dict observations of which a number is clipped, and the current ones as the algorithm sees them."""
+    normalizer = VecNormalize(DummyVecEnv([DictEnv]), norm_obs_keys=["place"], clip_obs=0.5)
+    normalizer.reset()
+    for action in (1, 1, 1, 1):
+        seen, *_ = normalizer.step(np.array([action]))
+    assert isinstance(seen, dict)
+    assert seen["place"] == 0.5
+    return normalizer, seen
+
+
+def test_current_dict_observations_are_recognised(caplog: pytest.LogCaptureFixture) -> None:
+    normalizer, seen = clipping()
+    with caplog.at_level(logging.WARNING):
+        assert unnormalized(normalizer, seen) is normalizer.old_obs
+    assert WARNING not in caplog.text
+
+
+def test_other_dict_observations_that_are_clipped_are_warned_of(caplog: pytest.LogCaptureFixture) -> None:
+    normalizer, seen = clipping()
+    other = {**seen, "colour": seen["colour"] + 1}  # one of two parts differs
+    with caplog.at_level(logging.WARNING):
+        assert unnormalized(normalizer, other) is not normalizer.old_obs
+    assert WARNING in caplog.text
