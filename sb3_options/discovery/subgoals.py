@@ -213,10 +213,11 @@ class SubgoalDiscovery:
         """
         passed = []
         for labelled in filter(lambda each: each.success, self.database):
-            scale = np.ones(labelled.features.shape[1]) if self.scale is None else self.scale
-            visits = labelled.trajectory.visits
-            way = loop_erased(labelled.features * scale, visits, self.settings.subgoal_radius)
-            passed.append(bool(subgoal.contains(labelled.features[way]).any()))
+            features = labelled.features
+            if subgoal.group is None:  # seen from an agent that moves, the same state twice need not be a loop
+                scaled, visits = features * subgoal.scale, labelled.trajectory.visits
+                features = features[loop_erased(scaled, visits, self.settings.subgoal_radius)]
+            passed.append(bool(subgoal.contains(features).any()))
         return float(np.mean(passed)) if passed else 0.0
 
     def engine(self) -> DiverseDensity:
