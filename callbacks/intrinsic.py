@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -33,7 +34,9 @@ from sb3_options.learning.novelty import (
     ReturnScale,
     RNDSettings,
     StateCounts,
+    bin_widths,
     binned_keys,
+    checked_features,
     exact_keys,
     is_table_like,
 )
@@ -64,7 +67,8 @@ class IntrinsicRewardCallback(BaseCallback):
             the flat observation. ``counts`` counts observations of whole numbers as they are, images among them; of
             others the environment's ``concept_features`` or the feature map of `OptionsWrapper`, or else the flat
             observation, in bins.
-        bin_width: Of the features that are counted, which are rounded to whole multiples of it.
+        bin_width: Of the features that are counted, which are rounded to whole multiples of it. By default 1, and for
+            the numbers of a flat observation a twentieth of their range, where the space bounds it.
         rnd: Settings of the networks, or a mapping of them.
         seed: Of the networks' weights.
 
@@ -84,16 +88,16 @@ class IntrinsicRewardCallback(BaseCallback):
         *,
         weight: float = 0.1,
         feature_map: FeatureMap | None = None,
-        bin_width: float = 1.0,
+        bin_width: float | None = None,
         rnd: RNDSettings | Mapping[str, Any] | None = None,
         seed: int = 0,
     ) -> None:
         super().__init__()
         if kind not in ("counts", "rnd"):
             raise ValueError(f"kind must be 'counts' or 'rnd', got {kind!r}.")
-        if not weight >= 0.0:
-            raise ValueError(f"weight must be at least 0, got {weight}.")
-        if not bin_width > 0.0:
+        if not 0.0 <= weight < math.inf:
+            raise ValueError(f"weight must be at least 0 and finite, got {weight}.")
+        if bin_width is not None and not 0.0 < bin_width < math.inf:
             raise ValueError(f"bin_width must be above 0, got {bin_width}.")
         self.kind, self.weight, self.bin_width, self.seed = kind, weight, bin_width, seed
         self.feature_map = feature_map
@@ -140,13 +144,13 @@ class IntrinsicRewardCallback(BaseCallback):
 
     def _keys(self, space: spaces.Space[Any]) -> Keys:
         if self.feature_map is not None:
-            return binned_keys(self.feature_map, self.bin_width)
+            return binned_keys(self.feature_map, self.bin_width or 1.0)
         if is_table_like(space):
             return exact_keys(space)
         if self.training_env.has_attr("concept_features"):
-            return binned_keys(self._concept_features, self.bin_width)
+            return binned_keys(self._concept_features, self.bin_width or 1.0)
         if isinstance(space, spaces.Box) and np.prod(space.shape) <= MAX_FEATURES:
-            return binned_keys(flatten, self.bin_width)
+            return binned_keys(flatten, self.bin_width or bin_widths(space))
         raise ValueError(
             f"There is nothing to count in {space}: pass IntrinsicRewardCallback(feature_map=...) a function from a "
             "batch of observations to features (batch, d), or choose 'rnd'."
@@ -206,7 +210,9 @@ class IntrinsicRewardCallback(BaseCallback):
         together = concatenate(arrived)
         if self.novelty is None:  # only now is the size of observations, or of the user's features, known for certain
             features = self.feature_map or flatten
-            self.novelty = RandomNetworkDistillation(features(together).shape[1], features, self.rnd, self.seed)
+            self.novelty = RandomNetworkDistillation(
+                checked_features(features, together).shape[1], features, self.rnd, self.seed
+            )
         ends = np.cumsum([batch_size(each) for each in arrived])[:-1]
         return np.split(self.novelty.visit(together), ends)
 

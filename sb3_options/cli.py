@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
-import shlex
 import shutil
 import sys
 from collections.abc import Sequence
@@ -35,13 +33,12 @@ from sb3_options.runs import config as configs
 from sb3_options.runs import evaluation
 from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import callback_settings, make_model
-from sb3_options.runs.closing import IN_A_ROW, closing_table, learned_after
+from sb3_options.runs.closing import IN_A_ROW, learned_after, report, unit_of, why_nothing
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.eval_callback import eval_callback_class
 from sb3_options.runs.flags import parse
 from sb3_options.runs.interrupts import Interrupts, StopWhenNoted
 from sb3_options.runs.series import KEPT, StopWhenLearned, free_slots
-from sb3_options.runs.users_code import flag, importing
 
 console = Console(highlight=False, soft_wrap=True)
 errors = Console(highlight=False, soft_wrap=True, stderr=True)
@@ -139,28 +136,53 @@ def train_series(config: TrainConfig) -> list[Path]:
     """
     if config.compare:
         raise ValueError("--compare is for one task: leave it out, or train the last task of the series alone.")
-    left, options = config.n_timesteps, config.options
+    runs.check_env_id(config.env)
+    tasks = [dataclasses.replace(config, series=(), env_kwargs={**config.env_kwargs, **task}) for task in config.series]
+    for number, task in enumerate(tasks, start=1):  # a mistake in the last one is no surprise after hours
+        try:
+            runs.make_env(task, 1, config.seed).close()
+        except Exception as error:
+            error.add_note(f"This is task {number} of the series.")
+            raise
     folders: list[Path] = []
     table = Table("task", "primitive steps", f"{IN_A_ROW} successes in a row", "options", "taken out")
-    for number, task in enumerate(config.series, start=1):
-        env_kwargs = {**config.env_kwargs, **task}
-        last = number == len(config.series)
-        console.print(f"\n[bold]Task {number} of {len(config.series)}[/]: {escape(json.dumps(task))}")
-        of_task = dataclasses.replace(config, series=(), env_kwargs=env_kwargs, n_timesteps=left, options=options)
-        done = _train(of_task, until_learned=not last)
+    try:
+        _in_turn(tasks, config, folders, table)
+    finally:
+        if folders:
+            console.print(table)
+            console.print(f"Run folders:  {escape(', '.join(map(str, folders)))}")
+        if len(folders) < len(tasks):
+            console.print(f"Of {len(tasks)} tasks {len(tasks) - len(folders)} were not begun.")
+    return folders
+
+
+def _in_turn(tasks: list[TrainConfig], config: TrainConfig, folders: list[Path], table: Table) -> None:
+    """Train in the tasks of a series until the budget is used up; fills ``folders`` and ``table``."""
+    left, options = config.n_timesteps, config.options
+    for number, task in enumerate(tasks, start=1):
+        name = json.dumps(config.series[number - 1])
+        console.print(f"\n[bold]Task {number} of {len(tasks)}[/]: {escape(name)}")
+        last = number == len(tasks)
+        done = _train(
+            dataclasses.replace(task, n_timesteps=left, options=options), until_learned=not last, in_series=True
+        )
         gone = [] if last else free_slots(done.discovery)
         options = done.folder / KEPT
         done.discovery.bank.save(options)
         left -= done.discovery.num_timesteps
         folders.append(done.folder)
         learned = "yes" if learned_after(done.discovery.history) is not None else "no"
-        names = ", ".join(option.name for option in done.discovery.bank.slots if option is not None)
-        cells = f"{done.discovery.num_timesteps:,}", learned, names or "–", ", ".join(gone) or "–"
-        table.add_row(json.dumps(task), *map(escape, cells))
+        kept = ", ".join(option.name for option in done.discovery.bank.slots if option is not None)
+        cells = f"{done.discovery.num_timesteps:,}", learned, kept or "–", ", ".join(gone) or "–"
+        table.add_row(escape(name), *map(escape, cells))
         if done.interrupted or left <= 0:
-            break
-    console.print(table)
-    return folders
+            return
+        if not (last or kept):
+            console.print(
+                "No option to carry on: the task was learned before a subgoal was found. A shorter time limit "
+                "(max_steps) or a farther goal makes tasks that need one."
+            )
 
 
 class _Trained(NamedTuple):
@@ -171,7 +193,7 @@ class _Trained(NamedTuple):
     interrupted: bool
 
 
-def _train(config: TrainConfig, *, until_learned: bool = False) -> _Trained:
+def _train(config: TrainConfig, *, until_learned: bool = False, in_series: bool = False) -> _Trained:
     torch.set_num_threads(config.num_threads)
     runs.check_env_id(config.env)
     stock: SubgoalDiscoveryCallback | None = None
@@ -191,13 +213,13 @@ def _train(config: TrainConfig, *, until_learned: bool = False) -> _Trained:
     if not folder.exists():
         raise KeyboardInterrupt("before the first step: there is nothing to keep")
     _draw(config, discovery, folder)
-    unit = _unit(config)
+    unit = unit_of(config)
     took = f"{discovery.num_timesteps:,} primitive steps, {discovery.episodes:,} {unit}s"
     console.print(f"\n[bold]{'Interrupted' if interrupts.noted else 'Finished'}[/] after {took}.")
     if config.options is not None:
         what = ", ".join(started_with) or "none"
         console.print(f"Started with the options of {escape(str(config.options))}: {escape(what)}.")
-    _report(config, discovery, stock, folder)
+    report(console, config, discovery, stock, folder, in_series=in_series)
     return _Trained(folder, discovery, interrupts.noted)
 
 
@@ -287,71 +309,14 @@ def _save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
         bank.save(folder / runs.OPTIONS)
 
 
-def _why_nothing(discovery: SubgoalDiscoveryCallback) -> str | None:
-    """What to say where nothing was discovered."""
-    if discovery.discoveries:
-        return None
-    if discovery.max_new_options == 0:
-        return "Discovery was switched off."
-    if len(discovery.bank) == discovery.bank.max_options:
-        return "There was no free slot for an option."
-    assert discovery.discovery is not None  # training has started
-    return discovery.discovery.why_nothing()
-
-
 def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path) -> None:
     assert discovery.discovery is not None  # training has started
     if config.vec_env == "subproc":  # φ was in a process that has ended
         env = runs.make_env(config, 1, config.seed)
         discovery.bank.bind(lambda observations: env.env_method("concept_features", observations)[0])
     with atomic_write(folder / runs.SUBGOALS) as temporary:
-        figure = subgoals_figure(discovery.discovery, discovery.bank, _why_nothing(discovery))
+        figure = subgoals_figure(discovery.discovery, discovery.bank, why_nothing(discovery))
         figure.savefig(temporary, dpi=FIGURE_DPI)
-
-
-def _unit(config: TrainConfig) -> str:
-    return "episode" if config.discovery.segmentation == "episodes" else "segment"
-
-
-def _report(
-    config: TrainConfig, discovery: SubgoalDiscoveryCallback, stock: SubgoalDiscoveryCallback | None, folder: Path
-) -> None:
-    if discovery.discoveries:
-        table = Table("option", "subgoal", f"found after {_unit(config)}", "primitive steps", "initiation states")
-        for found in discovery.discoveries:
-            table.add_row(
-                str(found.slot),
-                found.where,
-                str(found.episode),
-                f"{found.timestep:,}",
-                str(found.initiation_states),
-            )
-        console.print("Subgoals discovered:")
-        console.print(table)
-    else:
-        console.print(escape(_why_nothing(discovery) or ""))
-    path = escape(str(folder))
-    histories = {"this run": discovery.history} | ({} if stock is None else {"--no-discover": stock.history})
-    console.print(closing_table(histories))
-    if stock is not None:
-        console.print("Both trained for as many primitive steps on the same seed. That is one seed, and no study.")
-    elif discovery.max_new_options != 0:
-        console.print("Against --no-discover: train with --compare, which trains once more without discovery.")
-    console.print(f"Run folder:   {path}")
-    python = escape(_python())
-    console.print(f"TensorBoard:  {python} -m tensorboard.main --logdir {path}")
-    # What imports a module is named anew, for the file of a run is not trusted with it.
-    named = "".join(f" {flag(n)} {shlex.quote(t)}" for n, t in importing(vars(config)).items())
-    console.print(f"Evaluate:     {python} train.py evaluate {path} --video {path}/video.mp4{escape(named)}")
-    if (folder / runs.BEST).is_file():
-        console.print("Best model:   add --best; it is the one whose evaluation gave the highest return")
-
-
-def _python() -> str:
-    """What to type for this interpreter: it may be in a virtual environment that nobody activated."""
-    if shutil.which("python") == sys.executable:
-        return "python"
-    return min(sys.executable, os.path.relpath(sys.executable), key=len)
 
 
 def evaluate(config: EvaluateConfig) -> evaluation.Evaluation:

@@ -71,7 +71,7 @@ class ConceptsInObservation(gym.Wrapper[Any, Any, Any, Any], RecordConstructorAr
         return np.asarray(observations[CONCEPTS], dtype=np.float64)
 
     def _with_concepts(self, observation: Any, info: dict[str, Any]) -> dict[str, Any]:
-        concepts = np.asarray(self._concepts(self.env, info), dtype=np.float32)
+        concepts = np.array(self._concepts(self.env, info), dtype=np.float32)  # a copy: it may be the environment's own
         if concepts.shape != (self._size,) or not np.isfinite(concepts).all():
             raise ValueError(f"concepts must return {self._size} finite numbers (size={self._size}), got {concepts}.")
         parts = observation if self._is_dict else {OBSERVATION: observation}
@@ -89,5 +89,9 @@ class WithoutConcepts(CombinedExtractor):
     """
 
     def __init__(self, observation_space: spaces.Dict, **kwargs: Any) -> None:
+        if not isinstance(observation_space, spaces.Dict) or CONCEPTS not in observation_space.spaces:
+            raise ValueError(
+                f"WithoutConcepts needs the observations of ConceptsInObservation, got {observation_space}."
+            )
         seen = {key: space for key, space in observation_space.spaces.items() if key != CONCEPTS}
         super().__init__(spaces.Dict(seen), **kwargs)

@@ -97,19 +97,50 @@ def exact_keys(space: spaces.Space[Any]) -> Keys:
     return keys
 
 
-def binned_keys(features: FeatureMap, bin_width: float = 1.0) -> Keys:
+BINS = 20.0
+"""A bounded feature of a flat observation has so many bins from its lowest to its highest value."""
+
+
+def bin_widths(space: spaces.Box) -> FloatArray:
+    """Widths of the bins of a flat observation, (d,): the range of each number in `BINS` parts, 1 where it has none."""
+    spans = space.high.ravel().astype(np.float64) - space.low.ravel()
+    return np.where(np.isfinite(spans) & (spans > 0.0) & (spans < LARGEST_SPAN), spans / BINS, 1.0)
+
+
+LARGEST_SPAN = 1e6
+"""A wider range than this (the largest float, say) is no bound."""
+
+
+def binned_keys(features: FeatureMap, bin_width: float | FloatArray = 1.0) -> Keys:
     """Each observation is counted as the bin its features are in: the nearest whole multiples of ``bin_width``.
 
     Args:
         features: φ, a batch of observations → (batch, d).
-        bin_width: In units of concept space.
+        bin_width: In units of concept space, one for all features or (d,).
+
+    Raises:
+        ValueError: From the keys: φ does not return (batch, d), or a feature is not finite.
     """
 
     def keys(observations: Observations) -> list[bytes]:
-        bins = np.rint(np.asarray(features(observations)) / bin_width).astype(np.int64)
+        bins = np.rint(checked_features(features, observations) / bin_width).astype(np.int64)
         return [_short(row.tobytes()) for row in bins]
 
     return keys
+
+
+def checked_features(features: FeatureMap, observations: Observations) -> FloatArray:
+    """φ of a batch, (batch, d).
+
+    Raises:
+        ValueError: It has another shape, or a feature is not finite.
+    """
+    made = np.asarray(features(observations), dtype=np.float64)
+    if made.ndim != 2 or len(made) != batch_size(observations):
+        raise ValueError(f"The feature map of the bonus must return shape (batch, d), it gave {made.shape}.")
+    if not np.isfinite(made).all():
+        raise ValueError("The feature map of the bonus gave NaN or infinite features.")
+    return made
 
 
 def _short(key: bytes) -> bytes:
@@ -162,7 +193,7 @@ class RandomNetworkDistillation:
 
     def visit(self, observations: Observations) -> FloatArray:
         """The error before the predictor learns from these observations, (batch,)."""
-        rows = np.asarray(self.features(observations), dtype=np.float64)
+        rows = checked_features(self.features, observations)
         self.statistics.update(rows)
         normalized = self._normalized(rows)
         errors = self._errors(normalized)

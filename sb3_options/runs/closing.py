@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import os
+import shlex
+import shutil
+import sys
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
+from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
+from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.experience.trajectories import EpisodeRecord
+from sb3_options.runs import folder as runs
+from sb3_options.runs.config import TrainConfig
+from sb3_options.runs.users_code import flag, importing
 
 LAST = 100
 """Episodes at the end of training that are averaged."""
@@ -58,3 +69,77 @@ def learned_after(history: Sequence[EpisodeRecord]) -> int | None:
         if in_a_row == IN_A_ROW:
             return episode.timestep
     return None
+
+
+def unit_of(config: TrainConfig) -> str:
+    """What trajectories are: episodes, or segments of a continuing task."""
+    return "episode" if config.discovery.segmentation == "episodes" else "segment"
+
+
+def why_nothing(discovery: SubgoalDiscoveryCallback) -> str | None:
+    """What to say where nothing was discovered."""
+    if discovery.discoveries:
+        return None
+    if discovery.max_new_options == 0:
+        return "Discovery was switched off."
+    if len(discovery.bank) == discovery.bank.max_options:
+        return "There was no free slot for an option."
+    assert discovery.discovery is not None  # training has started
+    return discovery.discovery.why_nothing()
+
+
+def report(
+    console: Console,
+    config: TrainConfig,
+    discovery: SubgoalDiscoveryCallback,
+    stock: SubgoalDiscoveryCallback | None,
+    folder: Path,
+    *,
+    in_series: bool,
+) -> None:
+    """Print what was discovered, how training went, and the commands that come next.
+
+    Args:
+        console: Where to.
+        config: Of the run.
+        discovery: Of the run.
+        stock: Of the same training without discovery, if there was one.
+        folder: The run folder.
+        in_series: Whether the run is a task of a series, which ``--compare`` is not for.
+    """
+    if discovery.discoveries:
+        table = Table("option", "subgoal", f"found after {unit_of(config)}", "primitive steps", "initiation states")
+        for found in discovery.discoveries:
+            table.add_row(
+                str(found.slot),
+                found.where,
+                str(found.episode),
+                f"{found.timestep:,}",
+                str(found.initiation_states),
+            )
+        console.print("Subgoals discovered:")
+        console.print(table)
+    else:
+        console.print(escape(why_nothing(discovery) or ""))
+    path = escape(str(folder))
+    histories = {"this run": discovery.history} | ({} if stock is None else {"--no-discover": stock.history})
+    console.print(closing_table(histories))
+    if stock is not None:
+        console.print("Both trained for as many primitive steps on the same seed. That is one seed, and no study.")
+    elif discovery.max_new_options != 0 and not in_series:
+        console.print("Against --no-discover: train with --compare, which trains once more without discovery.")
+    console.print(f"Run folder:   {path}")
+    python = escape(_python())
+    console.print(f"TensorBoard:  {python} -m tensorboard.main --logdir {path}")
+    # What imports a module is named anew, for the file of a run is not trusted with it.
+    named = "".join(f" {flag(n)} {shlex.quote(t)}" for n, t in importing(vars(config)).items())
+    console.print(f"Evaluate:     {python} train.py evaluate {path} --video {path}/video.mp4{escape(named)}")
+    if (folder / runs.BEST).is_file():
+        console.print("Best model:   add --best; it is the one whose evaluation gave the highest return")
+
+
+def _python() -> str:
+    """What to type for this interpreter: it may be in a virtual environment that nobody activated."""
+    if shutil.which("python") == sys.executable:
+        return "python"
+    return min(sys.executable, os.path.relpath(sys.executable), key=len)

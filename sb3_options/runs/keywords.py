@@ -10,8 +10,12 @@ import tyro
 from sb3_options.runs import yaml_file
 
 
-def keywords_of(pairs: Any) -> Any:
+def keywords_of(pairs: Any, given_for: str = "--env-kwargs") -> Any:
     """Pairs ``name:value`` as keyword arguments; a value is read as YAML, so that 3 is a number.
+
+    Args:
+        pairs: Of the command line or a file; a mapping is let be.
+        given_for: The flag.
 
     Raises:
         ValueError: A pair has no colon, or a value is no YAML that can be read safely.
@@ -22,12 +26,12 @@ def keywords_of(pairs: Any) -> Any:
     for pair in [pairs] if isinstance(pairs, str) else pairs:
         name, colon, value = str(pair).partition(":")
         if not colon:
-            raise ValueError(f"--env-kwargs takes pairs name:value, got {pair}.")
+            raise ValueError(f"{given_for} takes pairs name:value, got {pair}.")
         try:
             keywords[name] = yaml_file.parse(value)
         except ValueError as error:
             raise ValueError(
-                f"--env-kwargs: the value of {name!r} is no YAML that can be read safely: {error}"
+                f"{given_for}: the value of {name!r} is no YAML that can be read safely: {error}"
             ) from error
     return keywords
 
@@ -49,12 +53,14 @@ def tasks_of(texts: Any) -> Any:
     Raises:
         ValueError: A text is neither, or no YAML that can be read safely.
     """
+    if not isinstance(texts, list | tuple):
+        raise ValueError(f"series takes a list of tasks, each a pair name:value or a mapping, got {texts!r}.")
     return [_task_of(text) if isinstance(text, str) else text for text in texts]
 
 
 def _task_of(text: str) -> Any:
     if not text.startswith("{"):
-        return keywords_of(text)
+        return keywords_of(text, "--series")
     try:
         return yaml_file.parse(text)
     except ValueError as error:

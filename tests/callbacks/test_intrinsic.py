@@ -233,7 +233,7 @@ def test_what_vec_wrappers_do_to_observations_is_undone() -> None:
     venv, logs = logged(2, options=False)
     stacked = VecFrameStack(venv, 3)
     env = VecNormalize(stacked, clip_obs=1.0, norm_reward=False, gamma=GAMMA)
-    bonus = IntrinsicRewardCallback()
+    bonus = IntrinsicRewardCallback(bin_width=1.0)
     make(PPO, env).learn(128, callback=bonus)
     expected = Counter(place(step) for log in logs for step in log.log)
     ended = sum(step.terminated or step.truncated for log in logs for step in log.log)
@@ -343,8 +343,9 @@ class TestErrors:
         ("arguments", "text"),
         [
             ({"kind": "icm"}, "kind must be 'counts' or 'rnd', got 'icm'"),
-            ({"weight": -0.1}, "weight must be at least 0, got -0.1"),
+            ({"weight": -0.1}, "weight must be at least 0 and finite, got -0.1"),
             ({"bin_width": 0.0}, "bin_width must be above 0, got 0.0"),
+            ({"weight": np.inf}, "weight must be at least 0 and finite, got inf"),
             ({"rnd": {"features": 0}}, "RNDSettings: features should be greater than or equal to 1, got 0"),
         ],
     )

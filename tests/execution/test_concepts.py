@@ -86,6 +86,19 @@ def test_the_network_need_not_see_the_concepts() -> None:
     assert torch.equal(extractor(one), extractor(other))
 
 
+def test_concepts_are_copied() -> None:
+    place = np.zeros(2, np.float32)
+    env = ConceptsInObservation(blind_rooms(), lambda *_: place, size=2)
+    observation, _ = env.reset(seed=0)
+    place += 1
+    np.testing.assert_array_equal(observation["concepts"], [0.0, 0.0])
+
+
+def test_without_concepts_needs_them() -> None:
+    with pytest.raises(ValueError, match="needs the observations of ConceptsInObservation"):
+        WithoutConcepts(spaces.Dict({"observation": spaces.Box(0.0, 1.0, (1,))}))
+
+
 def test_keeps_the_keys_of_a_dict() -> None:
     inner = ConceptsInObservation(blind_rooms(), from_info, size=2)
     renamed = gym.wrappers.TransformObservation(

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
@@ -13,6 +14,7 @@ from sb3_options.learning.novelty import (
     ReturnScale,
     RNDSettings,
     StateCounts,
+    bin_widths,
     binned_keys,
     exact_keys,
     is_table_like,
@@ -109,3 +111,27 @@ def test_the_return_goes_on_across_episodes_and_is_of_primitive_steps() -> None:
         flat = np.concatenate([step[env] for step in runs])
         returns += [sum(0.9 ** (t - i) * flat[i] for i in range(t + 1)) for t in range(len(flat))]
     assert scale.std == pytest.approx(np.std(returns), rel=1e-3)
+
+
+def test_bins_of_a_flat_observation_are_parts_of_its_range() -> None:
+    box = spaces.Box(np.array([-1.2, -0.07, -np.inf, -3.4e38]), np.array([0.6, 0.07, np.inf, 3.4e38]), dtype=np.float64)
+    np.testing.assert_allclose(bin_widths(box), [0.09, 0.007, 1.0, 1.0])
+
+
+def test_counts_tell_the_states_of_mountain_car_apart() -> None:
+    env = gym.make("MountainCar-v0")
+    assert isinstance(env.observation_space, spaces.Box)
+    counts = StateCounts(binned_keys(flatten, bin_widths(env.observation_space)))
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    for _ in range(150):
+        counts.visit(env.step(env.action_space.sample())[0][None])
+    assert counts.records()["states"] > 10
+
+
+@pytest.mark.parametrize("features", [lambda x: np.full((len(x), 1), np.nan), lambda x: np.zeros(len(x))])
+def test_features_that_cannot_be_counted_are_refused(features: Any) -> None:
+    with pytest.raises(ValueError, match="The feature map of the bonus"):
+        StateCounts(binned_keys(features)).visit(np.zeros((2, 3)))
+    with pytest.raises(ValueError, match="The feature map of the bonus"):
+        RandomNetworkDistillation(1, features).visit(np.zeros((2, 3)))

@@ -75,6 +75,58 @@ def test_options_that_no_success_needs_leave_their_slots() -> None:
     assert len(callback.bank) == 0
 
 
+def test_a_mistake_in_a_later_task_is_found_before_training(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for wrong, message in (("goal:[20, 9]", "outside the map"), ("gaol:[3, 3]", "gaol")):
+        with pytest.raises(SystemExit):
+            cli.main(command_line(tmp_path, "--series", "goal:[8, 4]", wrong))
+        text = " ".join(capsys.readouterr().err.split())
+        assert message in text
+        assert "This is task 2 of the series." in text
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_series_that_ends_early_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cli.main(command_line(tmp_path, "--series", "goal:[8, 4]", "goal:[8, 0]", "--n-timesteps", "256"))
+    out = " ".join(capsys.readouterr().out.split())
+    assert "Of 2 tasks 1 were not begun." in out
+    assert "--compare" not in out
+
+
+def test_an_interrupt_at_the_start_of_a_task_keeps_what_was_done(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done = cli._train
+
+    def second_is_interrupted(config: Any, **kwargs: Any) -> Any:
+        if config.options is not None:
+            raise KeyboardInterrupt("before the first step: there is nothing to keep")
+        return done(config, **kwargs)
+
+    monkeypatch.setattr(cli, "_train", second_is_interrupted)
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(command_line(tmp_path, "--series", "goal:[1, 1]", "goal:[8, 0]", "--n-timesteps", "5000"))
+    assert stopped.value.code == cli.INTERRUPTED
+    out = " ".join(capsys.readouterr().out.split())
+    (folder,) = (tmp_path / "runs" / "maskableppo").iterdir()
+    assert folder.name in out.partition("Run folders:")[2]
+    assert "Of 2 tasks 1 were not begun." in out
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('series: "goal:[10,5]"', "series takes a list of tasks"),
+        ("series: 5", "series takes a list of tasks"),
+        ("series: [foo]", "--series takes pairs name:value"),
+    ],
+)
+def test_a_file_with_no_series_is_refused(text: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "settings.yml").write_text(f"algo: ppo\n{text}\n")
+    with pytest.raises(SystemExit) as stopped:
+        parse(["--config", str(tmp_path / "settings.yml")])
+    assert message in str(stopped.value.code)
+
+
 def test_a_series_is_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         cli.main(command_line(tmp_path, "--series", "goal:[8, 4]", "--compare"))
