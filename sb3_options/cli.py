@@ -8,9 +8,8 @@ import shutil
 import sys
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import gymnasium as gym
 import torch
@@ -33,7 +32,7 @@ from sb3_options.runs import config as configs
 from sb3_options.runs import evaluation
 from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import callback_settings, make_model
-from sb3_options.runs.closing import IN_A_ROW, learned_after, report, unit_of, why_nothing
+from sb3_options.runs.closing import IN_A_ROW, closing_table, learned_after, next_commands, unit_of
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.eval_callback import eval_callback_class
 from sb3_options.runs.flags import parse
@@ -43,38 +42,10 @@ from sb3_options.runs.series import KEPT, StopWhenLearned, free_slots
 console = Console(highlight=False, soft_wrap=True)
 errors = Console(highlight=False, soft_wrap=True, stderr=True)
 
-EVAL_SEED = 10_000
-"""Evaluation environments count their seeds from here, so that none equals a training seed."""
-
 FIGURE_DPI = 110
 
 INTERRUPTED = 130
 """Exit status where an interrupt left nothing; shells use it for a process that SIGINT ended."""
-
-
-@dataclass(frozen=True)
-class EvaluateConfig:
-    """Load a run in a new process and act greedily: mean return, success rate and primitive steps an episode.
-
-    Attributes:
-        run: The run folder that training named.
-        episodes: How many to play.
-        seed: Of the environment.
-        env: Environment to play in; by default the run's.
-        env_wrapper: Wrapper for it, module:Class, where the run had one.
-        feature_map: Feature map φ, module:function; likewise.
-        video: Write the first ten episodes to this file, MP4 or GIF.
-        best: Play the best model of --eval-freq, not the last.
-    """
-
-    run: Annotated[Path, tyro.conf.Positional]
-    episodes: int = 100
-    seed: int = EVAL_SEED
-    env: str | None = None
-    env_wrapper: str | None = None
-    feature_map: str | None = None
-    video: Path | None = None
-    best: bool = False
 
 
 def main(args: Sequence[str] | None = None) -> None:
@@ -86,7 +57,7 @@ def main(args: Sequence[str] | None = None) -> None:
     args = sys.argv[1:] if args is None else list(args)
     try:
         if args[:1] == ["evaluate"]:
-            evaluate(tyro.cli(EvaluateConfig, prog="train.py evaluate", args=args[1:]))
+            evaluate(tyro.cli(evaluation.EvaluateConfig, prog="train.py evaluate", args=args[1:]))
         else:
             config = parse(args)
             (train_series if config.series else train)(config)
@@ -167,7 +138,7 @@ def _in_turn(tasks: list[TrainConfig], config: TrainConfig, folders: list[Path],
         done = _train(
             dataclasses.replace(task, n_timesteps=left, options=options), until_learned=not last, in_series=True
         )
-        gone = [] if last else free_slots(done.discovery)
+        gone = [] if last else free_slots(done.discovery.discovery, done.discovery.bank)
         options = done.folder / KEPT
         done.discovery.bank.save(options)
         left -= done.discovery.num_timesteps
@@ -219,7 +190,7 @@ def _train(config: TrainConfig, *, until_learned: bool = False, in_series: bool 
     if config.options is not None:
         what = ", ".join(started_with) or "none"
         console.print(f"Started with the options of {escape(str(config.options))}: {escape(what)}.")
-    report(console, config, discovery, stock, folder, in_series=in_series)
+    _report(config, discovery, stock, folder, in_series=in_series)
     return _Trained(folder, discovery, interrupts.noted)
 
 
@@ -261,7 +232,7 @@ def _learn(
             callbacks.append(IntrinsicRewardCallback(config.bonus, seed=config.seed))
         if config.eval_freq > 0:
             limit = config.eval_max_steps
-            envs.append(runs.make_env(config, 1, EVAL_SEED + config.seed, subproc=subproc, max_steps=limit))
+            envs.append(runs.make_env(config, 1, evaluation.EVAL_SEED + config.seed, subproc=subproc, max_steps=limit))
             evaluation_callback = eval_callback_class(config.algo)(
                 interrupts,
                 envs[1],
@@ -275,7 +246,7 @@ def _learn(
             callbacks.append(EveryNTimesteps(config.eval_freq, evaluation_callback))
         callbacks.append(StopWhenNoted(interrupts))
         if until_learned:
-            callbacks.append(StopWhenLearned(discovery))
+            callbacks.append(StopWhenLearned(discovery.history))
         if not interrupts.noted:
             what = f"{config.algo.upper()} on {config.env} for {config.n_timesteps:,} primitive steps"
             console.print(f"Training {escape(what)}.")
@@ -309,17 +280,61 @@ def _save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
         bank.save(folder / runs.OPTIONS)
 
 
+def _why_nothing(discovery: SubgoalDiscoveryCallback) -> str | None:
+    """What to say where nothing was discovered."""
+    if discovery.discoveries:
+        return None
+    if discovery.max_new_options == 0:
+        return "Discovery was switched off."
+    if len(discovery.bank) == discovery.bank.max_options:
+        return "There was no free slot for an option."
+    assert discovery.discovery is not None  # training has started
+    return discovery.discovery.why_nothing()
+
+
+def _report(
+    config: TrainConfig,
+    discovery: SubgoalDiscoveryCallback,
+    stock: SubgoalDiscoveryCallback | None,
+    folder: Path,
+    *,
+    in_series: bool,
+) -> None:
+    """Print what was discovered and how training went, and the commands that come next."""
+    if discovery.discoveries:
+        table = Table("option", "subgoal", f"found after {unit_of(config)}", "primitive steps", "initiation states")
+        for found in discovery.discoveries:
+            table.add_row(
+                str(found.slot),
+                found.where,
+                str(found.episode),
+                f"{found.timestep:,}",
+                str(found.initiation_states),
+            )
+        console.print("Subgoals discovered:")
+        console.print(table)
+    else:
+        console.print(escape(_why_nothing(discovery) or ""))
+    histories = {"this run": discovery.history} | ({} if stock is None else {"--no-discover": stock.history})
+    console.print(closing_table(histories))
+    if stock is not None:
+        console.print("Both trained for as many primitive steps on the same seed. That is one seed, and no study.")
+    elif discovery.max_new_options != 0 and not in_series:
+        console.print("Against --no-discover: train with --compare, which trains once more without discovery.")
+    next_commands(console, config, folder)
+
+
 def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path) -> None:
     assert discovery.discovery is not None  # training has started
     if config.vec_env == "subproc":  # φ was in a process that has ended
         env = runs.make_env(config, 1, config.seed)
         discovery.bank.bind(lambda observations: env.env_method("concept_features", observations)[0])
     with atomic_write(folder / runs.SUBGOALS) as temporary:
-        figure = subgoals_figure(discovery.discovery, discovery.bank, why_nothing(discovery))
+        figure = subgoals_figure(discovery.discovery, discovery.bank, _why_nothing(discovery))
         figure.savefig(temporary, dpi=FIGURE_DPI)
 
 
-def evaluate(config: EvaluateConfig) -> evaluation.Evaluation:
+def evaluate(config: evaluation.EvaluateConfig) -> evaluation.Evaluation:
     """Evaluate a run, print the result, and write it to ``evaluation.json`` in the run folder.
 
     Args:

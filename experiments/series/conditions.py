@@ -71,7 +71,7 @@ def run(arm: Arm, chain: Chain, seed: int) -> Result:
         tasks.append({"rooms": rooms, "steps": steps, "best": best, "success": success, "length": length})
         if discovery is not None:
             found = [each.subgoal.tolist() for each in discovery.discoveries]
-            freed = len(free_slots(discovery))
+            freed = len(free_slots(discovery.discovery, discovery.bank))
             tasks[-1] |= {"found": found, "freed": freed, "kept": len(discovery.bank)}
             carried = discovery.bank.content()
         if arm in ("network", "options and network"):

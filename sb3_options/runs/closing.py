@@ -14,7 +14,6 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.experience.trajectories import EpisodeRecord
 from sb3_options.runs import folder as runs
 from sb3_options.runs.config import TrainConfig
@@ -76,58 +75,15 @@ def unit_of(config: TrainConfig) -> str:
     return "episode" if config.discovery.segmentation == "episodes" else "segment"
 
 
-def why_nothing(discovery: SubgoalDiscoveryCallback) -> str | None:
-    """What to say where nothing was discovered."""
-    if discovery.discoveries:
-        return None
-    if discovery.max_new_options == 0:
-        return "Discovery was switched off."
-    if len(discovery.bank) == discovery.bank.max_options:
-        return "There was no free slot for an option."
-    assert discovery.discovery is not None  # training has started
-    return discovery.discovery.why_nothing()
-
-
-def report(
-    console: Console,
-    config: TrainConfig,
-    discovery: SubgoalDiscoveryCallback,
-    stock: SubgoalDiscoveryCallback | None,
-    folder: Path,
-    *,
-    in_series: bool,
-) -> None:
-    """Print what was discovered, how training went, and the commands that come next.
+def next_commands(console: Console, config: TrainConfig, folder: Path) -> None:
+    """Print the run folder and the commands that look at it.
 
     Args:
         console: Where to.
         config: Of the run.
-        discovery: Of the run.
-        stock: Of the same training without discovery, if there was one.
         folder: The run folder.
-        in_series: Whether the run is a task of a series, which ``--compare`` is not for.
     """
-    if discovery.discoveries:
-        table = Table("option", "subgoal", f"found after {unit_of(config)}", "primitive steps", "initiation states")
-        for found in discovery.discoveries:
-            table.add_row(
-                str(found.slot),
-                found.where,
-                str(found.episode),
-                f"{found.timestep:,}",
-                str(found.initiation_states),
-            )
-        console.print("Subgoals discovered:")
-        console.print(table)
-    else:
-        console.print(escape(why_nothing(discovery) or ""))
     path = escape(str(folder))
-    histories = {"this run": discovery.history} | ({} if stock is None else {"--no-discover": stock.history})
-    console.print(closing_table(histories))
-    if stock is not None:
-        console.print("Both trained for as many primitive steps on the same seed. That is one seed, and no study.")
-    elif discovery.max_new_options != 0 and not in_series:
-        console.print("Against --no-discover: train with --compare, which trains once more without discovery.")
     console.print(f"Run folder:   {path}")
     python = escape(_python())
     console.print(f"TensorBoard:  {python} -m tensorboard.main --logdir {path}")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
+import tyro
 from rich.progress import track
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
@@ -26,8 +27,36 @@ from sb3_options.runs.config import DQNConfig, TrainConfig
 from sb3_options.runs.intervals import Interval, mean_interval, share_interval
 from sb3_options.runs.video import RecordFrames, Video, render_mode_of, video_file
 
+EVAL_SEED = 10_000
+"""Evaluation environments count their seeds from here, so that none equals a training seed."""
+
 VIDEO_EPISODES = 10
 """A video shows this many episodes at most."""
+
+
+@dataclass(frozen=True)
+class EvaluateConfig:
+    """Load a run in a new process and act greedily: mean return, success rate and primitive steps an episode.
+
+    Attributes:
+        run: The run folder that training named.
+        episodes: How many to play.
+        seed: Of the environment.
+        env: Environment to play in; by default the run's.
+        env_wrapper: Wrapper for it, module:Class, where the run had one.
+        feature_map: Feature map φ, module:function; likewise.
+        video: Write the first ten episodes to this file, MP4 or GIF.
+        best: Play the best model of --eval-freq, not the last.
+    """
+
+    run: Annotated[Path, tyro.conf.Positional]
+    episodes: int = 100
+    seed: int = EVAL_SEED
+    env: str | None = None
+    env_wrapper: str | None = None
+    feature_map: str | None = None
+    video: Path | None = None
+    best: bool = False
 
 
 class Evaluation(NamedTuple):

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from stable_baselines3.common.callbacks import BaseCallback
 
-from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.discovery.subgoals import SubgoalDiscovery
+from sb3_options.experience.trajectories import EpisodeRecord
+from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import SubgoalOption
 from sb3_options.runs.closing import IN_A_ROW
 
@@ -19,32 +23,32 @@ class StopWhenLearned(BaseCallback):
     """Ends training when a task is learned: after `IN_A_ROW` training episodes in a row that succeeded.
 
     Args:
-        discovery: Keeps the history of episodes.
+        history: Of the training episodes so far; it grows.
     """
 
-    def __init__(self, discovery: SubgoalDiscoveryCallback) -> None:
+    def __init__(self, history: Sequence[EpisodeRecord]) -> None:
         super().__init__()
-        self.discovery = discovery
+        self.history = history
         self._seen = self._in_a_row = 0
 
     def _on_step(self) -> bool:
-        for episode in self.discovery.history[self._seen :]:
+        for episode in self.history[self._seen :]:
             self._in_a_row = self._in_a_row + 1 if episode.success else 0
-        self._seen = len(self.discovery.history)
+        self._seen = len(self.history)
         return self._in_a_row < IN_A_ROW
 
 
-def free_slots(callback: SubgoalDiscoveryCallback) -> list[str]:
+def free_slots(discovery: SubgoalDiscovery | None, bank: OptionBank) -> list[str]:
     """Take the options that no success needs out of their slots, after a training and before the next.
 
     Args:
-        callback: Of the training; an option stays if `PAYS` of the last successes lead through its subgoal, and all
-            stay if there was no success.
+        discovery: Of the training; None before it.
+        bank: The slots. An option stays if `PAYS` of the last successes lead through its subgoal, and all stay if
+            there was no success.
 
     Returns:
         Names of those that are gone.
     """
-    discovery, bank = callback.discovery, callback.bank
     if discovery is None or not any(each.success for each in discovery.database):
         return []
     gone = []

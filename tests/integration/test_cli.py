@@ -24,6 +24,7 @@ from sb3_options.options.file import read
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
 from sb3_options.runs.config import CLASSES, DQNConfig
+from sb3_options.runs.evaluation import EVAL_SEED, EvaluateConfig
 from sb3_options.runs.flags import parse
 from sb3_options.runs.video import CAPTION_HEIGHT
 from tests.support import processes
@@ -198,7 +199,7 @@ class TestTrain:
         assert bank.filled == (0,)
         subgoal = bank[0].subgoal.points[0]  # type: ignore[union-attr]  # discovered
         assert np.abs(subgoal - DOORWAY).sum() <= 1
-        result = cli.evaluate(cli.EvaluateConfig(folder, episodes=2))
+        result = cli.evaluate(EvaluateConfig(folder, episodes=2))
         assert result.episodes == 2
 
     def test_says_how_it_went_beside_training_without_discovery(
@@ -344,7 +345,7 @@ class TestEvaluate:
 
     def test_keeps_them(self, run: Run, evaluated: subprocess.CompletedProcess[str]) -> None:
         kept = json.loads((run.folder / "evaluation.json").read_text())
-        assert (kept["episodes"], kept["seed"]) == (5, cli.EVAL_SEED)
+        assert (kept["episodes"], kept["seed"]) == (5, EVAL_SEED)
         assert f"{kept['primitive_steps']['mean']:.3f}" in evaluated.stdout
         assert set(kept["return"]) == {"mean", "low", "high"}
 
@@ -360,7 +361,7 @@ class TestEvaluate:
 
     def test_the_same_seed_gives_the_same_result_and_another_does_not(self, run: Run) -> None:
         def play(seed: int) -> Any:
-            return cli.evaluate(cli.EvaluateConfig(run.folder, episodes=4, seed=seed))
+            return cli.evaluate(EvaluateConfig(run.folder, episodes=4, seed=seed))
 
         assert play(3) == play(3)
         assert len({play(seed).steps.mean for seed in range(3, 7)}) > 1

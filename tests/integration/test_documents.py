@@ -13,7 +13,7 @@ import tyro
 from experiments.deep import report as deep_report
 from experiments.paper import report as paper_report
 from experiments.pioneer import report as pioneer_report
-from sb3_options import cli
+from sb3_options.runs.evaluation import EvaluateConfig
 from sb3_options.runs.flags import parse
 from tests.support import processes
 from tests.support.documents import (
@@ -113,7 +113,7 @@ def test_commands_of_train_are_understood(page: Path) -> None:
         if program != "train.py" or words == ["evaluate"]:
             continue
         if words[:1] == ["evaluate"]:
-            tyro.cli(cli.EvaluateConfig, args=words[1:])
+            tyro.cli(EvaluateConfig, args=words[1:])
         elif "--help" in words:
             with pytest.raises(SystemExit, match=r"^0$"):
                 parse(words)

@@ -2,6 +2,7 @@ import re
 import sys
 
 import gymnasium as gym
+import minigrid  # noqa: F401  # registers its environments, before a test takes a copy of the registry
 import pytest
 
 import sb3_options.envs  # noqa: F401  # registers them

@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -51,27 +50,27 @@ def test_options_of_one_task_are_there_in_the_next(tmp_path: Path, capsys: pytes
 
 
 def test_a_task_is_learned_after_so_many_successes_in_a_row() -> None:
-    discovery: Any = SimpleNamespace(history=[EpisodeRecord(1, 1.0, True, 1)] * (IN_A_ROW - 1))
-    stop = StopWhenLearned(discovery)
+    history = [EpisodeRecord(1, 1.0, True, 1)] * (IN_A_ROW - 1)
+    stop = StopWhenLearned(history)
     assert stop._on_step()
-    discovery.history += [EpisodeRecord(2, 0.0, False, 1), *[EpisodeRecord(3, 1.0, True, 1)] * (IN_A_ROW - 1)]
+    history += [EpisodeRecord(2, 0.0, False, 1), *[EpisodeRecord(3, 1.0, True, 1)] * (IN_A_ROW - 1)]
     assert stop._on_step()
-    discovery.history.append(EpisodeRecord(4, 1.0, True, 1))
+    history.append(EpisodeRecord(4, 1.0, True, 1))
     assert not stop._on_step()
 
 
 def test_options_that_no_success_needs_leave_their_slots() -> None:
     env = optioned_rooms()
     callback = fast_callback()
-    assert free_slots(callback) == []  # before training
+    assert free_slots(None, OptionBank(4, 4)) == []  # before training
     MaskablePPO("MlpPolicy", env, gamma=0.9, n_steps=128, seed=0, device="cpu").learn(6_000, callback=callback)
     (needed,) = callback.bank.filled
     option: Any = callback.bank[needed]
-    assert free_slots(callback) == []  # every way leads through the doorway
+    assert free_slots(callback.discovery, callback.bank) == []  # every way leads through the doorway
     elsewhere: Any = callback.bank.remove(needed)
     object.__setattr__(elsewhere.subgoal, "points", elsewhere.subgoal.points * 0.0)
     callback.bank.add(elsewhere)
-    assert free_slots(callback) == [option.name]
+    assert free_slots(callback.discovery, callback.bank) == [option.name]
     assert len(callback.bank) == 0
 
 
