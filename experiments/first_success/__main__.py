@@ -7,6 +7,7 @@ it goes on where it was.
 from __future__ import annotations
 
 import dataclasses
+import shlex
 from dataclasses import dataclass
 from functools import partial
 
@@ -45,6 +46,7 @@ def main(study: Study) -> None:
     results = run_parts(parts, study.seeds(), settings=settings, jobs=study.jobs, description="Training")
     summary = {name: summarise(runs) for name, runs in results.items()}
     command = f"python -m experiments.first_success --runs {study.runs} --first-seed {study.first_seed}"
+    command += f" --tasks {shlex.join(study.tasks)} --arms {shlex.join(study.arms)}"
     write(study.out, {"command": command, "n_timesteps": N_TIMESTEPS, "summary": summary, "runs": results}, {})
     table = Table("", "with a success", "primitive steps until then")
     for name, row in summary.items():

@@ -7,6 +7,7 @@ and ``series.png``. Interrupted, it goes on where it was.
 from __future__ import annotations
 
 import dataclasses
+import shlex
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -43,6 +44,7 @@ def main(study: Study) -> None:
     results = run_parts(parts, study.seeds(), settings=settings, jobs=study.jobs, description="Training")
     summary = {arm: summarise(runs) for arm, runs in results.items()}
     command = f"python -m experiments.series --runs {study.runs} --first-seed {study.first_seed}"
+    command += f" --arms {shlex.join(study.arms)}"
     content = {"command": command, "chain": settings["chain"], "summary": summary, "runs": results}
     write(study.out, content, {"series": draw(results, study.chain)}, dpi=110)
     table = Table("", "solve the last task", "primitive steps, all tasks (median)", "in the last task")
