@@ -37,6 +37,7 @@ from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.eval_callback import eval_callback_class
 from sb3_options.runs.flags import parse
 from sb3_options.runs.interrupts import Interrupts, StopWhenNoted
+from sb3_options.runs.logs import KeepTraining, without
 from sb3_options.runs.series import KEPT, StopWhenLearned, free_slots
 
 console = Console(highlight=False, soft_wrap=True)
@@ -234,17 +235,11 @@ def _learn(
             limit = config.eval_max_steps
             envs.append(runs.make_env(config, 1, evaluation.EVAL_SEED + config.seed, subproc=subproc, max_steps=limit))
             evaluation_callback = eval_callback_class(config.algo)(
-                interrupts,
-                envs[1],
-                n_eval_episodes=config.eval_episodes,
-                eval_freq=1,
-                log_path=str(folder),
-                best_model_save_path=str(folder),
-                verbose=0,
+                interrupts, folder, envs[1], n_eval_episodes=config.eval_episodes, eval_freq=1, verbose=0
             )
             # EvalCallback counts calls of step, of which one may be many primitive steps.
             callbacks.append(EveryNTimesteps(config.eval_freq, evaluation_callback))
-        callbacks.append(StopWhenNoted(interrupts))
+        callbacks += [StopWhenNoted(interrupts), KeepTraining()]
         if until_learned:
             callbacks.append(StopWhenLearned(discovery.history))
         if not interrupts.noted:
@@ -262,22 +257,32 @@ def _learn(
             raise
     finally:
         interrupts.saving = True  # before anything else: from now on no interrupt is raised
-        if model is None or model.num_timesteps == 0:
-            shutil.rmtree(folder)
-        else:
-            _save(model, discovery.bank, folder)
-        for env in envs:
-            if finished:
-                env.close()
+        try:
+            if model is None or model.num_timesteps == 0:
+                shutil.rmtree(folder)
             else:
-                end_workers(env)  # which may be in the middle of a step
+                _save(model, discovery.bank, folder)
+        finally:
+            for env in envs:
+                if finished:
+                    env.close()
+                else:
+                    end_workers(env)  # which may be in the middle of a step
 
 
 def _save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
-    try:
-        model.save(folder / runs.MODEL)
-    finally:
-        bank.save(folder / runs.OPTIONS)
+    """Save model and options; where one cannot be written, the other is."""
+    failed: list[Exception] = []
+    for save, name in ((model.save, runs.MODEL), (bank.save, runs.OPTIONS)):
+        try:
+            save(folder / name)
+        except Exception as error:
+            error.add_note(f"So there is no {name} of this training.")
+            failed.append(error)
+    if failed:
+        for other in failed[1:]:
+            failed[0].add_note(" ".join([f"{other}.", *other.__notes__]))
+        raise failed[0]
 
 
 def _why_nothing(discovery: SubgoalDiscoveryCallback) -> str | None:
@@ -329,7 +334,7 @@ def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path
     if config.vec_env == "subproc":  # φ was in a process that has ended
         env = runs.make_env(config, 1, config.seed)
         discovery.bank.bind(lambda observations: env.env_method("concept_features", observations)[0])
-    with atomic_write(folder / runs.SUBGOALS) as temporary:
+    with without(folder / runs.SUBGOALS), atomic_write(folder / runs.SUBGOALS) as temporary:
         figure = subgoals_figure(discovery.discovery, discovery.bank, _why_nothing(discovery))
         figure.savefig(temporary, dpi=FIGURE_DPI)
 

@@ -12,17 +12,19 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.preprocessing import get_obs_shape
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
+from sb3_options.atomic import remove_stale
 from sb3_options.envs import minigrid
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.options import file as option_file
 from sb3_options.options.archive import NAME
 from sb3_options.runs.config import MaskablePPOConfig, TrainConfig
+from sb3_options.runs.eval_callback import BEST as BEST
 from sb3_options.runs.interrupts import ignore_interrupts
+from sb3_options.runs.logs import keep_monitor
 from sb3_options.runs.users_code import named
 
 CONFIG = "config.yml"
 MODEL = "model.zip"
-BEST = "best_model.zip"
 OPTIONS = NAME
 MONITOR = "monitor"
 SUBGOALS = "subgoals.png"
@@ -45,13 +47,14 @@ OWN_NAMESPACE = "sb3_options/"
 
 
 def new_run_folder(config: TrainConfig) -> Path:
-    """Make the next free folder ``ALGO/ENV_N`` below ``tensorboard_log``.
+    """Make the next free folder ``ALGO/ENV_N`` below ``tensorboard_log``; clean those of killed runs.
 
     Raises:
         OSError: It cannot be made.
     """
     parent = config.tensorboard_log / config.algo
     parent.mkdir(parents=True, exist_ok=True)
+    remove_stale(parent, "*/")
     name = config.env.replace("/", "-")
     number = 1
     while True:
@@ -169,6 +172,7 @@ def make_env(
     def with_options(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
         if subproc:
             ignore_interrupts()
+        keep_monitor(env)
         if beneath is not None:
             env = beneath(env)
         return OptionsWrapper(
