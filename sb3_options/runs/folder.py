@@ -182,6 +182,7 @@ def make_env(
             feature_map=None if config.feature_map is None else named(config.feature_map, "--feature-map"),
             options_file=options,
             max_runs=max_runs,
+            check_finite=True,
         )
 
     def wrapped(**kwargs: Any) -> gym.Env[Any, Any]:
