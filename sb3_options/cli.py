@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import gymnasium as gym
 import torch
@@ -32,6 +32,7 @@ from sb3_options.runs import config as configs
 from sb3_options.runs import evaluation
 from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import callback_settings, make_model
+from sb3_options.runs.budget import KeepToBudget, memory_is_short
 from sb3_options.runs.closing import IN_A_ROW, closing_table, learned_after, next_commands, unit_of
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.eval_callback import eval_callback_class
@@ -66,8 +67,17 @@ def main(args: Sequence[str] | None = None) -> None:
         errors.print(" ".join(["Interrupted", *interrupt.args]) + ".")
         sys.exit(INTERRUPTED)
     except (ValueError, TypeError, OSError, ModuleNotFoundError, WorkerLostError, gym.error.Error) as error:
-        errors.print(f"[bold red]Error:[/] {escape(' '.join([str(error), *getattr(error, '__notes__', ())]))}")
-        sys.exit(1)
+        _stop(error, str(error))
+    except (MemoryError, RuntimeError) as error:
+        if (text := memory_is_short(error)) is None:
+            raise
+        _stop(error, text)
+
+
+def _stop(error: BaseException, text: str) -> NoReturn:
+    """Exit with one line."""
+    errors.print(f"[bold red]Error:[/] {escape(' '.join([text, *getattr(error, '__notes__', ())]))}")
+    sys.exit(1)
 
 
 def train(config: TrainConfig) -> Path:
@@ -239,7 +249,7 @@ def _learn(
             )
             # EvalCallback counts calls of step, of which one may be many primitive steps.
             callbacks.append(EveryNTimesteps(config.eval_freq, evaluation_callback))
-        callbacks += [StopWhenNoted(interrupts), KeepTraining()]
+        callbacks += [KeepToBudget(), StopWhenNoted(interrupts), KeepTraining()]
         if until_learned:
             callbacks.append(StopWhenLearned(discovery.history))
         if not interrupts.noted:

@@ -13,6 +13,7 @@ from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 from stable_baselines3.common.monitor import Monitor
 
+from sb3_options.checked import is_number
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.execution import features as feature_maps
 from sb3_options.execution.interruption import Interruption
@@ -67,8 +68,10 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             )
         if primitive.start != 0:
             raise ValueError(f"OptionsWrapper needs actions that start at 0, got {primitive}.")
-        if not 0.0 < gamma <= 1.0:
-            raise ValueError(f"gamma must be in (0, 1], got {gamma}.")
+        if not (is_number(gamma) and 0.0 < gamma <= 1.0):
+            raise ValueError(f"gamma must be in (0, 1], got {gamma!r}.")
+        if not isinstance(options_file, str | bytes | os.PathLike | None):
+            raise TypeError(f"options_file must be a path or None, got {type(options_file).__name__}.")
         self.gamma, self.max_runs, self.check_finite = float(gamma), max_runs, check_finite
         self.n_primitive = int(primitive.n)
         self.features = feature_maps.resolve(env, feature_map)
