@@ -109,7 +109,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.settings = _as(DiscoverySettings, {} if settings is None else settings)
         self.option_settings = _as(OptionLearningSettings, {} if option_settings is None else option_settings)
         if max_new_options is not None and not whole(max_new_options, 0):
-            raise ValueError(f"max_new_options must be at least 0, a whole number, got {max_new_options!r}.")
+            raise ValueError(f"max_new_options must be at least 0, got {max_new_options!r}.")
         if not (is_number(min_reached) and 0.0 <= min_reached <= 1.0):
             raise ValueError(f"min_reached must be a share, in [0, 1], got {min_reached!r}.")
         if not whole(seed, 0):

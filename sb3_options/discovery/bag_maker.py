@@ -114,7 +114,8 @@ class BagMaker:
             if self.kind == "identity" and is_one_hot(seen):
                 self.kind = "categorical"
             self.scale = default_scale(self.kind, seen) if given is None else np.full(seen.shape[1], given)
-        self._known = {id(t): self._known.get(id(t)) or self._know(t, self.scale) for t in database}
+        old = {id(known.labelled): known for known in self._known.values()}  # a copied object has another id
+        self._known = {id(t): old.get(id(t)) or self._know(t, self.scale) for t in database}
         known = [self._known[id(t)] for t in positive]
         made = [self._bag(k, passage, taken) for k, passage in zip(known, self._passages(known), strict=True)]
         positive_bags = [bag for bag in made if len(bag)]

@@ -60,7 +60,7 @@ def test_a_budget_of_whole_rollouts_is_as_stock() -> None:
     [
         (["dqn", "--buffer-size", "10" + "0" * 14], "There is not enough memory: Unable to allocate"),
         (["ppo", "--n-steps", "10" + "0" * 11], "There is not enough memory: Unable to allocate"),
-        (["dqn", "--max-options", "10" + "0" * 11], "max_options must be at least 0, at most 1,000,000"),
+        (["dqn", "--max-options", "1" + "0" * 11], "max_options must be at most 1,000,000, got 100,000,000,000"),
         (["dqn", "--device", "foo"], "--device 'foo' cannot be used: choose auto, cpu or cuda"),
         (["dqn", "--device", "meta"], "--device 'meta' cannot be used: choose auto, cpu or cuda"),
     ],
