@@ -18,7 +18,10 @@ from sb3_options.options.replay import replay_into_network, replay_into_table
 from sb3_options.options.settings import OptionLearningSettings
 
 LARGEST_TABLE = 4 << 20
-"""Bytes up to which a table grows by learning further: 65,000 rows of four features and four actions."""
+"""Bytes up to which a table grows by learning further: some 14,000 rows of four features and four actions."""
+
+ROW_BYTES = 200
+"""Memory of a row of a table besides its numbers, approximately."""
 
 
 def learn_option(
@@ -101,7 +104,7 @@ def learn_further(
         return option
     rows, states, values = policy.rows_for(transitions.states)
     known: BoolArray = np.any(np.isfinite(values), axis=1)
-    row_bytes = states[:1].nbytes + values[:1].nbytes
+    row_bytes = 2 * states[:1].nbytes + values[:1].nbytes + ROW_BYTES  # an observation is its own key
     limit = max(len(policy.states), LARGEST_TABLE // row_bytes)
     for began, action, reward, led, ends in zip(
         rows[transitions.began][::-1],
