@@ -31,7 +31,7 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.runs import config as configs
 from sb3_options.runs import evaluation
 from sb3_options.runs import folder as runs
-from sb3_options.runs.algorithms import callback_settings, make_model
+from sb3_options.runs.algorithms import callback_settings, check_device, make_model
 from sb3_options.runs.budget import KeepToBudget, memory_is_short
 from sb3_options.runs.closing import IN_A_ROW, closing_table, learned_after, next_commands, unit_of
 from sb3_options.runs.config import TrainConfig
@@ -178,6 +178,7 @@ class _Trained(NamedTuple):
 def _train(config: TrainConfig, *, until_learned: bool = False, in_series: bool = False) -> _Trained:
     torch.set_num_threads(config.num_threads)
     runs.check_env_id(config.env)
+    check_device(config.device)
     stock: SubgoalDiscoveryCallback | None = None
     with Interrupts() as interrupts:
         with closing(runs.make_env(config, 1, config.seed)) as env:  # what cannot be made leaves no folder

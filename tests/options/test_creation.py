@@ -144,9 +144,8 @@ class TestLearnFurther:
     def test_a_table_does_not_grow_for_ever(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """Where observations never repeat: of 100 trajectories with three new ones each, a few rows join the table."""
         rng = np.random.default_rng(0)
-        monkeypatch.setattr(
-            "sb3_options.options.creation.LARGEST_TABLE", 10 * (4 * 8 + 200)
-        )  # a feature, its key, two actions
+        row_bytes = 4 * 8 + 200  # a feature, its key, two actions
+        monkeypatch.setattr("sb3_options.options.creation.LARGEST_TABLE", 10 * row_bytes)
         option = self.option()
         option = SubgoalOption(
             option.subgoal, Region(option.initiation_set.points, np.ones(1), 0.4), option.option_policy
