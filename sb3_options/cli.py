@@ -272,28 +272,13 @@ def _learn(
             if model is None or model.num_timesteps == 0:
                 shutil.rmtree(folder)
             else:
-                _save(model, discovery.bank, folder)
+                runs.save(model, discovery.bank, folder)
         finally:
             for env in envs:
                 if finished:
                     env.close()
                 else:
                     end_workers(env)  # which may be in the middle of a step
-
-
-def _save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
-    """Save model and options; where one cannot be written, the other is."""
-    failed: list[Exception] = []
-    for save, name in ((model.save, runs.MODEL), (bank.save, runs.OPTIONS)):
-        try:
-            save(folder / name)
-        except Exception as error:
-            error.add_note(f"So there is no {name} of this training.")
-            failed.append(error)
-    if failed:
-        for other in failed[1:]:
-            failed[0].add_note(" ".join([f"{other}.", *other.__notes__]))
-        raise failed[0]
 
 
 def _why_nothing(discovery: SubgoalDiscoveryCallback) -> str | None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.preprocessing import get_obs_shape
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
@@ -17,6 +18,7 @@ from sb3_options.envs import minigrid
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.options import file as option_file
 from sb3_options.options.archive import NAME
+from sb3_options.options.bank import OptionBank
 from sb3_options.runs.config import MaskablePPOConfig, TrainConfig
 from sb3_options.runs.eval_callback import BEST as BEST
 from sb3_options.runs.interrupts import ignore_interrupts
@@ -125,6 +127,30 @@ def options_file(config: TrainConfig) -> Path | None:
             f"it: pass --max-options {needed} or more."
         )
     return path
+
+
+def save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
+    """Save model and options; where one cannot be written, the other is.
+
+    Args:
+        model: Trained.
+        bank: Its options.
+        folder: The run folder.
+
+    Raises:
+        OSError: One of them cannot be written; a note says which is missing.
+    """
+    failed: list[Exception] = []
+    for save, name in ((model.save, MODEL), (bank.save, OPTIONS)):
+        try:
+            save(folder / name)
+        except Exception as error:
+            error.add_note(f"So there is no {name} of this training.")
+            failed.append(error)
+    if failed:
+        for other in failed[1:]:
+            failed[0].add_note(" ".join([f"{other}.", *other.__notes__]))
+        raise failed[0]
 
 
 def make_env(
