@@ -37,7 +37,7 @@ class WatchedEvalCallback(EvalCallback):
     """
 
     def __init__(self, interrupts: Interrupts, folder: Path, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, callback_on_new_best=_SaveBest(folder / BEST), **kwargs)
+        super().__init__(*args, **kwargs | {"callback_on_new_best": _SaveBest(folder / BEST)})
         self.interrupts = interrupts
         self.log_path: Any = io.BytesIO()  # SB3's file, rewritten with every evaluation
         self._file = folder / EVALUATIONS

@@ -67,7 +67,8 @@ def keep_monitor(env: gym.Env[Any, Any]) -> None:
         env: A ``Monitor``, or anything else, which is let be.
     """
     if isinstance(env, Monitor) and env.results_writer is not None:
-        writer, file = env.results_writer, env.results_writer.file_handler
+        writer = env.results_writer
+        file: Any = writer.file_handler  # a text file, which typeshed does not say
 
         def close() -> None:
             with closing(file.buffer.raw):  # which stays open where its buffer cannot be written
@@ -92,7 +93,8 @@ class KeepTraining(BaseCallback):
                 output.close = once.tolerant(output.close, always=True)  # type: ignore[method-assign]  # likewise
                 # The thread that writes would print its own traceback. Where there is no such thread, none does.
                 with suppress(AttributeError):
-                    records = output.writer.file_writer.event_writer._async_writer._writer  # type: ignore[union-attr]
+                    writer: Any = output.writer.file_writer  # typed as None before it is made
+                    records = writer.event_writer._async_writer._writer
                     for name in ("write", "flush", "close"):
                         setattr(records, name, once.tolerant(getattr(records, name), always=name == "close"))
 

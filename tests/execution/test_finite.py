@@ -16,7 +16,7 @@ from tests.support.helpers import CountingEnv, steady_option
 BAD = [np.nan, np.inf, -np.inf, 1e300, -1e39]
 
 
-def gives(observation: Any = 0.0, reward: Any = 0.0, *, at: int = 3) -> CountingEnv:
+def gives(observation: Any = 0.0, reward: Any = 0.0, *, at: Any = 3) -> CountingEnv:
     """An environment whose step number ``at`` gives these."""
 
     def step(env: CountingEnv, action: int) -> Any:

@@ -104,7 +104,7 @@ def test_bags_of_every_size(positive: Any, negative: Any, scale: float, dtype: t
         bags = Bags.pack(positive, negative, dtype=dtype)
         found.append(log_diverse_density(bags.instances, scale, bags, negative_strength=0.1).numpy())
         for method in ("gradient", "exhaustive"):
-            peaks = DiverseDensity(scale=scale, method=method, negative_strength=0.1).search(bags)  # type: ignore[arg-type]  # one of the two
+            peaks = DiverseDensity(scale=scale, method=method, negative_strength=0.1).search(bags)
             found += [np.append(peak.point, peak.log_density) for peak in peaks]
         found += [s.theta for s in ConceptSearch(scale=scale, negative_strength=0.1).search(bags)]
     except ValueError as error:

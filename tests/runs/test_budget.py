@@ -26,7 +26,8 @@ def trained(train_freq: int, budget: int, *, option: bool = False) -> DQN:
         replay_buffer_class=OptionReplayBuffer, buffer_size=1_000, exploration_fraction=1.0,
     )  # fmt: skip
     model.learn(budget, [PrimitiveStepsCallback(), KeepToBudget()])
-    assert model.train_freq == TrainFreq(train_freq, TrainFrequencyUnit.STEP)
+    left: Any = model.train_freq
+    assert left == TrainFreq(train_freq, TrainFrequencyUnit.STEP)
     return model
 
 
