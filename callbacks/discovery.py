@@ -8,6 +8,7 @@ import os
 from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar
 
+import numpy as np
 import torch
 from stable_baselines3.common.logger import Figure, TensorBoardOutputFormat
 
@@ -335,6 +336,40 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             self.logger.record(
                 f"discovery/{name}", Figure(figure, close=True), exclude=("stdout", "log", "json", "csv")
             )
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint, at the start of a rollout."""
+        return {
+            **super().get_state(),
+            "episodes": self.episodes,
+            "history": tuple(map(np.array, zip(*self.history, strict=True))),
+            "discoveries": [dataclasses.asdict(each) for each in self.discoveries],
+            "closed": [dataclasses.asdict(each) for each in self.closed],
+            "made_here": sorted(self._made_here),
+            "generator": self._generator.get_state(),
+            "search": self._search.get_state(),
+            "statistics": self._statistics.get_state(),
+            "growth": self._growth.get_state(),
+            "trials": None if self._trials is None else self._trials.get_state(),
+            "options": self._options.get_state(),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave, once training has started."""
+        super().set_state(state)
+        self.episodes = state["episodes"]
+        columns = [column.tolist() for column in state["history"]]
+        self.history[:] = [EpisodeRecord(*each) for each in zip(*columns, strict=True)]
+        self.discoveries[:] = [DiscoveredOption(**each) for each in state["discoveries"]]
+        self.closed[:] = [ClosedOption(**each) for each in state["closed"]]
+        self._made_here = set(state["made_here"])
+        self._generator.set_state(state["generator"])
+        self._search.set_state(state["search"])
+        self._statistics.set_state(state["statistics"])
+        self._growth.set_state(state["growth"])
+        if self._trials is not None:
+            self._trials.set_state(state["trials"])
+        self._options.set_state(state["options"])
 
     def _on_training_end(self) -> None:
         super()._on_training_end()
