@@ -15,7 +15,7 @@ from stable_baselines3.common.logger import Logger
 from sb3_options.checkpoints.tree import State
 from sb3_options.learning import buffer_state
 
-SUPPORTED = ("DQN", "OptionDQN", "QRDQN", "PPO", "MaskablePPO", "A2C", "TRPO", "RecurrentPPO")
+SUPPORTED = ("DQN", "OptionDQN", "QRDQN", "PPO", "MaskablePPO", "A2C", "TRPO", "RecurrentPPO", "MacroQ")
 """Names of the classes of models whose whole state is known."""
 
 COUNTERS = (
@@ -55,7 +55,8 @@ def get_state(model: BaseAlgorithm) -> State:
     state: State = {
         "class": type(model).__name__,
         "policy": dict(model.policy.state_dict()),
-        "optimizer": model.policy.optimizer.state_dict(),
+        "optimizer": model.policy.optimizer.state_dict() if hasattr(model.policy, "optimizer") else None,
+        "own": model.get_state() if hasattr(model, "get_state") else None,
         "counters": {name: getattr(model, name) for name in COUNTERS if hasattr(model, name)},
         "last": {name: getattr(model, name, None) for name in LAST},
         "total": model._total_timesteps,
@@ -81,7 +82,10 @@ def set_state(model: BaseAlgorithm, state: State) -> None:
     if state["class"] != type(model).__name__:
         raise ValueError(f"The checkpoint is of {state['class']}, the model is {type(model).__name__}.")
     model.policy.load_state_dict(state["policy"])
-    model.policy.optimizer.load_state_dict(state["optimizer"])
+    if state["optimizer"] is not None:
+        model.policy.optimizer.load_state_dict(state["optimizer"])
+    if state["own"] is not None:
+        model.set_state(state["own"])  # type: ignore[attr-defined]  # as there
     for name, value in (state["counters"] | state["last"]).items():
         setattr(model, name, value)
     model.start_time = time.time_ns() - state["elapsed"]
