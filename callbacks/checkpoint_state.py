@@ -70,7 +70,9 @@ def set_states(root: BaseCallback | None, states: list[State]) -> None:
     callbacks = _callbacks(root)
     here, there = [type(each).__name__ for each in callbacks], [state["class"] for state in states]
     if here != there:
-        raise ValueError(f"The checkpoint was written with the callbacks {', '.join(there)}, here are {', '.join(here)}.")
+        raise ValueError(
+            f"The checkpoint was written with the callbacks {', '.join(there)}, here are {', '.join(here)}."
+        )
     for callback, state in zip(callbacks, states, strict=True):
         for name, value in (state["counters"] | state["known"]).items():
             setattr(callback, name, value)

@@ -110,7 +110,6 @@ class CheckpointCallback(BaseCallback):
         models.set_logged(model.logger, state["logged"])
         event_files.cut(model.logger, state["event_files"])
         for callback in all_callbacks(self._root):
-            callback.num_timesteps = model.num_timesteps
             if isinstance(callback, ProgressBarCallback):
                 callback.pbar.update(model.num_timesteps - before)
             if state["logged"]["figures"] and hasattr(callback, "draw"):

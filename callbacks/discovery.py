@@ -291,7 +291,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         if self.verbose:
             print(f"Option {slot}: {option.name}, after {self.episodes} episodes and {self.num_timesteps:,} steps")
         self._save()
-        self._draw()
+        self.draw()
 
     def _save(self) -> None:
         if self.save_path is not None:
@@ -329,7 +329,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         for tag, value in self._statistics.values().items():
             record(tag, value)
 
-    def _draw(self) -> None:
+    def draw(self) -> None:
+        """Draw the pictures of discovery for TensorBoard, with the next dump of the log."""
         if not any(isinstance(output, TensorBoardOutputFormat) for output in self.logger.output_formats):
             return
         for name, figure in discovery_figures(self._search, self.bank).items():
@@ -378,7 +379,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             self._trials.end()
         if self.closed:
             self._save()  # without them
-        self._draw()
+        self.draw()
         if self.logger.name_to_value:  # rl-zoo3 ends training twice, and an empty dump warns
             self.logger.dump(self.num_timesteps)
 

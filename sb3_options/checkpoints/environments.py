@@ -37,7 +37,18 @@ def get_state(venv: VecEnv) -> State:
     while isinstance(venv, VecEnvWrapper):
         wrappers.append({"class": type(venv).__name__, "state": _wrapper_state(venv)})
         venv = venv.venv
-    return {"wrappers": wrappers, "environments": _states(venv)}
+    # An environment for evaluation that was not yet reset has still to be seeded.
+    seeds, options = list(venv._seeds), [dict(each) for each in venv._options]
+    return {"wrappers": wrappers, "environments": _states(venv), "seeds": seeds, "options": options}
+
+
+def refusal(venv: VecEnv | None) -> str | None:
+    """Why there can be no checkpoints of an environment; None if there can."""
+    try:
+        get_state(venv)  # type: ignore[arg-type]  # a model without an environment is not trained
+    except ValueError as error:
+        return str(error)
+    return None
 
 
 def set_state(venv: VecEnv, state: State) -> None:
@@ -57,6 +68,7 @@ def set_state(venv: VecEnv, state: State) -> None:
             f"The checkpoint is of {len(state['environments'])} environments, here are {venv.num_envs} in "
             f"{type(venv).__name__}."
         )
+    venv._seeds, venv._options = state["seeds"], state["options"]
     for i, states in enumerate(state["environments"]):
         if isinstance(venv, DummyVecEnv):
             layers.set_states(venv.envs[i], states)

@@ -162,9 +162,7 @@ class GroupedDiscovery(SubgoalDiscovery):
         super().set_state(state)
         for contrast, of_contrast in zip(self._contrasts.values(), state["contrasts"], strict=True):
             contrast.set_state(of_contrast)
-        for member, of_member, leads in zip(
-            self.members.values(), state["members"], state["leading"], strict=True
-        ):
+        for member, of_member, leads in zip(self.members.values(), state["members"], state["leading"], strict=True):
             member.set_state(of_member)  # each holds the same database
             if leads:
                 self.tracker = member.tracker

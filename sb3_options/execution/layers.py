@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -19,6 +20,7 @@ from stable_baselines3.common.monitor import Monitor
 State = dict[str, Any]
 
 REMEMBER_NOTHING = (
+    wrappers.PassiveEnvChecker,  # it checks the first step once more
     wrappers.TransformAction,
     wrappers.TransformObservation,
     wrappers.TransformReward,
@@ -93,7 +95,6 @@ def _how(layer: Any) -> _Layer:
 ATTRIBUTES: dict[type[Any], tuple[str, ...]] = {
     wrappers.TimeLimit: ("_elapsed_steps",),
     wrappers.OrderEnforcing: ("_has_reset",),
-    wrappers.PassiveEnvChecker: ("checked_reset", "checked_step", "checked_render", "close_called"),
     wrappers.Autoreset: ("autoreset",),
 }
 """What wrappers of Gymnasium remember."""
@@ -138,7 +139,7 @@ def _monitor_state(monitor: Monitor[Any, Any]) -> State:
         "times": np.array(monitor.episode_times),
         "total_steps": monitor.total_steps,
         "reset_info": dict(monitor.current_reset_info),
-        "bytes": None if writer is None else os.stat(writer.file_handler.name).st_size,
+        "bytes": None if writer is None else Path(writer.file_handler.name).stat().st_size,
     }
 
 
@@ -150,7 +151,7 @@ def _set_monitor_state(monitor: Monitor[Any, Any], state: State) -> None:
     monitor.current_reset_info = state["reset_info"]
     if monitor.results_writer is not None and state["bytes"] is not None:
         file = monitor.results_writer.file_handler
-        if os.stat(file.name).st_size >= state["bytes"]:
+        if Path(file.name).stat().st_size >= state["bytes"]:
             os.truncate(file.name, state["bytes"])  # it is open for appending
 
 

@@ -65,9 +65,7 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave."""
         self.recorder = None
-        self.set(
-            state["recorder"] is not None, None if state["peaks"] is None else RewardPeaks(**state["peaks"]), None
-        )
+        self.set(state["recorder"] is not None, None if state["peaks"] is None else RewardPeaks(**state["peaks"]), None)
         if self.recorder is not None:
             self.recorder.set_state(state["recorder"])
 

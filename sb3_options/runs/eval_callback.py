@@ -25,6 +25,8 @@ class WatchedEvalCallback(EvalCallback):
         **kwargs: Likewise.
     """
 
+    remembers_nothing = True  # more than EvalCallback does, from one evaluation to the next
+
     def __init__(self, interrupts: Interrupts, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.interrupts = interrupts

@@ -39,6 +39,7 @@ LAST = (
     "feature_map",
     "bonus",
     "close_harmful",
+    "checkpoint_freq",
     "eval_episodes",
     "eval_max_steps",
     "vec_env",
@@ -51,7 +52,7 @@ LAST = (
 INTRODUCTION = """Train an agent that discovers its own options, or evaluate one.
   ALGORITHM         maskableppo (default), ppo, a2c, trpo, recurrentppo, dqn,
                     qrdqn, optiondqn. Its settings: `train.py ppo --help`
-  evaluate RUN      plays a run again: `train.py evaluate --help`
+  evaluate RUN      plays a run again; `resume RUN` goes on with one
   --config FILE     reads settings from YAML; flags win over it
   --help discovery  shows how subgoals are found, `--help option` how options
                     are learned, `--help all` every flag
