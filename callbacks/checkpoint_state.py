@@ -12,7 +12,6 @@ from sb3_options.callbacks.counting import all_callbacks
 from sb3_options.checkpoints.tree import State
 
 KNOWN: dict[type[BaseCallback], tuple[str, ...]] = {
-    sb3.CallbackList: (),
     sb3.CheckpointCallback: (),
     sb3.ConvertCallback: (),
     sb3.EvalCallback: (
@@ -81,8 +80,9 @@ def set_states(root: BaseCallback | None, states: list[State]) -> None:
 
 
 def _callbacks(root: BaseCallback | None) -> list[BaseCallback]:
-    found = [each for each in all_callbacks(root) if not isinstance(each, sb3.ProgressBarCallback)]
-    return found
+    # A progress bar comes in a list of its own, and is there in one training and not in the next.
+    passed_over = (sb3.ProgressBarCallback, sb3.CallbackList)
+    return [each for each in all_callbacks(root) if not isinstance(each, passed_over)]
 
 
 def _tells(callback: Any) -> bool:

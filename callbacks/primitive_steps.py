@@ -106,11 +106,14 @@ class PrimitiveStepsCallback(BaseCallback):
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint, at the start of a rollout."""
-        return {"budget": self._budget, "updates_before": self._updates_before}
+        total = self.model._total_timesteps
+        return {"total": total, "budget": self._budget, "updates_before": self._updates_before}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave, once training has started."""
-        self._budget, self._updates_before = state["budget"], state["updates_before"]
+        self._updates_before = state["updates_before"]
+        if state["total"] == self.model._total_timesteps:  # else learn() was called for another budget
+            self._budget = state["budget"]
 
     def _on_training_end(self) -> None:
         for name, schedule in self._stock_schedules.items():
