@@ -44,7 +44,7 @@ def get_states(root: BaseCallback | None) -> list[State]:
             "class": type(each).__name__,
             "counters": {name: getattr(each, name) for name in COUNTERS},
             "known": {name: getattr(each, name) for name in _names(each)},
-            "own": each.get_state() if _tells(each) else None,
+            "own": each.get_state() if _tells(each) else None,  # type: ignore[attr-defined]  # it tells
         }
         for each in _callbacks(root)
     ]

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import torch
@@ -264,7 +264,7 @@ def _learn(
             what = f"{config.algo.upper()} on {config.env} for {config.n_timesteps:,} primitive steps"
             console.print(f"Training {escape(what)}.")
             # A model that was not trained yet counts from 0 all the same, but goes on in the same TensorBoard folder.
-            log = {"tb_log_name": "tensorboard", "reset_num_timesteps": not resume}
+            log: dict[str, Any] = {"tb_log_name": "tensorboard", "reset_num_timesteps": not resume}
             model.learn(config.n_timesteps, callbacks, progress_bar=config.progress, **log)
         finished = not interrupts.noted
     except KeyboardInterrupt:

@@ -31,7 +31,7 @@ def cut(logger: Logger, before: dict[str, int]) -> None:
     if not any(file.name in before for file in files):
         return
     own = {
-        Path(output.writer.file_writer.event_writer._file_name).name  # type: ignore[union-attr]  # untyped, and there
+        Path(output.writer.file_writer.event_writer._file_name).name  # type: ignore[attr-defined]  # a writer that was not closed has it
         for output in logger.output_formats
         if isinstance(output, TensorBoardOutputFormat)
     }

@@ -45,7 +45,7 @@ class Record(NamedTuple):
 
 def record(cls: type[Any]) -> Record:
     """Of a dataclass or named tuple, whose constructor takes all of its fields."""
-    names = [f.name for f in dataclasses.fields(cls)] if dataclasses.is_dataclass(cls) else list(cls._fields)  # type: ignore[attr-defined]  # of a named tuple
+    names = [f.name for f in dataclasses.fields(cls)] if dataclasses.is_dataclass(cls) else list(cls._fields)
     return Record(cls, cls, lambda each: {name: getattr(each, name) for name in names})
 
 

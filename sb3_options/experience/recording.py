@@ -73,6 +73,13 @@ class TrajectoryRecorder:
         """What ``info`` says of what is finished."""
         return {"trajectory": self.finished[-1]}
 
+    def _forget(self) -> None:
+        self._row_of: dict[bytes, int] = {}
+        self._states: list[Any] = []
+        self._visits: list[int] = []
+        self._actions: list[int] = []
+        self._rewards: list[float] = []
+
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint: the trajectory under way. What is finished was taken when its step ended."""
         return {
@@ -92,13 +99,6 @@ class TrajectoryRecorder:
         self._row_of = {obs_batch.key_of(each): row for row, each in enumerate(self._states)}
         self._visits, self._actions = state["visits"].tolist(), state["actions"].tolist()
         self._rewards = state["rewards"].tolist()
-
-    def _forget(self) -> None:
-        self._row_of: dict[bytes, int] = {}
-        self._states: list[Any] = []
-        self._visits: list[int] = []
-        self._actions: list[int] = []
-        self._rewards: list[float] = []
 
     def _start(self, observation: Any) -> None:
         self._forget()

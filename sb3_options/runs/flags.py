@@ -111,7 +111,7 @@ def _show_help(default: TrainConfig, section: str | bool, prog: str) -> None:
     groups = {name: getattr(default, name) for name in GROUPS if section in (name, "all")}
     if section not in GROUPS:
         names = [f.name for f in dataclasses.fields(of) if f.name not in (*FIRST, *LAST, *GROUPS, "algo")]
-        rest = {"learning": view("How the agent learns.", names)(), "other": view("", LAST)()}
+        rest = {"learning": view("", names)(), "other": view("", LAST)()}
         groups = rest | groups
     everything = view("", () if section in GROUPS else FIRST, **groups)
     tyro.cli(everything, prog=prog, description=INTRODUCTION, args=["--help"])
