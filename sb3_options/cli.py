@@ -25,7 +25,6 @@ import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options.atomic import atomic_write
 from sb3_options.callbacks import CheckpointCallback, IntrinsicRewardCallback, SubgoalDiscoveryCallback
 from sb3_options.callbacks.checkpoints import load_checkpoint
-from sb3_options.checkpoints.environments import refusal
 from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.execution.trials import TrialSettings
 from sb3_options.execution.workers import WorkerLostError, end_workers
@@ -39,7 +38,7 @@ from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.eval_callback import eval_callback_class
 from sb3_options.runs.flags import parse
 from sb3_options.runs.interrupts import Interrupts, StopWhenNoted
-from sb3_options.runs.resume import ResumeConfig, config_of
+from sb3_options.runs.resume import ResumeConfig, config_of, refusal
 from sb3_options.runs.series import KEPT, StopWhenLearned, free_slots
 
 console = Console(highlight=False, soft_wrap=True)
@@ -293,7 +292,7 @@ def _checkpoints(
     config: TrainConfig, folder: Path, model: BaseAlgorithm, callbacks: list[BaseCallback], *, resume: bool
 ) -> list[BaseCallback]:
     """The callback that writes them, if the environment allows it; training goes on from the last one to ``resume``."""
-    why = refusal(model.get_env())
+    why = refusal(config, model.get_env())
     if why is not None and not resume:
         console.print(f"[yellow]No checkpoints:[/] {escape(why)}")
         return []

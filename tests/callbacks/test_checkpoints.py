@@ -323,6 +323,11 @@ class TestCheckpointCallback:
         assert not list(tmp_path.iterdir())
 
 
+def test_refuses_other_methods_of_discovery(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"^Checkpoints of discovery by RandomPlaces are not supported yet\.$"):
+        model_of("PPO", venv_of()).learn(64, [discovering(method="random"), CheckpointCallback(tmp_path)])
+
+
 def test_history_and_discoveries_come_back_as_they_were(tmp_path: Path) -> None:
     first, again = discovering(), discovering()
     _, _ = trained(lambda: model_of("A2C", venv_of()), [first, CheckpointCallback(tmp_path, 1)])
