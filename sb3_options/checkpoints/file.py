@@ -163,7 +163,7 @@ def _cut(array: npt.NDArray[Any], folder: Path) -> State:
     names = []
     for start in range(0, len(rows), n):
         block = rows[start : start + n]
-        name = hashlib.sha256(memoryview(block)).hexdigest()
+        name = hashlib.sha256(block.data).hexdigest()
         names.append(name)
         if not (folder / f"{name}{SUFFIX}").is_file():
             with atomic_write(folder / f"{name}{SUFFIX}") as temporary:
@@ -177,7 +177,7 @@ def _joined(about: State, folder: Path) -> npt.NDArray[Any]:
         if not _NAME.fullmatch(name):
             raise ValueError(f"{name!r} is no name of a block")
         rows = from_safetensors((folder / f"{name}{SUFFIX}").read_bytes())["rows"]
-        if hashlib.sha256(memoryview(np.ascontiguousarray(rows))).hexdigest() != name:
+        if hashlib.sha256(np.ascontiguousarray(rows).data).hexdigest() != name:
             raise ValueError(f"the contents of its block {name} are not what was written to it")
         parts.append(rows)
     array = np.concatenate(parts)
