@@ -6,7 +6,7 @@ import dataclasses
 import logging
 import os
 from collections.abc import Iterable, Mapping
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,7 +18,7 @@ from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
 from sb3_options.callbacks.records import ClosedOption, DiscoveredOption, OptionStatistics
 from sb3_options.callbacks.trials import OptionTrials
-from sb3_options.checked import is_number, whole
+from sb3_options.checked import given_as, is_number, whole
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.figures import discovery_figures
@@ -39,8 +39,6 @@ from sb3_options.options.policies import PolicyInput
 from sb3_options.options.settings import OptionLearningSettings
 
 logger = logging.getLogger("sb3_options")
-
-S = TypeVar("S")
 
 SEGMENTS_PER_LOG = 4
 """Segments between two dumps of the log; SB3's default is as many episodes."""
@@ -111,11 +109,11 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         verbose: int = 0,
     ) -> None:
         super().__init__(verbose)
-        self.settings = _as(DiscoverySettings, {} if settings is None else settings)
+        self.settings = given_as(DiscoverySettings, {} if settings is None else settings)
         if isinstance(method, str):
             self.settings = dataclasses.replace(self.settings, method=method)
         self.method = None if isinstance(method, str) else method
-        self.option_settings = _as(OptionLearningSettings, {} if option_settings is None else option_settings)
+        self.option_settings = given_as(OptionLearningSettings, {} if option_settings is None else option_settings)
         if max_new_options is not None and not whole(max_new_options, 0):
             raise ValueError(f"max_new_options must be at least 0, got {max_new_options!r}.")
         if not (is_number(min_reached) and 0.0 <= min_reached <= 1.0):
@@ -127,10 +125,10 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.static_filter = static_filter
         if not isinstance(groups, Iterable | None):
             raise TypeError(f"groups must be FeatureGroups, or mappings of their fields, got {groups!r}.")
-        self.groups = None if groups is None else tuple(_as(FeatureGroup, group) for group in groups)
+        self.groups = None if groups is None else tuple(given_as(FeatureGroup, group) for group in groups)
         self.max_new_options = max_new_options
         self.interruption = interruption
-        self.trial = None if trial is None else _as(TrialSettings, trial)
+        self.trial = None if trial is None else given_as(TrialSettings, trial)
         if self.trial is not None and self.settings.segmentation == "peaks":
             raise ValueError("A trial compares episodes, and a continuing task has none: pass trial=None with peaks.")
         self.max_option_exploration = checked_share(max_option_exploration)
@@ -395,10 +393,3 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.draw()
         if self.logger.name_to_value:  # rl-zoo3 ends training twice, and an empty dump warns
             self.logger.dump(self.num_timesteps)
-
-
-def _as(settings: type[S], given: S | Mapping[str, Any]) -> S:
-    """The settings themselves, or those with the given fields."""
-    if not isinstance(given, Mapping | settings):
-        raise TypeError(f"{settings.__name__} must be given as one, or as a mapping of its fields, got {given!r}.")
-    return settings(**given) if isinstance(given, Mapping) else given

@@ -8,7 +8,7 @@ the same class.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral, Real
 from typing import Any, TypeVar, dataclass_transform
 
@@ -51,6 +51,17 @@ def is_number(value: object) -> bool:
 def whole(value: object, least: int) -> bool:
     """Whether this is a whole number of at least ``least``."""
     return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
+
+
+def given_as(cls: type[T], given: T | Mapping[str, Any]) -> T:
+    """Settings as they were given, or those with the given fields.
+
+    Raises:
+        TypeError: They are neither.
+    """
+    if not isinstance(given, Mapping | cls):
+        raise TypeError(f"{cls.__name__} must be given as one, or as a mapping of its fields, got {given!r}.")
+    return cls(**given) if isinstance(given, Mapping) else given
 
 
 def readable(error: ValidationError, names: Sequence[str] = ()) -> str:

@@ -25,6 +25,7 @@ import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options.atomic import atomic_write
 from sb3_options.callbacks import CheckpointCallback, IntrinsicRewardCallback, SubgoalDiscoveryCallback
 from sb3_options.callbacks.checkpoints import load_checkpoint
+from sb3_options.checkpoints.environments import refusal
 from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.execution.trials import TrialSettings
 from sb3_options.execution.workers import WorkerLostError, end_workers
@@ -40,13 +41,11 @@ from sb3_options.runs.eval_callback import eval_callback_class
 from sb3_options.runs.flags import parse
 from sb3_options.runs.interrupts import Interrupts, StopWhenNoted
 from sb3_options.runs.logs import KeepTraining, without
-from sb3_options.runs.resume import ResumeConfig, config_of, refusal
+from sb3_options.runs.resume import ResumeConfig, config_of
 from sb3_options.runs.series import KEPT, StopWhenLearned, free_slots
 
 console = Console(highlight=False, soft_wrap=True)
 errors = Console(highlight=False, soft_wrap=True, stderr=True)
-
-FIGURE_DPI = 110
 
 INTERRUPTED = 130
 """Exit status where an interrupt left nothing; shells use it for a process that SIGINT ended."""
@@ -65,9 +64,10 @@ def main(args: Sequence[str] | None = None) -> None:
         elif args[:1] == ["resume"]:
             resumed = tyro.cli(ResumeConfig, prog="train.py resume", args=args[1:])
             _train(config_of(resumed), resumed=resumed.run)
+        elif (config := parse(args)).series:
+            train_series(config)
         else:
-            config = parse(args)
-            (train_series if config.series else train)(config)
+            train(config)
     except KeyboardInterrupt as interrupt:
         errors.print(" ".join(["Interrupted", *interrupt.args]) + ".")
         sys.exit(INTERRUPTED)
@@ -300,7 +300,7 @@ def _checkpoints(
     config: TrainConfig, folder: Path, model: BaseAlgorithm, callbacks: list[BaseCallback], *, resume: bool
 ) -> list[BaseCallback]:
     """The callback that writes them, if the environment allows it; training goes on from the last one to ``resume``."""
-    why = refusal(config, model.get_env())
+    why = refusal(model.get_env())
     if why is not None and not resume:
         console.print(f"[yellow]No checkpoints:[/] {escape(why)}")
         return []
@@ -362,7 +362,7 @@ def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path
         discovery.bank.bind(lambda observations: env.env_method("concept_features", observations)[0])
     with without(folder / runs.SUBGOALS), atomic_write(folder / runs.SUBGOALS) as temporary:
         figure = subgoals_figure(discovery.discovery, discovery.bank, _why_nothing(discovery))
-        figure.savefig(temporary, dpi=FIGURE_DPI)
+        figure.savefig(temporary, dpi=110)
 
 
 def evaluate(config: evaluation.EvaluateConfig) -> evaluation.Evaluation:

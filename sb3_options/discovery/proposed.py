@@ -80,12 +80,28 @@ class ProposedDiscovery(SubgoalDiscovery):
         return None
 
     def get_state(self) -> dict[str, Any]:
-        """For a checkpoint, in which what the method has seen cannot be.
+        """For a checkpoint.
 
         Raises:
-            ValueError: Always.
+            ValueError: The method does not tell what it remembers.
         """
-        raise ValueError(f"Checkpoints of discovery by {type(self.method).__name__} are not supported yet.")
+        if not hasattr(self.method, "get_state"):
+            raise ValueError(
+                f"Checkpoints of discovery by {type(self.method).__name__} are not supported: give it get_state() and "
+                "set_state(state)."
+            )
+        return {
+            **super().get_state(),
+            "method": self.method.get_state(),
+            "untold": self._untold,
+            "proposals": self._proposals,
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        super().set_state(state)
+        self._untold, self._proposals = state["untold"], state["proposals"]
+        self.method.set_state(state["method"])  # type: ignore[attr-defined]  # it has told
 
     def why_nothing(self) -> str:
         """Why there is no option, in a sentence."""

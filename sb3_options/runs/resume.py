@@ -8,9 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_options.checkpoints import environments
 from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
@@ -35,13 +33,6 @@ class ResumeConfig:
     env_wrapper: str | None = None
     feature_map: str | None = None
     progress: bool = True
-
-
-def refusal(config: TrainConfig, venv: VecEnv | None) -> str | None:
-    """Why there can be no checkpoints of a run; None if there can."""
-    if config.discovery.method != "diverse-density":
-        return f"Checkpoints of discovery by {config.discovery.method} are not supported yet."
-    return environments.refusal(venv)
 
 
 def config_of(resumed: ResumeConfig) -> TrainConfig:

@@ -22,6 +22,10 @@ from sb3_options.checkpoints import file as checkpoint_file
 from sb3_options.checkpoints.comparison import differing
 from sb3_options.checkpoints.file import read
 from sb3_options.checkpoints.tree import State
+from sb3_options.discovery.methods import DiscoveryMethod, Experience, Proposal
+from sb3_options.discovery.methods.graphs import Betweenness, LCut
+from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
+from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
 from sb3_options.learning.dqn import OptionDQN
 from sb3_options.learning.macro_q import MacroQ
 from tests.integration.test_algorithms import ALGORITHMS, GAMMA, OFF_POLICY
@@ -323,9 +327,30 @@ class TestCheckpointCallback:
         assert not list(tmp_path.iterdir())
 
 
-def test_refuses_other_methods_of_discovery(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"^Checkpoints of discovery by RandomPlaces are not supported yet\.$"):
-        model_of("PPO", venv_of()).learn(64, [discovering(method="random"), CheckpointCallback(tmp_path)])
+def test_refuses_a_method_that_does_not_tell(tmp_path: Path) -> None:
+    class Silent:
+        def update(self, experience: Experience) -> list[Proposal]:
+            return []
+
+    with pytest.raises(ValueError, match=r"^Checkpoints of discovery by Silent are not supported: give it get_state"):
+        model_of("PPO", venv_of()).learn(64, [discovering(method=Silent()), CheckpointCallback(tmp_path)])
+
+
+@pytest.mark.usefixtures("keep_all")
+@pytest.mark.parametrize("make", [VisitFrequency, RelativeNovelty, LCut, Betweenness, RandomPlaces])
+def test_methods_of_discovery(make: Callable[..., DiscoveryMethod], tmp_path: Path) -> None:
+    """Settings with which each makes an option in these few steps."""
+    soon: dict[Any, dict[str, Any]] = {
+        VisitFrequency: {"min_successes": 2, "threshold": 0.1},
+        RelativeNovelty: {"lag": 2, "threshold": 1.0, "odds": 1.0},
+        LCut: {"min_seen": 2, "max_cut": 2.0},
+        Betweenness: {"min_seen": 2, "min_share": 0.1},
+        RandomPlaces: {"min_successes": 4},
+    }
+    callbacks, _ = check_resumes(
+        lambda: model_of("A2C", venv_of()), lambda: [discovering(method=make(**soon[make]))], tmp_path, cuts=(0.2, 0.7)
+    )
+    assert callbacks[0].discoveries  # type: ignore[attr-defined]  # of discovery
 
 
 def test_history_and_discoveries_come_back_as_they_were(tmp_path: Path) -> None:

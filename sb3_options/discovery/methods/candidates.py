@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -102,3 +103,19 @@ class Candidates:
         accepted = self.accept(seen, hits)
         order = np.argsort(-accepted, kind="stable")
         return [experience.region(places[i].point) for i in order if accepted[i] > 0]
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint: the places, those not seen for longest first."""
+        places = self._places.values()
+        return {
+            "bins": np.array([np.frombuffer(key) for key in self._places]),
+            "points": np.array([place.point for place in places]),
+            "counts": np.array([(place.seen, place.hits, place.allowed) for place in places], dtype=np.float64),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self._places = OrderedDict(
+            (of.tobytes(), _Place(point, float(seen), float(hits), bool(allowed)))
+            for of, point, (seen, hits, allowed) in zip(state["bins"], state["points"], state["counts"], strict=True)
+        )

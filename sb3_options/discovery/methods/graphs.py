@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import networkx as nx
 import numpy as np
 from scipy.linalg import eigh
@@ -20,7 +22,7 @@ class LCut:
     The last ``horizon`` transitions of a trajectory are a graph, weighted by how often each was made. It is cut in two
     by spectral clustering (Shi & Malik 2000). If the normalised cut is below ``max_cut``, the places through which
     transitions led from one part into the other are candidates. A subgoal is a place that was a candidate in
-    ``min_share`` of at least ``min_seen`` graphs. The defaults are the paper's.
+    ``min_share`` of at least ``min_seen`` graphs. The defaults were set once, and not tuned.
 
     Args:
         horizon: h, in transitions.
@@ -51,6 +53,14 @@ class LCut:
         self._candidates.add(experience, seen, hits)
         return self._candidates.proposals(experience)
 
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return self._candidates.get_state()
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self._candidates.set_state(state)
+
 
 class Betweenness:
     """Şimşek & Barto (2008), *Skill Characterization Based on Betweenness*.
@@ -78,6 +88,14 @@ class Betweenness:
         hits[local_maxima(visits)] = 1
         self._candidates.add(experience, seen, hits)
         return self._candidates.proposals(experience)
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return self._candidates.get_state()
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self._candidates.set_state(state)
 
 
 def weights_of(visits: IntArray, n: int) -> FloatArray:

@@ -73,7 +73,8 @@ class Places(NamedTuple):
 class DiscoveryMethod(Protocol):
     """Proposes subgoals from what the agent lived through, and from nothing else.
 
-    Any object with this method may be passed as `SubgoalDiscoveryCallback(method=…)`.
+    Any object with this method may be passed as `SubgoalDiscoveryCallback(method=…)`. A checkpoint also needs
+    ``get_state()``, which gives a dictionary of arrays and plain values, and ``set_state(state)``.
     """
 
     def update(self, experience: Experience) -> list[Proposal]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from sb3_options.discovery.methods.candidates import Candidates, more_likely
@@ -15,7 +17,7 @@ class RelativeNovelty:
     A state's novelty is 1/√n after its n-th visit in a trajectory. The relative novelty of a time is the mean novelty
     of the states of ``lag`` steps from it on, over that of the ``lag`` steps before it. A state is a candidate at a
     time if this exceeds ``threshold``. A subgoal is what is a candidate oftener than other states are, by the
-    likelihood ratio of two binomial distributions. The defaults are the paper's.
+    likelihood ratio of two binomial distributions. The defaults were set once, and not tuned.
 
     Args:
         lag: l_n, in primitive steps.
@@ -46,6 +48,14 @@ class RelativeNovelty:
         hits = np.bincount(places.visits[times[relative > self.threshold]], minlength=k)
         self._candidates.add(experience, seen, hits)
         return self._candidates.proposals(experience)
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return self._candidates.get_state()
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self._candidates.set_state(state)
 
 
 def relative_novelty(visits: IntArray, lag: int) -> tuple[IntArray, FloatArray]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -54,6 +54,20 @@ class VisitFrequency:
         self._tracker.update(centres, experience.scale)
         return [experience.region(concept.point) for concept in self._tracker.persistent()]
 
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {
+            "successes": self._successes,
+            "visited": self._visited.get_state(),
+            "tracker": self._tracker.get_state(),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self._successes = state["successes"]
+        self._visited.set_state(state["visited"])
+        self._tracker.set_state(state["tracker"])
+
 
 def _most(seen: FloatArray, hits: FloatArray) -> FloatArray:
     """Accept what was visited most, and what ties with it."""
@@ -82,3 +96,12 @@ class RandomPlaces:
         if not experience.success or self._successes < self.min_successes or not len(allowed):
             return []
         return [experience.region(experience.places.points[self._random.choice(allowed)])]
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {"successes": self._successes, "random": self._random.bit_generator.state}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self._successes = state["successes"]
+        self._random.bit_generator.state = state["random"]
