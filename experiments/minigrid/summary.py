@@ -57,11 +57,11 @@ def _options(runs: Sequence[Result]) -> dict[str, Any]:
     found: Counter[str] = Counter()
     ends: dict[str, list[Counter[str]]] = {}
     for run in runs:
-        for option in run["options"]:
-            found[option["where"]] += 1
-            counts = ends.setdefault(option["where"], [Counter() for _ in run["stages"]])
+        for where in {option["where"] for option in run["options"]}:
+            found[where] += 1
+            counts = ends.setdefault(where, [Counter() for _ in run["stages"]])
             for stage, count in zip(run["stages"], counts, strict=True):
-                count.update(stage["option_runs"].get(str(option["slot"]), {}))
+                count.update(stage["option_runs"].get(f"reach {where}", {}))
     return {
         where: {
             "n_runs": n,
