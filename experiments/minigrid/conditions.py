@@ -64,17 +64,18 @@ def run(family: str, arm: Arm, seed: int) -> Result:
             else:
                 model.set_env(venv)
             notes = Notes()
-            special = _callback(arm, seed, discovers=number < max(1, len(stages) - 1))
+            callbacks = _callbacks(arm, seed, discovers=number < max(1, len(stages) - 1))
             began = time.perf_counter()
-            model.learn(stage.frames, callback=[notes] if special is None else [special, notes])
+            model.learn(stage.frames, callback=[*callbacks, notes])
             seconds = time.perf_counter() - began
             runs = {name: dict(ends) for name, ends in notes.runs.items()}
             result["stages"].append({"curve": notes.curve, "option_runs": runs, "seconds": seconds})
-            if isinstance(special, SubgoalDiscoveryCallback):
-                result["options"] += [_about(special, found, number) for found in special.discoveries]
-                result["stages"][-1]["discovery_seconds"] = special.discovery.seconds if special.discovery else 0.0
-                how["options"] = Path(folder) / "options"
-                special.bank.save(how["options"])
+            for found in callbacks:
+                if isinstance(found, SubgoalDiscoveryCallback):
+                    result["options"] += [_about(found, discovery, number) for discovery in found.discoveries]
+                    result["stages"][-1]["discovery_seconds"] = found.discovery.seconds if found.discovery else 0.0
+                    how["options"] = Path(folder) / "options"
+                    found.bank.save(how["options"])
             venv.close()
         fresh = env_seed + FRESH
         venv = venv_of(stages[-1].env_id, fresh, **how)
@@ -84,18 +85,22 @@ def run(family: str, arm: Arm, seed: int) -> Result:
     return result
 
 
-def _callback(arm: Arm, seed: int, *, discovers: bool) -> BaseCallback | None:
-    if arm == "discovered":
-        return SubgoalDiscoveryCallback(
+def _callbacks(arm: Arm, seed: int, *, discovers: bool) -> list[BaseCallback]:
+    callbacks: list[BaseCallback] = []
+    if arm in settings.DISCOVERING:
+        discovery = SubgoalDiscoveryCallback(
             settings.DISCOVERY,
             max_new_options=None if discovers else 0,
             opening_share=settings.OPENING_SHARE,
             min_reached=settings.MIN_REACHED,
             seed=seed,
         )
+        callbacks.append(discovery)
     if arm == "hand-made":
-        return PrimitiveStepsCallback()
-    return IntrinsicRewardCallback("rnd", weight=settings.RND_WEIGHT, seed=seed) if arm == "stock, RND" else None
+        callbacks.append(PrimitiveStepsCallback())
+    if arm in settings.WITH_BONUS:
+        callbacks.append(IntrinsicRewardCallback("rnd", weight=settings.RND_WEIGHT, seed=seed))
+    return callbacks
 
 
 def _about(callback: SubgoalDiscoveryCallback, found: DiscoveredOption, stage: int) -> dict[str, Any]:

@@ -5,16 +5,19 @@ from __future__ import annotations
 from typing import Any, Literal, NamedTuple, get_args
 
 Arm = Literal[
-    "discovered", "hand-made", "stock, curriculum", "stock", "stock, rl-zoo3's settings", "stock, RND",
+    "discovered", "discovered, RND", "hand-made",
+    "stock, curriculum", "stock, RND", "stock, rl-zoo3's settings", "stock",
 ]  # fmt: skip
 ARMS: tuple[Arm, ...] = get_args(Arm)
-"""``stock``: PPO in the last task alone, for the frames of all stages. ``stock, curriculum``: PPO through all stages,
-weights carried over; ``stock, rl-zoo3's settings``: the same with these, ``stock, RND``: the same with a bonus for what
-is new. ``discovered``: through all stages with options that are discovered in the stages before the last, and kept.
-``hand-made``: through all stages with options by hand from the first step on, the bound."""
+"""``stock``: PPO in the last task alone, for the frames of all stages. All others go through all stages and take the
+weights along. ``stock, curriculum``: PPO; ``stock, rl-zoo3's settings``: with these; ``stock, RND``: with a bonus for
+what is new in each task. ``discovered``: with options that are discovered in the stages before the last, and kept;
+``discovered, RND``: with the bonus too. ``hand-made``: with options by hand from the first step on, the bound."""
 
+DISCOVERING: tuple[Arm, ...] = ("discovered", "discovered, RND")
+WITH_OPTIONS: tuple[Arm, ...] = (*DISCOVERING, "hand-made")
+WITH_BONUS: tuple[Arm, ...] = ("discovered, RND", "stock, RND")
 ZOO_ARM: Arm = "stock, rl-zoo3's settings"
-WITH_OPTIONS: tuple[Arm, ...] = ("discovered", "hand-made")
 
 
 class Stage(NamedTuple):
@@ -96,9 +99,11 @@ REACHED = (0.5, 0.8, 0.9)
 
 def of(arm: Arm) -> dict[str, Any]:
     """What one arm alone has."""
-    special: dict[str, dict[str, Any]] = {
-        "discovered": {"min_reached": MIN_REACHED, "discovers_in": "all stages but the last"},
-        ZOO_ARM: {"ppo": ZOO, "n_envs": ZOO_N_ENVS, "normalised": True},
-        "stock, RND": {"rnd_weight": RND_WEIGHT},
-    }
-    return special.get(arm, {})
+    special: dict[str, Any] = {}
+    if arm in DISCOVERING:
+        special |= {"min_reached": MIN_REACHED, "discovers_in": "all stages but the last"}
+    if arm in WITH_BONUS:
+        special |= {"rnd_weight": RND_WEIGHT}
+    if arm == ZOO_ARM:
+        special |= {"ppo": ZOO, "n_envs": ZOO_N_ENVS, "normalised": True}
+    return special
