@@ -1,4 +1,4 @@
-"""A film of the agent that ``examples/minigrid.py`` trains, with the name of the running option below each picture.
+"""A film of the agent of ``examples/minigrid_options.py``, with the name of the running option below each picture.
 
 ``python -m experiments.minigrid.film --model minigrid.zip --out docs/images/multiroom.gif``
 """

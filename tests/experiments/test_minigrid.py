@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.minigrid import agents, settings
+from experiments.minigrid import agents, keys, settings
 from experiments.minigrid.__main__ import Study, folder_of, main
 from experiments.minigrid.conditions import stages_of
 from experiments.minigrid.hand_made import FORWARD, LEFT, RIGHT, TOGGLE, approach
@@ -118,3 +118,21 @@ def test_folders_of_arms_have_plain_names() -> None:
     folders = [folder_of(arm) for arm in ARMS]
     assert len(set(folders)) == len(ARMS)
     assert all(re.fullmatch(r"[\w-]+", folder) for folder in folders)
+
+
+def test_contrasts_of_keys_in_equal_times(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(settings, "N_ENVS", 2)
+    monkeypatch.setitem(settings.PPO, "n_steps", 64)
+    monkeypatch.setitem(settings.PPO, "batch_size", 64)
+    keys.main(keys.Keys(out=tmp_path, runs=1, first_seed=0, jobs=1, frames=600))
+    written = json.loads((tmp_path / "results.json").read_text())
+    (run,) = written["runs"]
+    assert run["failures"] > 0
+    assert list(run["equal_time"]) == list(keys.CONCEPTS)
+    assert all(-1 <= value <= 1 for value in run["all_time"].values())
+
+
+def test_the_point_of_a_concept() -> None:
+    point = keys.point_of({"key": (0, 0), "locked_door": (1, 0)})[0]
+    shown = {name: value for name, value in zip(FEATURES, point, strict=True) if value}
+    assert shown == {"key_visible": 1, "locked_door_visible": 1, "locked_door_forward": 1}

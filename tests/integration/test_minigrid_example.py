@@ -1,4 +1,4 @@
-"""``examples/minigrid.py`` as a user runs it, but shorter, and the film of its agent."""
+"""``examples/minigrid_options.py`` as a user runs it, but shorter, and the film of its agent."""
 
 from pathlib import Path
 
@@ -19,8 +19,7 @@ CHOOSING = ROOT / "docs" / "guide" / "concept-features.md"
 @pytest.fixture(scope="module")
 def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("example")
-    code = EXAMPLE.read_text(encoding="utf-8").replace("    main()", "    main(2_000, 2_000)")
-    result = processes.python("-c", code, cwd=folder)
+    result = processes.python(str(EXAMPLE), "2_000", "2_000", cwd=folder)
     assert result.returncode == 0, result.stderr
     return folder / "minigrid.zip"
 

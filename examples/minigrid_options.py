@@ -1,5 +1,7 @@
 """Options that travel: discovered in two rooms of MiniGrid, used in four. Needs the extras contrib and minigrid."""
 
+import sys
+
 from sb3_contrib import MaskablePPO
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecEnv
@@ -29,4 +31,4 @@ def main(steps_in_two: int = 40_000, steps_in_four: int = 80_000, options_file: 
 
 
 if __name__ == "__main__":
-    main()
+    main(*map(int, sys.argv[1:3]))  # python examples/minigrid_options.py 40_000 80_000
