@@ -25,7 +25,7 @@ FPS = 6.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Film:
+class Study:
     """What is filmed.
 
     Attributes:
@@ -45,7 +45,7 @@ class Film:
     most_actions: int = 1_000
 
 
-def main(film: Film) -> None:
+def main(film: Study) -> None:
     """Play, and film it."""
     with video_file(film.out, FPS) as video:
         task = make(film.env_id, render_mode="rgb_array", tile_size=PIXELS, highlight=True)
@@ -67,4 +67,4 @@ def main(film: Film) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Film))
+    main(tyro.cli(Study))

@@ -43,7 +43,7 @@ CONCEPTS: dict[str, dict[str, tuple[float, float]]] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Keys(Flags):
+class Study(Flags):
     """Compare successes and failures.
 
     Attributes:
@@ -98,7 +98,7 @@ def compare(seed: int, frames: int) -> Result:
     return result
 
 
-def main(study: Keys) -> None:
+def main(study: Study) -> None:
     """Run the comparison, and write and print what it found."""
     used: dict[str, Any] = {"task": TASK, "frames": study.frames, "ppo": settings.PPO, "n_envs": settings.N_ENVS}
     results = run_seeds(
@@ -118,4 +118,4 @@ def main(study: Keys) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Keys))
+    main(tyro.cli(Study))

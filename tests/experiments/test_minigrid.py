@@ -124,7 +124,7 @@ def test_contrasts_of_keys_in_equal_times(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(settings, "N_ENVS", 2)
     monkeypatch.setitem(settings.PPO, "n_steps", 64)
     monkeypatch.setitem(settings.PPO, "batch_size", 64)
-    keys.main(keys.Keys(out=tmp_path, runs=1, first_seed=0, jobs=1, frames=600))
+    keys.main(keys.Study(out=tmp_path, runs=1, first_seed=0, jobs=1, frames=600))
     written = json.loads((tmp_path / "results.json").read_text())
     (run,) = written["runs"]
     assert run["failures"] > 0

@@ -34,7 +34,7 @@ def test_the_example_leaves_a_model_that_went_on_in_four_rooms(model: Path) -> N
 
 
 def test_the_film_names_what_runs(model: Path, tmp_path: Path) -> None:
-    film.main(film.Film(model=model, out=tmp_path / "film.gif", episodes=1, most_actions=5))
+    film.main(film.Study(model=model, out=tmp_path / "film.gif", episodes=1, most_actions=5))
     pictures = imageio.mimread(tmp_path / "film.gif")
     assert len(pictures) >= 2
     height, width = pictures[0].shape[:2]
