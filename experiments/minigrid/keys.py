@@ -83,7 +83,7 @@ def compare(seed: int, frames: int) -> Result:
     Returns:
         ``successes``, ``failures``: how many trajectories; ``equal_time`` and ``all_time``: contrasts by concept.
     """
-    venv = venv_of(TASK, seed * SEEDS_APART, slots=1)
+    venv = venv_of(TASK, seed * SEEDS_APART, n_envs=settings.N_ENVS, slots=1)
     model = model_of("discovered", venv, seed * SEEDS_APART)
     never = {**settings.DISCOVERY, "min_positive": settings.DISCOVERY["capacity"] + 1}
     callback = SubgoalDiscoveryCallback(never, seed=seed)

@@ -55,7 +55,7 @@ class Contrast:
         columns = np.split(which.ravel(), np.cumsum([len(v.states) for v in visits])[:-1])
         success = np.array([t.success for t in trajectories], dtype=bool)
         durations = np.sort([len(t.trajectory) for t in trajectories if t.success])
-        reached, began = np.zeros((2, len(visits), len(states)), dtype=np.float32)
+        reached, began = np.zeros((2, len(visits), len(states)))
         for i, (v, its) in enumerate(zip(visits, columns, strict=True)):
             reached[i, its] = 1.0
             if self.equal_time and not success[i] and len(durations):
