@@ -20,7 +20,8 @@ from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.figures import discovery_figures
-from sb3_options.discovery.grouped import discovery_on
+from sb3_options.discovery.methods import DiscoveryMethod, MethodName
+from sb3_options.discovery.proposed import discovery_with
 from sb3_options.discovery.settings import DiscoverySettings, described
 from sb3_options.discovery.static_filter import StaticFilter
 from sb3_options.discovery.subgoals import SubgoalDiscovery
@@ -61,6 +62,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     Args:
         settings: How subgoals are found: a `DiscoverySettings`, or a mapping of its fields.
         option_settings: How options are learned; likewise.
+        method: How subgoals are found: the name of a method, or a `DiscoveryMethod` of your own; by default what the
+            settings say.
         success: Which trajectories make positive bags; by default ``info["is_success"]``, or, in an environment without
             it, a positive last reward above all earlier ones in a terminal state.
         static_filter: What may be a subgoal; by default not near the start and end of a trajectory.
@@ -91,6 +94,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         settings: DiscoverySettings | Mapping[str, Any] | None = None,
         option_settings: OptionLearningSettings | Mapping[str, Any] | None = None,
         *,
+        method: MethodName | DiscoveryMethod | None = None,
         success: SuccessRule = reported_success,
         static_filter: StaticFilter | None = None,
         groups: Iterable[FeatureGroup | Mapping[str, Any]] | None = None,
@@ -106,6 +110,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     ) -> None:
         super().__init__(verbose)
         self.settings = _as(DiscoverySettings, settings or {})
+        if isinstance(method, str):
+            self.settings = dataclasses.replace(self.settings, method=method)
+        self.method = None if isinstance(method, str) else method
         self.option_settings = _as(OptionLearningSettings, option_settings or {})
         if max_new_options is not None and max_new_options < 0:
             raise ValueError(f"max_new_options must be at least 0, got {max_new_options}.")
@@ -156,9 +163,10 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         )
         if self.discovery is None:
             groups = venv.env_method("feature_groups", indices=[0])[0] if self.groups is None else self.groups
-            self.discovery = discovery_on(
-                groups,
+            self.discovery = discovery_with(
                 self.settings,
+                groups,
+                self.method,
                 success=self.success,
                 static_filter=self.static_filter,
                 kind=venv.env_method("feature_kind", indices=[0])[0],

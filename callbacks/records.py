@@ -28,7 +28,7 @@ class DiscoveredOption:
         timestep: Primitive steps taken.
         subgoal: The subgoal's centre in concept space, shape (d,).
         where: The same for people: ``state 57`` of a discrete space, else coordinates.
-        log_density: Best log diverse density of the search that completed it.
+        log_density: Best log diverse density of the search that completed it; NaN where another method found it.
         initiation_states: Size of its initiation set.
     """
 

@@ -2,42 +2,51 @@
 
 ``python -m experiments.random_walks --runs 20 --out FOLDER`` lets an agent walk at random in two rooms, in four, with a
 key and a door, and on maps that are drawn at random, and searches after every episode. It writes ``results.json`` and
-``random_walks.png``. Interrupted, it goes on where it was.
+``random_walks.png``. Interrupted, it goes on where it was. ``--compare methods`` does so with other methods of
+discovery beside diverse density.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Literal
 
 import tyro
 from rich.table import Table
 
 from experiments.common.seeds import Part, run_parts
 from experiments.common.study import Flags, show, write
-from experiments.random_walks.conditions import ARMS, MAX_OPTIONS, N_EPISODES, TASKS, run
+from experiments.random_walks.conditions import ARMS, MAX_OPTIONS, METHODS, N_EPISODES, TASKS, run
 from experiments.random_walks.plots import draw
 from experiments.random_walks.summary import Summary, summarise
 
 
 @dataclass(frozen=True, kw_only=True)
 class Study(Flags):
-    """Discover from random walks for many seeds, and say how many subgoals are bottlenecks."""
+    """Discover from random walks for many seeds, and say how many subgoals are bottlenecks.
+
+    Attributes:
+        compare: How bags are made, or methods of discovery with their defaults.
+    """
 
     runs: int = 20
+    compare: Literal["bags", "methods"] = "bags"
 
 
 def main(study: Study) -> None:
     """Run the study, and write and print what it found."""
+    arms = ARMS if study.compare == "bags" else METHODS
     parts = [
         Part(f"{task}: {arm}", partial(run, task, changed), study.out / task.replace(" ", "_") / str(i))
         for task in TASKS
-        for i, (arm, changed) in enumerate(ARMS.items())
+        for i, (arm, changed) in enumerate(arms.items())
     ]
-    settings = {"arms": ARMS, "n_episodes": N_EPISODES, "max_options": MAX_OPTIONS}
+    settings = {"arms": arms, "n_episodes": N_EPISODES, "max_options": MAX_OPTIONS}
     results = run_parts(parts, study.seeds(), settings=settings, jobs=study.jobs, description="Walking")
     summary = summarise(results)
-    command = f"python -m experiments.random_walks --runs {study.runs} --first-seed {study.first_seed}"
+    command = f"python -m experiments.random_walks --runs {study.runs} --first-seed {study.first_seed} "
+    command += f"--compare {study.compare}"
     content = {"command": command, **settings, "summary": summary, "runs": results}
     write(study.out, content, {"random_walks": draw(results)}, dpi=110)
     show(_table(summary), f"Results: {study.out / 'results.json'}, {study.out / 'random_walks.png'}")

@@ -10,8 +10,8 @@ import numpy as np
 from experiments.common.gridworlds import NEAR, world_of
 from experiments.common.seeds import Result
 from experiments.random_walks.maps import random_map
+from sb3_options.discovery.proposed import discovery_with
 from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.envs import GridWorld
 from sb3_options.envs.gridworld.grid_map import Direction
 from sb3_options.experience.recording import EpisodeRecorder
@@ -29,6 +29,17 @@ ARMS: dict[str, dict[str, Any]] = {
     "the same, sooner": {"min_positive": 4, "decay": 0.75},
 }
 """What is changed of the defaults."""
+
+METHODS: dict[str, dict[str, Any]] = {
+    "diverse density": {},
+    "first visits": {"method": "first-visits"},
+    "every visit": {"method": "every-visit"},
+    "relative novelty": {"method": "relative-novelty"},
+    "L-cut": {"method": "l-cut"},
+    "local betweenness": {"method": "betweenness"},
+    "random places": {"method": "random"},
+}
+"""Methods of discovery with their defaults."""
 
 N_EPISODES = 60
 MAX_OPTIONS = 4
@@ -61,7 +72,7 @@ def run(task: str, changed: dict[str, Any], seed: int, n_episodes: int | None = 
         of all searches.
     """
     world, rng = world_for(task, seed), np.random.default_rng(seed)
-    discovery = SubgoalDiscovery(DiscoverySettings(**changed), kind="environment")
+    discovery = discovery_with(DiscoverySettings(**changed), kind="environment")
     found: list[dict[str, Any]] = []
     world.reset(seed=seed)
     for episode in range(1, (n_episodes or N_EPISODES) + 1):

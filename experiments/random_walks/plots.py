@@ -8,15 +8,16 @@ from matplotlib.figure import Figure
 
 from experiments.common.gridworlds import counts_of, frame_doorways
 from experiments.common.seeds import Result
-from experiments.random_walks.conditions import ARMS, TASKS, world_for
+from experiments.random_walks.conditions import TASKS, world_for
 
 
 def draw(results: Mapping[str, Sequence[Result]]) -> Figure:
     """Where subgoals fell on the maps that are the same for every seed, a row for each of the arms."""
     tasks = [task for task in TASKS if task != "random maps"]
-    figure = Figure(figsize=(10.5, 2.1 * len(ARMS)), layout="constrained")
-    grid = figure.subplots(len(ARMS), len(tasks), squeeze=False)
-    for row, arm in zip(grid, ARMS, strict=True):
+    arms = list(dict.fromkeys(name.split(": ")[1] for name in results))
+    figure = Figure(figsize=(10.5, 2.1 * len(arms)), layout="constrained")
+    grid = figure.subplots(len(arms), len(tasks), squeeze=False)
+    for row, arm in zip(grid, arms, strict=True):
         for axes, task in zip(row, tasks, strict=True):
             world = world_for(task, 0)
             runs = results[f"{task}: {arm}"]

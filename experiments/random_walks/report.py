@@ -15,26 +15,28 @@ from experiments.common.documents import fill
 
 @dataclass(frozen=True)
 class Report:
-    """Fill in the table.
+    """Fill in the tables.
 
     Attributes:
         results: What the study wrote.
+        methods: What it wrote with ``--compare methods``.
         document: The page.
     """
 
     results: Path = Path("docs/results/random-walks.json")
+    methods: Path = Path("docs/results/random-walks-methods.json")
     document: Path = Path("docs/studies/random-walks.md")
 
 
 def main(report: Report) -> None:
     """Read, and fill in."""
-    results = json.loads(report.results.read_text(encoding="utf-8"))
-    fill(report.document, {"subgoals": table(results["summary"])})
+    bags, methods = (json.loads(path.read_text(encoding="utf-8")) for path in (report.results, report.methods))
+    fill(report.document, {"subgoals": table(bags["summary"]), "methods": table(methods["summary"], "method")})
 
 
-def table(summary: Mapping[str, Any]) -> str:
+def table(summary: Mapping[str, Any], compared: str = "bags") -> str:
     """A row for each task and arm."""
-    rows = ["| | bags | first subgoals | all subgoals | median episode of the first |", "|---|---|---|---|---|"]
+    rows = [f"| | {compared} | first subgoals | all subgoals | median episode of the first |", "|---|---|---|---|---|"]
     for name, row in summary.items():
         task, arm = name.split(": ")
         rows.append(f"| {task} | {arm} | {_share(row['first'])} | {_share(row['all'])} | {_episode(row)} |")

@@ -106,14 +106,8 @@ class BagMaker:
         positive = [t for t in database if t.success]
         if len(positive) < self.settings.min_positive:
             return None
-        if self.scale is None and self.group is not None:
-            self.scale = np.asarray(self.group.scale) * (self.settings.scale or 1.0)
-        if self.scale is None:
-            seen = np.concatenate([t.features for t in database])
-            given = self.settings.scale
-            if self.kind == "identity" and is_one_hot(seen):
-                self.kind = "categorical"
-            self.scale = default_scale(self.kind, seen) if given is None else np.full(seen.shape[1], given)
+        self._find_scale(database)
+        assert self.scale is not None  # of any trajectories
         self._known = {id(t): self._known.get(id(t)) or self._know(t, self.scale) for t in database}
         known = [self._known[id(t)] for t in positive]
         made = [self._bag(k, passage, taken) for k, passage in zip(known, self._passages(known), strict=True)]
@@ -125,6 +119,35 @@ class BagMaker:
             known = [self._known[id(t)] for t in database if not t.success]
             negative_bags = [bag for k in known if len(bag := self._bag(k, k.allowed, taken))]
         return FilteredBags(positive_bags, negative_bags)
+
+    def _find_scale(self, database: Sequence[LabelledTrajectory]) -> None:
+        """Set the scale, by all that was seen so far, unless it is set."""
+        if self.scale is not None:
+            return
+        if self.group is not None:
+            self.scale = np.asarray(self.group.scale) * (self.settings.scale or 1.0)
+            return
+        seen = np.concatenate([t.features for t in database])
+        given = self.settings.scale
+        if self.kind == "identity" and is_one_hot(seen):
+            self.kind = "categorical"
+        self.scale = default_scale(self.kind, seen) if given is None else np.full(seen.shape[1], given)
+
+    def knows_scale(self, database: Iterable[LabelledTrajectory]) -> bool:
+        """Whether the scale is known, from as many trajectories as a search needs where their range sets it."""
+        database = list(database)
+        if database and (self.kind != "identity" or len(database) >= self.settings.min_positive):
+            self._find_scale(database)
+        return self.scale is not None
+
+    def may_be_subgoals(self, labelled: LabelledTrajectory, taken: Sequence[Region]) -> BoolArray:
+        """Which states of a trajectory may be subgoals, (m,): the static filter leaves them, and no subgoal is near."""
+        assert self.scale is not None  # `knows_scale` is asked first
+        allowed = self._allowed(labelled, self.scale)
+        known = _Known(labelled, np.arange(len(allowed)), labelled.features, labelled.features * self.scale, allowed)
+        for subgoal in taken:
+            allowed = allowed & (self._distance(known, subgoal) > self.settings.spacing)
+        return allowed
 
     def forget_bags(self) -> None:
         """Every bag changes: instances near a new subgoal are filtered out."""

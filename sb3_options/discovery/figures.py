@@ -53,8 +53,8 @@ def discovery_figures(discovery: SubgoalDiscovery, bank: OptionBank) -> dict[str
         bank: The options made so far.
 
     Returns:
-        ``diverse_density``, ``first_visits``, ``initiation_set`` and ``option_policy``; empty before any search, and
-        the last two only once there is an option in a space that can be drawn.
+        ``diverse_density``, ``first_visits``, ``initiation_set`` and ``option_policy``; empty before any search, the
+        first only where that is the method, and the last two only once there is an option in a space that can be drawn.
     """
     panels, height = _panels(discovery, bank)
     figures: dict[str, Figure] = {}
@@ -135,10 +135,9 @@ class _Marks(NamedTuple):
 def _panels(discovery: SubgoalDiscovery, bank: OptionBank) -> tuple[dict[str, Callable[[Axes], None]], float]:
     """What draws each panel, by name, and the height of one in inches."""
     bags = discovery.found[-1].bags if discovery.found else discovery.last.bags
-    if bags is None or discovery.scale is None:
+    if discovery.scale is None or (bags is None and not discovery.found):
         return {}, HEIGHTS[0]
     seen = np.unique(np.concatenate([t.features for t in discovery.database]), axis=0)
-    density = np.asarray(discovery.engine().log_density(seen, bags))
     visits = _first_visits(discovery, seen)
     d = seen.shape[1]
     runs = list(discovery.database)
@@ -147,17 +146,18 @@ def _panels(discovery: SubgoalDiscovery, bank: OptionBank) -> tuple[dict[str, Ca
         np.unique(np.reshape([t.features[t.trajectory.visits[-1]] for t in runs if t.success], (-1, d)), axis=0),
         np.reshape([finding.subgoal.points[0] for finding in discovery.found], (-1, d)),
     )
-    shown = np.maximum(density, min(density.max() - WORST_SHOWN, np.quantile(density, 1.0 - SHARE_SHOWN)))
+    density = None if bags is None else np.asarray(discovery.engine().log_density(seen, bags))
+    panels: dict[str, Callable[[Axes], None]] = {}
     if discovery.kind == "categorical":
-        return {
-            "diverse_density": lambda axes: _bars(axes, DENSITY, seen, density, marks),
-            "first_visits": lambda axes: _bars(axes, VISITS, seen, visits, marks),
-        }, HEIGHTS[0]
+        if density is not None:
+            panels["diverse_density"] = lambda axes: _bars(axes, DENSITY, seen, density, marks)
+        panels["first_visits"] = lambda axes: _bars(axes, VISITS, seen, visits, marks)
+        return panels, HEIGHTS[0]
     cells = _Cells(seen, discovery.scale, marks)
-    panels: dict[str, Callable[[Axes], None]] = {
-        "diverse_density": lambda axes: cells.draw(axes, DENSITY, shown),
-        "first_visits": lambda axes: cells.draw(axes, VISITS, visits),
-    }
+    if density is not None:
+        shown = np.maximum(density, min(density.max() - WORST_SHOWN, np.quantile(density, 1.0 - SHARE_SHOWN)))
+        panels["diverse_density"] = lambda axes: cells.draw(axes, DENSITY, shown)
+    panels["first_visits"] = lambda axes: cells.draw(axes, VISITS, visits)
     options = [o for o in bank.slots if isinstance(o, SubgoalOption)]
     if options:
         panels["initiation_set"] = lambda axes: cells.draw_sets(axes, [o.initiation_set for o in options])

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import Any
 
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.bag_maker import BagMaker
 from sb3_options.discovery.contrast import Contrast
-from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.subgoals import Search, SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory, TrajectoryDatabase
@@ -151,15 +149,3 @@ class GroupedDiscovery(SubgoalDiscovery):
                 f"than the others do; min_contrast is {self.settings.min_contrast:g}."
             )
         return super().why_nothing()
-
-
-def discovery_on(groups: Iterable[FeatureGroup], settings: DiscoverySettings, **how: Any) -> SubgoalDiscovery:
-    """Discovery on these groups of features, or on all features if there are none.
-
-    Args:
-        groups: Of features.
-        settings: Of discovery.
-        **how: Other arguments of `SubgoalDiscovery`.
-    """
-    groups = tuple(groups)
-    return GroupedDiscovery(settings, groups=groups, **how) if groups else SubgoalDiscovery(settings, **how)

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from sb3_options.checked import Field, settings
+from sb3_options.discovery.methods import MethodName
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.recording import RewardPeaks
 
@@ -17,6 +18,8 @@ class DiscoverySettings:
     """How subgoals are found (McGovern & Barto 2001, §4–5). Distances are in scaled units of concept space.
 
     Attributes:
+        method: How: by ``diverse-density``, or by another of `methods.METHODS`, for which of the settings below only
+            the static filter, `spacing`, `subgoal_radius`, `scale`, `capacity` and the segmentation count.
         segmentation: What a trajectory is: one of the ``episodes``, or, for continuing tasks, a segment between two
             ``peaks`` of reward (`continuing.RewardPeaks`).
         peak_reward: The least reward of a peak; None takes any that is positive.
@@ -55,6 +58,7 @@ class DiscoverySettings:
         spacing: A new subgoal must be farther than this from those that have an option; likewise.
     """
 
+    method: MethodName = "diverse-density"
     segmentation: Literal["episodes", "peaks"] = "episodes"
     peak_reward: Annotated[float, Field(allow_inf_nan=False)] | None = None
     max_segment: Annotated[int, Field(ge=1)] = 10_000

@@ -52,12 +52,12 @@ class FoundSubgoal(NamedTuple):
 
     Attributes:
         subgoal: In concept space.
-        bags: Of the search that completed it.
-        log_density: Best log diverse density of that search.
+        bags: Of the search that completed it; None where another method found it.
+        log_density: Best log diverse density of that search; NaN likewise.
     """
 
     subgoal: Region
-    bags: Bags
+    bags: Bags | None
     log_density: float
 
 

@@ -155,9 +155,11 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         if not (self._expects_empty or self._warned):
             self._warned = True
             logger.warning(
-                "Slot %d was chosen, and it is empty: a random primitive action takes its place. A model that was "
-                "trained with options needs them in the environment it acts in: sb3_options.load_model(DQN, "
-                '"model.zip", env) or sb3_options.load_options("model.zip", env). This is said once.',
+                "Slot %d was chosen, and it is empty: a random primitive action takes its place. To train, give "
+                "learn() a SubgoalDiscoveryCallback, or a PrimitiveStepsCallback where nothing is to be discovered: "
+                "they close empty slots, which harm learning otherwise. A trained model needs its options in the "
+                'environment it acts in: sb3_options.load_model(DQN, "model.zip", env) or '
+                'sb3_options.load_options("model.zip", env). This is said once.',
                 slot,
             )
 

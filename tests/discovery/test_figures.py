@@ -98,7 +98,9 @@ class TestMaps:
         discovery, bank = discovered("environment", xy)
         squares = patches(discovery_figures(discovery, bank)["diverse_density"])
         seen = np.unique(np.concatenate([t.features for t in discovery.database]), axis=0)
-        values = np.asarray(discovery.engine().log_density(seen, discovery.found[0].bags))
+        bags = discovery.found[0].bags
+        assert bags is not None
+        values = np.asarray(discovery.engine().log_density(seen, bags))
         worst = min(values.max() - 60, np.quantile(values, 0.75))
         np.testing.assert_allclose(squares.get_array(), np.maximum(values, worst))  # type: ignore[arg-type]  # set above
         centres = np.array([path.get_extents().get_points().mean(axis=0) for path in squares.get_paths()])

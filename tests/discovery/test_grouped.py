@@ -7,7 +7,8 @@ from sb3_options import OptionBank
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.discovery.contrast import NO_PLACE, Contrast
 from sb3_options.discovery.figures import discovery_figures, subgoals_figure
-from sb3_options.discovery.grouped import OutcomeDatabase, discovery_on
+from sb3_options.discovery.grouped import OutcomeDatabase
+from sb3_options.discovery.proposed import discovery_with
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray
@@ -43,7 +44,7 @@ def walk(rng: np.random.Generator, success: bool) -> tuple[Trajectory, FloatArra
 
 
 def discovered(groups: Sequence[FeatureGroup], settings: DiscoverySettings = SOON) -> SubgoalDiscovery:
-    discovery = discovery_on(groups, settings)
+    discovery = discovery_with(settings, groups)
     rng = np.random.default_rng(0)
     for i in range(60):
         discovery.add(*walk(rng, success=i % 2 == 0))
@@ -70,7 +71,7 @@ def test_a_pair_must_contrast_more_than_its_parts() -> None:
 
 
 def test_without_groups_it_is_the_discovery_on_all_features() -> None:
-    assert type(discovery_on([], SOON)) is SubgoalDiscovery
+    assert type(discovery_with(SOON)) is SubgoalDiscovery
 
 
 def test_where_nothing_stands_out_it_says_so() -> None:

@@ -144,6 +144,7 @@ class TestSearch:
         # −log p = −2 log(1 − (1 − e⁰)·…) = 0: both bags hold the very place.
         assert finding.log_density == pytest.approx(0.0, abs=1e-12)
         assert finding.subgoal.radius == 0.5
+        assert finding.bags is not None
         assert finding.bags.lengths == (3, 3)
 
     def test_persistence_takes_several_searches(self) -> None:
@@ -206,7 +207,9 @@ class TestSearch:
         discovery.add(*on_a_line(1, 5.5, 21))
         subgoal = found(discovery)
         assert subgoal in ([5.0], [5.5])
-        assert discovery.found[0].bags.n_positive == 2
+        bags = discovery.found[0].bags
+        assert bags is not None
+        assert bags.n_positive == 2
 
     @pytest.mark.parametrize("search", ["exhaustive", "incremental"])
     def test_only_the_last_trajectories_count(self, search: str) -> None:
@@ -487,6 +490,7 @@ RANGES: list[tuple[str, tuple[Any, ...], str]] = [
     ("negative_strength", (0.0, -0.5, 1.5, math.nan), "should be (greater than 0|less than or equal to 1)"),
     ("leak", (-0.1, 1.0, math.nan), "should be (greater than or equal to 0|less than 1)"),
     ("search", ("random", None), "should be 'gradient', 'exhaustive' or 'incremental'"),
+    ("method", ("hand", None), "should be 'diverse-density', 'first-visits',"),
     ("segmentation", ("lives", None), "should be 'episodes' or 'peaks'"),
     ("peak_reward", (math.nan, math.inf), "should be a finite number"),
     ("min_passing", (-0.1, 1.0, math.nan), "should be (greater than or equal to 0|less than 1)"),

@@ -1,10 +1,11 @@
 import json
 from pathlib import Path
+from typing import Literal
 
 import pytest
 
 from experiments.random_walks.__main__ import Study, main
-from experiments.random_walks.conditions import ARMS, TASKS, is_bottleneck, run, world_for
+from experiments.random_walks.conditions import ARMS, METHODS, TASKS, is_bottleneck, run, world_for
 from experiments.random_walks.maps import SIDES, random_map
 from experiments.random_walks.report import table
 from sb3_options.envs import GridWorld
@@ -39,15 +40,21 @@ def test_a_run_is_of_its_seed(task: str) -> None:
     assert first["seed"] != other["seed"]
 
 
-def test_study_writes_results_and_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("compare", "arms"), [("bags", ARMS), ("methods", METHODS)])
+def test_study_writes_results_and_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compare: Literal["bags", "methods"], arms: dict[str, object]
+) -> None:
     monkeypatch.setattr("experiments.random_walks.conditions.N_EPISODES", 4)
-    main(Study(out=tmp_path, runs=1, first_seed=0, jobs=1))
+    main(Study(out=tmp_path, runs=1, first_seed=0, jobs=1, compare=compare))
     written = json.loads((tmp_path / "results.json").read_text())
-    assert set(written["summary"]) == {f"{task}: {arm}" for task in TASKS for arm in ARMS}
+    assert written["command"].endswith(f"--compare {compare}")
+    assert set(written["summary"]) == {f"{task}: {arm}" for task in TASKS for arm in arms}
     assert (tmp_path / "random_walks.png").stat().st_size > 10_000
 
 
-def test_the_table_of_the_page() -> None:
+def test_the_tables_of_the_page() -> None:
     results = json.loads(Path("docs/results/random-walks.json").read_text())
     page = Path("docs/studies/random-walks.md").read_text()
     assert table(results["summary"]) in page
+    methods = json.loads(Path("docs/results/random-walks-methods.json").read_text())
+    assert table(methods["summary"], "method") in page

@@ -247,6 +247,7 @@ class TestWarning:
         assert caplog.records == []
         DQN("MlpPolicy", optioned_rooms(), gamma=0.9, **DQN_KIND).learn(150)
         assert "it is empty" in caplog.text
+        assert "give learn() a SubgoalDiscoveryCallback, or a PrimitiveStepsCallback" in caplog.text
 
 
 def with_bias(model: Any) -> None:

@@ -1,0 +1,1 @@
+"""What becomes of damaged files, full disks, long runs and killed processes?"""

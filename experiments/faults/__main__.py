@@ -1,0 +1,114 @@
+"""What becomes of damaged files, full disks and long runs?
+
+``python -m experiments.faults files|disk|memory|all --out FOLDER``. Interrupted, it goes on with the part it was in.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import tyro
+from rich.progress import track
+from rich.table import Table
+
+from experiments.common.seeds import Part, run_parts, write_json
+from experiments.common.study import show, write
+from experiments.faults import disk, files, memory
+from experiments.faults.run_folder import run_folder
+from sb3_options.runs import folder as runs
+
+PARTS = ("files", "disk", "memory")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """Damage files, fill disks, and train for long.
+
+    Attributes:
+        part: Which, or all.
+        out: Folder for results.json and everything that is kept.
+        n_files: How often each file is damaged.
+        n_offsets: Full disks for each kind of file, and for a training.
+        n_timesteps: Of each long run.
+        seed: Of the damages and the runs.
+        jobs: Processes of the long runs; by default one a core.
+    """
+
+    part: tyro.conf.Positional[Literal["all", "files", "disk", "memory"]]
+    out: Path
+    n_files: int = 1000
+    n_offsets: int = 50
+    n_timesteps: int = memory.N_TIMESTEPS
+    seed: int = 1000
+    jobs: int | None = None
+
+
+def main(study: Study) -> None:
+    """Run the parts, and write and print what was found."""
+    functions: dict[str, Callable[[Study], dict[str, Any]]] = {"files": _files, "disk": _disk, "memory": _memory}
+    found: dict[str, Any] = {}
+    for name in PARTS:
+        path = study.out / "parts" / f"{name}.json"
+        if study.part in (name, "all"):
+            found[name] = functions[name](study)
+            write_json(path, found[name])
+        elif path.is_file():
+            found[name] = json.loads(path.read_text(encoding="utf-8"))
+    command = f"python -m experiments.faults {study.part} --n-files {study.n_files} --n-offsets {study.n_offsets}"
+    command += f" --n-timesteps {study.n_timesteps} --seed {study.seed}"
+    write(study.out, {"command": command, **found}, {})
+    show(*(_table(name, rows) for name, rows in found.items()), f"Results: {study.out / 'results.json'}")
+
+
+def _files(study: Study) -> dict[str, Any]:
+    run = run_folder(study.out / "run")
+    random = np.random.default_rng(study.seed)
+    names = (runs.OPTIONS, runs.MODEL)
+    return {name: files.check(run.path / name, files.options_in, study.n_files, random) for name in names}
+
+
+def _disk(study: Study) -> dict[str, Any]:
+    run = run_folder(study.out / "run")
+    kinds = disk.writers(run).items()
+    found: dict[str, Any] = {
+        name: disk.overwrite(name, save, study.n_offsets) for name, save in track(kinds, description="Full disks")
+    }
+    return found | {"training": disk.trainings(run, study.n_offsets)}
+
+
+def _memory(study: Study) -> dict[str, Any]:
+    parts = [
+        Part(name, partial(memory.run, name, study.n_timesteps), study.out / "memory" / name.replace(" ", "_"))
+        for name in memory.CASES
+    ]
+    settings = {"n_timesteps": study.n_timesteps}
+    results = run_parts(parts, [study.seed], settings=settings, jobs=study.jobs, description="Long runs")
+    return {name: runs_[0] for name, runs_ in results.items()}
+
+
+def _table(part: str, rows: dict[str, Any]) -> Table:
+    flat: dict[str, dict[str, Any]] = {}
+    for name, row in rows.items():
+        if all(isinstance(cell, dict) for cell in row.values()):
+            flat |= {f"{name}: {kind}": cells for kind, cells in row.items()}
+        else:
+            flat[name] = row
+    columns = list(dict.fromkeys(column for cells in flat.values() for column in cells))
+    table = Table(part, *columns)
+    for name, cells in flat.items():
+        table.add_row(name, *(_shown(cells.get(column, "")) for column in columns))
+    return table
+
+
+def _shown(value: Any) -> str:
+    return f"{value:.1f}" if isinstance(value, float) else str(value)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Study))

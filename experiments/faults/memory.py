@@ -1,0 +1,147 @@
+"""Long runs: does memory grow?"""
+
+from __future__ import annotations
+
+import gc
+import os
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from stable_baselines3 import DQN, PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.monitor import Monitor
+
+from experiments.common.seeds import Result
+from sb3_options import OptionReplayBuffer, OptionsWrapper
+from sb3_options.callbacks import SubgoalDiscoveryCallback
+
+N_TIMESTEPS = 1_000_000
+WARM_UP = 0.2
+"""Share of the steps after which memory is to grow no more: buffers are full, and the last trajectories saved."""
+
+GAMMA = 0.97
+MAX_STEPS = 200
+N_KEPT = 20
+"""Trajectories that discovery keeps, so that it keeps as many as it may when the warm-up is over."""
+
+
+class NeverAgain(gym.ObservationWrapper[Any, Any, Any]):
+    """A random number beside x and y, so that no observation comes twice."""
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        super().__init__(env)
+        low, high = np.zeros(3, np.float32), np.full(3, 100, np.float32)
+        self.observation_space = gym.spaces.Box(low, high)
+
+    def observation(self, observation: Any) -> Any:
+        """x, y and a number in [0, 1)."""
+        x_y = self.get_wrapper_attr("concept_features")(np.asarray(observation)[None])[0]
+        return np.append(x_y, self.np_random.random()).astype(np.float32)
+
+    def concept_features(self, observations: Any) -> Any:
+        """The first two numbers, x and y."""
+        return np.asarray(observations)[:, :2]
+
+
+def _room(*, max_steps: int | None = MAX_STEPS, **wrapper: Any) -> gym.Env[Any, Any]:
+    return OptionsWrapper(Monitor(gym.make("sb3_options/TwoRooms-v0", max_steps=max_steps)), 4, gamma=GAMMA, **wrapper)
+
+
+def _never_again() -> gym.Env[Any, Any]:
+    inner = NeverAgain(gym.make("sb3_options/TwoRooms-v0", max_steps=MAX_STEPS))
+    return OptionsWrapper(Monitor(inner), 4, gamma=GAMMA, feature_map=inner.concept_features)
+
+
+def _callback(**more: Any) -> SubgoalDiscoveryCallback:
+    settings = {"capacity": N_KEPT} | more.pop("settings", {})
+    return SubgoalDiscoveryCallback(settings, **more)
+
+
+def _fail(_: object) -> bool:
+    return False
+
+
+def _ppo(env: gym.Env[Any, Any], seed: int) -> BaseAlgorithm:
+    return PPO("MlpPolicy", env, gamma=GAMMA, seed=seed, device="cpu")
+
+
+def _dqn(env: gym.Env[Any, Any], seed: int) -> BaseAlgorithm:
+    return DQN(
+        "MlpPolicy",
+        env,
+        gamma=GAMMA,
+        seed=seed,
+        device="cpu",
+        buffer_size=20_000,
+        replay_buffer_class=OptionReplayBuffer,
+    )
+
+
+Make = Callable[[gym.Env[Any, Any], int], BaseAlgorithm]
+CASES: dict[str, tuple[Make, Callable[[], gym.Env[Any, Any]], Callable[[], SubgoalDiscoveryCallback]]] = {
+    "PPO, discovering": (_ppo, _room, _callback),
+    "DQN, discovering": (_dqn, _room, _callback),
+    "endless failures": (_ppo, _room, partial(_callback, success=_fail)),
+    "one endless episode": (_ppo, partial(_room, max_steps=None), partial(_callback, success=_fail)),
+    "incremental search": (_ppo, _room, partial(_callback, settings={"search": "incremental"})),
+    "options that go on learning, observations that never repeat": (
+        _ppo,
+        _never_again,
+        partial(_callback, option_settings={"keep_learning": True, "value_function": "table"}),
+    ),
+}
+
+
+class Memory(BaseCallback):
+    """Reads the memory of this process when the warm-up is over, and at the end."""
+
+    def __init__(self, warm_up: int) -> None:
+        super().__init__()
+        self._warm_up = warm_up
+        self.after_warm_up = self.at_end = 0.0
+
+    def _on_step(self) -> bool:
+        if not self.after_warm_up and self.num_timesteps >= self._warm_up:
+            self.after_warm_up = resident()
+        return True
+
+    def _on_training_end(self) -> None:
+        self.at_end = resident()
+
+
+def resident() -> float:
+    """Resident memory of this process, MB, after a garbage collection."""
+    gc.collect()
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def run(name: str, n_timesteps: int, seed: int) -> Result:
+    """Train once.
+
+    Args:
+        name: Of `CASES`.
+        n_timesteps: How long.
+        seed: Of everything.
+
+    Returns:
+        ``after_warm_up`` and ``at_end``, MB; ``growth``, their difference; ``episodes``, ``options``, ``seconds``.
+    """
+    make, env, callback = CASES[name]
+    discovery, memory = callback(), Memory(int(WARM_UP * n_timesteps))
+    began = time.perf_counter()
+    make(env(), seed).learn(n_timesteps, callback=[discovery, memory])
+    return {
+        "after_warm_up": memory.after_warm_up,
+        "at_end": memory.at_end,
+        "growth": memory.at_end - memory.after_warm_up,
+        "episodes": discovery.episodes,
+        "options": len(discovery.discoveries),
+        "seconds": time.perf_counter() - began,
+    }

@@ -1,0 +1,130 @@
+"""Methods on the graph of the transitions of one trajectory: L-cut, and local betweenness."""
+
+from __future__ import annotations
+
+import networkx as nx
+import numpy as np
+from scipy.linalg import eigh
+
+from sb3_options.discovery.methods.candidates import Candidates, often_enough
+from sb3_options.discovery.methods.method import Experience, Proposal
+from sb3_options.experience.observations import FloatArray, IntArray
+
+TOLERANCE = 1e-9
+"""Betweenness that differs by less, relative to the largest, is equal."""
+
+
+class LCut:
+    """Şimşek, Wolfe & Barto (2005), *Identifying Useful Subgoals in RL by Local Graph Partitioning*.
+
+    The last ``horizon`` transitions of a trajectory are a graph, weighted by how often each was made. It is cut in two
+    by spectral clustering (Shi & Malik 2000). If the normalised cut is below ``max_cut``, the places through which
+    transitions led from one part into the other are candidates. A subgoal is a place that was a candidate in
+    ``min_share`` of at least ``min_seen`` graphs. The defaults are the paper's.
+
+    Args:
+        horizon: h, in transitions.
+        max_cut: t_c, of 2.
+        min_seen: t_o.
+        min_share: t_p.
+    """
+
+    def __init__(
+        self, *, horizon: int = 1000, max_cut: float = 0.05, min_seen: int = 10, min_share: float = 0.2
+    ) -> None:
+        self.horizon, self.max_cut = horizon, max_cut
+        self._candidates = Candidates(often_enough(min_seen, min_share))
+
+    def update(self, experience: Experience) -> list[Proposal]:
+        """Take note of one more trajectory; as `DiscoveryMethod.update`."""
+        places = experience.places
+        k = len(places.points)
+        visits = places.visits[-self.horizon - 1 :]
+        nodes, local = np.unique(visits, return_inverse=True)
+        seen, hits = np.zeros((2, k), dtype=np.int64)
+        seen[nodes] = 1
+        if len(nodes) > 2:
+            cut, part = normalised_cut(weights_of(local, len(nodes)))
+            if cut < self.max_cut:
+                crosses = part[local[:-1]] != part[local[1:]]
+                hits[nodes[local[1:][crosses]]] = 1
+        self._candidates.add(experience, seen, hits)
+        return self._candidates.proposals(experience)
+
+
+class Betweenness:
+    """Şimşek & Barto (2008), *Skill Characterization Based on Betweenness*.
+
+    The last ``horizon`` transitions of a trajectory are a graph. A place is a candidate if shortest paths between other
+    places lead through it oftener than through any of its neighbours: a local maximum of betweenness. A subgoal is a
+    place that was a candidate in ``min_share`` of at least ``min_seen`` graphs. All pairs of places count alike.
+
+    Args:
+        horizon: h, in transitions.
+        min_seen: t_o.
+        min_share: t_p.
+    """
+
+    def __init__(self, *, horizon: int = 1000, min_seen: int = 10, min_share: float = 0.5) -> None:
+        self.horizon = horizon
+        self._candidates = Candidates(often_enough(min_seen, min_share))
+
+    def update(self, experience: Experience) -> list[Proposal]:
+        """Take note of one more trajectory; as `DiscoveryMethod.update`."""
+        places = experience.places
+        visits = places.visits[-self.horizon - 1 :]
+        seen, hits = np.zeros((2, len(places.points)), dtype=np.int64)
+        seen[np.unique(visits)] = 1
+        hits[local_maxima(visits)] = 1
+        self._candidates.add(experience, seen, hits)
+        return self._candidates.proposals(experience)
+
+
+def weights_of(visits: IntArray, n: int) -> FloatArray:
+    """How often each transition between different places was made, in either direction, (n, n)."""
+    weights = np.zeros((n, n))
+    np.add.at(weights, (visits[:-1], visits[1:]), 1.0)
+    np.fill_diagonal(weights, 0.0)
+    symmetric: FloatArray = weights + weights.T
+    return symmetric
+
+
+def normalised_cut(weights: FloatArray) -> tuple[float, IntArray]:
+    """The best normalised cut along the second eigenvector (Shi & Malik 2000).
+
+    Args:
+        weights: Of a connected graph, symmetric, (n, n), n ≥ 2.
+
+    Returns:
+        NCut = cut/vol(A) + cut/vol(B), and the part of each node, 0 or 1, (n,).
+    """
+    degrees = weights.sum(axis=1)
+    n = len(degrees)
+    _, vectors = eigh(np.diag(degrees) - weights, np.diag(degrees), subset_by_index=[1, 1])
+    order = np.argsort(vectors[:, 0])
+    ordered = weights[np.ix_(order, order)]
+    volume = np.cumsum(degrees[order])
+    within = 2.0 * np.cumsum(np.tril(ordered, -1).sum(axis=1))
+    between = (volume - within)[:-1]
+    cuts = between / volume[:-1] + between / (volume[-1] - volume[:-1])
+    best = int(cuts.argmin())
+    part = np.zeros(n, dtype=np.int64)
+    part[order[best + 1 :]] = 1
+    return float(cuts[best]), part
+
+
+def local_maxima(visits: IntArray) -> IntArray:
+    """The places of a trajectory whose betweenness is positive and larger than that of all their neighbours."""
+    graph = nx.Graph()
+    nx.add_path(graph, visits.tolist())
+    graph.remove_edges_from(list(nx.selfloop_edges(graph)))
+    betweenness = nx.betweenness_centrality(graph)
+    slack = TOLERANCE * max(betweenness.values())
+    return np.array(
+        [
+            place
+            for place, value in betweenness.items()
+            if value > slack and all(value > betweenness[other] + slack for other in graph[place])
+        ],
+        dtype=np.int64,
+    )

@@ -1,0 +1,89 @@
+"""What a method of discovery is told, and what it answers."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import NamedTuple, Protocol, TypeAlias
+
+import numpy as np
+
+from sb3_options.density.regions import Region
+from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
+
+Proposal: TypeAlias = Region
+"""What an option may be made for: a region to reach."""
+
+
+class Experience:
+    """One trajectory, as methods see it.
+
+    Args:
+        features: φ of its distinct observations, in order of first visit, (m, d).
+        visits: Row of ``features`` at every time t = 0 … T, (T + 1,).
+        success: Whether it was successful.
+        allowed: Which of its states may be subgoals, (m,): the static filter allows them, and no subgoal is near.
+        scale: Factor for every feature that makes one unit one step, (d,).
+        radius: Of a subgoal, in scaled units.
+    """
+
+    def __init__(
+        self,
+        features: FloatArray,
+        visits: IntArray,
+        *,
+        success: bool,
+        allowed: BoolArray,
+        scale: FloatArray,
+        radius: float,
+    ) -> None:
+        self.features, self.visits, self.success = features, visits, success
+        self.allowed, self.scale, self.radius = allowed, scale, radius
+
+    @cached_property
+    def places(self) -> Places:
+        """Its states, binned at one unit of concept space, so that states that differ by less are one."""
+        bins, first, which = np.unique(
+            np.rint(self.features * self.scale), axis=0, return_index=True, return_inverse=True
+        )
+        allowed = np.ones(len(bins), dtype=bool)
+        np.logical_and.at(allowed, which.ravel(), self.allowed)
+        return Places(self.features[first], bins, which.ravel()[self.visits], allowed)
+
+    def region(self, point: FloatArray) -> Region:
+        """The region around a place, (d,)."""
+        return Region(point[None], self.scale, self.radius)
+
+
+class Places(NamedTuple):
+    """The distinct places of a trajectory.
+
+    Attributes:
+        points: One state of each, (k, d).
+        bins: Which place it is, whole numbers, (k, d).
+        visits: Row of ``points`` at every time, (T + 1,).
+        allowed: Whether all its states may be subgoals, (k,).
+    """
+
+    points: FloatArray
+    bins: FloatArray
+    visits: IntArray
+    allowed: BoolArray
+
+
+class DiscoveryMethod(Protocol):
+    """Proposes subgoals from what the agent lived through, and from nothing else.
+
+    Any object with this method may be passed as `SubgoalDiscoveryCallback(method=…)`.
+    """
+
+    def update(self, experience: Experience) -> list[Proposal]:
+        """Take note of one more trajectory.
+
+        Args:
+            experience: The trajectory.
+
+        Returns:
+            What to make options for, best first. Of these the first that lies far enough from other subgoals is taken.
+            What is proposed again after the next trajectory is considered again.
+        """
+        ...

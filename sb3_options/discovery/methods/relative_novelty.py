@@ -1,0 +1,75 @@
+"""Relative novelty: a subgoal leads from states that were visited often to states that were not."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sb3_options.discovery.methods.candidates import Candidates, more_likely
+from sb3_options.discovery.methods.method import Experience, Proposal
+from sb3_options.experience.observations import FloatArray, IntArray
+
+
+class RelativeNovelty:
+    """Şimşek & Barto (2004), *Using Relative Novelty to Identify Useful Temporal Abstractions in RL*.
+
+    A state's novelty is 1/√n after its n-th visit in a trajectory. The relative novelty of a time is the mean novelty
+    of the states of ``lag`` steps from it on, over that of the ``lag`` steps before it. A state is a candidate at a
+    time if this exceeds ``threshold``. A subgoal is what is a candidate oftener than other states are, by the
+    likelihood ratio of two binomial distributions. The defaults are the paper's.
+
+    Args:
+        lag: l_n, in primitive steps.
+        threshold: t_RN.
+        p_target: p, how often a subgoal is a candidate when it is visited.
+        p_other: q, how often another state is.
+        odds: λ_fa/λ_miss · p(N)/p(T).
+    """
+
+    def __init__(
+        self,
+        *,
+        lag: int = 7,
+        threshold: float = 2.0,
+        p_target: float = 0.0712,
+        p_other: float = 0.0056,
+        odds: float = 100.0,
+    ) -> None:
+        self.lag, self.threshold = lag, threshold
+        self._candidates = Candidates(more_likely(p_target, p_other, odds))
+
+    def update(self, experience: Experience) -> list[Proposal]:
+        """Take note of one more trajectory; as `DiscoveryMethod.update`."""
+        places = experience.places
+        times, relative = relative_novelty(places.visits, self.lag)
+        k = len(places.points)
+        seen = np.bincount(places.visits[times], minlength=k)
+        hits = np.bincount(places.visits[times[relative > self.threshold]], minlength=k)
+        self._candidates.add(experience, seen, hits)
+        return self._candidates.proposals(experience)
+
+
+def relative_novelty(visits: IntArray, lag: int) -> tuple[IntArray, FloatArray]:
+    """The relative novelty of the times of a trajectory that have ``lag`` steps on both sides.
+
+    Args:
+        visits: Place at every time, (T + 1,).
+        lag: In steps, at least 1.
+
+    Returns:
+        Those times, and their relative novelties, (n,) each.
+    """
+    novelty = 1.0 / np.sqrt(_count_so_far(visits))
+    total = np.concatenate([[0.0], np.cumsum(novelty)])
+    times = np.arange(lag, len(visits) - lag)
+    before = (total[times] - total[times - lag]) / lag
+    after = (total[times + lag + 1] - total[times]) / (lag + 1)
+    return times, after / before
+
+
+def _count_so_far(visits: IntArray) -> IntArray:
+    """The how manieth visit of its place each time is, (T + 1,)."""
+    order = np.argsort(visits, kind="stable")
+    _, starts, sizes = np.unique(visits[order], return_index=True, return_counts=True)
+    counts = np.empty(len(visits), dtype=np.int64)
+    counts[order] = np.arange(len(visits)) - np.repeat(starts, sizes) + 1
+    return counts

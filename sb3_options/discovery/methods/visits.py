@@ -1,0 +1,84 @@
+"""Visit frequencies, and a control: random places."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from sb3_options.discovery.methods.candidates import Candidates
+from sb3_options.discovery.methods.method import Experience, Proposal
+from sb3_options.discovery.peaks import PeakTracker, plateau_centres
+from sb3_options.experience.observations import FloatArray
+
+
+class VisitFrequency:
+    """McGovern & Barto (2001), §3: the place that successful trajectories visit most.
+
+    It must persist: its running average (their §5) must exceed a share of its limit.
+
+    Args:
+        count: The ``first`` visit of a place in a trajectory, or ``every`` one.
+        decay: λ of the running averages.
+        threshold: Share of the limit λ/(1−λ).
+        min_successes: Successful trajectories before the first place counts.
+        radius: Places within this distance of each other are one, in scaled units.
+    """
+
+    def __init__(
+        self,
+        count: Literal["first", "every"] = "first",
+        *,
+        decay: float = 0.9,
+        threshold: float = 0.6,
+        min_successes: int = 8,
+        radius: float = 1.5,
+    ) -> None:
+        self.count, self.min_successes, self.radius = count, min_successes, radius
+        self._visited = Candidates(_most)
+        self._tracker = PeakTracker(decay=decay, threshold=threshold, radius=radius)
+        self._successes = 0
+
+    def update(self, experience: Experience) -> list[Proposal]:
+        """Take note of one more trajectory; as `DiscoveryMethod.update`."""
+        if not experience.success:
+            return []
+        self._successes += 1
+        visits = np.bincount(experience.places.visits)
+        self._visited.add(experience, visits, np.ones_like(visits) if self.count == "first" else visits)
+        most = self._visited.proposals(experience)
+        if self._successes < self.min_successes or not most:
+            return []
+        points = np.array([region.points[0] for region in most])
+        centres, _ = plateau_centres(points, experience.scale, self.radius)
+        self._tracker.update(centres, experience.scale)
+        return [experience.region(concept.point) for concept in self._tracker.persistent()]
+
+
+def _most(seen: FloatArray, hits: FloatArray) -> FloatArray:
+    """Accept what was visited most, and what ties with it."""
+    del seen
+    accepted: FloatArray = (hits == hits.max()).astype(np.float64)
+    return accepted
+
+
+class RandomPlaces:
+    """A control: a random place of a successful trajectory.
+
+    Args:
+        min_successes: Successful trajectories before the first proposal.
+        seed: Of the generator that draws.
+    """
+
+    def __init__(self, *, min_successes: int = 8, seed: int = 0) -> None:
+        self.min_successes = min_successes
+        self._random = np.random.default_rng(seed)
+        self._successes = 0
+
+    def update(self, experience: Experience) -> list[Proposal]:
+        """Take note of one more trajectory; as `DiscoveryMethod.update`."""
+        self._successes += experience.success
+        allowed = np.flatnonzero(experience.places.allowed)
+        if not experience.success or self._successes < self.min_successes or not len(allowed):
+            return []
+        return [experience.region(experience.places.points[self._random.choice(allowed)])]

@@ -1,0 +1,116 @@
+"""Discovery by another method than diverse density: its proposals, filtered and taken one by one."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sb3_options.density.groups import FeatureGroup
+from sb3_options.density.regions import Region
+from sb3_options.discovery.grouped import GroupedDiscovery
+from sb3_options.discovery.methods import METHODS, DiscoveryMethod, Experience, Proposal
+from sb3_options.discovery.methods.visits import RandomPlaces
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.subgoals import FoundSubgoal, Search, SubgoalDiscovery
+from sb3_options.experience.observations import FloatArray
+from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
+
+
+@dataclass
+class ProposedDiscovery(SubgoalDiscovery):
+    """`SubgoalDiscovery` whose subgoals a method proposes.
+
+    The static filter, `spacing`, `subgoal_radius`, `scale` and `capacity` of the settings hold as for diverse density;
+    the others are diverse density's own.
+
+    Args:
+        method: Which.
+    """
+
+    method: DiscoveryMethod = field(default_factory=RandomPlaces)
+
+    def __post_init__(self) -> None:
+        """Set up what grows with experience."""
+        super().__post_init__()
+        self._untold: list[LabelledTrajectory] = []
+        self._proposals: list[Proposal] = []
+
+    def add(self, trajectory: Trajectory, features: FloatArray, *, success: bool | None = None) -> LabelledTrajectory:
+        """Put a trajectory into the database, and tell the method with the next search; as `SubgoalDiscovery.add`."""
+        labelled = super().add(trajectory, features, success=success)
+        self._untold = [*self._untold, labelled][-self.settings.capacity :]
+        return labelled
+
+    def update(self) -> None:
+        """Tell the method what is new; nothing as long as the scale of the features is not known."""
+        began = time.perf_counter()
+        if self._maker.knows_scale(self.database):
+            for labelled in self._untold:
+                self._proposals = list(self.method.update(self._experience(labelled)))
+            self._untold = []
+        self.last = Search([], None, time.perf_counter() - began)
+        self.seconds += self.last.seconds
+
+    def _experience(self, labelled: LabelledTrajectory) -> Experience:
+        assert self.scale is not None  # known before the method is told anything
+        allowed = self._maker.may_be_subgoals(labelled, [*self.taken, *(found.subgoal for found in self.found)])
+        return Experience(
+            labelled.features,
+            labelled.trajectory.visits,
+            success=labelled.success,
+            allowed=allowed,
+            scale=self.scale,
+            radius=self.settings.subgoal_radius,
+        )
+
+    def _new_subgoal(self) -> Region | None:
+        assert self.scale is not None or not self._proposals
+        known = [*self.taken, *(found.subgoal for found in self.found)]
+        for proposal in self._proposals:
+            point = proposal.points[0] * self.scale
+            if all(np.linalg.norm(point - other.points[0] * self.scale) > self.settings.spacing for other in known):
+                self.found.append(FoundSubgoal(proposal, None, math.nan))
+                self._proposals = []
+                return proposal
+        return None
+
+    def why_nothing(self) -> str:
+        """Why there is no option, in a sentence."""
+        if self.found or self.outcomes.n == 0:
+            return super().why_nothing()
+        return f"No subgoal was discovered: {type(self.method).__name__} proposed none that the filters leave."
+
+
+def discovery_with(
+    settings: DiscoverySettings,
+    groups: Iterable[FeatureGroup] = (),
+    method: DiscoveryMethod | None = None,
+    **how: Any,
+) -> SubgoalDiscovery:
+    """Discovery as the settings have it: on groups of features, by a method, or by diverse density on all features.
+
+    Args:
+        settings: Of discovery.
+        groups: Of features; empty where all count.
+        method: A user's own; by default the one that the settings name.
+        **how: Other arguments of `SubgoalDiscovery`.
+
+    Raises:
+        ValueError: A method other than diverse density is to work on groups of features.
+    """
+    groups = tuple(groups)
+    if method is None and settings.method != "diverse-density":
+        method = METHODS[settings.method]()
+    if method is None:
+        return GroupedDiscovery(settings, groups=groups, **how) if groups else SubgoalDiscovery(settings, **how)
+    if groups:
+        raise ValueError(
+            f"{type(method).__name__} works on all features together, and the feature map has groups: pass groups=() "
+            "to SubgoalDiscoveryCallback, or use diverse density."
+        )
+    return ProposedDiscovery(settings, method=method, **how)

@@ -1,0 +1,209 @@
+"""Each method against an oracle, or on experience whose bottleneck is known."""
+
+import math
+from collections.abc import Callable
+from functools import partial
+
+import networkx as nx
+import numpy as np
+import pytest
+
+from experiments.random_walks.conditions import is_bottleneck, run, world_for
+from sb3_options.discovery.methods import METHODS, MethodName
+from sb3_options.discovery.methods.candidates import Candidates, more_likely, often_enough
+from sb3_options.discovery.methods.graphs import Betweenness, LCut, local_maxima, normalised_cut, weights_of
+from sb3_options.discovery.methods.method import DiscoveryMethod, Experience
+from sb3_options.discovery.methods.relative_novelty import RelativeNovelty, relative_novelty
+from sb3_options.discovery.methods.visits import VisitFrequency
+from sb3_options.experience.observations import BoolArray, IntArray
+
+
+def experience(
+    visits: list[int] | IntArray, *, success: bool = True, allowed: BoolArray | None = None, scale: float = 1.0
+) -> Experience:
+    """Places 0, 1, 2 … on a line, in order of first visit."""
+    numbers = np.asarray(visits)
+    _, first = np.unique(numbers, return_index=True)
+    names = numbers[np.sort(first)]
+    rows = np.searchsorted(np.sort(names), numbers)
+    order = np.argsort(names)
+    return Experience(
+        names[:, None].astype(np.float64),
+        order[rows],
+        success=success,
+        allowed=np.ones(len(names), dtype=bool) if allowed is None else allowed,
+        scale=np.array([scale]),
+        radius=0.5,
+    )
+
+
+def dumbbell(random: np.random.Generator, n: int = 400) -> Experience:
+    """A walk on two cliques of five places, 0 to 4 and 6 to 10, that place 5 joins."""
+    graph = nx.barbell_graph(5, 1)  # 0 … 4, the bridge 5, 6 … 10
+    place, visits = 0, [0]
+    for _ in range(n):
+        place = int(random.choice(list(graph[place])))
+        visits.append(place)
+    return experience(visits)
+
+
+class TestExperience:
+    def test_states_that_differ_by_less_than_a_unit_are_one_place(self) -> None:
+        lived = Experience(
+            np.array([[0.0], [0.4], [2.0]]),
+            np.array([0, 1, 2, 1]),
+            success=True,
+            allowed=np.array([True, False, True]),
+            scale=np.array([1.0]),
+            radius=0.5,
+        )
+        assert lived.places.points.tolist() == [[0.0], [2.0]]
+        assert lived.places.visits.tolist() == [0, 0, 1, 0]
+        assert lived.places.allowed.tolist() == [False, True]
+
+    def test_a_unit_is_one_after_scaling(self) -> None:
+        assert len(experience([0, 1, 2, 3], scale=0.4).places.points) == 2
+        assert len(experience([0, 1, 2, 3], scale=2.0).places.points) == 4
+
+
+class TestRelativeNovelty:
+    def test_it_is_what_the_definition_says(self, rng: np.random.Generator) -> None:
+        visits, lag = rng.integers(6, size=60), 4
+        counts = [int((visits[: t + 1] == visits[t]).sum()) for t in range(60)]
+        novelty = [1 / math.sqrt(n) for n in counts]
+        times, found = relative_novelty(visits, lag)
+        assert times.tolist() == list(range(lag, 60 - lag))
+        for t, value in zip(times, found, strict=True):
+            assert value == pytest.approx(np.mean(novelty[t : t + lag + 1]) / np.mean(novelty[t - lag : t]))
+
+    def test_what_leads_to_new_places_is_proposed(self) -> None:
+        method = RelativeNovelty(lag=3)
+        known = [0, 1, 2] * 20
+        assert method.update(experience([*known, 3, *range(10, 20)])) == []  # once may be an accident
+        best, *_ = method.update(experience([*known, 3, *range(10, 20)]))
+        assert best.points[0, 0] in (3.0, 10.0, 11.0)
+        assert RelativeNovelty(lag=3).update(experience([0, 1, 2] * 30)) == []
+
+    def test_a_short_trajectory_says_nothing(self) -> None:
+        assert RelativeNovelty().update(experience([0, 1, 2])) == []
+
+
+class TestGraphs:
+    def test_weights_count_transitions_both_ways(self) -> None:
+        weights = weights_of(np.array([0, 1, 0, 0, 2]), 3)
+        assert weights.tolist() == [[0, 2, 1], [2, 0, 0], [1, 0, 0]]
+
+    def test_the_cut_is_the_best_along_the_eigenvector(self) -> None:
+        graph = nx.barbell_graph(5, 0)
+        cut, part = normalised_cut(nx.to_numpy_array(graph))
+        assert len(set(part[:5])) == len(set(part[5:])) == 1
+        assert part[0] != part[9]
+        first = set(np.flatnonzero(part == part[0]).tolist())
+        expected = nx.normalized_cut_size(graph, first)
+        assert cut == pytest.approx(expected)
+
+    def test_local_maxima_are_those_of_networkx(self, rng: np.random.Generator) -> None:
+        places = dumbbell(rng).places
+        (bridge,) = local_maxima(places.visits)
+        assert places.points[bridge].tolist() == [5.0]
+
+    def test_ties_are_no_maxima(self) -> None:
+        assert local_maxima(np.array([0, 1, 2, 3, 0])).tolist() == []  # a ring
+        assert local_maxima(np.array([0, 0, 0])).tolist() == []
+
+    @pytest.mark.parametrize("make", [partial(LCut, max_cut=0.2), Betweenness])
+    def test_the_bridge_is_proposed_when_it_was_seen_often_enough(
+        self, make: Callable[..., DiscoveryMethod], rng: np.random.Generator
+    ) -> None:
+        method = make(min_seen=5)
+        proposed = [method.update(dumbbell(rng)) for _ in range(8)]
+        assert proposed[:4] == [[]] * 4
+        near = {float(region.points[0, 0]) for region in proposed[-1]}
+        assert near
+        assert near <= {4.0, 5.0, 6.0}
+
+    def test_a_place_that_may_be_no_subgoal_is_not_proposed(self, rng: np.random.Generator) -> None:
+        method = Betweenness(min_seen=2)
+        for _ in range(4):
+            lived = dumbbell(rng)
+            proposals = method.update(
+                Experience(
+                    lived.features,
+                    lived.visits,
+                    success=True,
+                    allowed=lived.features[:, 0] != 5.0,
+                    scale=lived.scale,
+                    radius=0.5,
+                )
+            )
+            assert proposals == []
+
+    def test_only_the_last_transitions_count(self) -> None:
+        method = Betweenness(horizon=2, min_seen=1)
+        (region,) = method.update(experience([9, 8, 7, 1, 2, 3]))
+        assert region.points[0].tolist() == [2.0]
+
+
+class TestVisits:
+    def test_the_place_that_most_successes_visit(self) -> None:
+        method = VisitFrequency(min_successes=3)
+        proposed: list[list[float]] = []
+        for i in range(40):
+            way = [10 * (i % 7) + 200, 5, 10 * (i % 5) + 400]
+            proposed.append([float(r.points[0, 0]) for r in method.update(experience(way))])
+            assert method.update(experience([77, 78, 79], success=False)) == []
+        assert proposed[0] == []
+        assert proposed[-1] == [5.0]
+
+    def test_every_visit_counts_returns(self) -> None:
+        back_and_forth = [200, 5, 300, 400, 300, 400, 300, 400]
+        found = {}
+        for count in ("first", "every"):
+            method = VisitFrequency(count, min_successes=1)
+            for i in range(30):
+                others = [100 + i, *back_and_forth, 500 + i]
+                last = method.update(experience([*others, 5] if count == "first" else others))
+            found[count] = [float(region.points[0, 0]) for region in last]
+        assert set(found["every"]) <= {300.0, 400.0}
+        assert 5.0 in found["first"] or len(found["first"]) > 1
+
+
+class TestRules:
+    def test_often_enough(self) -> None:
+        accepted = often_enough(10, 0.2)(np.array([9.0, 10.0, 10.0]), np.array([9.0, 2.0, 3.0])) > 0
+        assert accepted.tolist() == [False, False, True]
+
+    def test_more_likely_is_the_likelihood_ratio(self) -> None:
+        p, q, odds = 0.3, 0.1, 5.0
+        accept = more_likely(p, q, odds)
+        for n in (1, 10, 40):
+            for k in range(n + 1):
+                ratio = p**k * (1 - p) ** (n - k) / (q**k * (1 - q) ** (n - k))
+                assert (accept(np.array([n]), np.array([k]))[0] > 0) == (ratio > odds)
+
+    def test_what_was_not_seen_for_longest_is_forgotten(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("sb3_options.discovery.methods.candidates.MAX_PLACES", 3)
+        candidates = Candidates(lambda seen, hits: seen)
+        for visits in ([0, 1, 2], [0], [3]):
+            lived = experience(visits)
+            once = np.ones(len(visits), dtype=np.int64)
+            candidates.add(lived, once, once)
+        assert sorted(float(r.points[0, 0]) for r in candidates.proposals(lived)) == [0.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_every_method_proposes_regions_around_what_was_seen(name: MethodName, rng: np.random.Generator) -> None:
+    method = METHODS[name]()
+    for _ in range(12):
+        lived = dumbbell(rng)
+        for region in method.update(lived):
+            assert region.points.shape == (1, 1)
+            assert region.radius == 0.5
+            assert region.points[0, 0] in lived.features
+
+
+@pytest.mark.parametrize("name", ["l-cut", "betweenness"])
+def test_graph_methods_find_the_doorway_of_two_rooms_from_random_walks(name: str) -> None:
+    found = run("TwoRooms", {"method": name}, seed=0, n_episodes=14)["found"]
+    assert len(found) == 1
+    assert is_bottleneck(world_for("TwoRooms", 0), found[0]["point"])
