@@ -12,7 +12,7 @@ from sb3_options.options.archive import NAME
 from tests.support import processes
 from tests.support.documents import ROOT, python_of
 
-EXAMPLE = ROOT / "examples" / "minigrid.py"
+EXAMPLE = ROOT / "examples" / "minigrid_options.py"
 CHOOSING = ROOT / "docs" / "guide" / "concept-features.md"
 
 
