@@ -17,6 +17,7 @@ from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
 from sb3_options.callbacks.records import ClosedOption, DiscoveredOption, OptionStatistics
 from sb3_options.callbacks.trials import OptionTrials
+from sb3_options.checked import is_number, whole
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.figures import discovery_figures
@@ -109,18 +110,22 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         verbose: int = 0,
     ) -> None:
         super().__init__(verbose)
-        self.settings = _as(DiscoverySettings, settings or {})
+        self.settings = _as(DiscoverySettings, {} if settings is None else settings)
         if isinstance(method, str):
             self.settings = dataclasses.replace(self.settings, method=method)
         self.method = None if isinstance(method, str) else method
-        self.option_settings = _as(OptionLearningSettings, option_settings or {})
-        if max_new_options is not None and max_new_options < 0:
-            raise ValueError(f"max_new_options must be at least 0, got {max_new_options}.")
-        if not 0.0 <= min_reached <= 1.0:
-            raise ValueError(f"min_reached must be a share, in [0, 1], got {min_reached}.")
+        self.option_settings = _as(OptionLearningSettings, {} if option_settings is None else option_settings)
+        if max_new_options is not None and not whole(max_new_options, 0):
+            raise ValueError(f"max_new_options must be at least 0, got {max_new_options!r}.")
+        if not (is_number(min_reached) and 0.0 <= min_reached <= 1.0):
+            raise ValueError(f"min_reached must be a share, in [0, 1], got {min_reached!r}.")
+        if not whole(seed, 0):
+            raise ValueError(f"seed must be at least 0, a whole number, got {seed!r}.")
         self.min_reached = min_reached
         self.success = success
         self.static_filter = static_filter
+        if not isinstance(groups, Iterable | None):
+            raise TypeError(f"groups must be FeatureGroups, or mappings of their fields, got {groups!r}.")
         self.groups = None if groups is None else tuple(_as(FeatureGroup, group) for group in groups)
         self.max_new_options = max_new_options
         self.interruption = interruption
@@ -359,4 +364,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
 def _as(settings: type[S], given: S | Mapping[str, Any]) -> S:
     """The settings themselves, or those with the given fields."""
+    if not isinstance(given, Mapping | settings):
+        raise TypeError(f"{settings.__name__} must be given as one, or as a mapping of its fields, got {given!r}.")
     return settings(**given) if isinstance(given, Mapping) else given

@@ -11,6 +11,7 @@ from gymnasium import spaces
 from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 
+from sb3_options.checked import is_number
 from sb3_options.execution.features import MAX_FEATURES
 from sb3_options.execution.vec_env import as_environments_gave, as_wrapper_sees, space_of_environments
 from sb3_options.execution.wrapper import OptionsWrapper
@@ -93,12 +94,12 @@ class IntrinsicRewardCallback(BaseCallback):
         seed: int = 0,
     ) -> None:
         super().__init__()
-        if kind not in ("counts", "rnd"):
+        if not (isinstance(kind, str) and kind in ("counts", "rnd")):
             raise ValueError(f"kind must be 'counts' or 'rnd', got {kind!r}.")
-        if not 0.0 <= weight < math.inf:
-            raise ValueError(f"weight must be at least 0 and finite, got {weight}.")
-        if bin_width is not None and not 0.0 < bin_width < math.inf:
-            raise ValueError(f"bin_width must be above 0, got {bin_width}.")
+        if not (is_number(weight) and 0.0 <= weight < math.inf):
+            raise ValueError(f"weight must be at least 0 and finite, got {weight!r}.")
+        if bin_width is not None and not (is_number(bin_width) and 0.0 < bin_width < math.inf):
+            raise ValueError(f"bin_width must be above 0, got {bin_width!r}.")
         self.kind, self.weight, self.bin_width, self.seed = kind, weight, bin_width, seed
         self.feature_map = feature_map
         self.rnd = RNDSettings(**rnd) if isinstance(rnd, Mapping) else rnd

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 import os
 import tempfile
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+PREFIX = ".sb3-options-"
+"""How the names of temporary files begin."""
+
+STALE = 3600.0
+"""Seconds after which a temporary file that nobody has written to was left by a killed process."""
 
 
 @contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary path to write to, which replaces ``path`` once everything is on the disk.
 
-    A full disk, an error or a killed process leaves an older file as it was.
+    A full disk, an error or a killed process leaves an older file as it was. What killed processes left beside it is
+    removed (`remove_stale`).
 
     Args:
         path: The final place; folders are made.
@@ -22,18 +30,39 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         Where to write, beside ``path`` and with the same ending.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: It cannot be written; the error names ``path``.
     """
     final = Path(path)
-    final.parent.mkdir(parents=True, exist_ok=True)
-    descriptor, name = tempfile.mkstemp(dir=final.parent, prefix=".", suffix=final.suffix)
-    os.close(descriptor)
-    temporary = Path(name)
+    temporary: Path | None = None
     try:
+        final.parent.mkdir(parents=True, exist_ok=True)
+        remove_stale(final.parent)
+        descriptor, name = tempfile.mkstemp(dir=final.parent, prefix=PREFIX, suffix=final.suffix)
+        os.close(descriptor)
+        temporary = Path(name)
         yield temporary
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())
         temporary.chmod(0o644)
         temporary.replace(final)
+    except OSError as error:
+        # A full disk is noticed by a file that is open, and names none.
+        if error.errno is not None and (error.filename is None or PREFIX in str(error.filename)):
+            error.filename = str(final)
+        raise
     finally:
-        temporary.unlink(missing_ok=True)
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+def remove_stale(folder: Path, pattern: str = "") -> None:
+    """Remove the temporary files that killed processes left, `STALE` seconds after they were last written to.
+
+    Args:
+        folder: Where.
+        pattern: Of subfolders to look in instead, as in ``"*/"``.
+    """
+    for path in folder.glob(f"{pattern}{PREFIX}*"):
+        with suppress(OSError):  # another process may remove it as well
+            if time.time() - path.stat().st_mtime > STALE:
+                path.unlink()

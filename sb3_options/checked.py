@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
+from numbers import Integral, Real
 from typing import Any, TypeVar, dataclass_transform
 
 from pydantic import ConfigDict, Field, ValidationError
 from pydantic.dataclasses import dataclass
 
-__all__ = ["Field", "readable", "settings"]
+__all__ = ["Field", "is_number", "readable", "settings", "whole"]
 
 T = TypeVar("T")
 
@@ -40,6 +41,16 @@ def settings(cls: type[T]) -> type[T]:
 
     made.__init__ = __init__  # type: ignore[method-assign]  # it takes what the generated one takes
     return made  # type: ignore[return-value]  # pydantic types it as a class of its own, and it is ``cls`` itself
+
+
+def is_number(value: object) -> bool:
+    """Whether this is one real number, so that it can be compared with others; NaN is one, a truth value is not."""
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def whole(value: object, least: int) -> bool:
+    """Whether this is a whole number of at least ``least``."""
+    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
 
 
 def readable(error: ValidationError, names: Sequence[str] = ()) -> str:

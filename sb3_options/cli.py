@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import gymnasium as gym
 import torch
@@ -31,12 +31,14 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.runs import config as configs
 from sb3_options.runs import evaluation
 from sb3_options.runs import folder as runs
-from sb3_options.runs.algorithms import callback_settings, make_model
+from sb3_options.runs.algorithms import callback_settings, check_device, make_model
+from sb3_options.runs.budget import KeepToBudget, memory_is_short
 from sb3_options.runs.closing import IN_A_ROW, closing_table, learned_after, next_commands, unit_of
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.eval_callback import eval_callback_class
 from sb3_options.runs.flags import parse
 from sb3_options.runs.interrupts import Interrupts, StopWhenNoted
+from sb3_options.runs.logs import KeepTraining, without
 from sb3_options.runs.series import KEPT, StopWhenLearned, free_slots
 
 console = Console(highlight=False, soft_wrap=True)
@@ -65,8 +67,17 @@ def main(args: Sequence[str] | None = None) -> None:
         errors.print(" ".join(["Interrupted", *interrupt.args]) + ".")
         sys.exit(INTERRUPTED)
     except (ValueError, TypeError, OSError, ModuleNotFoundError, WorkerLostError, gym.error.Error) as error:
-        errors.print(f"[bold red]Error:[/] {escape(' '.join([str(error), *getattr(error, '__notes__', ())]))}")
-        sys.exit(1)
+        _stop(error, str(error))
+    except (MemoryError, RuntimeError) as error:
+        if (text := memory_is_short(error)) is None:
+            raise
+        _stop(error, text)
+
+
+def _stop(error: BaseException, text: str) -> NoReturn:
+    """Exit with one line."""
+    errors.print(f"[bold red]Error:[/] {escape(' '.join([text, *getattr(error, '__notes__', ())]))}")
+    sys.exit(1)
 
 
 def train(config: TrainConfig) -> Path:
@@ -167,6 +178,7 @@ class _Trained(NamedTuple):
 def _train(config: TrainConfig, *, until_learned: bool = False, in_series: bool = False) -> _Trained:
     torch.set_num_threads(config.num_threads)
     runs.check_env_id(config.env)
+    check_device(config.device)
     stock: SubgoalDiscoveryCallback | None = None
     with Interrupts() as interrupts:
         with closing(runs.make_env(config, 1, config.seed)) as env:  # what cannot be made leaves no folder
@@ -234,17 +246,11 @@ def _learn(
             limit = config.eval_max_steps
             envs.append(runs.make_env(config, 1, evaluation.EVAL_SEED + config.seed, subproc=subproc, max_steps=limit))
             evaluation_callback = eval_callback_class(config.algo)(
-                interrupts,
-                envs[1],
-                n_eval_episodes=config.eval_episodes,
-                eval_freq=1,
-                log_path=str(folder),
-                best_model_save_path=str(folder),
-                verbose=0,
+                interrupts, folder, envs[1], n_eval_episodes=config.eval_episodes, eval_freq=1, verbose=0
             )
             # EvalCallback counts calls of step, of which one may be many primitive steps.
             callbacks.append(EveryNTimesteps(config.eval_freq, evaluation_callback))
-        callbacks.append(StopWhenNoted(interrupts))
+        callbacks += [KeepToBudget(), StopWhenNoted(interrupts), KeepTraining()]
         if until_learned:
             callbacks.append(StopWhenLearned(discovery.history))
         if not interrupts.noted:
@@ -262,22 +268,17 @@ def _learn(
             raise
     finally:
         interrupts.saving = True  # before anything else: from now on no interrupt is raised
-        if model is None or model.num_timesteps == 0:
-            shutil.rmtree(folder)
-        else:
-            _save(model, discovery.bank, folder)
-        for env in envs:
-            if finished:
-                env.close()
+        try:
+            if model is None or model.num_timesteps == 0:
+                shutil.rmtree(folder)
             else:
-                end_workers(env)  # which may be in the middle of a step
-
-
-def _save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
-    try:
-        model.save(folder / runs.MODEL)
-    finally:
-        bank.save(folder / runs.OPTIONS)
+                runs.save(model, discovery.bank, folder)
+        finally:
+            for env in envs:
+                if finished:
+                    env.close()
+                else:
+                    end_workers(env)  # which may be in the middle of a step
 
 
 def _why_nothing(discovery: SubgoalDiscoveryCallback) -> str | None:
@@ -329,7 +330,7 @@ def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path
     if config.vec_env == "subproc":  # φ was in a process that has ended
         env = runs.make_env(config, 1, config.seed)
         discovery.bank.bind(lambda observations: env.env_method("concept_features", observations)[0])
-    with atomic_write(folder / runs.SUBGOALS) as temporary:
+    with without(folder / runs.SUBGOALS), atomic_write(folder / runs.SUBGOALS) as temporary:
         figure = subgoals_figure(discovery.discovery, discovery.bank, _why_nothing(discovery))
         figure.savefig(temporary, dpi=FIGURE_DPI)
 

@@ -40,6 +40,7 @@ class ZooOptionsWrapper(OptionsWrapper):
         feature_map: As for `OptionsWrapper`.
         options_file: Another file to start with.
         max_runs: As for `OptionsWrapper`.
+        check_finite: Likewise.
 
     Raises:
         FileNotFoundError: The run has no options file: it was trained without `ZooDiscoveryCallback`.
@@ -55,6 +56,7 @@ class ZooOptionsWrapper(OptionsWrapper):
         feature_map: FeatureMap | None = None,
         options_file: str | os.PathLike[str] | None = None,
         max_runs: int | None = None,
+        check_finite: bool = False,
     ) -> None:
         if options_file is None:
             folder = loaded_run(_program(), sys.argv[1:])
@@ -66,7 +68,13 @@ class ZooOptionsWrapper(OptionsWrapper):
                         "under `callback`, or name an options_file for ZooOptionsWrapper."
                     )
         super().__init__(
-            env, max_options, gamma=gamma, feature_map=feature_map, options_file=options_file, max_runs=max_runs
+            env,
+            max_options,
+            gamma=gamma,
+            feature_map=feature_map,
+            options_file=options_file,
+            max_runs=max_runs,
+            check_finite=check_finite,
         )
 
     def run_folder(self) -> str | None:

@@ -1,12 +1,13 @@
 import errno
 import os
 import stat
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from sb3_options.atomic import atomic_write
+from sb3_options.atomic import PREFIX, STALE, atomic_write, remove_stale
 
 
 def test_writes_makes_folders_and_replaces(tmp_path: Path) -> None:
@@ -79,3 +80,27 @@ def test_everything_is_on_the_disk_before_it_replaces(tmp_path: Path, monkeypatc
     with atomic_write(tmp_path / "file") as temporary:
         temporary.write_bytes(b"12345")
     assert calls == ["fsync 5", "replace"]
+
+
+def test_what_killed_processes_left_is_removed(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    names = [f"{PREFIX}old.zip", f"{PREFIX}new.zip", ".others.zip", f"run/{PREFIX}old.zip"]
+    for name in names:
+        (tmp_path / name).touch()
+        if "new" not in name:
+            os.utime(tmp_path / name, (0, time.time() - STALE - 1))
+    with atomic_write(tmp_path / "file") as temporary:
+        temporary.write_bytes(b"")
+    left = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()}
+    assert left == {"file", *names[1:]}
+    remove_stale(tmp_path, "*/")
+    assert not (tmp_path / names[3]).exists()
+
+
+def test_an_error_names_the_file(tmp_path: Path) -> None:
+    def write() -> None:
+        with atomic_write(tmp_path / "file") as temporary, temporary.open("wb"):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(OSError, match=r"No space left on device: '.*file'"):
+        write()

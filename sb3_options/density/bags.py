@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from sb3_options.density.arrays import FloatArray
-from sb3_options.density.checks import check_finite
+from sb3_options.density.checks import check_finite, real_array
 from sb3_options.density.layout import SEGMENT_INSTANCES, BagArrays, Segment, segment_of
 
 
@@ -56,14 +56,14 @@ class Bags:
             device: Where they are computed.
 
         Raises:
-            ValueError: No bag at all, an empty bag, bags that disagree about d, features that are NaN, infinite or
-                too large to square, or weights that are negative, not finite, or not one a bag.
+            ValueError: No bag at all, an empty bag, bags that disagree about d, features that are NaN, infinite, too
+                large to square, masked or no real numbers, or weights that are negative, not finite, or not one a bag.
         """
         names = [f"positive bag {i}" for i in range(len(positive))]
         names += [f"negative bag {i}" for i in range(len(negative))]
         if not names:
             raise ValueError("there are no bags: pass at least one positive or negative bag")
-        arrays = [np.asarray(bag, dtype=np.float64) for bag in (*positive, *negative)]
+        arrays = [real_array(name, bag) for name, bag in zip(names, (*positive, *negative), strict=True)]
         for name, array in zip(names, arrays, strict=True):
             if array.size == 0:
                 raise ValueError(f"{name} is empty, of shape {array.shape}: leave empty bags out")
@@ -73,7 +73,7 @@ class Bags:
                 raise ValueError(f"{name} has {array.shape[1]} features, {names[0]} has {arrays[0].shape[1]}")
             check_finite(name, array)
         if weights is not None:
-            weights = np.asarray(weights, dtype=np.float64)
+            weights = real_array("weights", weights)
             if weights.shape != (len(arrays),) or not (np.isfinite(weights) & (weights >= 0)).all():
                 raise ValueError(
                     f"weights must be {len(arrays)} finite numbers of at least 0, one a bag, got {weights}"

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal, NamedTuple
 
@@ -16,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from sb3_options.checked import is_number
 from sb3_options.density.arrays import FloatArray, IntArray
 from sb3_options.density.energies import Link
 from sb3_options.density.regions import HalfSpace, Region
@@ -125,14 +127,15 @@ class Point(Concept):
 
     def __post_init__(self) -> None:
         """Refuse arguments out of range."""
-        if self.scales not in ("each", "one", "fixed"):
+        if not (isinstance(self.scales, str) and self.scales in ("each", "one", "fixed")):
             raise ValueError(f'scales must be "each", "one" or "fixed", got {self.scales!r}')
-        low, high = self.scale_bounds
-        if not 0 <= low < high:
+        bounds = self.scale_bounds
+        pair = isinstance(bounds, Sequence) and len(bounds) == 2 and all(map(is_number, bounds))
+        if not (pair and 0 <= bounds[0] < bounds[1]):
             raise ValueError(f"scale_bounds must be factors 0 <= low < high, got {self.scale_bounds}")
-        if self.prior not in ("near", "small", None):
+        if not (self.prior is None or (isinstance(self.prior, str) and self.prior in ("near", "small"))):
             raise ValueError(f'prior must be "near", "small" or None, got {self.prior!r}')
-        if not 0 < self.prior_width < math.inf:
+        if not (is_number(self.prior_width) and 0 < self.prior_width < math.inf):
             raise ValueError(f"prior_width must be positive and finite, got {self.prior_width}")
 
     @property
@@ -248,7 +251,7 @@ class Plane(Concept):
     def __post_init__(self) -> None:
         """Refuse arguments out of range."""
         for name in ("steepness", "offset"):
-            if not 0 < getattr(self, name) < math.inf:
+            if not (is_number(getattr(self, name)) and 0 < getattr(self, name) < math.inf):
                 raise ValueError(f"{name} must be positive and finite, got {getattr(self, name)}")
 
     def coefficients(self, theta: Tensor) -> Tensor:

@@ -18,9 +18,10 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
+from sb3_options.checked import is_number, whole
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags, distinct
-from sb3_options.density.checks import check_finite, positive_scale, refuse, whole
+from sb3_options.density.checks import check_finite, positive_scale, real_array, refuse
 from sb3_options.density.concepts import Point
 from sb3_options.density.energies import Columns, Likelihood
 from sb3_options.density.layout import Workspace
@@ -89,13 +90,13 @@ def log_diverse_density(
     Raises:
         ValueError: Shapes that do not fit the bags, values not finite, scales, strength or leak out of range.
     """
-    if not 0 < negative_strength <= 1:
+    if not (is_number(negative_strength) and 0 < negative_strength <= 1):
         raise ValueError(f"negative_strength must lie in (0, 1], got {negative_strength}")
-    if not 0 <= leak < 1:
+    if not (is_number(leak) and 0 <= leak < 1):
         raise ValueError(f"leak must lie in [0, 1), got {leak}")
     t, s = (
-        (x if isinstance(x, Tensor) else torch.from_numpy(np.array(x, dtype=np.float64))).to(bags.instances)
-        for x in (points, scales)
+        (x if isinstance(x, Tensor) else torch.from_numpy(real_array(name, x))).to(bags.instances)
+        for name, x in (("points", points), ("scales", scales))
     )
     if t.ndim != 2 or t.shape[1] != bags.n_features:
         raise ValueError(f"points must have shape (S, {bags.n_features}) as in the bags, got {tuple(t.shape)}")
@@ -168,14 +169,17 @@ class DiverseDensity:
         refuse(
             self,
             scale=("positive, finite, a number or (d,)", positive_scale(self.scale)),
-            method=('"gradient" or "exhaustive"', self.method in ("gradient", "exhaustive")),
+            method=(
+                '"gradient" or "exhaustive"',
+                isinstance(self.method, str) and self.method in ("gradient", "exhaustive"),
+            ),
             n_starts=("a whole number of at least 1", whole(self.n_starts, 1)),
             n_smallest=("a whole number of at least 1", whole(self.n_smallest, 1)),
             steps=("a whole number of at least 1", whole(self.steps, 1)),
-            merge_radius=("at least 0", self.merge_radius >= 0),
-            tolerance=("at least 0", self.tolerance >= 0),
-            negative_strength=("in (0, 1]", 0 < self.negative_strength <= 1),
-            leak=("in [0, 1)", 0 <= self.leak < 1),
+            merge_radius=("at least 0", is_number(self.merge_radius) and self.merge_radius >= 0),
+            tolerance=("at least 0", is_number(self.tolerance) and self.tolerance >= 0),
+            negative_strength=("in (0, 1]", is_number(self.negative_strength) and 0 < self.negative_strength <= 1),
+            leak=("in [0, 1)", is_number(self.leak) and 0 <= self.leak < 1),
         )
 
     @cached_property
@@ -223,7 +227,7 @@ class DiverseDensity:
         if candidates is not None and not exhaustive:
             raise ValueError('candidates need method="exhaustive": pass starts to a gradient search')
         name, given = ("candidates", candidates) if exhaustive else ("starts", starts)
-        points = np.empty((0, bags.n_features)) if given is None else np.asarray(given, dtype=np.float64)
+        points = np.empty((0, bags.n_features)) if given is None else real_array(name, given)
         if points.ndim != 2 or points.shape[1] != bags.n_features or not np.isfinite(points).all():
             raise ValueError(f"{name} must be finite, of shape (m, {bags.n_features}), got {points.shape}")
         if not exhaustive:

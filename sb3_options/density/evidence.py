@@ -12,7 +12,7 @@ from torch import Tensor
 
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
-from sb3_options.density.checks import check_finite
+from sb3_options.density.checks import check_finite, real_array
 from sb3_options.density.concepts import Concept, Frame
 from sb3_options.density.energies import Columns, Likelihood
 from sb3_options.density.layout import SEGMENT_INSTANCES, BagArrays, Segment, Workspace, segment_of
@@ -76,7 +76,7 @@ class Evidence:
         Raises:
             ValueError: The bag is empty, has other features, or is not finite.
         """
-        instances = np.asarray(bag, dtype=np.float64)
+        instances = real_array("bag", bag)
         if instances.ndim != 2 or not len(instances) or instances.shape[1] != self.frame.n_features:
             raise ValueError(f"bag must have shape (n >= 1, {self.frame.n_features}), got {instances.shape}")
         check_finite("bag", instances)

@@ -34,9 +34,15 @@ class FeatureGroup:
 
     def __post_init__(self) -> None:
         """Refuse arguments out of range, and make them tuples, which compare."""
-        features = tuple(map(int, self.features))
-        present = tuple(tuple(map(int, numbers)) for numbers in self.present)
-        scale = (1.0,) * len(features) if self.scale is None else tuple(map(float, self.scale))
+        try:
+            features = tuple(map(int, self.features))
+            present = tuple(tuple(map(int, numbers)) for numbers in self.present)
+            scale = (1.0,) * len(features) if self.scale is None else tuple(map(float, self.scale))
+        except (TypeError, ValueError, OverflowError) as error:
+            raise ValueError(
+                f"group {self.name!r}: features must be numbers from 0, present sets of these, and scale a number for "
+                f"each or None, got {self.features!r}, {self.present!r} and {self.scale!r}"
+            ) from error
         if not features or len(set(features)) < len(features) or min(features) < 0:
             raise ValueError(f"group {self.name!r}: features must be distinct numbers from 0, at least one: {features}")
         if not all(numbers and set(numbers) <= set(features) for numbers in present):

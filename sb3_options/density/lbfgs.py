@@ -12,7 +12,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from sb3_options.density.checks import whole
+from sb3_options.checked import whole
 
 PAIRS = 6
 """Curvature pairs kept."""

@@ -7,7 +7,7 @@ thorough one: scales are learned, the concept may be any `Concept`, and the peak
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -16,9 +16,10 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
+from sb3_options.checked import is_number, whole
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags, distinct
-from sb3_options.density.checks import positive_scale, refuse, whole
+from sb3_options.density.checks import positive_scale, refuse
 from sb3_options.density.concepts import Concept, Frame, Point
 from sb3_options.density.energies import Likelihood
 from sb3_options.density.evidence import Evidence, evenly
@@ -151,13 +152,17 @@ class ConceptSearch:
         """Refuse arguments out of range, by name."""
         features, scales = self.features, self.start_scales
         numbered = features is None or (
-            len(features) == len(set(features)) > 0 and all(whole(number, 0) for number in features)
+            isinstance(features, Collection)
+            and all(whole(number, 0) for number in features)
+            and len(features) == len(set(features)) > 0
         )
+        several = isinstance(scales, Collection) and len(scales) > 0
         refuse(
             self,
+            concept=("a Concept", isinstance(self.concept, Concept)),
             scale=("positive, finite, a number or (d,)", positive_scale(self.scale)),
             features=("distinct whole numbers of features, from 0, at least one", numbered),
-            start_scales=("positive and finite, at least one", len(scales) > 0 and all(map(positive_scale, scales))),
+            start_scales=("positive and finite, at least one", several and all(map(positive_scale, scales))),
             max_starts=(
                 "a whole number of at least 1, or None",
                 self.max_starts is None or whole(self.max_starts, 1),
@@ -165,11 +170,14 @@ class ConceptSearch:
             finalists=("a whole number of at least 1", whole(self.finalists, 1)),
             first_steps=("a whole number of at least 1", whole(self.first_steps, 1)),
             final_steps=("a whole number of at least 1", whole(self.final_steps, 1)),
-            tolerance=("above 0", self.tolerance > 0),
-            merge_radius=("at least 0", self.merge_radius >= 0),
-            negative_strength=("in (0, 1]", 0 < self.negative_strength <= 1),
-            negative_width=("positive and finite", 0 < self.negative_width < math.inf),
-            leak=("in [0, 1)", 0 <= self.leak < 1),
+            tolerance=("above 0", is_number(self.tolerance) and self.tolerance > 0),
+            merge_radius=("at least 0", is_number(self.merge_radius) and self.merge_radius >= 0),
+            negative_strength=("in (0, 1]", is_number(self.negative_strength) and 0 < self.negative_strength <= 1),
+            negative_width=(
+                "positive and finite",
+                is_number(self.negative_width) and 0 < self.negative_width < math.inf,
+            ),
+            leak=("in [0, 1)", is_number(self.leak) and 0 <= self.leak < 1),
             max_pairs=("a whole number of at least 1", whole(self.max_pairs, 1)),
         )
 

@@ -108,7 +108,8 @@ class BagMaker:
             return None
         self._find_scale(database)
         assert self.scale is not None  # of any trajectories
-        self._known = {id(t): self._known.get(id(t)) or self._know(t, self.scale) for t in database}
+        old = {id(known.labelled): known for known in self._known.values()}  # a copied object has another id
+        self._known = {id(t): old.get(id(t)) or self._know(t, self.scale) for t in database}
         known = [self._known[id(t)] for t in positive]
         made = [self._bag(k, passage, taken) for k, passage in zip(known, self._passages(known), strict=True)]
         positive_bags = [bag for bag in made if len(bag)]

@@ -49,7 +49,8 @@ class Contrast:
 
     def update(self, trajectories: Sequence[LabelledTrajectory]) -> None:
         """Count the visits of these trajectories, and of no others."""
-        self._visits = {id(t): self._visits.get(id(t)) or _Visits(t, self.group) for t in trajectories}
+        old = {id(visits.labelled): visits for visits in self._visits.values()}  # a copied object has another id
+        self._visits = {id(t): old.get(id(t)) or _Visits(t, self.group) for t in trajectories}
         visits = [self._visits[id(t)] for t in trajectories]
         states, which = np.unique(np.concatenate([v.states for v in visits]), axis=0, return_inverse=True)
         columns = np.split(which.ravel(), np.cumsum([len(v.states) for v in visits])[:-1])

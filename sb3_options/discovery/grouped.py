@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -26,14 +27,15 @@ class OutcomeDatabase(TrajectoryDatabase):
 
     Args:
         capacity: Of each kind, at least 1.
+        max_bytes: Likewise.
 
     Raises:
         ValueError: ``capacity`` < 1.
     """
 
-    def __init__(self, capacity: int) -> None:
-        super().__init__(capacity)
-        self._successful = TrajectoryDatabase(capacity)
+    def __init__(self, capacity: int, max_bytes: float = math.inf) -> None:
+        super().__init__(capacity, max_bytes)
+        self._successful = TrajectoryDatabase(capacity, max_bytes)
 
     def add(self, trajectory: LabelledTrajectory) -> None:
         """Append, dropping the oldest one of its kind when there are too many."""
@@ -74,7 +76,7 @@ class GroupedDiscovery(SubgoalDiscovery):
     def __post_init__(self) -> None:
         """Set up what grows with experience, for each group."""
         super().__post_init__()
-        self.database: OutcomeDatabase = OutcomeDatabase(self.settings.capacity)
+        self.database: OutcomeDatabase = OutcomeDatabase(self.settings.capacity, self.settings.max_bytes)
         own = replace(self.settings, loops="keep", min_passing=0.0)
         contrasts: dict[FeatureGroup, Contrast] = {}
         for group in sorted(self.groups, key=lambda group: len(group.features)):

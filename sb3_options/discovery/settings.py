@@ -26,6 +26,7 @@ class DiscoverySettings:
         max_segment: Primitive steps without a peak that make an unsuccessful segment; more than random exploration
             takes from peak to peak.
         capacity: How many trajectories are kept: the last n.
+        max_bytes: How much memory they may take, 1 GiB; with large observations fewer than n are kept.
         min_positive: Positive bags needed before the first search: over a few bags, accidents tie with bottlenecks.
         loops: ``erase`` makes the bag of a successful trajectory of the way it took, without its loops
             (`ways.loop_erased`); ``keep`` makes it of all it visited, as the paper does.
@@ -63,6 +64,7 @@ class DiscoverySettings:
     peak_reward: Annotated[float, Field(allow_inf_nan=False)] | None = None
     max_segment: Annotated[int, Field(ge=1)] = 10_000
     capacity: Annotated[int, Field(ge=1)] = 100
+    max_bytes: Annotated[int, Field(ge=1)] = 1 << 30
     min_positive: Annotated[int, Field(ge=1)] = 8
     loops: Literal["erase", "keep"] = "erase"
     min_passing: Annotated[float, Field(ge=0, lt=1)] = 0.7

@@ -84,7 +84,7 @@ class SubgoalDiscovery:
     def __post_init__(self) -> None:
         """Set up what grows with experience."""
         s = self.settings
-        self.database = TrajectoryDatabase(s.capacity)
+        self.database = TrajectoryDatabase(s.capacity, s.max_bytes)
         self.tracker = PeakTracker(decay=s.decay, threshold=s.threshold, radius=s.peak_radius)
         self.found: list[FoundSubgoal] = []
         unit = "episode" if s.segmentation == "episodes" else "segment"
@@ -113,7 +113,7 @@ class SubgoalDiscovery:
         Raises:
             ValueError: ``features`` does not fit the trajectory, or is not finite.
         """
-        features = np.asarray(features, dtype=np.float64)
+        features = np.array(features, dtype=np.float64)  # a view would keep alive what it is a view of
         n_states = batch_size(trajectory.states)
         if features.ndim != 2 or len(features) != n_states:
             raise ValueError(

@@ -69,6 +69,7 @@ class PassingShare:
         Returns:
             For each way those of its states, shape (k_i,), in [0, 1).
         """
+        self._counts = {id(way): (way, counts) for way, counts in self._counts.values()}  # a copy has another id
         current = {id(way) for way in ways}
         for key in [key for key in self._counts if key not in current]:
             way, _ = self._counts.pop(key)

@@ -12,6 +12,7 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from sb3_options.checked import is_number
 from sb3_options.experience.observations import BoolArray
 
 
@@ -67,8 +68,8 @@ def checked_share(share: float) -> float:
     Raises:
         ValueError: It is not in [0, 1].
     """
-    if not 0.0 <= share <= 1.0:
-        raise ValueError(f"max_option_exploration and opening_share must be shares in [0, 1], got {share}.")
+    if not (is_number(share) and 0.0 <= share <= 1.0):
+        raise ValueError(f"max_option_exploration and opening_share must be shares in [0, 1], got {share!r}.")
     return float(share)
 
 

@@ -8,6 +8,7 @@ import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec
 
 from sb3_options.experience.recording import EpisodeRecorder, RewardPeaks, SegmentRecorder, TrajectoryRecorder
+from sb3_options.experience.success import success_in
 from sb3_options.experience.trajectories import Trajectory
 
 
@@ -67,7 +68,8 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
         """One primitive step.
 
         Raises:
-            ValueError: The environment itself uses a name in ``info`` under which recorders report.
+            ValueError: The environment itself uses a name in ``info`` under which recorders report, or what it calls
+                ``is_success`` is no truth value.
         """
         result = self.env.step(action)
         if self.recorder is None:
@@ -80,8 +82,5 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
             )
         self.recorder.record(action, float(reward), observation)
         if terminated or truncated:
-            success = info.get("is_success")
-            self.recorder.end(
-                terminated=terminated, truncated=truncated, is_success=None if success is None else bool(success)
-            )
+            self.recorder.end(terminated=terminated, truncated=truncated, is_success=success_in(info))
         return result

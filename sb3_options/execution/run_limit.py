@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sb3_options.checked import is_number
 from sb3_options.experience.observations import BoolArray
 
 
@@ -19,8 +20,8 @@ class RunLimit:
     """
 
     def __init__(self, max_options: int, max_runs: int | None) -> None:
-        if max_runs is not None and (max_runs < 1 or max_runs % 1):
-            raise ValueError(f"max_runs must be a whole number, at least 1, or None for no limit, got {max_runs}.")
+        if max_runs is not None and not (is_number(max_runs) and max_runs >= 1 and max_runs % 1 == 0):
+            raise ValueError(f"max_runs must be a whole number, at least 1, or None for no limit, got {max_runs!r}.")
         self.max_runs = max_runs
         self.runs = np.zeros(max_options, dtype=np.int64)
 

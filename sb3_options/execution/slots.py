@@ -13,6 +13,7 @@ from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 from stable_baselines3.common.monitor import Monitor
 
+from sb3_options.checked import is_number
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.execution import features as feature_maps
 from sb3_options.execution.interruption import Interruption
@@ -45,6 +46,7 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         feature_map: FeatureMap | None,
         options_file: str | os.PathLike[str] | None,
         max_runs: int | None,
+        check_finite: bool,
     ) -> None:
         # Not copied: a feature map may be a method of the environment, which would be copied with it.
         RecordConstructorArgs.__init__(
@@ -55,6 +57,7 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             feature_map=feature_map,
             options_file=options_file,
             max_runs=max_runs,
+            check_finite=check_finite,
         )
         gym.Wrapper.__init__(self, env)
         primitive = env.action_space
@@ -65,9 +68,11 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             )
         if primitive.start != 0:
             raise ValueError(f"OptionsWrapper needs actions that start at 0, got {primitive}.")
-        if not 0.0 < gamma <= 1.0:
-            raise ValueError(f"gamma must be in (0, 1], got {gamma}.")
-        self.gamma, self.max_runs = float(gamma), max_runs
+        if not (is_number(gamma) and 0.0 < gamma <= 1.0):
+            raise ValueError(f"gamma must be in (0, 1], got {gamma!r}.")
+        if not isinstance(options_file, str | bytes | os.PathLike | None):
+            raise TypeError(f"options_file must be a path or None, got {type(options_file).__name__}.")
+        self.gamma, self.max_runs, self.check_finite = float(gamma), max_runs, check_finite
         self.n_primitive = int(primitive.n)
         self.features = feature_maps.resolve(env, feature_map)
         self.bank = OptionBank(

@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 
 from sb3_options.execution.features import checked_size
+from sb3_options.execution.finite import check_finite
 from sb3_options.execution.option_step import StepReturn, run_option
 from sb3_options.execution.slots import OptionSlots
 from sb3_options.experience.observations import BoolArray, FeatureMap, Observations, batch_of_one
@@ -47,6 +48,8 @@ class OptionsWrapper(OptionSlots):
         options_file: Start with the options of this file, which `OptionBank.save` wrote, or of this ``model.zip``.
         max_runs: How often one option may run in an episode, at least 1; None for any number. Runs that were
             interrupted count; single steps, where an option was chosen outside its initiation set, do not.
+        check_finite: Whether to refuse observations and rewards that are NaN, infinite, or too large for single
+            precision, instead of learning from them.
 
     Raises:
         TypeError: The action space is not ``Discrete``, or ``feature_map`` is not callable.
@@ -63,13 +66,16 @@ class OptionsWrapper(OptionSlots):
         feature_map: FeatureMap | None = None,
         options_file: str | os.PathLike[str] | None = None,
         max_runs: int | None = None,
+        check_finite: bool = False,
     ) -> None:
-        super().__init__(env, max_options, gamma, feature_map, options_file, max_runs)
+        super().__init__(env, max_options, gamma, feature_map, options_file, max_runs, check_finite)
         self._primitive = OptionRun(-1, 1, self.gamma, self.gamma, "primitive").as_info()
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment; ``seed`` also seeds what empty slots draw."""
         observation, info = self.env.reset(seed=seed, options=options)
+        if self.check_finite:
+            check_finite(self.env, observation)
         if seed is not None:
             self.seed_empty_slots(seed)
         self._observation = observation
@@ -91,7 +97,8 @@ class OptionsWrapper(OptionSlots):
             Observation, Σ γⁱ rᵢ, terminated, truncated, info as described for the class.
 
         Raises:
-            ValueError: There is no such action, or the environment's info uses a name that is needed here.
+            ValueError: There is no such action, the environment's info uses a name that is needed here, or
+                ``check_finite`` refuses what it gave.
             gymnasium.error.ResetNeeded: A slot is named before the first ``reset``.
         """
         action = int(action)
@@ -116,8 +123,7 @@ class OptionsWrapper(OptionSlots):
 
     def _run_primitive(self, action: int, *, instead: bool = False) -> StepReturn:
         """Run a primitive action that was chosen, or that runs ``instead`` of a slot."""
-        result = self.env.step(action)
-        self._observation = result[0]
+        result = self._primitive_step(action)
         option = self._primitive.copy()
         if instead:
             option["actions"] = np.array([action])
@@ -151,6 +157,8 @@ class OptionsWrapper(OptionSlots):
     def _primitive_step(self, action: int) -> StepReturn:
         result = self.env.step(action)
         self._observation = result[0]
+        if self.check_finite:
+            check_finite(self.env, result[0], result[1])
         return result
 
     def _reported(self, result: StepReturn, option: dict[str, Any]) -> StepReturn:

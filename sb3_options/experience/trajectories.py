@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import logging
+import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 from sb3_options.experience.observations import FloatArray, IntArray, Observations
+
+logger = logging.getLogger("sb3_options")
 
 
 @dataclass(frozen=True)
@@ -40,6 +45,12 @@ class Trajectory:
         """Duration T in primitive steps."""
         return len(self.actions)
 
+    @property
+    def n_bytes(self) -> int:
+        """What its arrays take."""
+        states = self.states.values() if isinstance(self.states, Mapping) else [self.states]
+        return sum(array.nbytes for array in (*states, self.visits, self.actions, self.rewards))
+
 
 class EpisodeRecord(NamedTuple):
     """One episode of training, or one segment of a continuing task, in primitive steps.
@@ -71,25 +82,48 @@ class LabelledTrajectory:
     features: FloatArray
     success: bool
 
+    @cached_property
+    def n_bytes(self) -> int:
+        """What its arrays take."""
+        return self.trajectory.n_bytes + self.features.nbytes
+
 
 class TrajectoryDatabase:
     """The last ``capacity`` trajectories, oldest first (McGovern & Barto 2001, Table 1).
 
     Args:
         capacity: How many trajectories are kept, at least 1.
+        max_bytes: How much memory their arrays may take; the last trajectory is kept whatever it takes.
 
     Raises:
         ValueError: ``capacity`` < 1.
     """
 
-    def __init__(self, capacity: int) -> None:
+    def __init__(self, capacity: int, max_bytes: float = math.inf) -> None:
         if capacity < 1:
             raise ValueError(f"capacity must be at least 1 trajectory, got {capacity}.")
-        self._trajectories: deque[LabelledTrajectory] = deque(maxlen=capacity)
+        self.capacity, self.max_bytes = capacity, max_bytes
+        self._trajectories: deque[LabelledTrajectory] = deque()
+        self._warned = False
 
     def add(self, trajectory: LabelledTrajectory) -> None:
-        """Append, dropping the oldest one when full."""
-        self._trajectories.append(trajectory)
+        """Append, dropping the oldest ones when full. The first time that memory is why, there is a warning."""
+        trajectories = self._trajectories
+        trajectories.append(trajectory)
+        if len(trajectories) > self.capacity:
+            trajectories.popleft()
+        n_bytes = sum(each.n_bytes for each in trajectories)
+        while n_bytes > self.max_bytes and len(trajectories) > 1:
+            n_bytes -= trajectories.popleft().n_bytes
+            if not self._warned:
+                self._warned = True
+                logger.warning(
+                    "The last %d trajectories take all of max_bytes, %s: fewer than capacity=%d are kept. Raise it if "
+                    "there is memory (DiscoverySettings(max_bytes=...)), or let φ see smaller observations.",
+                    len(trajectories),
+                    f"{self.max_bytes:,}",
+                    self.capacity,
+                )
 
     def __len__(self) -> int:
         return len(self._trajectories)

@@ -8,11 +8,15 @@ from typing import Any, cast
 import numpy as np
 
 from sb3_options.atomic import atomic_write
+from sb3_options.checked import whole
 from sb3_options.experience.observations import BoolArray, FeatureMap, Observations, batch_size
 from sb3_options.options import file as option_file
 from sb3_options.options.archive import Source
 from sb3_options.options.file import SpaceSignature
 from sb3_options.options.option import Option, SubgoalOption
+
+MAX_SLOTS = 1_000_000
+"""Each slot is an action, for which a network has an output."""
 
 
 class OptionBank:
@@ -43,10 +47,12 @@ class OptionBank:
         feature_size: int | None = None,
         signature: SpaceSignature | None = None,
     ) -> None:
-        if n_primitive < 1:
-            raise ValueError(f"n_primitive must be at least 1, got {n_primitive}.")
-        if max_options < 0:
-            raise ValueError(f"max_options must be at least 0, got {max_options}.")
+        if not whole(n_primitive, 1):
+            raise ValueError(f"n_primitive must be at least 1, got {n_primitive!r}.")
+        if not whole(max_options, 0):
+            raise ValueError(f"max_options must be at least 0, got {max_options!r}.")
+        if max_options > MAX_SLOTS:
+            raise ValueError(f"max_options must be at most {MAX_SLOTS:,}, got {max_options:,}.")
         self.n_primitive = n_primitive
         self.max_options = max_options
         self.feature_map = feature_map

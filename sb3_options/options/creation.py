@@ -17,6 +17,12 @@ from sb3_options.options.policies import OptionPolicy, TabularPolicy
 from sb3_options.options.replay import replay_into_network, replay_into_table
 from sb3_options.options.settings import OptionLearningSettings
 
+LARGEST_TABLE = 4 << 20
+"""Bytes up to which a table grows by learning further: some 14,000 rows of four features and four actions."""
+
+ROW_BYTES = 200
+"""Memory of a row of a table besides its numbers, approximately."""
+
 
 def learn_option(
     subgoal: Region,
@@ -79,7 +85,9 @@ def learn_further(
     """The option after Q-learning, with step size α, on the steps of one more trajectory that began in I.
 
     The steps are replayed backwards, so that the value of a successor is updated before it is used (Lin 1992). A step
-    into a state in which no trajectory acted is left out, because the value of that state is unknown.
+    into a state in which no trajectory acted is left out, because the value of that state is unknown. So is a step that
+    begins in a new state once the table takes `LARGEST_TABLE` bytes: where observations never repeat, it would grow for
+    ever.
 
     Args:
         option: Stays unchanged.
@@ -96,6 +104,8 @@ def learn_further(
         return option
     rows, states, values = policy.rows_for(transitions.states)
     known: BoolArray = np.any(np.isfinite(values), axis=1)
+    row_bytes = 2 * states[:1].nbytes + values[:1].nbytes + ROW_BYTES  # an observation is its own key
+    limit = max(len(policy.states), LARGEST_TABLE // row_bytes)
     for began, action, reward, led, ends in zip(
         rows[transitions.began][::-1],
         transitions.actions[::-1],
@@ -104,7 +114,7 @@ def learn_further(
         transitions.ends[::-1],
         strict=True,
     ):
-        if not (ends or known[led]):
+        if began >= limit or not (ends or known[led]):
             continue
         target = reward if ends else reward + settings.gamma * values[led].max()
         old = values[began, action]

@@ -34,26 +34,25 @@ Result = TypeVar("Result")
 class SingleCache(Generic[Result]):
     """What a function of a batch gives for single observations. Small environments repeat theirs.
 
-    Args:
-        compute: The function.
+    The function is handed in with every call: an option whose caches held its own methods would be garbage that only
+    the garbage collector frees, with its table and all results, each time a later version takes its place.
     """
 
-    def __init__(self, compute: Callable[[Observations], Result]) -> None:
-        self._compute = compute
+    def __init__(self) -> None:
         self._results: dict[bytes, Result] = {}
         self._bytes = 0
 
-    def __call__(self, observations: Observations) -> Result:
-        """The function's result; kept if the batch is a single observation."""
+    def __call__(self, compute: Callable[[Observations], Result], observations: Observations) -> Result:
+        """The result of ``compute``, always the same function; kept if the batch is a single observation."""
         if batch_size(observations) != 1:
-            return self._compute(observations)
+            return compute(observations)
         key = key_of(observations)
         result = self._results.get(key)
         if result is None:
             if self._bytes > CACHE_BYTES:
                 self._results.clear()
                 self._bytes = 0
-            result = self._results[key] = self._compute(observations)
+            result = self._results[key] = compute(observations)
             self._bytes += len(key) + CACHE_ENTRY_BYTES
         return result
 
@@ -173,8 +172,8 @@ class SubgoalOption(Option):
         self._forget_results()
 
     def _forget_results(self) -> None:
-        self._membership = SingleCache(self._computed_membership)
-        self._greedy = SingleCache(self._computed_actions)
+        self._membership: SingleCache[tuple[BoolArray, BoolArray]] = SingleCache()
+        self._greedy: SingleCache[IntArray] = SingleCache()
 
     def bind(self, feature_map: FeatureMap | None) -> SubgoalOption:
         """The same option with φ set."""
@@ -190,15 +189,15 @@ class SubgoalOption(Option):
 
     def initiation(self, observations: Observations) -> BoolArray:
         """Whether each observation lies in I, shape (batch,)."""
-        return self._membership(observations)[0].copy()
+        return self._membership(self._computed_membership, observations)[0].copy()
 
     def policy(self, observations: Observations) -> IntArray:
         """The greedy action of the option's value function, shape (batch,)."""
-        return self._greedy(observations).copy()
+        return self._greedy(self._computed_actions, observations).copy()
 
     def termination(self, observations: Observations) -> FloatArray:
         """1 at the subgoal, else 0, shape (batch,)."""
-        return self._membership(observations)[1].astype(np.float64)
+        return self._membership(self._computed_membership, observations)[1].astype(np.float64)
 
     def _computed_membership(self, observations: Observations) -> tuple[BoolArray, BoolArray]:
         features = self._features(observations)

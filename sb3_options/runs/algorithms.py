@@ -7,7 +7,9 @@ import importlib
 from typing import Any
 
 import gymnasium as gym
+import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
@@ -45,7 +47,9 @@ def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> Ba
 
     Raises:
         ModuleNotFoundError: The algorithm is one of sb3-contrib's, which is not installed.
+        ValueError: There is no such device.
     """
+    check_device(config.device)
     image = len(env.observation_space.shape or ()) == 3
     policy = "MultiInput" if isinstance(env.observation_space, gym.spaces.Dict) else "Cnn" if image else "Mlp"
     own = {f.name for f in dataclasses.fields(config)} - COMMON - ELSEWHERE
@@ -69,6 +73,19 @@ def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> Ba
     # SB3 seeds environment i with seed + i, so that the runs of seeds 0 and 1 would share all but one of them.
     env.seed(config.seed * env.num_envs)
     return model
+
+
+def check_device(name: str) -> None:
+    """Refuse a device that torch cannot compute on here. Without a GPU, "cuda" means "cpu", as SB3 has it.
+
+    Raises:
+        ValueError: There is no such device.
+    """
+    try:
+        torch.zeros(1, device=get_device(name)).item()
+    except Exception as error:  # torch and its backends raise what they like
+        said = " ".join(str(error).split())
+        raise ValueError(f"--device {name!r} cannot be used: choose auto, cpu or cuda. Torch says: {said}") from error
 
 
 def callback_settings(config: TrainConfig) -> dict[str, Any]:

@@ -33,6 +33,12 @@ TUNED = {
 """File of the settings that ship for an environment, by its id."""
 
 
+MAX_SEED = 2**32 - 1
+"""NumPy's generators, which SB3 seeds, take no larger one."""
+
+MAX_THREADS = 1024
+"""More than any machine has cores for; torch would take memory for each."""
+
 NAME, KIND = tyro.conf.arg(metavar="NAME"), tyro.conf.arg(metavar="KIND")  # of something in a module; of a choice
 Count: TypeAlias = Annotated[int, Field(ge=1)]
 Natural: TypeAlias = Annotated[int, Field(ge=0)]
@@ -83,7 +89,7 @@ class TrainConfig:
     env_wrapper: Annotated[str | None, NAME] = None
     feature_map: Annotated[str | None, NAME] = None
     n_timesteps: Count = 60_000
-    seed: Natural = 0
+    seed: Annotated[int, Field(ge=0, le=MAX_SEED)] = 0
     tensorboard_log: Path = Path("runs")
     n_envs: Count = 1
     vec_env: Annotated[Literal["dummy", "subproc"], KIND] = "dummy"
@@ -92,7 +98,7 @@ class TrainConfig:
     eval_max_steps: Natural = 1_000
     progress: bool = True
     device: str = "auto"
-    num_threads: Count = 1
+    num_threads: Annotated[int, Field(ge=1, le=MAX_THREADS)] = 1
     options: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     max_options: Natural = 4
     max_new_options: Natural | None = 1

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import io
+from pathlib import Path
 from typing import Any
 
-from stable_baselines3.common.callbacks import EvalCallback, ProgressBarCallback
+from stable_baselines3.common.callbacks import BaseCallback, EvalCallback, ProgressBarCallback
 
+from sb3_options.atomic import atomic_write
 from sb3_options.runs.interrupts import Interrupts
+from sb3_options.runs.logs import Tolerance
 
 SHOWN_EVERY = 100
 """Decisions of an evaluation between two changes of what the progress bar says."""
+
+
+BEST, EVALUATIONS = "best_model.zip", "evaluations.npz"
+"""Files in the run folder."""
 
 
 class _InterruptedError(Exception):
@@ -19,24 +27,43 @@ class _InterruptedError(Exception):
 class WatchedEvalCallback(EvalCallback):
     """SB3's ``EvalCallback``, whose evaluations the progress bar shows, and which an interrupt ends with training.
 
+    It writes ``evaluations.npz`` and ``best_model.zip`` whole or not at all; a full disk ends no training.
+
     Args:
         interrupts: Notes them.
+        folder: Where to write.
         *args: Of ``EvalCallback``.
         **kwargs: Likewise.
     """
 
-    def __init__(self, interrupts: Interrupts, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
+    def __init__(self, interrupts: Interrupts, folder: Path, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs | {"callback_on_new_best": _SaveBest(folder / BEST)})
         self.interrupts = interrupts
+        self.log_path: Any = io.BytesIO()  # SB3's file, rewritten with every evaluation
+        self._file = folder / EVALUATIONS
+        self._write = Tolerance(self._file).tolerant(self._write_evaluations)
         self._decisions = 0
 
+    def _init_callback(self) -> None:
+        self.log_path, file = None, self.log_path  # SB3 would make its folder
+        super()._init_callback()
+        self.log_path = file
+
     def _on_step(self) -> bool:
+        self.log_path.seek(0)
+        self.log_path.truncate()
         try:
             goes_on = super()._on_step()
         except _InterruptedError:
             return False
+        if content := self.log_path.getvalue():
+            self._write(content)
         self._show(f"evaluated: {self.last_mean_reward:.4g}")
         return goes_on
+
+    def _write_evaluations(self, content: bytes) -> None:
+        with atomic_write(self._file) as temporary:
+            temporary.write_bytes(content)
 
     def _log_success_callback(self, locals_: dict[str, Any], globals_: dict[str, Any]) -> None:
         # SB3 calls it after every decision of an evaluation.
@@ -52,6 +79,18 @@ class WatchedEvalCallback(EvalCallback):
         for callback in getattr(self.locals.get("callback"), "callbacks", ()):  # learn adds the bar to all others
             if isinstance(callback, ProgressBarCallback):
                 callback.pbar.set_description(text)
+
+
+class _SaveBest(BaseCallback):
+    """Saves the model."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self._save = Tolerance(path).tolerant(lambda: self.model.save(path))
+
+    def _on_step(self) -> bool:
+        self._save()
+        return True
 
 
 def eval_callback_class(algo: str) -> type[WatchedEvalCallback]:

@@ -8,21 +8,25 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.preprocessing import get_obs_shape
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
+from sb3_options.atomic import remove_stale
 from sb3_options.envs import minigrid
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.options import file as option_file
 from sb3_options.options.archive import NAME
+from sb3_options.options.bank import OptionBank
 from sb3_options.runs.config import MaskablePPOConfig, TrainConfig
+from sb3_options.runs.eval_callback import BEST as BEST
 from sb3_options.runs.interrupts import ignore_interrupts
+from sb3_options.runs.logs import keep_monitor
 from sb3_options.runs.users_code import named
 
 CONFIG = "config.yml"
 MODEL = "model.zip"
-BEST = "best_model.zip"
 OPTIONS = NAME
 MONITOR = "monitor"
 SUBGOALS = "subgoals.png"
@@ -45,13 +49,14 @@ OWN_NAMESPACE = "sb3_options/"
 
 
 def new_run_folder(config: TrainConfig) -> Path:
-    """Make the next free folder ``ALGO/ENV_N`` below ``tensorboard_log``.
+    """Make the next free folder ``ALGO/ENV_N`` below ``tensorboard_log``; clean those of killed runs.
 
     Raises:
         OSError: It cannot be made.
     """
     parent = config.tensorboard_log / config.algo
     parent.mkdir(parents=True, exist_ok=True)
+    remove_stale(parent, "*/")
     name = config.env.replace("/", "-")
     number = 1
     while True:
@@ -124,6 +129,30 @@ def options_file(config: TrainConfig) -> Path | None:
     return path
 
 
+def save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
+    """Save model and options; where one cannot be written, the other is.
+
+    Args:
+        model: Trained.
+        bank: Its options.
+        folder: The run folder.
+
+    Raises:
+        OSError: One of them cannot be written; a note says which is missing.
+    """
+    failed: list[Exception] = []
+    for save, name in ((model.save, MODEL), (bank.save, OPTIONS)):
+        try:
+            save(folder / name)
+        except Exception as error:
+            error.add_note(f"So there is no {name} of this training.")
+            failed.append(error)
+    if failed:
+        for other in failed[1:]:
+            failed[0].add_note(" ".join([f"{other}.", *other.__notes__]))
+        raise failed[0]
+
+
 def make_env(
     config: TrainConfig,
     n_envs: int,
@@ -169,6 +198,7 @@ def make_env(
     def with_options(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
         if subproc:
             ignore_interrupts()
+        keep_monitor(env)
         if beneath is not None:
             env = beneath(env)
         return OptionsWrapper(
@@ -178,6 +208,7 @@ def make_env(
             feature_map=None if config.feature_map is None else named(config.feature_map, "--feature-map"),
             options_file=options,
             max_runs=max_runs,
+            check_finite=True,
         )
 
     def wrapped(**kwargs: Any) -> gym.Env[Any, Any]:

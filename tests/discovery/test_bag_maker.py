@@ -1,3 +1,4 @@
+import copy
 from typing import Any
 
 import numpy as np
@@ -65,3 +66,33 @@ def test_a_bag_that_does_not_change_is_the_same_array() -> None:
     maker.forget_bags()
     third = maker.make(ways, [ball(10.0)])
     assert third is None
+
+
+def swapped(cache: dict[int, Any]) -> dict[int, Any]:
+    """A cache as it may be after a copy or a restore: its keys are ids that now are those of other objects."""
+    return dict(zip(cache, reversed(cache.values()), strict=True))
+
+
+def test_ids_of_a_copy_are_not_believed() -> None:
+    trajectories = [line([0, 5, i, 20]) for i in (7, 9, 11)]
+    for changes in ({}, {"min_passing": 0.4, "loops": "erase"}):
+        maker = BagMaker(DiscoverySettings(**{**PLAIN, **changes}), None, None)
+        before = maker.make(trajectories, ())
+        assert before is not None
+        maker._known, maker._passing._counts = swapped(maker._known), swapped(maker._passing._counts)
+        maker._known = {id(object()): known for known in maker._known.values()} | maker._known
+        after = maker.make(trajectories, ())
+        assert after is not None
+        assert places(after.positive) == places(before.positive)
+
+
+def test_a_copy_goes_on_with_its_bags() -> None:
+    """Incremental search knows a bag by being the same array: a copy finds its own in the copied cache."""
+    trajectories = [line([0, i, i + 1, 20]) for i in (5, 7, 9)]
+    maker = BagMaker(DiscoverySettings(**PLAIN), None, None)
+    before = maker.make(trajectories, ())
+    maker, trajectories, before = copy.deepcopy((maker, trajectories, before))
+    after = maker.make(trajectories, ())
+    assert before is not None
+    assert after is not None
+    assert list(map(id, after.positive)) == list(map(id, before.positive))

@@ -1,6 +1,9 @@
+from typing import Any
+
+import numpy as np
 import pytest
 
-from sb3_options.experience.success import reported_success, success_by_return, success_by_steps
+from sb3_options.experience.success import reported_success, success_by_return, success_by_steps, success_in
 from sb3_options.experience.trajectories import Trajectory
 from tests.support.helpers import trajectory_of
 
@@ -41,3 +44,19 @@ def test_success_by_steps(limit: int, is_success: bool, success: bool) -> None:
 def test_success_by_steps_out_of_range() -> None:
     with pytest.raises(ValueError, match=r"^limit must be at least 1 primitive step, got 0\.$"):
         success_by_steps(0)
+
+
+@pytest.mark.parametrize("said", [True, 1, 1.0, np.True_, np.float32(1), np.array(1.0), np.array([True]), np.int64(1)])
+def test_what_an_info_says(said: Any) -> None:
+    assert success_in({"is_success": said}) is True
+    assert success_in({"is_success": 1 - np.asarray(said, dtype=float)}) is False
+    assert success_in({"is_success": None}) is None
+    assert success_in({}) is None
+
+
+@pytest.mark.parametrize(
+    "said", [float("nan"), np.nan, "no", "False", 0.5, 2, -1, [], [True, False], np.array([]), {}, b"1", object()]
+)
+def test_an_info_that_says_neither(said: Any) -> None:
+    with pytest.raises(ValueError, match=r'info\["is_success"\] must be True or False \(or 1 or 0\), got .+'):
+        success_in({"is_success": said})

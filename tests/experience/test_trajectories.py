@@ -1,5 +1,13 @@
+import gc
+import logging
+import weakref
+
+import numpy as np
 import pytest
 
+from sb3_options.discovery.grouped import OutcomeDatabase
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.trajectories import TrajectoryDatabase
 from tests.support.helpers import line
 
@@ -17,3 +25,43 @@ def test_the_database_keeps_the_last_n() -> None:
 def test_the_database_needs_room_for_one(capacity: int) -> None:
     with pytest.raises(ValueError, match=rf"^capacity must be at least 1 trajectory, got {capacity}\.$"):
         TrajectoryDatabase(capacity)
+
+
+def test_the_database_counts_bytes(caplog: pytest.LogCaptureFixture) -> None:
+    one = line(range(100))
+    arrays = (one.trajectory.states, one.trajectory.visits, one.trajectory.actions, one.trajectory.rewards)
+    assert one.n_bytes == sum(np.asarray(array).nbytes for array in arrays) + one.features.nbytes
+    database = TrajectoryDatabase(10**30, max_bytes=3 * one.n_bytes)
+    trajectories = [line(range(100)) for _ in range(7)]
+    with caplog.at_level(logging.WARNING):
+        for trajectory in trajectories:
+            database.add(trajectory)
+    assert [id(t) for t in database] == [id(t) for t in trajectories[4:]]
+    assert len(caplog.records) == 1
+    assert caplog.records[0].getMessage().startswith("The last 3 trajectories take all of max_bytes, ")
+    large = line(range(1_000))
+    database.add(large)
+    assert list(map(id, database)) == [id(large)]
+    database.add(trajectories[0])
+    assert list(map(id, database)) == [id(trajectories[0])], "the large one is the older"
+
+
+def test_both_databases_of_outcomes_count_them() -> None:
+    one = line(range(100))
+    database = OutcomeDatabase(100, max_bytes=2 * one.n_bytes)
+    for _ in range(5):
+        database.add(line(range(100)))
+    assert len(database) == 2
+    assert SubgoalDiscovery(DiscoverySettings(max_bytes=17)).database.max_bytes == 17
+
+
+def test_a_feature_map_that_returns_a_view_keeps_nothing_alive() -> None:
+    one = line(range(10)).trajectory
+    batch = np.zeros((10, 1_000))
+    gone = weakref.ref(batch)
+    discovery = SubgoalDiscovery()
+    labelled = discovery.add(one, batch[:, :1])
+    del batch
+    gc.collect()
+    assert gone() is None
+    assert labelled.features.base is None

@@ -141,6 +141,21 @@ class TestLearnFurther:
         values = self.values(further)
         assert (values[3.2][RIGHT], values[2.8][RIGHT]) == (-1, -2)
 
+    def test_a_table_does_not_grow_for_ever(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Where observations never repeat: of 100 trajectories with three new ones each, a few rows join the table."""
+        rng = np.random.default_rng(0)
+        row_bytes = 4 * 8 + 200  # a feature, its key, two actions
+        monkeypatch.setattr("sb3_options.options.creation.LARGEST_TABLE", 10 * row_bytes)
+        option = self.option()
+        option = SubgoalOption(
+            option.subgoal, Region(option.initiation_set.points, np.ones(1), 0.4), option.option_policy
+        )
+        for _ in range(100):
+            option = learn_further(option, walk([*np.sort(rng.uniform(1.7, 4.4, 3)), 5.0]), self.settings)
+        assert len(self.values(option)) == 10
+        further = learn_further(option, walk([4.0, 5.0]), replace(self.settings, subgoal_reward=7.0))
+        assert self.values(further)[4.0] != self.values(option)[4.0], "what the table holds is still learned"
+
     def test_a_step_into_the_unknown_teaches_nothing(self) -> None:
         option = self.option()
         wide = SubgoalOption(

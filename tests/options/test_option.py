@@ -1,4 +1,6 @@
+import gc
 import pickle
+import weakref
 from typing import Any
 
 import numpy as np
@@ -138,6 +140,18 @@ class TestSubgoalOption:
         for place in np.linspace(0.0, 5.0, 1000):
             assert option.termination(np.array([[place]])) == (2.5 <= place <= 3.5)
             assert len(option._membership._results) <= 14
+
+    def test_it_is_freed_at_once_when_another_takes_its_place(self) -> None:
+        """Not by the garbage collector, which may let many large tables wait."""
+        gc.disable()
+        try:
+            option = subgoal_option(feature_map=flat)
+            option.initiation(np.array([[1.0]]))
+            gone = weakref.ref(option)
+            option = option.with_policy(option.option_policy)
+            assert gone() is None
+        finally:
+            gc.enable()
 
     def test_without_a_feature_map(self) -> None:
         option = subgoal_option(name="door")

@@ -1,0 +1,54 @@
+"""What a run may use up: its primitive steps, and the memory of the machine."""
+
+from __future__ import annotations
+
+import math
+
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
+
+
+class KeepToBudget(BaseCallback):
+    """Ends off-policy training with its budget, where SB3 ends it after a whole rollout of ``train_freq`` decisions.
+
+    The last rollout is shortened to what is left, and learned from. If options in it take longer than that, training
+    ends in the middle of it. Algorithms without ``train_freq`` are let be: there `PrimitiveStepsCallback` does it.
+    """
+
+    def _on_training_start(self) -> None:
+        self._stock = getattr(self.model, "train_freq", None)
+        self._shorten()
+
+    def _on_rollout_end(self) -> None:
+        self._shorten()
+
+    def _shorten(self) -> None:
+        if isinstance(self._stock, TrainFreq) and self._stock.unit == TrainFrequencyUnit.STEP:
+            left = math.ceil((self.model._total_timesteps - self.model.num_timesteps) / self.training_env.num_envs)
+            self.model.train_freq = self._stock._replace(  # type: ignore[attr-defined]  # of off-policy algorithms
+                frequency=max(min(self._stock.frequency, left), 1)
+            )
+
+    def _on_step(self) -> bool:
+        within = self.model.num_timesteps < self.model._total_timesteps
+        frequency = self.locals.get("train_freq")
+        return within or frequency is None or bool(self.locals["num_collected_steps"] >= frequency.frequency)
+
+    def _on_training_end(self) -> None:
+        if self._stock is not None:
+            self.model.train_freq = self._stock  # type: ignore[attr-defined]  # likewise
+
+
+def memory_is_short(error: BaseException) -> str | None:
+    """What to tell a user whose settings do not fit the memory; None for any other error.
+
+    Args:
+        error: numpy raises `MemoryError`, torch a `RuntimeError` that differs from others by its text.
+    """
+    text = " ".join(str(error).split())
+    if not isinstance(error, MemoryError) and "memory" not in text:
+        return None
+    return (
+        f"There is not enough memory{': ' + text.rstrip('.') if text else ''}. Less is needed with a smaller "
+        "buffer_size, n_steps, n_envs, net_arch or max_options."
+    )

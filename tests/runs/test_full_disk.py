@@ -1,0 +1,156 @@
+"""A disk that is full while training: what can be written is, what was whole stays, and the user is told in a sentence.
+
+Stands in for the disk: the operating system's limit on the size of a file (RLIMIT_FSIZE).
+"""
+
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from stable_baselines3 import DQN
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator  # type: ignore[import-untyped]  # it has none
+
+from sb3_options import OptionBank, cli
+from sb3_options.atomic import atomic_write
+from sb3_options.runs import folder as runs
+from sb3_options.runs.config import DQNConfig
+from tests.support.helpers import CountingEnv
+
+resource = pytest.importorskip("resource", reason="limits are of POSIX")
+
+FULL_AT, EPISODE, BUDGET = 60, 10, 400
+"""Primitive steps: when the disk is full, the length of an episode, the end of training."""
+
+
+@pytest.fixture
+def limit() -> Iterator[Callable[[int | None], None]]:
+    """Sets how large a file may be in bytes; None takes the limit away."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def set_limit(size: int | None) -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before if size is None else (size, before[1]))
+
+    yield set_limit
+    set_limit(None)
+
+
+@pytest.fixture
+def when() -> Iterator[Callable[[dict[int, Callable[[], None]]], None]]:
+    """Registers an environment that calls functions in its steps of these numbers."""
+
+    def register(functions: dict[int, Callable[[], None]]) -> None:
+        steps = 0
+
+        def step(env: CountingEnv, action: int) -> Any:
+            nonlocal steps
+            steps += 1
+            functions.get(steps, lambda: None)()
+            return np.array([float(env.time)]), 0.0, env.time >= EPISODE, False, {}
+
+        gym.register("Full-v0", lambda: CountingEnv(step=step))  # type: ignore[arg-type]  # it takes no arguments
+
+    yield register
+    gym.registry.pop("Full-v0", None)
+
+
+def settings(tmp_path: Path, **kwargs: Any) -> DQNConfig:
+    common: dict[str, Any] = {"progress": False, "device": "cpu", "tensorboard_log": tmp_path, "n_timesteps": BUDGET}
+    return DQNConfig(env="Full-v0", **(common | kwargs))
+
+
+@pytest.mark.parametrize("size", [0, 500, 1_200])
+def test_logs_that_cannot_be_written_do_not_cost_the_model(
+    size: int, limit: Any, when: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture, capsys: Any
+) -> None:
+    tracebacks: list[Any] = []
+    before, threading.excepthook = threading.excepthook, tracebacks.append
+    try:
+        when({FULL_AT: lambda: limit(size), BUDGET - EPISODE // 2: lambda: limit(None)})
+        folder = cli.train(settings(tmp_path))
+    finally:
+        threading.excepthook = before
+    assert DQN.load(folder / runs.MODEL).num_timesteps == BUDGET
+    OptionBank(2, 4).load(folder / runs.OPTIONS)
+    assert not tracebacks, "TensorBoard's thread told of it, too"
+    said = [record.getMessage() for record in caplog.records if "could not be written" in record.getMessage()]
+    assert len(said) == 2 - (size == 1_200), "once for each file, and the monitor's is shorter than that"
+    assert any(
+        f"TensorBoard's file in {folder / 'tensorboard_1'} could not be written, and training" in s for s in said
+    )
+    rows = (folder / runs.MONITOR / "0.monitor.csv").read_text().splitlines()
+    assert [row.split(",")[1] for row in rows[2:]] == [str(EPISODE)] * (BUDGET // EPISODE), "none is lost"
+    log = EventAccumulator(str(folder / "tensorboard_1"))
+    log.Reload()
+    assert log.Tags()["scalars"]
+    assert "Finished after" in capsys.readouterr().out
+
+
+def test_evaluations_that_cannot_be_written(
+    limit: Any, when: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    when({FULL_AT + 2 * EPISODE: lambda: limit(500), 300: lambda: limit(None)})
+    folder = cli.train(settings(tmp_path, eval_freq=50, eval_episodes=1, n_timesteps=300))
+    said = [record.getMessage() for record in caplog.records if "evaluations.npz could not be" in record.getMessage()]
+    assert len(said) == 1
+    assert np.load(folder / "evaluations.npz")["timesteps"].tolist() == [50, 100, 150, 200, 250, 300]
+    DQN.load(folder / runs.BEST)
+
+
+@pytest.mark.parametrize(
+    ("size", "left", "said"),
+    [
+        (0, [], ["model.zip' So there is no model.zip", "options.safetensors'. So there is no options.safetensors"]),
+        (500, [runs.OPTIONS], ["model.zip' So there is no model.zip of this training."]),
+        (30_000, [runs.OPTIONS], ["model.zip' So there is no model.zip of this training."]),
+    ],
+)
+def test_what_can_be_saved_is(
+    size: int, left: list[str], said: list[str], limit: Any, when: Any, tmp_path: Path, capsys: Any
+) -> None:
+    when({FULL_AT: lambda: limit(size)})
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(
+            ["dqn", "--env", "Full-v0", "--no-progress", "--tensorboard-log", str(tmp_path), "--n-timesteps", "90"]
+        )
+    limit(None)
+    assert stopped.value.code == 1
+    error = capsys.readouterr().err
+    assert all(text in error for text in ["File too large: '", *said])
+    assert len(error.strip().splitlines()) == 1
+    (folder,) = tmp_path.glob("dqn/*")
+    written = {path.name for path in folder.iterdir() if path.is_file()}
+    assert written == {runs.CONFIG, *left}
+
+
+def test_a_run_that_cannot_begin_leaves_no_folder(limit: Any, when: Any, tmp_path: Path, capsys: Any) -> None:
+    when({})
+    limit(1_000)
+    with pytest.raises(SystemExit):
+        cli.main(["dqn", "--env", "Full-v0", "--no-progress", "--tensorboard-log", str(tmp_path)])
+    limit(None)
+    assert "config.yml'" in capsys.readouterr().err
+    assert not list(tmp_path.glob("dqn/*"))
+
+
+@pytest.mark.parametrize("size", range(0, 5_000, 100))
+def test_every_size(size: int, limit: Any, tmp_path: Path) -> None:
+    """Whatever fits, a file is the old one or the new one, and the error names it."""
+    path, new = tmp_path / "file", bytes(2_500)
+    path.write_bytes(b"old")
+
+    def write() -> None:
+        limit(size)
+        with atomic_write(path) as temporary:
+            temporary.write_bytes(new)
+
+    if size < len(new):
+        with pytest.raises(OSError, match=f"File too large: '{path}'"):
+            write()
+    else:
+        write()
+    assert path.read_bytes() == (b"old" if size < len(new) else new)
+    assert list(tmp_path.iterdir()) == [path]
