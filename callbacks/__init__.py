@@ -1,5 +1,6 @@
 """Stable-Baselines3 callbacks of sb3-options."""
 
+from sb3_options.callbacks.checkpoints import CheckpointCallback, load_checkpoint
 from sb3_options.callbacks.discovery import SubgoalDiscoveryCallback
 from sb3_options.callbacks.intrinsic import IntrinsicRewardCallback
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
@@ -8,6 +9,7 @@ from sb3_options.callbacks.zoo import ZooDiscoveryCallback
 from sb3_options.execution.trials import TrialSettings
 
 __all__ = [
+    "CheckpointCallback",
     "ClosedOption",
     "DiscoveredOption",
     "IntrinsicRewardCallback",
@@ -15,4 +17,5 @@ __all__ = [
     "SubgoalDiscoveryCallback",
     "TrialSettings",
     "ZooDiscoveryCallback",
+    "load_checkpoint",
 ]

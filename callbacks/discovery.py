@@ -8,6 +8,7 @@ import os
 from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar
 
+import numpy as np
 import torch
 from stable_baselines3.common.logger import Figure, TensorBoardOutputFormat
 
@@ -304,7 +305,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         if self.verbose:
             print(f"Option {slot}: {option.name}, after {self.episodes} episodes and {self.num_timesteps:,} steps")
         self._save()
-        self._draw()
+        self.draw()
 
     def _save(self) -> None:
         if self.save_path is not None:
@@ -342,13 +343,48 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         for tag, value in self._statistics.values().items():
             record(tag, value)
 
-    def _draw(self) -> None:
+    def draw(self) -> None:
+        """Draw the pictures of discovery for TensorBoard, with the next dump of the log."""
         if not any(isinstance(output, TensorBoardOutputFormat) for output in self.logger.output_formats):
             return
         for name, figure in discovery_figures(self._search, self.bank).items():
             self.logger.record(
                 f"discovery/{name}", Figure(figure, close=True), exclude=("stdout", "log", "json", "csv")
             )
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint, at the start of a rollout."""
+        return {
+            **super().get_state(),
+            "episodes": self.episodes,
+            "history": tuple(map(np.array, zip(*self.history, strict=True))),
+            "discoveries": [dataclasses.asdict(each) for each in self.discoveries],
+            "closed": [dataclasses.asdict(each) for each in self.closed],
+            "made_here": sorted(self._made_here),
+            "generator": self._generator.get_state(),
+            "search": self._search.get_state(),
+            "statistics": self._statistics.get_state(),
+            "growth": self._growth.get_state(),
+            "trials": None if self._trials is None else self._trials.get_state(),
+            "options": self._options.get_state(),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave, once training has started."""
+        super().set_state(state)
+        self.episodes = state["episodes"]
+        columns = [column.tolist() for column in state["history"]]
+        self.history[:] = [EpisodeRecord(*each) for each in zip(*columns, strict=True)]
+        self.discoveries[:] = [DiscoveredOption(**each) for each in state["discoveries"]]
+        self.closed[:] = [ClosedOption(**each) for each in state["closed"]]
+        self._made_here = set(state["made_here"])
+        self._generator.set_state(state["generator"])
+        self._search.set_state(state["search"])
+        self._statistics.set_state(state["statistics"])
+        self._growth.set_state(state["growth"])
+        if self._trials is not None:
+            self._trials.set_state(state["trials"])
+        self._options.set_state(state["options"])
 
     def _on_training_end(self) -> None:
         super()._on_training_end()
@@ -357,7 +393,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             self._trials.end()
         if self.closed:
             self._save()  # without them
-        self._draw()
+        self.draw()
         if self.logger.name_to_value:  # rl-zoo3 ends training twice, and an empty dump warns
             self.logger.dump(self.num_timesteps)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Sequence
+from typing import Any
 
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
@@ -167,6 +168,51 @@ class OptionInstaller:
         self.on_rollout_end()
         if self.interrupter is not None and len(self.bank):
             self.interrupter.refresh(at_once=True)
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint. Of a hand-made option, which is code, it holds the name."""
+        return {
+            "slots": [
+                {"option": option} if option is None or isinstance(option, SubgoalOption) else {"name": option.name}
+                for option in self.bank.slots
+            ],
+            "pending": list(self._pending),
+            "new": list(self._new),
+            "closing": sorted(self._closing),
+            "updater": None if self.updater is None else self.updater.get_state(),
+            "interrupter": None if self.interrupter is None else self.interrupter.get_state(),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave: its options are in the slots of all environments then.
+
+        Raises:
+            ValueError: A hand-made option is not in its slot.
+        """
+        pending = set(state["pending"])
+        for slot, (there, here) in enumerate(zip(state["slots"], self.bank.slots, strict=True)):
+            if "name" in there:
+                if here is None or here.name != there["name"]:
+                    raise ValueError(
+                        f"Slot {slot} held the hand-made option {there['name']!r}, which is code and not in the "
+                        "checkpoint: put it into the bank before training goes on."
+                    )
+                continue
+            if here is not None:
+                self.bank.remove(slot)
+                self._call_environments("set_option", slot, None)
+            if there["option"] is not None and slot in pending:
+                self.bank.add(there["option"], slot)
+            elif there["option"] is not None:
+                self._send(slot, there["option"])
+        if self.explored is not None:
+            self.explored.filled = tuple(slot for slot in self.bank.filled if slot not in pending)
+        self._pending = {slot: self.bank[slot] for slot in state["pending"]}  # type: ignore[misc]  # filled above
+        self._new, self._closing = state["new"], set(state["closing"])
+        if self.updater is not None:
+            self.updater.set_state(state["updater"])
+        if self.interrupter is not None:
+            self.interrupter.set_state(state["interrupter"])
 
     def _install_now(self, slot: int, option: Option) -> None:
         self._send(slot, option)

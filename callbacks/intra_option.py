@@ -77,6 +77,14 @@ class IntraOptionUpdater:
         """The policy of the option in a slot has changed: everything stored is due to be compared anew."""
         self._changed.setdefault(slot, self.buffer.written)
 
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint; the table is the replay buffer's."""
+        return {"compared": self._compared, "changed": dict(self._changed)}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self._compared, self._changed = state["compared"], state["changed"]
+
     def clear(self, slot: int) -> None:
         """The slot is empty now."""
         self._changed.pop(slot, None)

@@ -123,6 +123,27 @@ class IntrinsicRewardCallback(BaseCallback):
         if self._replay is not None:
             set_bonus(self._replay, None)  # refuses classes that are not known
 
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint, at the start of a rollout."""
+        return {
+            "novelty": None if self.novelty is None else self.novelty.get_state(),
+            "scale": None if self.scale is None else self.scale.get_state(),
+            "bonus_weight": self._bonus_weight,
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave, once training has started."""
+        if state["novelty"] is not None:
+            if self.novelty is None:
+                self.novelty = self._networks(state["novelty"]["size"])
+            self.novelty.set_state(state["novelty"])
+        if self.scale is not None:
+            self.scale.set_state(state["scale"])
+        self._bonus_weight = state["bonus_weight"]
+
+    def _networks(self, size: int) -> RandomNetworkDistillation:
+        return RandomNetworkDistillation(size, self.feature_map or flatten, self.rnd, self.seed)
+
     def _check_buffers(self) -> None:
         """Refuse an algorithm without a buffer, or with one that does not hold what a bonus is for."""
         if not isinstance(getattr(self.model, "rollout_buffer", self._replay), RolloutBuffer | ReplayBuffer):
@@ -211,9 +232,7 @@ class IntrinsicRewardCallback(BaseCallback):
         together = concatenate(arrived)
         if self.novelty is None:  # only now is the size of observations, or of the user's features, known for certain
             features = self.feature_map or flatten
-            self.novelty = RandomNetworkDistillation(
-                checked_features(features, together).shape[1], features, self.rnd, self.seed
-            )
+            self.novelty = self._networks(checked_features(features, together).shape[1])
         ends = np.cumsum([batch_size(each) for each in arrived])[:-1]
         return np.split(self.novelty.visit(together), ends)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from typing import Any
 
 from stable_baselines3.common.callbacks import BaseCallback
 
@@ -102,6 +103,17 @@ class PrimitiveStepsCallback(BaseCallback):
         buffer.expect(self.locals["rewards"], runs, self.model.get_vec_normalize_env())
         # A rollout that is complete with this step is still to be learned from.
         return self.model.num_timesteps < self._budget or buffer.pos + 1 == buffer.buffer_size
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint, at the start of a rollout."""
+        total = self.model._total_timesteps
+        return {"total": total, "budget": self._budget, "updates_before": self._updates_before}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave, once training has started."""
+        self._updates_before = state["updates_before"]
+        if state["total"] == self.model._total_timesteps:  # else learn() was called for another budget
+            self._budget = state["budget"]
 
     def _on_training_end(self) -> None:
         for name, schedule in self._stock_schedules.items():

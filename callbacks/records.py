@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -92,6 +93,21 @@ class OptionStatistics:
     def forget(self, slot: int) -> None:
         """Forget the last runs of an option that is closed."""
         self._last.pop(slot, None)
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {
+            "uses": dict(self._uses),
+            "outside": dict(self._outside),
+            "last": {slot: list(last) for slot, last in self._last.items()},
+            "endings": {slot: sorted(endings) for slot, endings in self._endings.items()},
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self._uses, self._outside = Counter(state["uses"]), Counter(state["outside"])
+        self._last = {slot: deque(last, maxlen=WINDOW) for slot, last in state["last"].items()}
+        self._endings = {slot: set(endings) for slot, endings in state["endings"].items()}
 
     def values(self) -> dict[str, float]:
         """By tag: choices, runs and single steps outside; mean duration and the share of each end of the last runs."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
+from typing import Any
 
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -67,6 +68,24 @@ class OptionTrials:
         """Stop withholding options."""
         self._shares = {}
         self.venv.env_method("end_trials")
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {
+            "trials": {slot: trial.get_state() for slot, trial in self.trials.items()},
+            "ages": dict(self._ages),
+            "succeeded": list(self._succeeded),
+            "shares": dict(self._shares),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave; the environments have their own part."""
+        self.trials = {slot: OptionTrial(self.settings) for slot in state["trials"]}
+        for slot, trial in self.trials.items():
+            trial.set_state(state["trials"][slot])
+        self._ages, self._shares = state["ages"], state["shares"]
+        self._succeeded.clear()
+        self._succeeded.extend(state["succeeded"])
 
     def _is_on(self, slot: int) -> bool:
         knows = len(self._succeeded) == self.settings.success_window and 2 * sum(self._succeeded) >= len(

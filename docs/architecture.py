@@ -68,6 +68,7 @@ PLACES = {
     "runs": Place(0, 1, BLUE),
     "envs": Place(1, 1, SAND),
     "callbacks": Place(2, 1, BLUE),
+    "checkpoints": Place(0, 2, BLUE),
     "learning": Place(1, 2, BLUE),
     "execution": Place(0, 3, BLUE),
     "discovery": Place(2, 3, GREEN),

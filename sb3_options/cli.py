@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import gymnasium as gym
 import torch
@@ -23,7 +23,8 @@ from stable_baselines3.common.vec_env import VecEnv
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options.atomic import atomic_write
-from sb3_options.callbacks import IntrinsicRewardCallback, SubgoalDiscoveryCallback
+from sb3_options.callbacks import CheckpointCallback, IntrinsicRewardCallback, SubgoalDiscoveryCallback
+from sb3_options.callbacks.checkpoints import load_checkpoint
 from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.execution.trials import TrialSettings
 from sb3_options.execution.workers import WorkerLostError, end_workers
@@ -39,6 +40,7 @@ from sb3_options.runs.eval_callback import eval_callback_class
 from sb3_options.runs.flags import parse
 from sb3_options.runs.interrupts import Interrupts, StopWhenNoted
 from sb3_options.runs.logs import KeepTraining, without
+from sb3_options.runs.resume import ResumeConfig, config_of, refusal
 from sb3_options.runs.series import KEPT, StopWhenLearned, free_slots
 
 console = Console(highlight=False, soft_wrap=True)
@@ -51,7 +53,7 @@ INTERRUPTED = 130
 
 
 def main(args: Sequence[str] | None = None) -> None:
-    """Run a command line: ``evaluate RUN …``, or an algorithm and the flags of its settings.
+    """Run a command line: ``evaluate RUN …``, ``resume RUN``, or an algorithm and the flags of its settings.
 
     Args:
         args: Without the program's name; by default those of the process.
@@ -60,6 +62,9 @@ def main(args: Sequence[str] | None = None) -> None:
     try:
         if args[:1] == ["evaluate"]:
             evaluate(tyro.cli(evaluation.EvaluateConfig, prog="train.py evaluate", args=args[1:]))
+        elif args[:1] == ["resume"]:
+            resumed = tyro.cli(ResumeConfig, prog="train.py resume", args=args[1:])
+            _train(config_of(resumed), resumed=resumed.run)
         else:
             config = parse(args)
             (train_series if config.series else train)(config)
@@ -119,6 +124,7 @@ def train_series(config: TrainConfig) -> list[Path]:
     if config.compare:
         raise ValueError("--compare is for one task: leave it out, or train the last task of the series alone.")
     runs.check_env_id(config.env)
+    config = dataclasses.replace(config, checkpoint_freq=0)  # what goes before a task is in no checkpoint
     tasks = [dataclasses.replace(config, series=(), env_kwargs={**config.env_kwargs, **task}) for task in config.series]
     for number, task in enumerate(tasks, start=1):  # a mistake in the last one is no surprise after hours
         try:
@@ -175,7 +181,9 @@ class _Trained(NamedTuple):
     interrupted: bool
 
 
-def _train(config: TrainConfig, *, until_learned: bool = False, in_series: bool = False) -> _Trained:
+def _train(
+    config: TrainConfig, *, until_learned: bool = False, in_series: bool = False, resumed: Path | None = None
+) -> _Trained:
     torch.set_num_threads(config.num_threads)
     runs.check_env_id(config.env)
     check_device(config.device)
@@ -186,8 +194,8 @@ def _train(config: TrainConfig, *, until_learned: bool = False, in_series: bool 
             bank: OptionBank = env.get_attr("bank")[0]
             started_with = [f"{slot} ({option.name})" for slot, option in enumerate(bank.slots) if option is not None]
         discovery = _discovery(config)
-        folder = runs.new_run_folder(config)
-        _learn(config, discovery, folder, interrupts, until_learned=until_learned)
+        folder = runs.new_run_folder(config) if resumed is None else resumed
+        _learn(config, discovery, folder, interrupts, until_learned=until_learned, resume=resumed is not None)
         if config.compare and config.discover and not interrupts.noted:
             without = dataclasses.replace(config, discover=False, compare=False, options=None)
             console.print("Once more, without discovery:")
@@ -225,8 +233,9 @@ def _learn(
     interrupts: Interrupts,
     *,
     until_learned: bool = False,
+    resume: bool = False,
 ) -> None:
-    """Train, and save what was learned, however training ends; without a step taken, remove the folder."""
+    """Train, and save what was learned, however training ends; without a step taken, remove a new folder."""
     subproc = config.vec_env == "subproc"
     interrupts.saving = False
     discovery.save_path = folder / runs.OPTIONS
@@ -236,7 +245,8 @@ def _learn(
     try:
         monitors = folder / runs.MONITOR
         envs.append(runs.make_env(config, config.n_envs, config.seed, monitor_dir=monitors, subproc=subproc))
-        configs.save(config, folder / runs.CONFIG)
+        if not resume:
+            configs.save(config, folder / runs.CONFIG)
         model = make_model(config, envs[0])
         model.tensorboard_log = str(folder)
         callbacks: list[BaseCallback] = [discovery]
@@ -253,10 +263,14 @@ def _learn(
         callbacks += [KeepToBudget(), StopWhenNoted(interrupts), KeepTraining()]
         if until_learned:
             callbacks.append(StopWhenLearned(discovery.history))
+        if config.checkpoint_freq > 0:
+            callbacks += _checkpoints(config, folder, model, callbacks, resume=resume)
         if not interrupts.noted:
             what = f"{config.algo.upper()} on {config.env} for {config.n_timesteps:,} primitive steps"
             console.print(f"Training {escape(what)}.")
-            model.learn(config.n_timesteps, callbacks, progress_bar=config.progress, tb_log_name="tensorboard")
+            # A model that was not trained yet counts from 0 all the same, but goes on in the same TensorBoard folder.
+            log: dict[str, Any] = {"tb_log_name": "tensorboard", "reset_num_timesteps": not resume}
+            model.learn(config.n_timesteps, callbacks, progress_bar=config.progress, **log)
         finished = not interrupts.noted
     except KeyboardInterrupt:
         interrupts.noted = True
@@ -270,7 +284,8 @@ def _learn(
         interrupts.saving = True  # before anything else: from now on no interrupt is raised
         try:
             if model is None or model.num_timesteps == 0:
-                shutil.rmtree(folder)
+                if not resume:
+                    shutil.rmtree(folder)
             else:
                 runs.save(model, discovery.bank, folder)
         finally:
@@ -279,6 +294,21 @@ def _learn(
                     env.close()
                 else:
                     end_workers(env)  # which may be in the middle of a step
+
+
+def _checkpoints(
+    config: TrainConfig, folder: Path, model: BaseAlgorithm, callbacks: list[BaseCallback], *, resume: bool
+) -> list[BaseCallback]:
+    """The callback that writes them, if the environment allows it; training goes on from the last one to ``resume``."""
+    why = refusal(config, model.get_env())
+    if why is not None and not resume:
+        console.print(f"[yellow]No checkpoints:[/] {escape(why)}")
+        return []
+    checkpoints = CheckpointCallback(folder / runs.CHECKPOINTS, config.checkpoint_freq)
+    if resume:
+        steps = load_checkpoint(folder / runs.CHECKPOINTS, model, [*callbacks, checkpoints])
+        console.print(f"Going on after {steps:,} primitive steps.")
+    return [checkpoints]
 
 
 def _why_nothing(discovery: SubgoalDiscoveryCallback) -> str | None:

@@ -208,6 +208,15 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         reward = self._goal_reward if at_goal else self._step_reward
         return self._observe(state), reward, terminated, truncated, {"is_success": self._reached}
 
+    def get_state(self) -> dict[str, Any]:
+        """Where the episode is, for a checkpoint; the random numbers are not in it."""
+        return {"state": self._state, "elapsed": self._elapsed, "over": self._over, "reached": self._reached}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on where `get_state` was called, in an environment made with the same arguments."""
+        self._state, self._elapsed = state["state"], state["elapsed"]
+        self._over, self._reached = state["over"], state["reached"]
+
     def _drawn_start(self) -> int:
         return self._start_states[int(self.np_random.integers(len(self._start_states)))]
 

@@ -123,6 +123,15 @@ class Evidence:
         sample._parts, sample._segments, sample._workspace = [functools.reduce(BagArrays.joined, some)], {}, Workspace()
         return sample
 
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint: the bags as they are packed, on which the last bits of sums depend."""
+        return {"parts": list(self._parts), "frame": tuple(self.frame)}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Hold what `get_state` gave, and nothing else."""
+        self._parts, self.frame = state["parts"], Frame(*state["frame"])
+        self._segments, self._workspace = {}, Workspace()
+
     @torch.inference_mode()
     def loss(self, theta: Tensor) -> tuple[Tensor, Tensor]:
         """−log DD − log prior of every column of θ (P, S), shape (S,), and its gradient (P, S).

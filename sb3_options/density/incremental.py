@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -55,6 +56,25 @@ class IncrementalSearch:
         starts = np.concatenate(positive[-FIRST_BAGS if first else -1 :])
         self._peaks = self._concepts.update(self._evidence, self._peaks, starts, steps=FIRST_STEPS if first else None)
         return self._engine.peaks(self._peaks)
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint. The arrays of bags are those that `search` was given."""
+        if self._evidence is None:
+            return {"evidence": None}
+        peaks = [(peak.theta, peak.log_density, peak.converged) for peak in self._peaks]
+        return {"evidence": self._evidence.get_state(), "bags": list(self._bags), "peaks": peaks}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave; `search` must be given the same arrays again."""
+        if state["evidence"] is None:
+            return
+        self._bags = state["bags"]
+        self._evidence = evidence = self._concepts.evidence(Bags.pack(self._bags))
+        evidence.set_state(state["evidence"])
+        concept = self._concepts.concept
+        self._peaks = [
+            Solution(concept, theta, evidence.frame, density, rested) for theta, density, rested in state["peaks"]
+        ]
 
     def _follow(self, positive: Sequence[FloatArray], negative: Sequence[FloatArray]) -> bool:
         """Bring the evidence up to date; False if it is better made anew, with more than half of the bags new."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -154,6 +155,19 @@ class BagMaker:
         """Every bag changes: instances near a new subgoal are filtered out."""
         for known in self._known.values():
             known.kept = None
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint. Incremental search knows a bag by being the same array, so the bags are in it.
+
+        Shares of passing ways are not: they are counts, which are the same when all ways are counted anew.
+        """
+        known = [{f.name: getattr(k, f.name) for f in fields(k)} for k in self._known.values()]
+        return {"scale": self.scale, "kind": self.kind, "known": known}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self.scale, self.kind = state["scale"], state["kind"]
+        self._known = {id(known["labelled"]): _Known(**known) for known in state["known"]}
 
     def _know(self, labelled: LabelledTrajectory, scale: FloatArray) -> _Known:
         features, visits = self._own(labelled), labelled.trajectory.visits

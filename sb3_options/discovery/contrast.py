@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -69,6 +70,18 @@ class Contrast:
         values = _share(reached[success]) - _share(reached[~success])
         values[began.mean(axis=0) > MAX_START_SHARE] = NO_PLACE
         self._values = {_key(state): float(value) for state, value in zip(states, values, strict=True)}
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint. Visits are not in it: they follow from the trajectories."""
+        return {
+            "states": np.array([np.frombuffer(key) for key in self._values]),
+            "values": np.array(list(self._values.values())),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self._values = {_key(of): float(value) for of, value in zip(state["states"], state["values"], strict=True)}
+        self._visits = {}
 
     def largest(self) -> float:
         """Of all states; `NO_PLACE` where there is none."""

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import chain
+from typing import Any
 
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
@@ -43,6 +44,15 @@ class OutcomeDatabase(TrajectoryDatabase):
             self._successful.add(trajectory)
         else:
             super().add(trajectory)
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint: the trajectories of each kind, oldest first."""
+        return {**super().get_state(), "successful": self._successful.get_state()}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Hold what `get_state` gave, and nothing else."""
+        super().set_state(state)
+        self._successful.set_state(state["successful"])
 
     @property
     def n_successful(self) -> int:
@@ -137,6 +147,27 @@ class GroupedDiscovery(SubgoalDiscovery):
                 self.found.append(member.found[-1])
                 return subgoal
         return None
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {
+            **super().get_state(),
+            "contrasts": [contrast.get_state() for contrast in self._contrasts.values()],
+            "members": [member.get_state() for member in self.members.values()],
+            "leading": [member.tracker is self.tracker for member in self.members.values()],
+            "new_successes": self._new_successes,
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        super().set_state(state)
+        for contrast, of_contrast in zip(self._contrasts.values(), state["contrasts"], strict=True):
+            contrast.set_state(of_contrast)
+        for member, of_member, leads in zip(self.members.values(), state["members"], state["leading"], strict=True):
+            member.set_state(of_member)  # each holds the same database
+            if leads:
+                self.tracker = member.tracker
+        self._new_successes = state["new_successes"]
 
     def why_nothing(self) -> str:
         """Why there is no option, in a sentence."""

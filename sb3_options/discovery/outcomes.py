@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, field
+from typing import Any
 
 from sb3_options.experience.trajectories import Trajectory
 
@@ -46,6 +47,15 @@ class Outcomes:
         self._returns = min(self._returns[0], total), max(self._returns[1], total)
         if self.n == SILENT_TRAJECTORIES and not self.successes:
             logger.warning("Nothing can be discovered so far: %s", self.why_no_success())
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {"counts": (self.n, self.successes, self._terminated, self._reported), "returns": self._returns}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self.n, self.successes, self._terminated, self._reported = state["counts"]
+        self._returns = state["returns"]
 
     def why_no_success(self) -> str:
         """What was seen where nothing succeeded, and what to do."""

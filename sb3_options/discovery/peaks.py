@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
@@ -118,6 +119,14 @@ class PeakTracker:
         """The concepts of the last search whose average exceeds the threshold, largest first."""
         above = [c for c in self.concepts if c.found and c.average > self.threshold * self.limit]
         return sorted(above, key=lambda c: -c.average)
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {"concepts": [(c.point, c.average, c.found) for c in self.concepts]}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self.concepts = [TrackedConcept(*concept) for concept in state["concepts"]]
 
     def _nearest(self, peak: FloatArray, scale: FloatArray) -> TrackedConcept | None:
         if not self.concepts:

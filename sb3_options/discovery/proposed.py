@@ -79,6 +79,14 @@ class ProposedDiscovery(SubgoalDiscovery):
                 return proposal
         return None
 
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint, in which what the method has seen cannot be.
+
+        Raises:
+            ValueError: Always.
+        """
+        raise ValueError(f"Checkpoints of discovery by {type(self.method).__name__} are not supported yet.")
+
     def why_nothing(self) -> str:
         """Why there is no option, in a sentence."""
         if self.found or self.outcomes.n == 0:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -228,6 +228,39 @@ class SubgoalDiscovery:
             leak=self.settings.leak,
             method="exhaustive" if self.settings.search == "exhaustive" or self.kind == "categorical" else "gradient",
         )
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        last = self.last
+        bags = None if last.evidence is None else (last.evidence.positive, last.evidence.negative)
+        return {
+            "database": self.database.get_state(),
+            "tracker": self.tracker.get_state(),
+            "found": [tuple(each) for each in self.found],
+            "outcomes": self.outcomes.get_state(),
+            "last": {"peaks": last.peaks, "bags": bags, "seconds": last.seconds},
+            "seconds": self.seconds,
+            "kind": self.kind,
+            "taken": list(self.taken),
+            "maker": self._maker.get_state(),
+            "incremental": None if self._incremental is None else self._incremental.get_state(),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self.database.set_state(state["database"])
+        self.tracker.set_state(state["tracker"])
+        self.found = [FoundSubgoal(*each) for each in state["found"]]
+        self.outcomes.set_state(state["outcomes"])
+        last = state["last"]
+        evidence = None if last["bags"] is None else FilteredBags(*last["bags"])
+        self.last = Search(last["peaks"], evidence, last["seconds"])
+        self.seconds, self.kind, self.taken = state["seconds"], state["kind"], state["taken"]
+        self._maker.set_state(state["maker"])
+        self._incremental = None
+        if state["incremental"] is not None:
+            self._incremental = IncrementalSearch(self.engine())
+            self._incremental.set_state(state["incremental"])
 
     def _new_subgoal(self) -> Region | None:
         for concept in self.tracker.persistent():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import gymnasium as gym
@@ -56,6 +57,18 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
         report = {} if self.recorder is None else self.recorder.report()
         self.finished.clear()
         return report
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint: what is under way."""
+        peaks = None if self.peaks is None else dataclasses.asdict(self.peaks)
+        return {"recorder": None if self.recorder is None else self.recorder.get_state(), "peaks": peaks}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self.recorder = None
+        self.set(state["recorder"] is not None, None if state["peaks"] is None else RewardPeaks(**state["peaks"]), None)
+        if self.recorder is not None:
+            self.recorder.set_state(state["recorder"])
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset; what was under way is forgotten."""

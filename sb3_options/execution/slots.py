@@ -16,6 +16,7 @@ from stable_baselines3.common.monitor import Monitor
 from sb3_options.checked import is_number
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.execution import features as feature_maps
+from sb3_options.execution import layers
 from sb3_options.execution.interruption import Interruption
 from sb3_options.execution.recording import RecordTrajectories
 from sb3_options.execution.run_limit import RunLimit
@@ -213,6 +214,38 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             above.env = self._recording = RecordTrajectories(above.env)
         if self._recording is not None:
             self._recording.set(record, peaks, self._observation)
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint, without the options, which whoever installed them puts back."""
+        return {
+            "observation": self._observation,
+            "random": self._random.bit_generator.state,
+            "runs": self._limit.runs,
+            "reports_availability": self._reports_availability,
+            "withholding": None if self._withholding is None else self._withholding.get_state(),
+            "warned": self._warned,
+            "feature_size": self.bank.feature_size,
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self._observation, self._running = state["observation"], None
+        self._random.bit_generator.state = state["random"]
+        self._limit.runs[:] = state["runs"]
+        self._reports_availability, self._warned = state["reports_availability"], state["warned"]
+        self._withholding = None
+        if state["withholding"] is not None:
+            self._withholding = Withholding([], self.gamma)
+            self._withholding.set_state(state["withholding"])
+        self.bank.feature_size = state["feature_size"]
+
+    def layer_states(self) -> list[dict[str, Any]]:
+        """`layers.states_of` this environment, in its own process."""
+        return layers.states_of(self)
+
+    def set_layer_states(self, states: list[dict[str, Any]]) -> None:
+        """`layers.set_states` of this environment, in its own process."""
+        layers.set_states(self, states)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # A copied or unpickled bank has no feature map (see `OptionBank.__getstate__`); this wrapper does.

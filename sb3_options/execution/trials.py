@@ -105,6 +105,22 @@ class OptionTrial:
                     return "harmful"
         return None
 
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {
+            "looks": self.looks,
+            "p_value": self.p_value,
+            "drawn": np.array([withheld for withheld, _ in self._episodes], dtype=bool),
+            "outcomes": np.array([outcome for _, outcome in self._episodes], dtype=np.float64),
+            "withheld": self._withheld,
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self.looks, self.p_value, self._withheld = state["looks"], state["p_value"], state["withheld"]
+        self._episodes.clear()
+        self._episodes.extend(zip(state["drawn"].tolist(), state["outcomes"].tolist(), strict=True))
+
     def _arms(self) -> tuple[FloatArray, FloatArray]:
         """Outcomes with the option and without it."""
         outcomes = np.array([outcome for _, outcome in self._episodes])
@@ -191,3 +207,18 @@ class Withholding:
             self._outcome += self._discount * reward
             self._discount *= self.gamma
         return {"option_trial": {"withheld": self._drawn, "outcome": self._outcome}} if over and self._drawn else {}
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {
+            "random": self.random.bit_generator.state,
+            "shares": dict(self.shares),
+            "drawn": dict(self._drawn),
+            "episode": (self._outcome, self._discount),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self.random.bit_generator.state = state["random"]
+        self.shares, self._drawn = state["shares"], state["drawn"]
+        self._outcome, self._discount = state["episode"]

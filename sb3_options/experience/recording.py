@@ -80,6 +80,26 @@ class TrajectoryRecorder:
         self._actions: list[int] = []
         self._rewards: list[float] = []
 
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint: the trajectory under way. What is finished was taken when its step ended."""
+        return {
+            "states": obs_batch.stack(self._states) if self._states else None,
+            "visits": np.array(self._visits, dtype=np.int64),
+            "actions": np.array(self._actions, dtype=np.int64),
+            "rewards": np.array(self._rewards, dtype=np.float64),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self.finished.clear()
+        self._forget()
+        states = state["states"]
+        if states is not None:
+            self._states = [obs_batch.copy_of(obs_batch.one_of(states, i)) for i in range(obs_batch.batch_size(states))]
+        self._row_of = {obs_batch.key_of(each): row for row, each in enumerate(self._states)}
+        self._visits, self._actions = state["visits"].tolist(), state["actions"].tolist()
+        self._rewards = state["rewards"].tolist()
+
     def _start(self, observation: Any) -> None:
         self._forget()
         self._visit(observation)
@@ -122,6 +142,15 @@ class EpisodeRecorder(TrajectoryRecorder):
         """Complete the episode as a `Trajectory`, unless it was too long."""
         if not self._gave_up:
             super().end(terminated=terminated, truncated=truncated, is_success=is_success)
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {**super().get_state(), "gave_up": self._gave_up}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        super().set_state(state)
+        self._gave_up = state["gave_up"]
 
 
 @settings
@@ -193,6 +222,15 @@ class SegmentRecorder(TrajectoryRecorder):
     def report(self) -> dict[str, Any]:
         """What ``info`` says of what is finished."""
         return {"segments": list(self.finished)}
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {**super().get_state(), "before": self._before, "may_be_peak": self._may_be_peak}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        super().set_state(state)
+        self._before, self._may_be_peak = state["before"], state["may_be_peak"]
 
     def _cut(self, *, success: bool) -> None:
         here = self.last_observation

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from sb3_options.experience.observations import FloatArray, IntArray, Observations
 
@@ -130,3 +130,12 @@ class TrajectoryDatabase:
 
     def __iter__(self) -> Iterator[LabelledTrajectory]:
         return iter(self._trajectories)
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint: the trajectories, oldest first."""
+        return {"trajectories": list(self._trajectories)}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Hold what `get_state` gave, and nothing else."""
+        self._trajectories.clear()
+        self._trajectories.extend(state["trajectories"])

@@ -103,6 +103,10 @@ class ConsistencyTable:
         self.inside = np.zeros((size, max_options), dtype=bool)
         self.continuation = np.zeros((size, max_options), dtype=np.float32)
 
+    def columns(self) -> tuple[npt.NDArray[Any], ...]:
+        """Every array with one row per transition."""
+        return self.consistent, self.inside, self.continuation
+
     def clear_rows(self, rows: slice | npt.NDArray[Any]) -> None:
         """Mark rows that were overwritten: no option is consistent with them until `record` says so."""
         self.consistent[rows] = False
@@ -113,7 +117,7 @@ class ConsistencyTable:
 
     def copy_rows(self, source: npt.NDArray[Any], rows: npt.NDArray[Any]) -> None:
         """Follow the replay buffer, whose ``rows`` are now copies of ``source``."""
-        for column in (self.consistent, self.inside, self.continuation):
+        for column in self.columns():
             column[rows] = column[source]
 
     def record(self, rows: npt.NDArray[Any], slot: int, found: Consistency) -> None:

@@ -192,10 +192,10 @@ class MacroQ(MaskedPrediction):
                 # Between two rollouts callbacks install and remove options; here a rollout is what lies between the
                 # ends of episodes.
                 callback.on_rollout_end()
+                if log_interval is not None and self._episode_num % log_interval == 0:
+                    self._log()  # before a checkpoint, from which nothing is logged that came before it
                 callback.on_rollout_start()
                 choices = self._choices()
-                if log_interval is not None and self._episode_num % log_interval == 0:
-                    self._log()
             elif self._n_slots:
                 choices = [self._choices_after(run, slots) for run, slots in zip(runs, self._withheld, strict=True)]
         callback.on_rollout_end()
@@ -228,6 +228,14 @@ class MacroQ(MaskedPrediction):
             target = reward if over else reward + gamma * max(rows[next_state][:n_primitive])
             rows[state][action] += step_size * (target - rows[state][action])
         table[:] = rows
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint: what is not in the policy or in a model of any algorithm."""
+        return {"random": self._random.bit_generator.state}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self._random.bit_generator.state = state["random"]
 
     def forget_action(self, action: int) -> None:
         """Set the values of an action to 0: the next option in its slot is another."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -91,6 +91,15 @@ class Successors:
         self.following[np.isin(self.following, rows)] = END
         self.following[rows] = END
         self._newest = [newest[~np.isin(newest, rows)] for newest in self._newest]
+
+    def get_state(self, size: int) -> dict[str, Any]:
+        """For a checkpoint: that of the first ``size`` rows."""
+        return {"following": self.following[:size], "newest": list(self._newest)}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Hold what `get_state` gave."""
+        self.following[: len(state["following"])] = state["following"]
+        self._newest = state["newest"]
 
     def returns(self, rows: Rows, n: int, rewards: Column, discounts: npt.NDArray[np.float32]) -> NStepReturns:
         """The n-step returns from some rows.

@@ -45,6 +45,12 @@ class Novelty(Protocol):
     def records(self) -> dict[str, float]:
         """What is logged of it, by name."""
 
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+
 
 class StateCounts:
     """1 / √N(s) of the number of visits N(s), those of all environments together (Strehl & Littman 2008; MBIE-EB).
@@ -72,6 +78,17 @@ class StateCounts:
     def records(self) -> dict[str, float]:
         """How many different states were visited."""
         return {"states": float(len(self.visits))}
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        lengths = np.array([len(key) for key in self.visits], dtype=np.int64)
+        return {"keys": b"".join(self.visits), "lengths": lengths, "counts": np.array(list(self.visits.values()))}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        ends = np.cumsum(state["lengths"]).tolist()
+        keys = [state["keys"][end - n : end] for end, n in zip(ends, state["lengths"].tolist(), strict=True)]
+        self.visits = dict(zip(keys, state["counts"].tolist(), strict=True))
 
 
 def is_table_like(space: spaces.Space[Any]) -> bool:
@@ -211,6 +228,26 @@ class RandomNetworkDistillation:
         """The predictor's last loss; nothing before the first."""
         return {} if math.isnan(self.loss) else {"loss": self.loss}
 
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {
+            "size": len(self.statistics.mean),
+            "statistics": _statistics(self.statistics),
+            "loss": self.loss,
+            "target": dict(self.target.state_dict()),
+            "predictor": dict(self.predictor.state_dict()),
+            "optimizer": self._optimizer.state_dict(),
+            "visited": list(self._visited),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        _set_statistics(self.statistics, state["statistics"])
+        self.loss, self._visited = state["loss"], state["visited"]
+        self.target.load_state_dict(state["target"])
+        self.predictor.load_state_dict(state["predictor"])
+        self._optimizer.load_state_dict(state["optimizer"])
+
     def _normalized(self, rows: FloatArray) -> torch.Tensor:
         scaled = (rows - self.statistics.mean) / np.sqrt(self.statistics.var + SMALLEST)
         return torch.as_tensor(np.clip(scaled, -CLIP, CLIP), dtype=torch.float32)
@@ -242,6 +279,14 @@ def _network(size: int, settings: RNDSettings, *, n_hidden: int) -> nn.Sequentia
     return made
 
 
+def _statistics(running: RunningMeanStd) -> dict[str, Any]:
+    return {"mean": running.mean, "var": running.var, "count": running.count}
+
+
+def _set_statistics(running: RunningMeanStd, state: dict[str, Any]) -> None:
+    running.mean, running.var, running.count = state["mean"], state["var"], state["count"]
+
+
 class ReturnScale:
     """The running standard deviation of the intrinsic return, by which bonuses are divided (Burda et al. 2018, §2.4).
 
@@ -269,6 +314,15 @@ class ReturnScale:
                 self.returns[env] = self.gamma * self.returns[env] + bonus
                 passed.append(self.returns[env])
         self.statistics.update(np.array(passed))
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {"returns": self.returns, "statistics": _statistics(self.statistics)}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self.returns = state["returns"]
+        _set_statistics(self.statistics, state["statistics"])
 
     @property
     def std(self) -> float:

@@ -20,17 +20,17 @@ from sb3_options.learning.bonus_replay import RowBonuses
 from sb3_options.learning.intra_option import ConsistencyTable
 from sb3_options.learning.n_step import Successors
 from sb3_options.learning.replay_samples import OptionReplayBufferSamples
+from sb3_options.learning.stored_rows import Rows, StoredRows
 
 logger = logging.getLogger("sb3_options")
 
-Rows = dict[str, npt.NDArray[Any]]
 NO_ROWS: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)
 
 QUANTILE_SHARE = 0.25
 """Largest share of a batch of QRDQN, whose size is fixed, that gives way to intra-option rows."""
 
 
-class OptionReplayBuffer(ReplayBuffer):
+class OptionReplayBuffer(StoredRows, ReplayBuffer):
     """A replay buffer that makes SB3's off-policy algorithms learn correctly over options.
 
     Every transition of k primitive steps is stored with Σ γⁱ rᵢ and sampled with ``discounts`` = γᵏ, which DQN,
@@ -164,12 +164,6 @@ class OptionReplayBuffer(ReplayBuffer):
         if made._successors is not None:
             made._successors.link(made.dones[: made.size()], made.pos)
         return made
-
-    def _columns(self) -> list[npt.NDArray[Any]]:
-        """Every array with one row per transition."""
-        columns = [self.actions, self.rewards, self.dones, self.timeouts, self.discounts, self.next_available]
-        columns += [] if self.row_bonuses is None else [self.row_bonuses.inner_steps]
-        return [*columns, *self._observations.values(), *self._next_observations.values()]
 
     def track_availability(self, max_options: int) -> None:
         """Also keep, for each transition, which of ``max_options`` slots may start in its next observation."""

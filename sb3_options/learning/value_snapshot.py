@@ -71,6 +71,18 @@ class ValueSnapshot:
         self._states = int(model.observation_space.n) if isinstance(model.observation_space, spaces.Discrete) else 0
         self._network = None if self._layers else copy.deepcopy(network).cpu().eval()
 
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        network = None if self._network is None else dict(self._network.state_dict())
+        return {"layers": self._layers, "scales": {k: tuple(s) for k, s in self._scales.items()}, "network": network}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Give the values that `get_state` was asked for."""
+        self._layers = state["layers"]
+        self._scales = {key: _Scale(*scale) for key, scale in state["scales"].items()}
+        if self._network is not None:
+            self._network.load_state_dict(state["network"])
+
     def __call__(self, observation: Any) -> FloatArray:
         """Q(s, ·) of one observation as `OptionsWrapper` sees it, (n_actions,)."""
         batch: Any = batch_of_one(observation)
@@ -98,13 +110,16 @@ class ValueSnapshot:
         return values
 
 
-def interrupt_options(model: BaseAlgorithm, venv: VecEnv, *, every_choice: bool = True) -> bool:
+def interrupt_options(
+    model: BaseAlgorithm, venv: VecEnv, *, every_choice: bool = True, values: ValueSnapshot | None = None
+) -> bool:
     """Let options end in an environment where the model, as it is now, gives another action a greater value.
 
     Args:
         model: Gives the values.
         venv: Wrapped in `OptionsWrapper`.
         every_choice: As for `Interruption`; True where the model acts greedily.
+        values: Of an earlier time; by default as they are now.
 
     Returns:
         Whether it can be done. Only DQN, QRDQN and OptionDQN have values of options, and beneath a ``VecFrameStack``
@@ -112,7 +127,7 @@ def interrupt_options(model: BaseAlgorithm, venv: VecEnv, *, every_choice: bool 
     """
     if not heads.has_networks(model.policy) or is_vecenv_wrapped(venv, VecFrameStack):
         return False
-    rule = Interruption(ValueSnapshot(model), masks=isinstance(model, OptionDQN), every_choice=every_choice)
+    rule = Interruption(values or ValueSnapshot(model), masks=isinstance(model, OptionDQN), every_choice=every_choice)
     venv.env_method("set_interruption", rule)
     return True
 
@@ -129,16 +144,32 @@ class Interrupter:
     def __init__(self, model: BaseAlgorithm, venv: VecEnv, eval_envs: Sequence[VecEnv]) -> None:
         self.model, self.venv, self.eval_envs = model, venv, eval_envs
         self._refreshed: int | None = None
+        self._values: ValueSnapshot | None = None
 
     def refresh(self, *, at_once: bool = False) -> None:
         """Send the model's values if the last ones are too old, or ``at_once``."""
         now = self.model.num_timesteps
         if not at_once and self._refreshed is not None and now - self._refreshed < REFRESH:
             return
-        self._refreshed = now
-        interrupt_options(self.model, self.venv, every_choice=False)
+        self._refreshed, self._values = now, ValueSnapshot(self.model)
+        self._send(self._values)
+
+    def _send(self, values: ValueSnapshot) -> None:
+        interrupt_options(self.model, self.venv, every_choice=False, values=values)
         for eval_env in self.eval_envs:
-            interrupt_options(self.model, eval_env)
+            interrupt_options(self.model, eval_env, values=values)
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint: the values that are in the environments, which are older than the model's."""
+        return {"refreshed": self._refreshed, "values": None if self._values is None else self._values.get_state()}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Put the values of `get_state` into the environments."""
+        self._refreshed = state["refreshed"]
+        if state["values"] is not None:
+            self._values = ValueSnapshot(self.model)
+            self._values.set_state(state["values"])
+            self._send(self._values)
 
 
 def _numpy_layers(network: Any, outputs: int) -> list[tuple[FloatArray, FloatArray]]:

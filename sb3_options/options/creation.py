@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -192,6 +193,14 @@ class OptionGrowth:
             return False
         self._learned_from[slot] = self._reached[slot]
         return True
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {"reached": dict(self._reached), "learned_from": dict(self._learned_from)}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self._reached, self._learned_from = state["reached"], state["learned_from"]
 
 
 def _reaches(subgoal: Region, trajectory: LabelledTrajectory) -> bool:

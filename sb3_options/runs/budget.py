@@ -15,6 +15,8 @@ class KeepToBudget(BaseCallback):
     ends in the middle of it. Algorithms without ``train_freq`` are let be: there `PrimitiveStepsCallback` does it.
     """
 
+    remembers_nothing = True  # a checkpoint is never of the last rollout
+
     def _on_training_start(self) -> None:
         self._stock = getattr(self.model, "train_freq", None)
         self._shorten()

@@ -63,6 +63,7 @@ class TrainConfig:
         n_envs: Parallel environments.
         vec_env: "dummy"; "subproc": a process each.
         eval_freq: Primitive steps per evaluation; 0: none.
+        checkpoint_freq: Steps per checkpoint; 0: none.
         eval_episodes: Episodes of an evaluation.
         eval_max_steps: Longest, in primitive steps; 0: any.
         progress: Show a progress bar.
@@ -94,6 +95,7 @@ class TrainConfig:
     n_envs: Count = 1
     vec_env: Annotated[Literal["dummy", "subproc"], KIND] = "dummy"
     eval_freq: Natural = 0
+    checkpoint_freq: Natural = 10_000
     eval_episodes: Count = 10
     eval_max_steps: Natural = 1_000
     progress: bool = True

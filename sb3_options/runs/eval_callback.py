@@ -36,6 +36,8 @@ class WatchedEvalCallback(EvalCallback):
         **kwargs: Likewise.
     """
 
+    remembers_nothing = True  # more than EvalCallback does, from one evaluation to the next
+
     def __init__(self, interrupts: Interrupts, folder: Path, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs | {"callback_on_new_best": _SaveBest(folder / BEST)})
         self.interrupts = interrupts
@@ -83,6 +85,8 @@ class WatchedEvalCallback(EvalCallback):
 
 class _SaveBest(BaseCallback):
     """Saves the model."""
+
+    remembers_nothing = True
 
     def __init__(self, path: Path) -> None:
         super().__init__()

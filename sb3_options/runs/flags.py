@@ -39,6 +39,7 @@ LAST = (
     "feature_map",
     "bonus",
     "close_harmful",
+    "checkpoint_freq",
     "eval_episodes",
     "eval_max_steps",
     "vec_env",
@@ -51,7 +52,7 @@ LAST = (
 INTRODUCTION = """Train an agent that discovers its own options, or evaluate one.
   ALGORITHM         maskableppo (default), ppo, a2c, trpo, recurrentppo, dqn,
                     qrdqn, optiondqn. Its settings: `train.py ppo --help`
-  evaluate RUN      plays a run again: `train.py evaluate --help`
+  evaluate RUN      plays a run again; `resume RUN` goes on with one
   --config FILE     reads settings from YAML; flags win over it
   --help discovery  shows how subgoals are found, `--help option` how options
                     are learned, `--help all` every flag
@@ -110,7 +111,7 @@ def _show_help(default: TrainConfig, section: str | bool, prog: str) -> None:
     groups = {name: getattr(default, name) for name in GROUPS if section in (name, "all")}
     if section not in GROUPS:
         names = [f.name for f in dataclasses.fields(of) if f.name not in (*FIRST, *LAST, *GROUPS, "algo")]
-        rest = {"learning": view("How the agent learns.", names)(), "other": view("", LAST)()}
+        rest = {"learning": view("", names)(), "other": view("", LAST)()}
         groups = rest | groups
     everything = view("", () if section in GROUPS else FIRST, **groups)
     tyro.cli(everything, prog=prog, description=INTRODUCTION, args=["--help"])

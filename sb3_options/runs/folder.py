@@ -29,6 +29,7 @@ CONFIG = "config.yml"
 MODEL = "model.zip"
 OPTIONS = NAME
 MONITOR = "monitor"
+CHECKPOINTS = "checkpoints"
 SUBGOALS = "subgoals.png"
 
 PACKAGES = {
@@ -173,7 +174,7 @@ def make_env(
         config: Of the run.
         n_envs: How many.
         seed: Of the first; the others count on from it.
-        monitor_dir: Where each writes its episodes; None writes nothing.
+        monitor_dir: Where each writes its episodes; None writes nothing. In a folder that there is they are added.
         beneath: A wrapper to put beneath the options as well.
         render_mode: For the environment.
         subproc: Whether each lives in a process of its own.
@@ -233,5 +234,6 @@ def make_env(
         env_kwargs=keywords,
         wrapper_class=with_options,
         monitor_dir=None if monitor_dir is None else str(monitor_dir),
+        monitor_kwargs={"override_existing": monitor_dir is None or not monitor_dir.exists()},
         vec_env_cls=SubprocVecEnv if subproc else DummyVecEnv,
     )

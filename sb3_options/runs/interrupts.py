@@ -66,6 +66,8 @@ class StopWhenNoted(BaseCallback):
         interrupts: Notes it.
     """
 
+    remembers_nothing = True
+
     def __init__(self, interrupts: Interrupts) -> None:
         super().__init__()
         self.interrupts = interrupts

@@ -1,0 +1,121 @@
+"""What callbacks remember, for checkpoints: ours say it themselves, SB3's are known."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common import callbacks as sb3
+from stable_baselines3.common.callbacks import BaseCallback
+
+from sb3_options.callbacks.counting import all_callbacks
+from sb3_options.checkpoints.tree import State
+
+KNOWN: dict[type[BaseCallback], tuple[str, ...]] = {
+    sb3.CheckpointCallback: (),
+    sb3.ConvertCallback: (),
+    sb3.EvalCallback: (
+        "best_mean_reward",
+        "last_mean_reward",
+        "evaluations_results",
+        "evaluations_timesteps",
+        "evaluations_length",
+        "evaluations_successes",
+        "_is_success_buffer",
+    ),
+    sb3.EveryNTimesteps: ("last_time_trigger",),
+    sb3.StopTrainingOnMaxEpisodes: ("n_episodes",),
+    sb3.StopTrainingOnNoModelImprovement: ("last_best_mean_reward", "no_improvement_evals"),
+    sb3.StopTrainingOnRewardThreshold: (),
+}
+"""What SB3's callbacks remember besides their counters; a class derived from one may remember more."""
+
+COUNTERS = ("n_calls", "num_timesteps")
+
+
+def get_states(root: BaseCallback | None) -> list[State]:
+    """Of every callback in a tree, in order; a progress bar remembers nothing of its own.
+
+    Raises:
+        ValueError: One of them does not tell what it remembers.
+    """
+    return [
+        {
+            "class": type(each).__name__,
+            "counters": {name: getattr(each, name) for name in COUNTERS},
+            "known": {name: getattr(each, name) for name in _names(each)},
+            "own": each.get_state() if _tells(each) else None,  # type: ignore[attr-defined]  # it tells
+        }
+        for each in _callbacks(root)
+    ]
+
+
+def check(root: BaseCallback | None) -> None:
+    """Refuse callbacks that do not tell what they remember.
+
+    Raises:
+        ValueError: There is one.
+    """
+    for each in _callbacks(root):
+        _names(each)
+
+
+def set_states(root: BaseCallback | None, states: list[State]) -> None:
+    """Go on with what `get_states` gave.
+
+    Raises:
+        ValueError: The callbacks are others.
+    """
+    callbacks = _callbacks(root)
+    here, there = [type(each).__name__ for each in callbacks], [state["class"] for state in states]
+    if here != there:
+        raise ValueError(
+            f"The checkpoint was written with the callbacks {', '.join(there)}, here are {', '.join(here)}."
+        )
+    for callback, state in zip(callbacks, states, strict=True):
+        for name, value in (state["counters"] | state["known"]).items():
+            setattr(callback, name, value)
+        if _tells(callback):
+            callback.set_state(state["own"])  # type: ignore[attr-defined]  # it tells
+
+
+def _callbacks(root: BaseCallback | None) -> list[BaseCallback]:
+    # A progress bar comes in a list of its own, and is there in one training and not in the next.
+    passed_over = (sb3.ProgressBarCallback, sb3.CallbackList)
+    return [each for each in all_callbacks(root) if not isinstance(each, passed_over)]
+
+
+def _tells(callback: Any) -> bool:
+    return hasattr(callback, "get_state") and hasattr(callback, "set_state")
+
+
+def _names(callback: BaseCallback) -> tuple[str, ...]:
+    """Attributes of a callback of SB3.
+
+    Raises:
+        ValueError: It is no such callback, and does not tell what it remembers.
+    """
+    if type(callback) in KNOWN:
+        return KNOWN[type(callback)]
+    names = next((names for cls, names in KNOWN.items() if names and isinstance(callback, cls)), ())
+    stock = type(callback).__module__.partition(".")[0] in ("stable_baselines3", "sb3_contrib")
+    if stock and names:
+        return names
+    own = set(vars(callback)) - set(vars(_Nothing())) - {"model", "locals", "globals", "training_env", "logger"}
+    if _tells(callback) or getattr(callback, "remembers_nothing", False) or not own:
+        return names
+    raise ValueError(
+        f"Checkpoints of {type(callback).__name__} are not supported yet: give the callback get_state() and "
+        "set_state(state), or the attribute remembers_nothing = True if it remembers nothing from step to step."
+    )
+
+
+class _Nothing(BaseCallback):
+    def _on_step(self) -> bool:
+        return True
+
+
+def best_of(root: BaseCallback | None) -> float:
+    """The best mean reward of all evaluations; −∞ before the first."""
+    rewards = [c.best_mean_reward for c in all_callbacks(root) if isinstance(c, sb3.EvalCallback)]
+    return float(max(rewards, default=-np.inf))

@@ -1,0 +1,167 @@
+"""`CheckpointCallback` and `load_checkpoint`: training that a killed process does not end."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList, EvalCallback, ProgressBarCallback
+from stable_baselines3.common.type_aliases import TrainFreq
+from stable_baselines3.common.vec_env import VecEnv
+
+from sb3_options.callbacks import checkpoint_state
+from sb3_options.callbacks.counting import all_callbacks
+from sb3_options.checkpoints import environments, event_files, models
+from sb3_options.checkpoints.file import CheckpointFolder
+from sb3_options.checkpoints.tree import State
+
+logger = logging.getLogger("sb3_options")
+
+
+class CheckpointCallback(BaseCallback):
+    """Writes everything that training is to the disk, from where `load_checkpoint` lets it go on as if never ended.
+
+    A checkpoint is written at the start of a rollout, the first of them before the first step. Each holds the model
+    with its optimizer and its replay buffer, the callbacks beside this one, the environments in mid-episode and every
+    random generator; docs/concepts/checkpoints.md says what cannot be in it. The last two are kept, and the one after
+    the best evaluation of an ``EvalCallback``.
+
+    Args:
+        folder: Of the checkpoints.
+        freq: Primitive steps between two of them, at least 1.
+        verbose: 1 says when training goes on from one.
+
+    Raises:
+        ValueError: ``freq`` < 1; or, when training starts, something cannot be in a checkpoint.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str], freq: int = 10_000, *, verbose: int = 0) -> None:
+        super().__init__(verbose)
+        if freq < 1:
+            raise ValueError(f"freq must be at least 1 primitive step, got {freq}.")
+        self.folder, self.freq = CheckpointFolder(folder), freq
+        self._resumed: State | None = None
+        self._last: int | None = None
+        self._best = -np.inf
+
+    def resume_from(self, state: State) -> None:
+        """Let the next training go on from a state, as `load_checkpoint` reads it."""
+        self._resumed = state
+
+    def _on_training_start(self) -> None:
+        models.check(self.model)
+        self._root: BaseCallback | None = self.locals.get("callback")
+        environments.get_state(self.training_env)  # what cannot be in a checkpoint is refused now
+        checkpoint_state.check(self._root)
+
+    def _on_rollout_start(self) -> None:
+        now = self.model.num_timesteps
+        if self._resumed is not None:
+            state, self._resumed = self._resumed, None
+            self._put_back(state)
+        elif (self._last is None or now - self._last >= self.freq) and not self._is_last_rollout():
+            self._last = now
+            best, before = checkpoint_state.best_of(self._root), self._best
+            self._best = best
+            try:
+                self.folder.save(now, self.state(), best=best > before)
+            except OSError as error:
+                logger.warning("No checkpoint could be written, training goes on: %s", error)
+
+    def _is_last_rollout(self) -> bool:
+        """Whether training ends with this rollout of an off-policy algorithm, which may be shortened therefore."""
+        frequency = getattr(self.model, "train_freq", None)
+        left = self.model._total_timesteps - self.model.num_timesteps
+        return isinstance(frequency, TrainFreq) and left <= frequency.frequency * self.training_env.num_envs
+
+    def _on_step(self) -> bool:
+        return True
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {"last": self._last, "best": self._best}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self._last, self._best = state["last"], state["best"]
+
+    def state(self) -> State:
+        """Everything that training is, at the start of a rollout."""
+        return {
+            "callbacks": checkpoint_state.get_states(self._root),
+            "environments": [environments.get_state(venv) for venv in self._venvs()],
+            "model": models.get_state(self.model),
+            "logged": models.logged(self.model.logger),
+            "event_files": event_files.sizes(self.model.logger),
+            "random": models.random_states(),
+        }
+
+    def _put_back(self, state: State) -> None:
+        model = self.model
+        before = model.num_timesteps
+        if state["model"]["total"] != model._total_timesteps:
+            logger.warning(
+                "The checkpoint is of a training for %d primitive steps, and learn() was called for %d: schedules "
+                "differ from here on.",
+                state["model"]["total"],
+                model._total_timesteps,
+            )
+        checkpoint_state.set_states(self._root, state["callbacks"])  # first: options go into the environments
+        for venv, there in zip(self._venvs(), state["environments"], strict=True):
+            environments.set_state(venv, there)
+        models.set_state(model, state["model"])
+        models.set_logged(model.logger, state["logged"])
+        event_files.cut(model.logger, state["event_files"])
+        for callback in all_callbacks(self._root):
+            if isinstance(callback, ProgressBarCallback):
+                callback.pbar.update(model.num_timesteps - before)
+            if state["logged"]["figures"] and hasattr(callback, "draw"):
+                callback.draw()
+        models.set_random_states(state["random"])  # last: nothing of the above has drawn then
+        if self.verbose:
+            print(f"Going on after {model.num_timesteps:,} primitive steps.")
+
+    def _venvs(self) -> list[VecEnv]:
+        evaluated = [c.eval_env for c in all_callbacks(self._root) if isinstance(c, EvalCallback)]
+        return [self.training_env, *evaluated]
+
+
+def load_checkpoint(
+    folder: str | os.PathLike[str], model: BaseAlgorithm, callback: BaseCallback | Sequence[BaseCallback]
+) -> int:
+    """Let the next ``learn`` of a model go on from the newest whole checkpoint, as if it had never ended.
+
+    Model, environments and callbacks must be made as they were made for the training that ended, and ``learn`` must be
+    called as it was called then: it sets everything up, and when its first rollout starts all of it is put back.
+
+    ::
+
+        load_checkpoint("checkpoints", model, callbacks)
+        model.learn(100_000, callbacks)
+
+    Args:
+        folder: Of a `CheckpointCallback`.
+        model: As it was made at first.
+        callback: What is passed to ``learn``; a `CheckpointCallback` is among it.
+
+    Returns:
+        The primitive steps that the checkpoint has taken.
+
+    Raises:
+        FileNotFoundError: There is no checkpoint.
+        ValueError: No checkpoint is whole, it is of another model, or there is no `CheckpointCallback`.
+    """
+    models.check(model)
+    root = callback if isinstance(callback, BaseCallback) else CallbackList(list(callback))
+    own = [each for each in all_callbacks(root) if isinstance(each, CheckpointCallback)]
+    if not own:
+        raise ValueError("load_checkpoint needs a CheckpointCallback among the callbacks: it puts everything back.")
+    _, state = CheckpointFolder(folder).newest()
+    if state["model"]["class"] != type(model).__name__:
+        raise ValueError(f"The checkpoint is of {state['model']['class']}, the model is {type(model).__name__}.")
+    own[0].resume_from(state)
+    return int(state["model"]["counters"]["num_timesteps"])

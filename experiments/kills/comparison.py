@@ -1,0 +1,93 @@
+"""What two runs left, compared; only what the clock says may differ."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.save_util import load_from_zip_file
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator  # type: ignore[import-untyped]  # no stubs
+
+from sb3_options.checkpoints.comparison import OF_THE_CLOCK, differing
+from sb3_options.checkpoints.file import CheckpointFolder
+from sb3_options.checkpoints.records import RECORDS
+from sb3_options.checkpoints.tree import encode
+from sb3_options.options import file as option_file
+from sb3_options.runs import folder as runs
+
+
+def differences(one: Path, other: Path) -> dict[str, list[str]]:
+    """Where the folders of two finished runs differ, by what was compared; empty lists where they are equal."""
+    return {
+        "weights and optimizer": _of_models(one, other),
+        "options": _of_options(one, other),
+        "monitor files": _monitor_rows(one, other),
+        "TensorBoard": _of_scalars(one, other),
+        "evaluations": _of_evaluations(one, other),
+        "last checkpoint": _of_checkpoints(one, other),
+    }
+
+
+def _of_options(one: Path, other: Path) -> list[str]:
+    """By content, for safetensors writes its text entries in any order."""
+    (about, arrays), (about_other, others) = (option_file.read(folder / runs.OPTIONS) for folder in (one, other))
+    names = arrays.keys() | others.keys()
+    differ = [n for n in names if n not in arrays or n not in others or arrays[n].tobytes() != others[n].tobytes()]
+    return sorted(differ) + ["other entries"] * (about != about_other)
+
+
+def _of_models(one: Path, other: Path) -> list[str]:
+    a, b = (load_from_zip_file(folder / runs.MODEL, load_data=False)[1] for folder in (one, other))
+    first, second = (encode(_plain(each), RECORDS) for each in (a, b))
+    if first[0] != second[0]:
+        return ["other parameters"]
+    return [
+        f"array {name} of {array.shape}"
+        for name, array in first[1].items()
+        if array.tobytes() != second[1][name].tobytes()
+    ]
+
+
+def _plain(value: Any) -> Any:
+    """Ordered dictionaries as dictionaries."""
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    return value.clone() if isinstance(value, torch.Tensor) else value
+
+
+def _monitor_rows(one: Path, other: Path) -> list[str]:
+    """Files whose returns and lengths of episodes differ; their third column is the clock's."""
+
+    def rows(file: Path) -> list[list[str]]:
+        return [line.split(",")[:2] for line in file.read_text(encoding="utf-8").splitlines()[1:]]
+
+    files = {file.name for folder in (one, other) for file in (folder / runs.MONITOR).iterdir()}
+    return sorted(n for n in files if rows(one / runs.MONITOR / n) != rows(other / runs.MONITOR / n))
+
+
+def _of_scalars(one: Path, other: Path) -> list[str]:
+    a, b = scalars(one), scalars(other)
+    return sorted(tag for tag in a.keys() | b.keys() if a.get(tag) != b.get(tag))
+
+
+def scalars(run: Path) -> dict[str, list[tuple[int, float]]]:
+    """Steps and values of every TensorBoard scalar of a run, in the order in which they were written."""
+    points: dict[str, list[tuple[int, float]]] = {}
+    for folder in sorted(run.glob("tensorboard_*")):
+        events = EventAccumulator(str(folder), size_guidance={"scalars": 0})
+        events.Reload()
+        for tag in set(events.Tags()["scalars"]) - OF_THE_CLOCK:
+            points.setdefault(f"{folder.name}/{tag}", []).extend((e.step, e.value) for e in events.Scalars(tag))
+    return points
+
+
+def _of_evaluations(one: Path, other: Path) -> list[str]:
+    a, b = (dict(np.load(f / "evaluations.npz")) if (f / "evaluations.npz").is_file() else {} for f in (one, other))
+    return sorted(n for n in a.keys() | b.keys() if n not in a or n not in b or not np.array_equal(a[n], b[n]))
+
+
+def _of_checkpoints(one: Path, other: Path) -> list[str]:
+    (first, a), (second, b) = (CheckpointFolder(folder / runs.CHECKPOINTS).newest() for folder in (one, other))
+    return [f"{first.name} and {second.name}"] if first.name != second.name else differing(a, b)

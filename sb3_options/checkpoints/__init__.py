@@ -1,0 +1,1 @@
+"""Everything that training is, on the disk and back."""

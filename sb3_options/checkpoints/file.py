@@ -1,0 +1,227 @@
+"""The files of checkpoints: safetensors for arrays, JSON for the rest, and blocks of large arrays that are shared.
+
+An array of more than `BLOCK_BYTES` is cut into blocks of rows. A block is a file named by the SHA-256 of its content:
+one that has not changed since the last checkpoint is there already, and is not written again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from safetensors import SafetensorError
+from safetensors.numpy import load as from_safetensors
+from safetensors.numpy import save as to_safetensors
+
+from sb3_options.atomic import atomic_write
+from sb3_options.checkpoints.records import RECORDS
+from sb3_options.checkpoints.tree import Arrays, State, decode, encode
+
+FORMAT = "sb3-options checkpoint 1"
+
+BLOCK_BYTES = 1 << 20
+"""Largest content of a block: a checkpoint writes at most about this much of an array that has not changed."""
+
+BLOCKS = "blocks"
+"""Folder of the blocks, beside the checkpoints."""
+
+SUFFIX = ".safetensors"
+
+KEPT = 2
+"""So many checkpoints are kept, besides the best."""
+
+BEST = "best"
+"""Name of the checkpoint with the best evaluation."""
+
+_NAME = re.compile(r"[0-9a-f]{64}")
+
+
+class CheckpointFolder:
+    """Checkpoints of one run, by the primitive steps taken.
+
+    Args:
+        path: Of the folder; made when the first checkpoint is written.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+
+    def __iter__(self) -> Iterator[Path]:
+        """The checkpoints, newest first; damaged ones, too."""
+        found = [file for file in self.path.glob(f"*{SUFFIX}") if file.stem.isdecimal()]
+        return iter(sorted(found, key=lambda file: int(file.stem), reverse=True))
+
+    def save(self, steps: int, state: State, *, best: bool = False) -> Path:
+        """Write a checkpoint, and remove what is older than the last `KEPT`.
+
+        A killed process or a full disk leaves the older ones whole.
+
+        Args:
+            steps: Primitive steps taken.
+            state: Everything.
+            best: Whether it is the best so far, and kept until there is a better one.
+
+        Raises:
+            OSError: It cannot be written.
+            TypeError: There is something in the state that cannot be stored.
+        """
+        blocks = self.path / BLOCKS
+        blocks.mkdir(parents=True, exist_ok=True)
+        content = _packed(state, blocks)
+        _sync(blocks)
+        file = self.path / f"{steps:012d}{SUFFIX}"
+        for path in [file, *([self.path / f"{BEST}{SUFFIX}"] if best else [])]:
+            with atomic_write(path) as temporary:
+                temporary.write_bytes(content)
+        _sync(self.path)
+        self._remove_old()
+        return file
+
+    def newest(self) -> tuple[Path, State]:
+        """The newest checkpoint that is whole.
+
+        Raises:
+            FileNotFoundError: There is no checkpoint.
+            ValueError: None is whole; the text says what is wrong with the newest.
+        """
+        wrong: ValueError | None = None
+        for file in self:
+            try:
+                return file, read(file)
+            except ValueError as error:
+                wrong = wrong or error
+        if wrong is not None:
+            raise wrong
+        raise FileNotFoundError(f"There is no checkpoint in {self.path}.")
+
+    def _remove_old(self) -> None:
+        files = list(self)
+        for file in files[KEPT:]:
+            file.unlink()
+        best = self.path / f"{BEST}{SUFFIX}"
+        kept = files[:KEPT] + [best] * best.is_file()
+        try:
+            used = {name for file in kept for name in _block_names(_header(file))}
+        except ValueError:
+            return  # whoever damaged a file may want to look at it: its blocks stay
+        for path in (self.path / BLOCKS).iterdir():
+            if path.stem not in used:  # what killed processes left, too
+                path.unlink()
+        for path in self.path.glob(f".*{SUFFIX}"):
+            path.unlink()
+
+
+def read(file: Path) -> State:
+    """The state in a checkpoint. Nothing of the file is run.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is damaged, incomplete or something else.
+    """
+    content = file.read_bytes()
+    try:
+        header = _header(file)
+        arrays = {key: np.array(array) for key, array in from_safetensors(content).items()}
+        if header["digest"] != _digest(header["state"], header["blocks"], arrays):
+            raise ValueError("its contents are not what was written to it")
+        for number, about in json.loads(header["blocks"]).items():
+            arrays[number] = _joined(about, file.parent / BLOCKS)
+        state = decode(json.loads(header["state"]), arrays, RECORDS)
+        if not isinstance(state, dict):
+            raise ValueError("it holds no state")
+    except (SafetensorError, KeyError, TypeError, AttributeError, RecursionError, ValueError, OSError) as error:
+        raise ValueError(f"{file} is no checkpoint, or it is damaged: {error}") from error
+    return state
+
+
+def _packed(state: State, blocks: Path) -> bytes:
+    content, arrays = encode(state, RECORDS)
+    small: Arrays = {}
+    large: dict[str, Any] = {}
+    for number, array in arrays.items():
+        if array.nbytes > BLOCK_BYTES:
+            large[number] = _cut(array, blocks)
+        else:
+            small[number] = array
+    text, about = json.dumps(content), json.dumps(large)
+    metadata = {"format": FORMAT, "state": text, "blocks": about, "digest": _digest(text, about, small)}
+    packed: bytes = to_safetensors(small, metadata=metadata)
+    return packed
+
+
+def _cut(array: npt.NDArray[Any], folder: Path) -> State:
+    """Write those blocks of an array that are not there, and say where all are."""
+    rows = array if array.ndim else array[None]
+    n = max(1, BLOCK_BYTES * len(rows) // rows.nbytes)
+    names = []
+    for start in range(0, len(rows), n):
+        block = rows[start : start + n]
+        name = hashlib.sha256(block.data).hexdigest()
+        names.append(name)
+        if not (folder / f"{name}{SUFFIX}").is_file():
+            with atomic_write(folder / f"{name}{SUFFIX}") as temporary:
+                temporary.write_bytes(to_safetensors({"rows": block}))
+    return {"shape": list(array.shape), "dtype": array.dtype.str, "names": names}
+
+
+def _joined(about: State, folder: Path) -> npt.NDArray[Any]:
+    parts = []
+    for name in about["names"]:
+        if not _NAME.fullmatch(name):
+            raise ValueError(f"{name!r} is no name of a block")
+        rows = from_safetensors((folder / f"{name}{SUFFIX}").read_bytes())["rows"]
+        if hashlib.sha256(np.ascontiguousarray(rows).data).hexdigest() != name:
+            raise ValueError(f"the contents of its block {name} are not what was written to it")
+        parts.append(rows)
+    array = np.concatenate(parts)
+    if list(array.shape) != about["shape"] or array.dtype.str != about["dtype"]:
+        raise ValueError(f"its blocks make an array of shape {array.shape}, expected {about['shape']}")
+    return array
+
+
+def _header(file: Path) -> dict[str, str]:
+    """The text entries of a checkpoint.
+
+    Raises:
+        ValueError: It is none.
+    """
+    try:
+        with file.open("rb") as opened:
+            size = int.from_bytes(opened.read(8), "little")
+            header = json.loads(opened.read(size))["__metadata__"]
+        if header["format"] != FORMAT:
+            raise ValueError(f"its format is {header['format']!r}, expected {FORMAT!r}")
+    except (KeyError, TypeError, ValueError, OverflowError, MemoryError, RecursionError) as error:
+        raise ValueError(f"{file} is no checkpoint of this version: {error!r}") from error
+    return dict(header)
+
+
+def _block_names(header: dict[str, str]) -> list[str]:
+    return [name for about in json.loads(header["blocks"]).values() for name in about["names"]]
+
+
+def _digest(text: str, blocks: str, arrays: Arrays) -> str:
+    """SHA-256 of everything that a checkpoint says, with the names of its blocks, which are digests themselves."""
+    sha256 = hashlib.sha256(json.dumps([text, blocks]).encode())
+    for name in sorted(arrays):
+        sha256.update(f"{name} {arrays[name].dtype} {arrays[name].shape}".encode())
+        sha256.update(np.ascontiguousarray(arrays[name]).tobytes())
+    return sha256.hexdigest()
+
+
+def _sync(folder: Path) -> None:
+    """Have the names in a folder on the disk, too."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError:
+        pass  # some file systems cannot
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,154 @@
+"""The state of a model, its environments and every generator, at the start of a rollout."""
+
+from __future__ import annotations
+
+import random
+import time
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.logger import Logger
+
+from sb3_options.checkpoints.tree import State
+from sb3_options.learning import buffer_state
+
+SUPPORTED = ("DQN", "OptionDQN", "QRDQN", "PPO", "MaskablePPO", "A2C", "TRPO", "RecurrentPPO", "MacroQ")
+"""Names of the classes of models whose whole state is known."""
+
+COUNTERS = (
+    "num_timesteps",
+    "_num_timesteps_at_start",
+    "_episode_num",
+    "_n_updates",
+    "_n_calls",
+    "_current_progress_remaining",
+    "exploration_rate",
+)
+LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts")
+"""What the environments gave last."""
+
+
+def check(model: BaseAlgorithm) -> None:
+    """Refuse a model of which a checkpoint would not hold everything.
+
+    Raises:
+        ValueError: It is such a model.
+    """
+    known = type(model).__name__ in SUPPORTED and type(model).__module__.partition(".")[0] in (
+        "stable_baselines3",
+        "sb3_contrib",
+        "sb3_options",
+    )
+    if not known:
+        raise ValueError(
+            f"Checkpoints of {type(model).__name__} are not supported yet; those of {', '.join(SUPPORTED)} are."
+        )
+    if model.use_sde:
+        raise ValueError("Checkpoints with use_sde=True are not supported yet.")
+
+
+def get_state(model: BaseAlgorithm) -> State:
+    """Networks, optimizer, replay buffer and counters; a rollout buffer is empty at the start of a rollout."""
+    state: State = {
+        "class": type(model).__name__,
+        "policy": dict(model.policy.state_dict()),
+        "optimizer": model.policy.optimizer.state_dict() if hasattr(model.policy, "optimizer") else None,
+        "own": model.get_state() if hasattr(model, "get_state") else None,
+        "counters": {name: getattr(model, name) for name in COUNTERS if hasattr(model, name)},
+        "last": {name: getattr(model, name, None) for name in LAST},
+        "total": model._total_timesteps,
+        "elapsed": time.time_ns() - model.start_time,
+        "episodes": list(model.ep_info_buffer or ()),
+        "successes": list(model.ep_success_buffer or ()),
+        "action_space": _random_of(model.action_space),
+    }
+    buffer = getattr(model, "replay_buffer", None)
+    if buffer is not None:
+        state["replay_buffer"] = buffer_state.get_state(buffer)
+    if hasattr(model, "_last_lstm_states"):
+        state["lstm"] = None if model._last_lstm_states is None else [tuple(each) for each in model._last_lstm_states]
+    return state
+
+
+def set_state(model: BaseAlgorithm, state: State) -> None:
+    """Go on with what `get_state` gave, in a model that was made with the same arguments.
+
+    Raises:
+        ValueError: It is another model.
+    """
+    if state["class"] != type(model).__name__:
+        raise ValueError(f"The checkpoint is of {state['class']}, the model is {type(model).__name__}.")
+    model.policy.load_state_dict(state["policy"])
+    if state["optimizer"] is not None:
+        model.policy.optimizer.load_state_dict(state["optimizer"])
+    if state["own"] is not None:
+        model.set_state(state["own"])  # type: ignore[attr-defined]  # as there
+    for name, value in (state["counters"] | state["last"]).items():
+        setattr(model, name, value)
+    model.start_time = time.time_ns() - state["elapsed"]
+    for buffer, there in ((model.ep_info_buffer, "episodes"), (model.ep_success_buffer, "successes")):
+        assert buffer is not None  # learn() has begun
+        buffer.clear()
+        buffer.extend(state[there])
+    _set_random(model.action_space, state["action_space"])
+    if "replay_buffer" in state:
+        buffer_state.set_state(model.replay_buffer, state["replay_buffer"])  # type: ignore[attr-defined]  # as there
+    if state.get("lstm") is not None:
+        model._last_lstm_states = type(model._last_lstm_states)(*state["lstm"])  # type: ignore[attr-defined]  # as there
+
+
+def random_states() -> State:
+    """Of the generators that all share: Python's, numpy's and torch's."""
+    kind, keys, pos, has_gauss, cached = np.random.get_state(legacy=True)  # noqa: NPY002  # SB3 draws from it
+    version, numbers, gauss = random.getstate()
+    return {
+        "numpy": (kind, keys, pos, has_gauss, cached),
+        "python": (version, np.array(numbers, dtype=np.int64), gauss),
+        "torch": torch.get_rng_state(),
+        "cuda": list(torch.cuda.get_rng_state_all()) if torch.cuda.is_available() else [],
+    }
+
+
+def set_random_states(state: State) -> None:
+    """Let all generators draw what they would have drawn after `random_states`."""
+    np.random.set_state(state["numpy"])  # noqa: NPY002  # SB3 draws from it
+    version, numbers, gauss = state["python"]
+    random.setstate((version, tuple(numbers.tolist()), gauss))
+    torch.set_rng_state(state["torch"])
+    if torch.cuda.is_available() and state["cuda"]:
+        torch.cuda.set_rng_state_all(state["cuda"])
+
+
+def logged(logger: Logger) -> State:
+    """What was recorded and is not yet written: numbers, and which figures there were."""
+    numbers = {
+        name: value for name, value in logger.name_to_value.items() if isinstance(value, int | float | np.number | str)
+    }
+    return {
+        "values": numbers,
+        "counts": dict(logger.name_to_count),
+        "excluded": {name: tuple(to) for name, to in logger.name_to_excluded.items() if name in numbers},
+        "figures": [name for name in logger.name_to_value if name not in numbers],
+    }
+
+
+def set_logged(logger: Logger, state: State) -> None:
+    """Record what `logged` gave, and nothing else; figures have to be drawn anew."""
+    for there, here in (
+        (state["values"], logger.name_to_value),
+        (state["counts"], logger.name_to_count),
+        (state["excluded"], logger.name_to_excluded),
+    ):
+        here.clear()
+        here.update(there)
+
+
+def _random_of(space: gym.Space[Any]) -> Any:
+    return space.np_random.bit_generator.state
+
+
+def _set_random(space: gym.Space[Any], state: Any) -> None:
+    space.np_random.bit_generator.state = state

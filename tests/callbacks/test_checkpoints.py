@@ -1,0 +1,338 @@
+"""Killed and resumed is never interrupted: every array of the final state is equal, byte for byte."""
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.callbacks import BaseCallback, EvalCallback, EveryNTimesteps
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecFrameStack, VecNormalize
+
+from sb3_options import OptionReplayBuffer
+from sb3_options.callbacks import (
+    CheckpointCallback,
+    IntrinsicRewardCallback,
+    SubgoalDiscoveryCallback,
+    load_checkpoint,
+)
+from sb3_options.checkpoints import file as checkpoint_file
+from sb3_options.checkpoints.comparison import differing
+from sb3_options.checkpoints.file import read
+from sb3_options.checkpoints.tree import State
+from sb3_options.learning.dqn import OptionDQN
+from sb3_options.learning.macro_q import MacroQ
+from tests.integration.test_algorithms import ALGORITHMS, GAMMA, OFF_POLICY
+from tests.support.sb3_helpers import TINY, fast_callback, make_optioned_rooms
+
+STEPS = 1950
+EVERY = 100
+
+TRIAL = {"patience": 5, "look_every": 2, "success_window": 4}
+
+FAST = ["PPO", "OptionDQN"]
+SLOW = ["MaskablePPO", "DQN", "QRDQN", "A2C", "TRPO", "RecurrentPPO", "MacroQ"]
+
+Callbacks = list[BaseCallback]
+
+
+def venv_of(n: int = 2, *, subproc: bool = False, wrap: Callable[[VecEnv], VecEnv] | None = None) -> VecEnv:
+    made = [make_optioned_rooms] * n
+    venv: VecEnv = SubprocVecEnv(made, start_method="fork") if subproc else DummyVecEnv(made)
+    return venv if wrap is None else wrap(venv)
+
+
+def model_of(name: str, venv: VecEnv, **kwargs: Any) -> Any:
+    if name == "MacroQ":
+        return MacroQ(venv, gamma=GAMMA, seed=0)
+    algorithm = ALGORITHMS[name]
+    if algorithm in OFF_POLICY:
+        own = {} if algorithm is OptionDQN else {"replay_buffer_class": OptionReplayBuffer}
+        exploring = {"exploration_fraction": 0.9, "exploration_final_eps": 0.8}
+        return algorithm("MlpPolicy", venv, gamma=GAMMA, **{**TINY, **own, **exploring, **kwargs})
+    policy, network = "MlpPolicy", {"net_arch": [16]}
+    if name == "RecurrentPPO":
+        policy, network = "MlpLstmPolicy", {"net_arch": [16], "lstm_hidden_size": 8}  # type: ignore[dict-item]  # of two kinds
+    some: dict[str, Any] = {"batch_size": 64} if name != "A2C" else {}
+    some |= {"n_epochs": 1} if "PPO" in name else {}
+    return algorithm(policy, venv, n_steps=32, gamma=GAMMA, seed=0, policy_kwargs=network, **some, **kwargs)
+
+
+def discovering(**kwargs: Any) -> SubgoalDiscoveryCallback:
+    return fast_callback(
+        max_new_options=2, trial=TRIAL, option_settings={"grow": True, "keep_learning": True}, **kwargs
+    )
+
+
+@pytest.fixture
+def keep_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checkpoint_file, "KEPT", 10**6)
+    monkeypatch.setattr(os, "fsync", lambda _: None)  # no power fails here
+
+
+def trained(
+    make: Callable[[], Any], callbacks: Callbacks, *, resume: Path | None = None, steps: int = STEPS
+) -> tuple[Any, State]:
+    """A model after training, from a checkpoint on if there is one, and everything that training is then."""
+    model = make()
+    *_, checkpoints = callbacks
+    assert isinstance(checkpoints, CheckpointCallback)
+    if resume is not None:
+        checkpoints.resume_from(read(resume))
+    model.learn(steps, callbacks)
+    state = checkpoints.state()
+    for callback in state["callbacks"]:
+        if callback["class"] == "CheckpointCallback":  # whose turn it is has no part in training
+            callback["own"] = None
+    model.get_env().close()
+    return model, state
+
+
+def check_resumes(
+    make: Callable[[], Any], others: Callable[[], Callbacks], tmp_path: Path, cuts: Sequence[float] = (0.1, 0.7)
+) -> tuple[Callbacks, list[Path]]:
+    """Train, and train from some of the checkpoints on: the final states are equal."""
+    callbacks = [*others(), CheckpointCallback(tmp_path / "whole", EVERY)]
+    _, whole = trained(make, callbacks)
+    files = sorted((tmp_path / "whole").glob("0*"))
+    for cut in cuts:
+        file = files[int(cut * len(files))]
+        _, resumed = trained(make, [*others(), CheckpointCallback(tmp_path / "rest", 10**9)], resume=file)
+        assert differing(whole, resumed) == [], f"resumed after {int(file.stem)} steps"
+    return callbacks, files
+
+
+@pytest.mark.usefixtures("keep_all")
+@pytest.mark.parametrize("name", [*FAST, *(pytest.param(each, marks=pytest.mark.slow) for each in SLOW)])
+def test_every_algorithm_goes_on_as_if_never_ended(name: str, tmp_path: Path) -> None:
+    check_resumes(lambda: model_of(name, venv_of()), lambda: [discovering()], tmp_path)
+
+
+@pytest.mark.usefixtures("keep_all")
+@pytest.mark.parametrize("name", ["PPO", *(pytest.param(each, marks=pytest.mark.slow) for each in SLOW[:2])])
+def test_cut_right_before_and_after_an_option_is_installed(name: str, tmp_path: Path) -> None:
+    def make() -> Any:
+        return model_of(name, venv_of())
+
+    callbacks = [discovering(), CheckpointCallback(tmp_path / "whole", 1)]
+    _, whole = trained(make, callbacks)
+    files = sorted((tmp_path / "whole").glob("0*"))
+    found = callbacks[0].discoveries[0].timestep  # type: ignore[attr-defined]  # of discovery
+    before = max((file for file in files if int(file.stem) < found), key=lambda file: file.name)
+    after = min((file for file in files if int(file.stem) >= found), key=lambda file: file.name)
+    assert not filled(before)
+    assert filled(after)
+    for file in (before, after):
+        _, resumed = trained(make, [discovering(), CheckpointCallback(tmp_path / "rest", 10**9)], resume=file)
+        assert differing(whole, resumed) == []
+
+
+def filled(file: Path) -> list[int]:
+    (discovery,) = (each["own"] for each in read(file)["callbacks"] if each["class"] == "SubgoalDiscoveryCallback")
+    return [i for i, slot in enumerate(discovery["options"]["slots"]) if slot["option"] is not None]
+
+
+@pytest.mark.usefixtures("keep_all")
+def test_cut_in_the_middle_of_a_trial(tmp_path: Path) -> None:
+    callbacks, files = check_resumes(
+        lambda: model_of("A2C", venv_of()), lambda: [discovering()], tmp_path, cuts=(0.95,)
+    )
+    assert callbacks[0]._trials.trials  # type: ignore[attr-defined]  # of discovery
+    layers = read(files[int(0.95 * len(files))])["environments"][0]["environments"][0]
+    assert layers[0]["own"]["withholding"] is not None
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("keep_all")
+@pytest.mark.parametrize(
+    ("name", "wrap"),
+    [
+        ("MaskablePPO", lambda venv: VecNormalize(venv, gamma=GAMMA)),
+        ("DQN", lambda venv: VecNormalize(venv, gamma=GAMMA, norm_reward=False)),
+        ("PPO", lambda venv: VecFrameStack(venv, 2)),
+    ],
+)
+def test_wrappers_of_vec_envs(name: str, wrap: Callable[[VecEnv], VecEnv], tmp_path: Path) -> None:
+    check_resumes(lambda: model_of(name, venv_of(wrap=wrap)), lambda: [discovering()], tmp_path, cuts=(0.5,))
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("keep_all")
+@pytest.mark.parametrize("name", ["OptionDQN", "MaskablePPO"])
+def test_environments_in_worker_processes(name: str, tmp_path: Path) -> None:
+    check_resumes(lambda: model_of(name, venv_of(subproc=True)), lambda: [discovering()], tmp_path, cuts=(0.6,))
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("keep_all")
+@pytest.mark.parametrize(
+    "kwargs",
+    [
+        {"buffer_size": 300},
+        {"replay_buffer_kwargs": {"n_steps": 3}},
+        {"replay_buffer_kwargs": {"intra_option": True}},
+    ],
+    ids=["full", "n-step", "intra-option"],
+)
+def test_replay_buffers(kwargs: dict[str, Any], tmp_path: Path) -> None:
+    check_resumes(lambda: model_of("DQN", venv_of(), **kwargs), lambda: [discovering()], tmp_path, cuts=(0.3, 0.8))
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("keep_all")
+@pytest.mark.parametrize("kind", ["counts", "rnd"])
+@pytest.mark.parametrize("name", ["A2C", "DQN"])
+def test_bonuses(name: str, kind: Any, tmp_path: Path) -> None:
+    check_resumes(
+        lambda: model_of(name, venv_of()), lambda: [discovering(), IntrinsicRewardCallback(kind)], tmp_path, cuts=(0.5,)
+    )
+
+
+@pytest.mark.usefixtures("keep_all")
+def test_incremental_search(tmp_path: Path) -> None:
+    def others() -> Callbacks:
+        callback = discovering()
+        callback.settings = type(callback.settings)(
+            min_positive=3, start_radius=0.5, goal_radius=3.0, threshold=0.99, search="incremental"
+        )
+        return [callback]
+
+    callbacks, _ = check_resumes(lambda: model_of("A2C", venv_of()), others, tmp_path, cuts=(0.6, 0.9))
+    assert callbacks[0].discovery._incremental is not None  # type: ignore[attr-defined]  # of discovery
+
+
+@pytest.mark.usefixtures("keep_all")
+def test_evaluations(tmp_path: Path) -> None:
+    def others() -> Callbacks:
+        env = venv_of(1)
+        env.seed(7)
+        return [
+            discovering(),
+            EveryNTimesteps(700, EvalCallback(env, n_eval_episodes=2, eval_freq=1, verbose=0, warn=False)),
+        ]
+
+    # Before the first evaluation, when its environment has still to be seeded, and after it.
+    check_resumes(lambda: model_of("A2C", venv_of()), others, tmp_path, cuts=(0.1, 0.5))
+    assert (tmp_path / "whole" / "best.safetensors").is_file()
+
+
+def test_states_of_other_seeds_differ(tmp_path: Path) -> None:
+    states = []
+    for seed in (0, 1):
+        model = model_of("PPO", venv_of())
+        model.set_random_seed(seed)
+        _, state = trained([model].pop, [discovering(), CheckpointCallback(tmp_path)], steps=128)
+        states.append(state)
+    wrong = differing(*states)
+    assert any(".random.numpy" in each for each in wrong)
+    assert any(".model.policy" in each for each in wrong)
+
+
+class TestLoadCheckpoint:
+    def test_goes_on_in_a_users_own_script(self, tmp_path: Path) -> None:
+        def callbacks() -> Callbacks:
+            return [discovering(), CheckpointCallback(tmp_path, 500)]
+
+        model_of("PPO", venv_of()).learn(1000, callbacks())
+        model, again = model_of("PPO", venv_of()), callbacks()
+        steps = load_checkpoint(tmp_path, model, again)
+        assert 500 <= steps < 1000
+        model.learn(1500, again)
+        assert model.num_timesteps >= 1500
+
+    def test_needs_the_callback(self, tmp_path: Path) -> None:
+        with pytest.raises(ValueError, match=r"needs a CheckpointCallback among the callbacks"):
+            load_checkpoint(tmp_path, model_of("PPO", venv_of()), discovering())
+
+    def test_says_that_there_is_none(self, tmp_path: Path) -> None:
+        with pytest.raises(FileNotFoundError, match="There is no checkpoint in"):
+            load_checkpoint(tmp_path, model_of("PPO", venv_of()), CheckpointCallback(tmp_path))
+
+    def test_refuses_another_algorithm(self, tmp_path: Path) -> None:
+        model_of("PPO", venv_of()).learn(64, [discovering(), CheckpointCallback(tmp_path)])
+        with pytest.raises(ValueError, match=r"^The checkpoint is of PPO, the model is A2C\.$"):
+            load_checkpoint(tmp_path, model_of("A2C", venv_of()), CheckpointCallback(tmp_path))
+
+    def test_refuses_other_callbacks_and_environments(self, tmp_path: Path) -> None:
+        model_of("PPO", venv_of()).learn(64, [discovering(), CheckpointCallback(tmp_path)])
+        model, other = model_of("PPO", venv_of()), CheckpointCallback(tmp_path)
+        load_checkpoint(tmp_path, model, other)
+        with pytest.raises(ValueError, match=r"with the callbacks SubgoalDiscoveryCallback, Check"):
+            model.learn(64, [other, discovering()])
+        model, same = model_of("PPO", venv_of(4)), [discovering(), CheckpointCallback(tmp_path)]
+        load_checkpoint(tmp_path, model, same)
+        with pytest.raises(ValueError, match=r"^The checkpoint is of 2 environments, here are 4 in DummyVecEnv\.$"):
+            model.learn(64, same)
+
+
+class TestCheckpointCallback:
+    def test_writes_every_so_many_steps_and_at_the_start(self, tmp_path: Path) -> None:
+        checkpoints = CheckpointCallback(tmp_path, 200)
+        model_of("PPO", venv_of()).learn(600, [discovering(), checkpoints])
+        assert [int(file.stem) for file in checkpoints.folder] == [512, 256]
+
+    @pytest.mark.usefixtures("keep_all")
+    def test_changes_nothing(self, tmp_path: Path) -> None:
+        _, often = trained(lambda: model_of("DQN", venv_of()), [discovering(), CheckpointCallback(tmp_path / "1", 1)])
+        _, once = trained(
+            lambda: model_of("DQN", venv_of()), [discovering(), CheckpointCallback(tmp_path / "2", 10**9)]
+        )
+        assert differing(often, once) == []
+
+    def test_goes_on_without_where_the_disk_is_full(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        checkpoints = CheckpointCallback(tmp_path, 10**9)
+
+        def full(*_: Any, **__: Any) -> None:
+            raise OSError("No space left on device")
+
+        monkeypatch.setattr(checkpoints.folder, "save", full)
+        model_of("PPO", venv_of()).learn(64, [discovering(), checkpoints])
+        assert caplog.messages == ["No checkpoint could be written, training goes on: No space left on device"]
+
+    def test_refuses_a_frequency_of_nothing(self, tmp_path: Path) -> None:
+        with pytest.raises(ValueError, match=r"^freq must be at least 1 primitive step, got 0\.$"):
+            CheckpointCallback(tmp_path, 0)
+
+    def test_refuses_models_that_are_not_known(self, tmp_path: Path) -> None:
+        class Own(PPO):
+            pass
+
+        for model in (SAC("MlpPolicy", "Pendulum-v1"), Own("MlpPolicy", venv_of())):
+            with pytest.raises(
+                ValueError, match=rf"^Checkpoints of {type(model).__name__} are not supported yet; those"
+            ):
+                model.learn(8, CheckpointCallback(tmp_path))
+
+    def test_refuses_callbacks_and_environments_that_do_not_tell(self, tmp_path: Path) -> None:
+        class Counting(BaseCallback):
+            def __init__(self) -> None:
+                super().__init__()
+                self.counted = 0
+
+            def _on_step(self) -> bool:
+                return True
+
+        with pytest.raises(ValueError, match=r"^Checkpoints of Counting are not supported yet: give the callback get_"):
+            model_of("PPO", venv_of()).learn(8, [discovering(), Counting(), CheckpointCallback(tmp_path)])
+        with pytest.raises(ValueError, match=r"^Checkpoints of CartPoleEnv are not supported yet: the environment"):
+            PPO("MlpPolicy", "CartPole-v1").learn(8, CheckpointCallback(tmp_path))
+        assert not list(tmp_path.iterdir())
+
+
+def test_refuses_other_methods_of_discovery(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"^Checkpoints of discovery by RandomPlaces are not supported yet\.$"):
+        model_of("PPO", venv_of()).learn(64, [discovering(method="random"), CheckpointCallback(tmp_path)])
+
+
+def test_history_and_discoveries_come_back_as_they_were(tmp_path: Path) -> None:
+    first, again = discovering(), discovering()
+    _, _ = trained(lambda: model_of("A2C", venv_of()), [first, CheckpointCallback(tmp_path, 1)])
+    file = max(tmp_path.glob("0*"))
+    trained(lambda: model_of("A2C", venv_of()), [again, CheckpointCallback(tmp_path / "rest", 10**9)], resume=file)
+    assert again.history == first.history
+    assert [each.slot for each in again.discoveries] == [each.slot for each in first.discoveries]
+    np.testing.assert_array_equal(again.discoveries[0].subgoal, first.discoveries[0].subgoal)

@@ -1,0 +1,101 @@
+import json
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from sb3_options.checkpoints.records import RECORDS
+from sb3_options.checkpoints.tree import decode, encode
+from sb3_options.density.groups import FeatureGroup
+from sb3_options.density.regions import HalfSpace, Region
+from sb3_options.options.option import SubgoalOption
+from sb3_options.options.policies import NetworkPolicy, TabularPolicy
+
+
+def there_and_back(state: object) -> object:
+    content, arrays = encode(state, RECORDS)
+    return decode(json.loads(json.dumps(content)), arrays, RECORDS)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [None, True, 3, 1 << 100, 0.1, -math.inf, "text", b"\0\xff", (1, (2, "x")), [], {}, {"$": 1}, {1: {"a": ()}}],
+    ids=repr,
+)
+def test_values_come_back_as_they_were(value: object) -> None:
+    back = there_and_back({"value": value})
+    assert back == {"value": value}
+    assert repr(back) == repr({"value": value})
+
+
+@pytest.mark.parametrize("dtype", ["bool", "uint8", "int64", "float32", "float64"])
+@pytest.mark.parametrize("shape", [(), (0, 3), (4,), (2, 3)])
+def test_arrays_come_back_byte_for_byte(dtype: str, shape: tuple[int, ...]) -> None:
+    array = np.arange(math.prod(shape)).reshape(shape).astype(dtype)
+    back = there_and_back([array])[0]  # type: ignore[index]  # a list
+    assert (back.dtype, back.shape, back.tobytes()) == (array.dtype, shape, array.tobytes())
+
+
+def test_an_array_lies_in_memory_as_it_did() -> None:
+    array = np.asfortranarray(np.arange(6.0).reshape(2, 3))
+    back = there_and_back({"a": array})["a"]  # type: ignore[index]  # a dictionary
+    assert back.flags.f_contiguous
+    assert not back.flags.c_contiguous
+    np.testing.assert_array_equal(back, array)
+
+
+def test_scalars_and_tensors_keep_their_types() -> None:
+    back = there_and_back({"scalar": np.float32(1.5), "tensor": torch.arange(3)})
+    assert isinstance(back["scalar"], np.float32)  # type: ignore[index]  # a dictionary
+    assert torch.equal(back["tensor"], torch.arange(3))  # type: ignore[index]  # likewise
+
+
+def test_one_object_in_two_places_is_one_object_again() -> None:
+    points = np.zeros((1, 2))
+    region = Region(points, np.ones(2), 1.0)
+    back = there_and_back({"regions": [region, region], "points": points})
+    first, second = back["regions"]  # type: ignore[index]  # a dictionary
+    assert first is second
+    assert first.points is back["points"]  # type: ignore[index]  # likewise
+
+
+def test_options_come_back() -> None:
+    group = FeatureGroup("door", (0,))
+    side = HalfSpace(np.zeros((1, 2)), np.ones(2), 0.0, np.array([1.0, 0.0]))
+    network = NetworkPolicy(np.zeros(1), np.ones(1), [np.eye(1)], [np.zeros(1)])
+    table = TabularPolicy(np.array([[0.0], [1.0]]), np.array([[0.0, 1.0], [2.0, -np.inf]]))
+    for policy in (network, table):
+        subgoal = Region(np.zeros((1, 1)), np.ones(1), 0.5, group=group)
+        option = SubgoalOption(subgoal, subgoal, policy, policy_input="features", max_duration=7, name="there")
+        back: SubgoalOption = there_and_back({"option": option})["option"]  # type: ignore[index]  # a dictionary
+        assert (back.name, back.max_duration, back.policy_input, back.subgoal.group) == ("there", 7, "features", group)
+        assert back.subgoal is back.initiation_set
+        for name, array in policy.arrays().items():
+            np.testing.assert_array_equal(back.option_policy.arrays()[name], array)
+    assert type(there_and_back([side])[0]) is HalfSpace  # type: ignore[index]  # a list
+
+
+@pytest.mark.parametrize(
+    ("value", "what"), [({1}, "a set"), (np.array([None]), "an array of object"), (print, "a builtin"), (1j, "a comp")]
+)
+def test_says_what_cannot_be_stored_and_where(value: object, what: str) -> None:
+    with pytest.raises(TypeError, match=rf"^{what}.* cannot be stored, at .a\[0\]$"):
+        encode({"a": [value]}, RECORDS)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"$": "os.system", "fields": {}},
+        {"$": "Region", "fields": {"command": "ls"}},
+        {"$": "Region", "fields": [1]},
+        {"$": "array", "array": "9"},
+        {"$": "same", "record": 5},
+        {"$": "map", "items": [[{}, 1]]},
+    ],
+    ids=str,
+)
+def test_refuses_what_encode_does_not_make(content: object) -> None:
+    with pytest.raises(ValueError, match=r"^it (is damaged|holds a 'os.system', which is not known)"):
+        decode(content, {}, RECORDS)
