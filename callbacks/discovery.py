@@ -286,6 +286,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             return
         slot = self.bank.slots.index(None)
         self._options.install(slot, option)
+        self._statistics.forget(slot)  # a closed option went on to the end of its rollout, after it was forgotten
         self._made_here.add(slot)
         self._growth.made(slot, subgoal, self._search.database)
         self.discoveries.append(

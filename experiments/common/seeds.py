@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -32,11 +32,13 @@ class Part:
         name: Its name.
         function: Seed → a result that JSON can hold. Runs in a process of its own, with one torch thread.
         out: Folder for its results, one file a seed.
+        settings: What its results depend on beside those of all parts.
     """
 
     name: str
     function: Callable[[int], Result]
     out: Path
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
 
 def run_parts(
@@ -55,27 +57,27 @@ def run_parts(
     Args:
         parts: Which; the slowest first leaves no process idle at the end.
         seeds: Which.
-        settings: What a result depends on beside the seed.
+        settings: What a result depends on beside the seed; a part may have more of them.
         jobs: Processes; by default as many as there are cores.
         description: Beside the progress bar.
 
     Returns:
         The results by name.
     """
-    plain = json.loads(json.dumps(settings, default=str))
+    plain = {part.name: json.loads(json.dumps({**settings, **part.settings}, default=str)) for part in parts}
     results: dict[tuple[str, int], Result] = {}
     for part in parts:
         for seed in seeds:
             path = _path(part.out, seed)
             kept = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-            if kept.get("settings") == plain:
+            if kept.get("settings") == plain[part.name]:
                 results[part.name, seed] = kept["result"]
     missing = [(part, seed) for part in parts for seed in seeds if (part.name, seed) not in results]
     parallel = Parallel(n_jobs=jobs or os.cpu_count(), return_as="generator_unordered", batch_size=1)
     finished = parallel(delayed(_single_threaded)(part, seed) for part, seed in missing)
     for part, seed, result in track(finished, description=description, total=len(missing), disable=not missing):
         results[part.name, seed] = result
-        write_json(_path(part.out, seed), {"settings": plain, "result": result})
+        write_json(_path(part.out, seed), {"settings": plain[part.name], "result": result})
     return {part.name: [results[part.name, seed] for seed in seeds] for part in parts}
 
 

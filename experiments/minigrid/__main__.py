@@ -41,14 +41,14 @@ def main(study: Study) -> None:
     if study.family not in FAMILIES:
         raise SystemExit(f"--family must be one of {', '.join(FAMILIES)}, got {study.family}.")
     parts = [
-        Part(arm, partial(run, study.family, arm), study.out / study.family / arm.replace(", ", "_"))
+        Part(arm, partial(run, study.family, arm), study.out / study.family / folder_of(arm), settings.of(arm))
         for arm in study.arms
     ]
     used = {
         "stages": FAMILIES[study.family],
         "ppo": settings.PPO,
         "n_envs": settings.N_ENVS,
-        "max_options": settings.MAX_OPTIONS,
+        "max_options": settings.max_options(study.family),
         "discovery": settings.DISCOVERY,
         "opening_share": settings.OPENING_SHARE,
         "episodes": settings.EPISODES,
@@ -57,9 +57,15 @@ def main(study: Study) -> None:
     summary = summarise(study.family, results)
     command = f"python -m experiments.minigrid --family {study.family} --runs {study.runs} "
     command += f"--first-seed {study.first_seed} --arms {' '.join(map(repr, study.arms))}"
-    content = {"command": command, **used, "summary": summary, "runs": results}
+    special = {arm: settings.of(arm) for arm in study.arms if settings.of(arm)}
+    content = {"command": command, **used, "special": special, "summary": summary, "runs": results}
     write(study.out, content, {"minigrid": draw(study.family, results)}, dpi=110)
     show(_table(summary), f"Results: {study.out / 'results.json'}, {study.out / 'minigrid.png'}")
+
+
+def folder_of(arm: Arm) -> str:
+    """The name of an arm as that of a folder."""
+    return arm.replace(", ", "_").replace(" ", "-").replace("'", "")
 
 
 def _table(summary: Summary) -> Table:

@@ -15,10 +15,11 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from experiments.minigrid import settings
 from experiments.minigrid.hand_made import options_on
+from experiments.minigrid.settings import WITH_OPTIONS, ZOO_ARM, Arm
 from sb3_options import OptionsWrapper
 from sb3_options.envs.minigrid import make
 from sb3_options.experience.observations import BoolArray
@@ -28,33 +29,55 @@ Chooser = Callable[[Any, BoolArray], npt.NDArray[Any]]
 
 
 def venv_of(
-    env_id: str, seed: int, *, options: Path | None = None, hand_made: bool = False, slots: bool = True
+    env_id: str,
+    seed: int,
+    *,
+    n_envs: int = settings.N_ENVS,
+    slots: int = 0,
+    options: Path | None = None,
+    hand_made: bool = False,
 ) -> VecEnv:
     """Parallel environments of one task.
 
     Args:
         env_id: Of the task.
         seed: Of the first.
+        n_envs: How many.
+        slots: For options.
         options: File of the options they begin with.
-        hand_made: Whether they have the options by hand.
-        slots: Whether they have slots for options.
+        hand_made: Whether they have the options by hand, as many as there are slots.
     """
 
     def wrapped(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
         if not slots:
             return env
-        optioned = OptionsWrapper(env, settings.MAX_OPTIONS, gamma=settings.GAMMA, options_file=options)
-        for option in options_on(optioned.concept_features) if hand_made else ():
+        optioned = OptionsWrapper(env, slots, gamma=settings.GAMMA, options_file=options)
+        for option in options_on(optioned.concept_features)[:slots] if hand_made else ():
             optioned.bank.add(option)
         return optioned
 
-    return make_vec_env(make, settings.N_ENVS, seed=seed, env_kwargs={"env_id": env_id}, wrapper_class=wrapped)
+    return make_vec_env(make, n_envs, seed=seed, env_kwargs={"env_id": env_id}, wrapper_class=wrapped)
 
 
-def model_of(venv: VecEnv, seed: int, *, masked: bool) -> BaseAlgorithm:
-    """PPO, or MaskablePPO, which chooses options only where they may begin."""
-    algorithm = MaskablePPO if masked else PPO
-    return algorithm("MlpPolicy", venv, seed=seed, device="cpu", **settings.PPO)
+def normalised(venv: VecEnv, before: VecEnv | None, *, training: bool = True) -> VecNormalize:
+    """Observations and rewards as rl-zoo3 normalises them.
+
+    Args:
+        venv: What to normalise.
+        before: Where the statistics come from, if they are from an earlier task.
+        training: Whether they go on, and rewards are normalised.
+    """
+    made = VecNormalize(venv, training=training, norm_reward=training, gamma=settings.GAMMA)
+    if isinstance(before, VecNormalize):
+        made.obs_rms, made.ret_rms = before.obs_rms, before.ret_rms
+    return made
+
+
+def model_of(arm: Arm, venv: VecEnv, seed: int) -> BaseAlgorithm:
+    """PPO; or MaskablePPO, which chooses options only where they may begin."""
+    algorithm = MaskablePPO if arm in WITH_OPTIONS else PPO
+    used = settings.ZOO if arm == ZOO_ARM else settings.PPO
+    return algorithm("MlpPolicy", venv, seed=seed, device="cpu", **used)
 
 
 class Notes(BaseCallback):
@@ -62,13 +85,13 @@ class Notes(BaseCallback):
 
     Attributes:
         curve: After each rollout primitive steps so far, and the success rate of the last episodes.
-        runs: Of each slot, how its runs ended.
+        runs: Of each option, by its name, how its runs ended.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self.curve: list[tuple[int, float]] = []
-        self.runs: dict[int, Counter[str]] = {}
+        self.runs: dict[str, Counter[str]] = {}
         self._successes: deque[bool] = deque(maxlen=settings.EPISODES)
 
     def _on_step(self) -> bool:
@@ -77,7 +100,9 @@ class Notes(BaseCallback):
                 self._successes.append(info["is_success"])
             run = info.get("option", {})
             if run.get("index", -1) >= 0 and run.get("inside", True):
-                self.runs.setdefault(run["index"], Counter())[run["termination"]] += 1
+                option = self.training_env.get_attr("bank", indices=[0])[0].slots[run["index"]]
+                if option is not None:  # it was not closed just now
+                    self.runs.setdefault(option.name, Counter())[run["termination"]] += 1
         return True
 
     def _on_rollout_end(self) -> None:

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import VecEnv
 
 from experiments.common.seeds import Result
 from experiments.minigrid import settings
-from experiments.minigrid.agents import Notes, learned, model_of, success_rate, uniform, venv_of
-from experiments.minigrid.settings import FAMILIES, Arm, Stage
-from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
-from sb3_options.options.option import SubgoalOption
+from experiments.minigrid.agents import Notes, learned, model_of, normalised, success_rate, uniform, venv_of
+from experiments.minigrid.settings import FAMILIES, WITH_OPTIONS, ZOO_ARM, Arm, Stage
+from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback, SubgoalDiscoveryCallback
+from sb3_options.callbacks.records import DiscoveredOption
 
 SEEDS_APART = 100
 """Between two runs: environments of one run count on from its seed."""
@@ -40,7 +41,7 @@ def run(family: str, arm: Arm, seed: int) -> Result:
         seed: Of model, environments and discovery.
 
     Returns:
-        ``stages``: of each the ``curve`` of training success by primitive steps of the stage, ``option_runs`` by slot
+        ``stages``: of each the ``curve`` of training success by primitive steps of the stage, ``option_runs`` by name
         and ending, ``seconds``; ``success`` of the policy, sampled and greedy, in fresh episodes after the last stage,
         and, where there are options, of a ``uniform`` choice among them and the primitives; ``options``: the discovered
         ones.
@@ -48,55 +49,68 @@ def run(family: str, arm: Arm, seed: int) -> Result:
     env_seed = seed * SEEDS_APART
     model: Any = None
     result: Result = {"seed": seed, "stages": [], "options": []}
-    slots = arm in ("discovered", "hand-made")
+    slots = settings.max_options(family) if arm in WITH_OPTIONS else 0
+    n_envs = settings.ZOO_N_ENVS if arm == ZOO_ARM else settings.N_ENVS
+    how: dict[str, Any] = {"n_envs": n_envs, "slots": slots, "hand_made": arm == "hand-made"}
+    stages = stages_of(family, arm)
+    before: VecEnv | None = None
     with tempfile.TemporaryDirectory() as folder:
-        file: Path | None = None
-        for number, stage in enumerate(stages_of(family, arm)):
-            venv = venv_of(stage.env_id, env_seed, options=file, hand_made=arm == "hand-made", slots=slots)
+        for number, stage in enumerate(stages):
+            venv = venv_of(stage.env_id, env_seed, **how)
+            if arm == ZOO_ARM:
+                venv = before = normalised(venv, before)
             if model is None:
-                model = model_of(venv, env_seed, masked=slots)
+                model = model_of(arm, venv, env_seed)
             else:
                 model.set_env(venv)
             notes = Notes()
-            callbacks: list[BaseCallback] = [notes]
-            if arm == "discovered":
-                callbacks.insert(0, _discovery(number == 0, seed))
-            elif arm == "hand-made":
-                callbacks.insert(0, PrimitiveStepsCallback())
+            callbacks = _callbacks(arm, seed, discovers=number < max(1, len(stages) - 1))
             began = time.perf_counter()
-            model.learn(stage.frames, callback=callbacks)
+            model.learn(stage.frames, callback=[*callbacks, notes])
             seconds = time.perf_counter() - began
-            runs = {str(slot): dict(ends) for slot, ends in notes.runs.items()}
+            runs = {name: dict(ends) for name, ends in notes.runs.items()}
             result["stages"].append({"curve": notes.curve, "option_runs": runs, "seconds": seconds})
-            if isinstance(callbacks[0], SubgoalDiscoveryCallback):
-                if number == 0:
-                    result["options"] = [_about(callbacks[0], d) for d in callbacks[0].discoveries]
-                    result["stages"][0]["discovery_seconds"] = (
-                        callbacks[0].discovery.seconds if callbacks[0].discovery else 0.0
-                    )
-                file = Path(folder) / "options"
-                callbacks[0].bank.save(file)
+            for found in callbacks:
+                if isinstance(found, SubgoalDiscoveryCallback):
+                    result["options"] += [_about(found, discovery, number) for discovery in found.discoveries]
+                    result["stages"][-1]["discovery_seconds"] = found.discovery.seconds if found.discovery else 0.0
+                    how["options"] = Path(folder) / "options"
+                    found.bank.save(how["options"])
             venv.close()
-        task = stages_of(family, arm)[-1].env_id
         fresh = env_seed + FRESH
-        venv = venv_of(task, fresh, options=file, hand_made=arm == "hand-made", slots=slots)
-        result["success"] = _judged(model, venv, fresh, slots)
+        venv = venv_of(stages[-1].env_id, fresh, **how)
+        if arm == ZOO_ARM:
+            venv = normalised(venv, before, training=False)
+        result["success"] = _judged(model, venv, fresh, slots > 0)
     return result
 
 
-def _discovery(first: bool, seed: int) -> SubgoalDiscoveryCallback:
-    return SubgoalDiscoveryCallback(
-        settings.DISCOVERY,
-        max_new_options=None if first else 0,
-        opening_share=settings.OPENING_SHARE,
-        seed=seed,
-    )
+def _callbacks(arm: Arm, seed: int, *, discovers: bool) -> list[BaseCallback]:
+    callbacks: list[BaseCallback] = []
+    if arm in settings.DISCOVERING:
+        discovery = SubgoalDiscoveryCallback(
+            settings.DISCOVERY,
+            max_new_options=None if discovers else 0,
+            opening_share=settings.OPENING_SHARE,
+            min_reached=settings.MIN_REACHED,
+            seed=seed,
+        )
+        callbacks.append(discovery)
+    if arm == "hand-made":
+        callbacks.append(PrimitiveStepsCallback())
+    if arm in settings.WITH_BONUS:
+        callbacks.append(IntrinsicRewardCallback("rnd", weight=settings.RND_WEIGHT, seed=seed))
+    return callbacks
 
 
-def _about(callback: SubgoalDiscoveryCallback, found: Any) -> dict[str, Any]:
-    option = callback.bank[found.slot]
-    points = len(option.initiation_set.points) if isinstance(option, SubgoalOption) else 0
-    return {"slot": found.slot, "where": found.where, "frames": found.timestep, "initiation_points": points}
+def _about(callback: SubgoalDiscoveryCallback, found: DiscoveredOption, stage: int) -> dict[str, Any]:
+    return {
+        "where": found.where,
+        "stage": stage,
+        "frames": found.timestep,
+        "initiation_points": found.initiation_states,
+        "closed": any(found.slot == closed.slot and closed.timestep > found.timestep for closed in callback.closed),
+    }
 
 
 def _judged(model: Any, venv: Any, seed: int, slots: bool) -> dict[str, float]:

@@ -10,14 +10,16 @@ from sb3_options import Option
 from sb3_options.envs.minigrid import FEATURES
 from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, IntArray
 
-LEFT, RIGHT, FORWARD, TOGGLE = 0, 1, 2, 5
+LEFT, RIGHT, FORWARD, PICK_UP, DROP, TOGGLE = 0, 1, 2, 3, 4, 5
 """Actions of MiniGrid."""
 
 COLUMN = {name: i for i, name in enumerate(FEATURES)}
 
 
 def options_on(features: FeatureMap) -> list[Option]:
-    """Open a closed door, go into an open one, go to the goal, go ahead.
+    """Open a closed door, go into an open one, go to the goal, go ahead; with keys: fetch one, unlock a door with it.
+
+    With balls too: fetch one, put down what is carried.
 
     Args:
         features: φ of MiniGrid.
@@ -40,6 +42,14 @@ def options_on(features: FeatureMap) -> list[Option]:
     def visible(kind: str) -> Callable[[FloatArray], BoolArray]:
         return lambda x: x[:, COLUMN[f"{kind}_visible"]] > 0
 
+    def carried(kind: str) -> Callable[[FloatArray], BoolArray]:
+        """Whether it is carried: MiniGrid draws that where the agent stands."""
+        there = [COLUMN[f"{kind}_forward"], COLUMN[f"{kind}_lateral"]]
+        return lambda x: visible(kind)(x) & (x[:, there] == 0).all(axis=1)
+
+    def lies(kind: str) -> Callable[[FloatArray], BoolArray]:
+        return lambda x: visible(kind)(x) & ~carried(kind)(x)
+
     def not_between(x: FloatArray) -> BoolArray:
         outside: BoolArray = x[:, COLUMN["between_walls"]] == 0
         return outside
@@ -60,6 +70,20 @@ def options_on(features: FeatureMap) -> list[Option]:
         ),
         made("to the goal", visible("goal"), lambda x: approach(x, "goal", FORWARD), never),
         made("ahead", lambda x: x[:, COLUMN["free_ahead"]] > 0, always_ahead, never),
+        made("fetch the key", lies("key"), lambda x: approach(x, "key", PICK_UP), never),
+        made(
+            "unlock the door",
+            lambda x: visible("locked_door")(x) & carried("key")(x),
+            lambda x: approach(x, "locked_door", TOGGLE),
+            never,
+        ),
+        made("fetch the ball", lies("ball"), lambda x: approach(x, "ball", PICK_UP), never),
+        made(
+            "put down the key",
+            lambda x: carried("key")(x) & (x[:, COLUMN["free_ahead"]] > 0),
+            lambda x: np.full(len(x), DROP),
+            never,
+        ),
     ]
 
 

@@ -10,7 +10,10 @@ from experiments.common.seeds import Result
 from experiments.minigrid.conditions import stages_of
 from experiments.minigrid.settings import EPISODES, FAMILIES
 
-COLOURS = {"discovered": "#d62728", "hand-made": "#2ca02c", "stock, curriculum": "#1f77b4", "stock": "#7f7f7f"}
+COLOURS: dict[str, str] = {
+    "discovered": "#d62728", "discovered, RND": "#ff9896", "hand-made": "#2ca02c",
+    "stock, curriculum": "#1f77b4", "stock, RND": "#9467bd", "stock, rl-zoo3's settings": "#ff7f0e", "stock": "#7f7f7f",
+}  # fmt: skip
 
 
 def draw(family: str, results: Mapping[str, Sequence[Result]]) -> Figure:

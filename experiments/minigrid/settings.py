@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
-Arm = Literal["stock", "stock, curriculum", "discovered", "hand-made"]
-ARMS: tuple[Arm, ...] = ("discovered", "hand-made", "stock, curriculum", "stock")
-"""``stock``: PPO in the last task alone, for the frames of all stages. ``stock, curriculum``: PPO through all stages,
-weights carried over. ``discovered``: the same with options that are discovered in the first stage and kept.
-``hand-made``: the same with options by hand from the first step on, the bound."""
+Arm = Literal[
+    "discovered", "discovered, RND", "hand-made",
+    "stock, curriculum", "stock, RND", "stock, rl-zoo3's settings", "stock",
+]  # fmt: skip
+ARMS: tuple[Arm, ...] = get_args(Arm)
+"""``stock``: PPO in the last task alone, for the frames of all stages. All others go through all stages and take the
+weights along. ``stock, curriculum``: PPO; ``stock, rl-zoo3's settings``: with these; ``stock, RND``: with a bonus for
+what is new in each task. ``discovered``: with options that are discovered in the stages before the last, and kept;
+``discovered, RND``: with the bonus too. ``hand-made``: with options by hand from the first step on, the bound."""
+
+DISCOVERING: tuple[Arm, ...] = ("discovered", "discovered, RND")
+WITH_OPTIONS: tuple[Arm, ...] = (*DISCOVERING, "hand-made")
+WITH_BONUS: tuple[Arm, ...] = ("discovered, RND", "stock, RND")
+ZOO_ARM: Arm = "stock, rl-zoo3's settings"
 
 
 class Stage(NamedTuple):
@@ -36,6 +45,16 @@ FAMILIES: dict[str, tuple[Stage, ...]] = {
         Stage("MiniGrid-DoorKey-5x5-v0", 60_000),
         Stage("MiniGrid-DoorKey-8x8-v0", 90_000),
     ),
+    "DoorKey-16": (
+        Stage("MiniGrid-DoorKey-5x5-v0", 60_000),
+        Stage("MiniGrid-DoorKey-8x8-v0", 90_000),
+        Stage("MiniGrid-DoorKey-16x16-v0", 150_000),
+    ),
+    "KeyCorridor": (
+        Stage("MiniGrid-KeyCorridorS3R1-v0", 150_000),
+        Stage("MiniGrid-KeyCorridorS3R2-v0", 150_000),
+        Stage("MiniGrid-KeyCorridorS3R3-v0", 200_000),
+    ),
 }
 """Stages of each family, the last one is the task. ``MultiRoom-N4-S5-v0`` has six rooms, ``-v1`` has four."""
 
@@ -47,13 +66,44 @@ PPO: dict[str, Any] = {
 }  # fmt: skip
 """As rl-starter-files publishes them for MiniGrid, with 16 environments; the network is SB3's ``MlpPolicy``."""
 
-MAX_OPTIONS = 4
+ZOO: dict[str, Any] = {
+    "n_steps": 128, "batch_size": 64, "n_epochs": 10, "learning_rate": 2.5e-4, "gae_lambda": 0.95, "clip_range": 0.2,
+    "ent_coef": 0.0, "gamma": GAMMA,
+}  # fmt: skip
+"""As rl-zoo3 publishes them for MiniGrid, with 8 environments, and observations and rewards that are normalised."""
+
+ZOO_N_ENVS = 8
+
+RND_WEIGHT = 0.1
+"""Of the bonus for what is new, the default of `IntrinsicRewardCallback`."""
+
+
+def max_options(family: str) -> int:
+    """Slots for options: as many as the family has use for by hand."""
+    return {"DoorKey": 6, "KeyCorridor": 8}.get(family.split("-")[0], 4)
+
+
 DISCOVERY: dict[str, Any] = {"capacity": 500, "start_radius": 0.5, "goal_radius": 0.5}
 """Successes are rare at first, so many trajectories are kept. On few features near the start is nearly everywhere."""
 
 OPENING_SHARE = 0.5
+MIN_REACHED = 0.5
+"""Options whose runs reach the subgoal less often are closed."""
+
 EPISODES = 100
 """Of an evaluation, and of the training success that is reported."""
 
 REACHED = (0.5, 0.8, 0.9)
 """Success rates whose frames are reported."""
+
+
+def of(arm: Arm) -> dict[str, Any]:
+    """What one arm alone has."""
+    special: dict[str, Any] = {}
+    if arm in DISCOVERING:
+        special |= {"min_reached": MIN_REACHED, "discovers_in": "all stages but the last"}
+    if arm in WITH_BONUS:
+        special |= {"rnd_weight": RND_WEIGHT}
+    if arm == ZOO_ARM:
+        special |= {"ppo": ZOO, "n_envs": ZOO_N_ENVS, "normalised": True}
+    return special

@@ -10,19 +10,25 @@ import numpy as np
 
 from experiments.common.seeds import Result
 from experiments.minigrid.conditions import stages_of
-from experiments.minigrid.settings import REACHED, Arm
+from experiments.minigrid.settings import DISCOVERING, REACHED, Arm
 from sb3_options.runs.intervals import mean_interval
 
 Summary = dict[str, dict[str, Any]]
 
 
 def frames_to(run: Result, family: str, arm: Arm, success: float) -> int | None:
-    """Frames of all stages until the training success of the last task first is at least this; None if never."""
+    """Frames of all stages until the training success of the last task is at least this, and stays so; None if never.
+
+    The first rates of a task are those of few episodes, and of short ones: they do not count by themselves.
+    """
     before = sum(stage.frames for stage in stages_of(family, arm)[:-1])
+    reached: int | None = None
     for frames, rate in run["stages"][-1]["curve"]:
-        if rate >= success:
-            return int(before + frames)
-    return None
+        if rate < success:
+            reached = None
+        elif reached is None:
+            reached = int(before + frames)
+    return reached
 
 
 def summarise(family: str, results: Mapping[str, Sequence[Result]]) -> Summary:
@@ -48,7 +54,7 @@ def summarise(family: str, results: Mapping[str, Sequence[Result]]) -> Summary:
         }
         if "uniform" in runs[0]["success"]:
             summary["uniform"][name] = _mean([run["success"]["uniform"] for run in runs])
-    summary["options"] = _options(results.get("discovered", ()))
+    summary["options"] = _options([run for arm in DISCOVERING for run in results.get(arm, ())])
     return summary
 
 
@@ -57,11 +63,11 @@ def _options(runs: Sequence[Result]) -> dict[str, Any]:
     found: Counter[str] = Counter()
     ends: dict[str, list[Counter[str]]] = {}
     for run in runs:
-        for option in run["options"]:
-            found[option["where"]] += 1
-            counts = ends.setdefault(option["where"], [Counter() for _ in run["stages"]])
+        for where in {option["where"] for option in run["options"]}:
+            found[where] += 1
+            counts = ends.setdefault(where, [Counter() for _ in run["stages"]])
             for stage, count in zip(run["stages"], counts, strict=True):
-                count.update(stage["option_runs"].get(str(option["slot"]), {}))
+                count.update(stage["option_runs"].get(f"reach {where}", {}))
     return {
         where: {
             "n_runs": n,

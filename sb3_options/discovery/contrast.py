@@ -30,14 +30,21 @@ class Contrast:
     oftener by those that succeed. A share of n trajectories is taken as (visits + 1) / (n + 2), so that a few of them
     show little.
 
+    An unsuccessful trajectory lasts until the time is up, and in so much time it comes nearly everywhere. So a visit at
+    time t counts for as much as the share of the successes that took t steps or more: of what it did, it counts what it
+    did in the time that a success has. Without this, what takes time to reach stands out too little (a key, say).
+
     Args:
         group: The features that count.
         radius: A state is visited within this distance, in scaled units.
         parts: Of groups whose features are some of this one's.
+        equal_time: Whether visits of unsuccessful trajectories count by when they were; otherwise all count 1.
     """
 
-    def __init__(self, group: FeatureGroup, radius: float, parts: Sequence[Contrast] = ()) -> None:
-        self.group, self.radius, self.parts = group, radius, parts
+    def __init__(
+        self, group: FeatureGroup, radius: float, parts: Sequence[Contrast] = (), *, equal_time: bool = True
+    ) -> None:
+        self.group, self.radius, self.parts, self.equal_time = group, radius, parts, equal_time
         self._values: dict[bytes, float] = {}
         self._visits: dict[int, _Visits] = {}
 
@@ -48,17 +55,20 @@ class Contrast:
         visits = [self._visits[id(t)] for t in trajectories]
         states, which = np.unique(np.concatenate([v.states for v in visits]), axis=0, return_inverse=True)
         columns = np.split(which.ravel(), np.cumsum([len(v.states) for v in visits])[:-1])
-        visited, began = np.zeros((2, len(visits), len(states)), dtype=np.float32)
+        success = np.array([t.success for t in trajectories], dtype=bool)
+        durations = np.sort([len(t.trajectory) for t in trajectories if t.success])
+        reached, began = np.zeros((2, len(visits), len(states)))
         for i, (v, its) in enumerate(zip(visits, columns, strict=True)):
-            visited[i, its] = 1.0
+            reached[i, its] = 1.0
+            if self.equal_time and not success[i] and len(durations):
+                reached[i, its] = 1.0 - np.searchsorted(durations, v.times) / len(durations)
             if v.first is not None:
                 began[i, its[v.first]] = 1.0
         scaled = states * np.asarray(self.group.scale)
-        near = (cdist(scaled, scaled) <= self.radius).astype(np.float32)
-        reached = visited @ near > 0
-        success = np.array([t.success for t in trajectories], dtype=bool)
+        near = cdist(scaled, scaled) <= self.radius
+        reached, began = _anywhere(reached, near), _anywhere(began, near)
         values = _share(reached[success]) - _share(reached[~success])
-        values[(began @ near > 0).mean(axis=0) > MAX_START_SHARE] = NO_PLACE
+        values[began.mean(axis=0) > MAX_START_SHARE] = NO_PLACE
         self._values = {_key(state): float(value) for state, value in zip(states, values, strict=True)}
 
     def get_state(self) -> dict[str, Any]:
@@ -94,16 +104,27 @@ class Contrast:
 
 
 class _Visits:
-    """The distinct places of a group that a trajectory visited, (n, k), and the row of the first if it began there."""
+    """The distinct places of a group that a trajectory visited, (n, k), when first, and which it began in, if any."""
 
     def __init__(self, labelled: LabelledTrajectory, group: FeatureGroup) -> None:
         self.labelled = labelled  # kept, so that no other takes its id
         places = group.is_place(labelled.features)
         self.states, which = np.unique(group.own(labelled.features[places]), axis=0, return_inverse=True)
         self.first = int(which.ravel()[0]) if places[0] else None
+        came = np.unique(labelled.trajectory.visits, return_index=True)[1]  # when to each observation
+        self.times = np.full(len(self.states), came.max(initial=0))
+        np.minimum.at(self.times, which.ravel(), came[places])
 
 
-def _share(reached: BoolArray) -> FloatArray:
+def _anywhere(reached: FloatArray, near: BoolArray) -> FloatArray:
+    """For each state (n, states) the most of those near it; a state is near itself."""
+    most = reached.copy()
+    for state in np.flatnonzero(near.sum(axis=0) > 1):
+        most[:, state] = reached[:, near[:, state]].max(axis=1)
+    return most
+
+
+def _share(reached: FloatArray) -> FloatArray:
     shares: FloatArray = (reached.sum(axis=0) + 1.0) / (len(reached) + 2.0)
     return shares
 

@@ -91,7 +91,7 @@ class GroupedDiscovery(SubgoalDiscovery):
         contrasts: dict[FeatureGroup, Contrast] = {}
         for group in sorted(self.groups, key=lambda group: len(group.features)):
             parts = [c for part, c in contrasts.items() if set(part.features) < set(group.features)]
-            contrasts[group] = Contrast(group, own.subgoal_radius, parts)
+            contrasts[group] = Contrast(group, own.subgoal_radius, parts, equal_time=own.equal_time)
         self._contrasts = contrasts
         self.members: dict[FeatureGroup, SubgoalDiscovery] = {}
         for group in self.groups:

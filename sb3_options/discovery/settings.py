@@ -34,6 +34,7 @@ class DiscoverySettings:
             instance: nearly all that come near a doorway pass it (`ways.PassingShare`). 0 takes every state.
         min_contrast: Where φ has groups of features: by how much more of the successful trajectories than of the others
             must visit a state, or it is no instance (`contrast.Contrast`).
+        equal_time: Whether that counts of unsuccessful trajectories what they visited in the time that a success takes.
         negative_bags: Whether unsuccessful trajectories become negative bags.
         negative_strength: η in (0, 1]: how strongly an instance of a negative bag speaks against a concept near it.
             Below 1 because an unsuccessful trajectory may well pass a bottleneck (the paper's §8).
@@ -68,6 +69,7 @@ class DiscoverySettings:
     loops: Literal["erase", "keep"] = "erase"
     min_passing: Annotated[float, Field(ge=0, lt=1)] = 0.7
     min_contrast: Annotated[float, Field(ge=-1, lt=1)] = 0.3
+    equal_time: bool = True
     negative_bags: bool = True
     negative_strength: Annotated[float, Field(gt=0, le=1)] = 0.1
     leak: Annotated[float, Field(ge=0, lt=1)] = 0.3

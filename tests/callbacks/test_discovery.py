@@ -79,6 +79,16 @@ def test_an_option_that_does_not_reach_its_subgoal_is_closed(tmp_path: Path) -> 
     assert callback.bank.filled == env.bank.filled == (0,)
 
 
+def test_runs_of_a_closed_option_do_not_count_for_the_next_one_in_its_slot() -> None:
+    """With a rollout buffer a closed option goes on until the rollout ends, after its statistics were forgotten."""
+    callback = fast_callback(max_new_options=1, min_reached=0.5)
+    for _ in range(MIN_RUNS):
+        callback._statistics.add(OptionRun(0, 1, 0.9, 0.9, "left_initiation", inside=True))
+    model_of(seed=0).learn(2 * STEPS, callback=callback)
+    assert [found.slot for found in callback.discoveries] == [0]
+    assert not callback.closed
+
+
 def test_an_option_from_a_file_grows_where_it_is_used(tmp_path: Path) -> None:
     env = optioned_rooms()
     env.bank.add(to_the_doorway(Direction.RIGHT, (3, 2)))

@@ -1,4 +1,5 @@
 import json
+import re
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -6,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.minigrid import agents, settings
-from experiments.minigrid.__main__ import Study, main
+from experiments.minigrid import agents, keys, settings
+from experiments.minigrid.__main__ import Study, folder_of, main
 from experiments.minigrid.conditions import stages_of
 from experiments.minigrid.hand_made import FORWARD, LEFT, RIGHT, TOGGLE, approach
 from experiments.minigrid.settings import ARMS, FAMILIES, Stage
@@ -23,11 +24,17 @@ def test_study_writes_results_and_picture(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(settings, "EPISODES", 2)
     monkeypatch.setitem(settings.PPO, "n_steps", 64)
     monkeypatch.setitem(settings.PPO, "batch_size", 64)
+    monkeypatch.setattr(settings, "ZOO_N_ENVS", 2)
+    monkeypatch.setitem(settings.ZOO, "n_steps", 64)
+    monkeypatch.setitem(settings.ZOO, "n_epochs", 1)
     main(Study(out=tmp_path, runs=1, first_seed=0, jobs=1, family="small"))
     written = json.loads((tmp_path / "results.json").read_text())
     assert set(written["summary"]["arms"]) == set(ARMS)
-    assert set(written["summary"]["uniform"]) == {"discovered", "hand-made"}
-    assert [len(written["runs"][arm][0]["stages"]) for arm in ARMS] == [2, 2, 2, 1]
+    assert set(written["summary"]["uniform"]) == set(settings.WITH_OPTIONS)
+    assert {arm: len(runs[0]["stages"]) for arm, runs in written["runs"].items()} == {
+        arm: 1 if arm == "stock" else 2 for arm in ARMS
+    }
+    assert set(written["special"]) == set(ARMS) - {"hand-made", "stock, curriculum", "stock"}
     assert (tmp_path / "minigrid.png").stat().st_size > 5_000
 
 
@@ -55,7 +62,7 @@ def test_the_way_to_a_thing(forward: int, lateral: int, free: int, action: int) 
 
 
 def test_hand_made_options_solve_a_small_task_by_themselves() -> None:
-    venv = agents.venv_of("MiniGrid-MultiRoom-N2-S4-v0", 0, hand_made=True)
+    venv = agents.venv_of("MiniGrid-MultiRoom-N2-S4-v0", 0, slots=4, hand_made=True)
     assert isinstance(venv.envs[0], OptionsWrapper)  # type: ignore[attr-defined]  # a DummyVecEnv
     assert agents.success_rate(agents.uniform(0), venv, 0) > 0.5  # primitives alone: 0.02
 
@@ -66,21 +73,66 @@ def curve(*points: tuple[int, float], **more: Any) -> dict[str, Any]:
 
 def test_frames_count_those_of_all_stages() -> None:
     stages = FAMILIES["MultiRoom-4"]
-    run = {"stages": [curve((100, 1.0)), curve((100, 0.4), (200, 0.85), (300, 0.7))]}
-    assert frames_to(run, "MultiRoom-4", "discovered", 0.8) == stages[0].frames + 200
+    run = {"stages": [curve((100, 1.0)), curve((100, 0.9), (200, 0.4), (300, 0.85), (400, 0.8))]}
+    assert frames_to(run, "MultiRoom-4", "discovered", 0.8) == stages[0].frames + 300  # where it stays
     assert frames_to(run, "MultiRoom-4", "discovered", 0.9) is None
     assert frames_to({"stages": [curve((200, 0.85))]}, "MultiRoom-4", "stock", 0.8) == 200
 
 
 def test_shares_of_runs_that_reach_are_of_all_seeds_together() -> None:
-    def seed(slot: int, source: Counter[str], target: Counter[str]) -> dict[str, Any]:
-        stages = [curve(option_runs={str(slot): dict(source)}), curve(option_runs={str(slot): dict(target)})]
+    def seed(source: Counter[str], target: Counter[str]) -> dict[str, Any]:
+        stages = [
+            curve(option_runs={"reach key at 1": dict(ends), "other": {"subgoal": 5}}) for ends in (source, target)
+        ]
         success = {"sampled": 1.0, "greedy": 1.0, "uniform": 0.5}
-        return {"stages": stages, "success": success, "options": [{"slot": slot, "where": "key at 1"}]}
+        found = {"where": "key at 1"}  # twice: the first was closed
+        return {"stages": stages, "success": success, "options": [found, found]}
 
     runs = [
-        seed(0, Counter(subgoal=9, left_initiation=1), Counter(subgoal=1)),
-        seed(1, Counter(subgoal=10), Counter(truncated=3)),
+        seed(Counter(subgoal=9, left_initiation=1), Counter(subgoal=1)),
+        seed(Counter(subgoal=10), Counter(truncated=3)),
     ]
     summary = summarise("MultiRoom-4", {"discovered": runs})
     assert summary["options"] == {"key at 1": {"n_runs": 2, "reached": [0.95, 0.25], "runs": [20, 4]}}
+
+
+@pytest.mark.parametrize(("task", "share"), [("DoorKey-5x5", 0.5), ("KeyCorridorS3R1", 0.1)])
+def test_hand_made_options_fetch_keys_and_unlock_doors(task: str, share: float) -> None:
+    """KeyCorridor: the ball behind the door can be fetched by whoever has put down the key. Primitives alone: 0.00."""
+    slots = settings.max_options(task.split("S3")[0])
+    with_options = agents.venv_of(f"MiniGrid-{task}-v0", 0, slots=slots, hand_made=True)
+    assert agents.success_rate(agents.uniform(0), with_options, 0) > share
+
+
+def test_normalisation_goes_on_in_the_next_task() -> None:
+    first = agents.normalised(agents.venv_of("MiniGrid-Empty-5x5-v0", 0, n_envs=2), None)
+    first.reset()
+    for _ in range(5):
+        first.step(np.array([2, 1]))
+    second = agents.normalised(agents.venv_of("MiniGrid-Empty-6x6-v0", 0, n_envs=2), first, training=False)
+    assert second.obs_rms is first.obs_rms
+    assert (second.training, second.norm_reward) == (False, False)
+
+
+def test_folders_of_arms_have_plain_names() -> None:
+    folders = [folder_of(arm) for arm in ARMS]
+    assert len(set(folders)) == len(ARMS)
+    assert all(re.fullmatch(r"[\w-]+", folder) for folder in folders)
+
+
+def test_contrasts_of_keys_in_equal_times(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(settings, "N_ENVS", 2)
+    monkeypatch.setitem(settings.PPO, "n_steps", 64)
+    monkeypatch.setitem(settings.PPO, "batch_size", 64)
+    keys.main(keys.Study(out=tmp_path, runs=1, first_seed=0, jobs=1, frames=600))
+    written = json.loads((tmp_path / "results.json").read_text())
+    (run,) = written["runs"]
+    assert run["failures"] > 0
+    assert list(run["equal_time"]) == list(keys.CONCEPTS)
+    assert all(-1 <= value <= 1 for value in run["all_time"].values())
+
+
+def test_the_point_of_a_concept() -> None:
+    point = keys.point_of({"key": (0, 0), "locked_door": (1, 0)})[0]
+    shown = {name: value for name, value in zip(FEATURES, point, strict=True) if value}
+    assert shown == {"key_visible": 1, "locked_door_visible": 1, "locked_door_forward": 1}

@@ -74,6 +74,15 @@ def test_python_runs_as_pasted_but_shorter(page: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_the_taxi_discovers_its_passenger(tmp_path: Path) -> None:
+    first, taxi = python_of(ROOT / "docs/guide/concept-features.md")
+    imports_and_settings = first.partition("env =")[0]
+    check = "assert 'passenger at 1, 0, 0' in [found.where for found in callback.discoveries]"
+    result = processes.python("-c", f"{imports_and_settings}{taxi}\n{check}", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.slow
 def test_the_example_of_an_environment_discovers_its_gate(tmp_path: Path) -> None:
     (example,) = (code for code in python_of(ROOT / "docs/guide/your-environment.md") if "Warehouse" in code)
     check = "assert np.abs(callback.discoveries[0].subgoal - [6, 3]).max() <= 2"

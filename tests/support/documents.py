@@ -46,9 +46,9 @@ def prose_of(page: Path) -> str:
     return FENCE.sub("", text_of(page))
 
 
-def python_of(page: Path) -> list[str]:
-    """The blocks of Python as they stand in a page."""
-    return [code for language, code in FENCE.findall(text_of(page)) if language == "python"]
+def python_of(page: Path, marked: str = "python") -> list[str]:
+    """The blocks of Python as they stand in a page; ``py`` marks what needs a package that tests may lack."""
+    return [code for language, code in FENCE.findall(text_of(page)) if language == marked]
 
 
 def program_of(page: Path) -> str:

@@ -1,0 +1,49 @@
+"""``examples/minigrid_options.py`` as a user runs it, but shorter, and the film of its agent."""
+
+from pathlib import Path
+
+import imageio.v2 as imageio
+import pytest
+from sb3_contrib import MaskablePPO
+
+from experiments.minigrid import film
+from sb3_options import OptionBank
+from sb3_options.options.archive import NAME
+from tests.support import processes
+from tests.support.documents import ROOT, python_of
+
+EXAMPLE = ROOT / "examples" / "minigrid_options.py"
+CHOOSING = ROOT / "docs" / "guide" / "concept-features.md"
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("example")
+    result = processes.python(str(EXAMPLE), "2_000", "2_000", cwd=folder)
+    assert result.returncode == 0, result.stderr
+    return folder / "minigrid.zip"
+
+
+def test_the_example_leaves_a_model_that_went_on_in_four_rooms(model: Path) -> None:
+    loaded = MaskablePPO.load(model, device="cpu")
+    assert loaded.action_space.n == 7 + 4  # type: ignore[attr-defined]  # it is Discrete
+    assert loaded.n_envs == 16
+    OptionBank(7, 4).load(model.with_name("options.safetensors"))
+    assert NAME  # the options are inside the model too
+    assert len(EXAMPLE.read_text(encoding="utf-8").splitlines()) <= 40
+
+
+def test_the_film_names_what_runs(model: Path, tmp_path: Path) -> None:
+    film.main(film.Study(model=model, out=tmp_path / "film.gif", episodes=1, most_actions=5))
+    pictures = imageio.mimread(tmp_path / "film.gif")
+    assert len(pictures) >= 2
+    height, width = pictures[0].shape[:2]
+    assert height > width  # the strip with the name
+
+
+def test_point_maze_runs_where_it_is_installed(tmp_path: Path) -> None:
+    """The page marks its code as ``py``, which is not run without the package."""
+    pytest.importorskip("gymnasium_robotics", reason="pip install 'sb3-options[robotics]'", exc_type=ImportError)
+    (maze,) = python_of(CHOOSING, "py")
+    result = processes.python("-c", maze.replace("100_000", "600"), cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
