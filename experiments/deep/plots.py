@@ -38,7 +38,7 @@ LABELS = {
 N_BANDS = 500
 APART = 0.025
 N_SECONDS = 200
-MOST_INSIDE = 4
+MOST_INSIDE = 3
 """A legend of more arms stands below the panels."""
 
 
