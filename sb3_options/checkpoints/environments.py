@@ -20,7 +20,8 @@ from stable_baselines3.common.vec_env import (
 )
 from stable_baselines3.common.vec_env.stacked_observations import StackedObservations
 
-from sb3_options.checkpoints.tree import State
+from sb3_options.checkpoints.records import RECORDS
+from sb3_options.checkpoints.tree import State, encode
 from sb3_options.execution import layers
 from sb3_options.execution.slots import OptionSlots
 
@@ -45,8 +46,8 @@ def get_state(venv: VecEnv) -> State:
 def refusal(venv: VecEnv | None) -> str | None:
     """Why there can be no checkpoints of an environment; None if there can."""
     try:
-        get_state(venv)  # type: ignore[arg-type]  # a model without an environment is not trained
-    except ValueError as error:
+        encode(get_state(venv), RECORDS)  # type: ignore[arg-type]  # a model without an environment is not trained
+    except (ValueError, TypeError) as error:
         return str(error)
     return None
 
@@ -87,7 +88,11 @@ def _states(venv: VecEnv) -> list[list[State]]:
                 "Checkpoints of wrappers above OptionsWrapper in worker processes are not supported yet: put them "
                 "beneath it."
             )
-        return list(venv.env_method("layer_states"))
+        found = venv.env_method("layer_states")
+        for each in found:
+            if isinstance(each, str):
+                raise ValueError(each)
+        return list(found)
     raise ValueError(f"Checkpoints of {type(venv).__name__} are not supported yet.")
 
 

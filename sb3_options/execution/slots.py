@@ -239,9 +239,12 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self._withholding.set_state(state["withholding"])
         self.bank.feature_size = state["feature_size"]
 
-    def layer_states(self) -> list[dict[str, Any]]:
-        """`layers.states_of` this environment, in its own process."""
-        return layers.states_of(self)
+    def layer_states(self) -> list[layers.State] | str:
+        """`layers.states_of` this environment, in its own process; or why there are none: an error would end it."""
+        try:
+            return layers.states_of(self)
+        except ValueError as error:
+            return str(error)
 
     def set_layer_states(self, states: list[dict[str, Any]]) -> None:
         """`layers.set_states` of this environment, in its own process."""

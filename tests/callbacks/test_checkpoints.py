@@ -11,7 +11,7 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback, EveryNTimesteps
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecFrameStack, VecNormalize
 
-from sb3_options import OptionReplayBuffer
+from sb3_options import OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import (
     CheckpointCallback,
     IntrinsicRewardCallback,
@@ -20,6 +20,7 @@ from sb3_options.callbacks import (
 )
 from sb3_options.checkpoints import file as checkpoint_file
 from sb3_options.checkpoints.comparison import differing
+from sb3_options.checkpoints.environments import refusal
 from sb3_options.checkpoints.file import read
 from sb3_options.checkpoints.tree import State
 from sb3_options.discovery.methods import DiscoveryMethod, Experience, Proposal
@@ -29,6 +30,7 @@ from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
 from sb3_options.learning.dqn import OptionDQN
 from sb3_options.learning.macro_q import MacroQ
 from tests.integration.test_algorithms import ALGORITHMS, GAMMA, OFF_POLICY
+from tests.support.helpers import CountingEnv
 from tests.support.sb3_helpers import TINY, fast_callback, make_optioned_rooms
 
 STEPS = 1950
@@ -361,3 +363,14 @@ def test_history_and_discoveries_come_back_as_they_were(tmp_path: Path) -> None:
     assert again.history == first.history
     assert [each.slot for each in again.discoveries] == [each.slot for each in first.discoveries]
     np.testing.assert_array_equal(again.discoveries[0].subgoal, first.discoveries[0].subgoal)
+
+
+def test_a_worker_process_says_why_it_refuses_and_lives() -> None:
+    """An error in it would end it, and training with it."""
+    venv = SubprocVecEnv([lambda: OptionsWrapper(CountingEnv(), 2, gamma=GAMMA)] * 2, start_method="fork")
+    try:
+        assert "the environment does not tell where its episode is" in (refusal(venv) or "")
+        venv.reset()
+        assert venv.step(np.zeros(2, dtype=np.int64))[2].shape == (2,)
+    finally:
+        venv.close()

@@ -15,6 +15,7 @@ from experiments.paper import report as paper_report
 from experiments.pioneer import report as pioneer_report
 from sb3_options.runs.evaluation import EvaluateConfig
 from sb3_options.runs.flags import parse
+from sb3_options.runs.resume import ResumeConfig
 from tests.support import processes
 from tests.support.documents import (
     PAGES,
@@ -119,10 +120,12 @@ def test_commands_of_train_are_understood(page: Path) -> None:
     for command in commands_of(page):
         program, _, arguments = command.removeprefix("python ").partition(" ")
         words = shlex.split(re.sub(r"--config \S+", "", arguments))  # there is no such file
-        if program != "train.py" or words == ["evaluate"]:
+        if program != "train.py" or words in (["evaluate"], ["resume"]):
             continue
         if words[:1] == ["evaluate"]:
             tyro.cli(EvaluateConfig, args=words[1:])
+        elif words[:1] == ["resume"]:
+            tyro.cli(ResumeConfig, args=words[1:])
         elif "--help" in words:
             with pytest.raises(SystemExit, match=r"^0$"):
                 parse(words)
