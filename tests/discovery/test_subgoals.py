@@ -490,6 +490,7 @@ RANGES: list[tuple[str, tuple[Any, ...], str]] = [
     ("negative_strength", (0.0, -0.5, 1.5, math.nan), "should be (greater than 0|less than or equal to 1)"),
     ("leak", (-0.1, 1.0, math.nan), "should be (greater than or equal to 0|less than 1)"),
     ("search", ("random", None), "should be 'gradient', 'exhaustive' or 'incremental'"),
+    ("max_bytes", (0, -1), "should be greater than or equal to 1"),
     ("method", ("hand", None), "should be 'diverse-density', 'first-visits',"),
     ("segmentation", ("lives", None), "should be 'episodes' or 'peaks'"),
     ("peak_reward", (math.nan, math.inf), "should be a finite number"),
@@ -510,7 +511,8 @@ def test_settings_out_of_range(name: str, values: tuple[Any, ...], message: str)
 
 def test_every_setting_has_a_range() -> None:
     """A new field needs a row above."""
-    assert {f.name for f in dataclasses.fields(DiscoverySettings)} == {name for name, *_ in RANGES} | {"negative_bags"}
+    switches = {"negative_bags", "equal_time"}
+    assert {f.name for f in dataclasses.fields(DiscoverySettings)} == {name for name, *_ in RANGES} | switches
 
 
 def test_passing_share_counts_the_successes_whose_way_leads_through() -> None:

@@ -95,7 +95,7 @@ class TestTrain:
         assert len(events) == 1
         assert names - events == {
             "config.yml", "model.zip", "best_model.zip", "options.safetensors", "subgoals.png", "evaluations.npz",
-            "monitor/0.monitor.csv",
+            "monitor/0.monitor.csv", "checkpoints/000000000000.safetensors",
         }  # fmt: skip
 
     def test_with_the_resolved_configuration(self, run: Run) -> None:

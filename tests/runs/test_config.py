@@ -22,7 +22,7 @@ from sb3_options.runs.config import (
 
 COMMON: dict[str, Any] = {
     "env": "Taxi-v3", "env_kwargs": {"is_rainy": True, "map": "S#\nSG", "max_steps": 7}, "n_timesteps": 123,
-    "env_wrapper": "a_module:Wrapper", "feature_map": "a_module:phi", "eval_max_steps": 70,
+    "env_wrapper": "a_module:Wrapper", "feature_map": "a_module:phi", "eval_max_steps": 70, "checkpoint_freq": 60,
     "seed": 9, "tensorboard_log": Path("else/where"), "n_envs": 3, "eval_freq": 50, "eval_episodes": 4,
     "progress": False, "device": "cpu", "num_threads": 2, "vec_env": "subproc", "options": Path("a/run"),
     "max_options": 2, "max_new_options": None, "discover": False, "compare": True, "gamma": 0.5,
@@ -34,7 +34,7 @@ COMMON: dict[str, Any] = {
         leak=0.125, search="exhaustive",
         scale=2.5, start_radius=1.0, goal_radius=0.0, decay=0.75, threshold=0.25, peak_radius=2.0, peak_tolerance=0.01,
         subgoal_radius=1.25, spacing=1.5, max_places=6, max_extent=2.5,
-        loops="keep", min_passing=0.25, min_contrast=0.35,
+        loops="keep", min_passing=0.25, min_contrast=0.35, equal_time=False,
     ),
     "option": OptionLearningSettings(
         policy_input="features", initiation_steps=4, initiation_visits="every", initiation_radius=0.75, max_duration=9,
