@@ -16,16 +16,8 @@ from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
 
-
-def _option(option: SubgoalOption) -> dict[str, Any]:
-    return {
-        "subgoal": option.subgoal,
-        "initiation_set": option.initiation_set,
-        "option_policy": option.option_policy,
-        "policy_input": option.policy_input,
-        "max_duration": option.max_duration,
-        "name": option.name,
-    }
+OPTION = ("subgoal", "initiation_set", "option_policy", "policy_input", "max_duration", "name")
+"""What an option is made of: the arguments of `SubgoalOption`."""
 
 
 def _bags(bags: Bags) -> dict[str, Any]:
@@ -51,7 +43,7 @@ RECORDS: dict[str, Record] = {
     for cls in (Trajectory, LabelledTrajectory, Region, HalfSpace, FeatureGroup, Peak, BagArrays)
 } | {
     "Bags": Record(Bags, _made_bags, _bags),
-    "SubgoalOption": Record(SubgoalOption, SubgoalOption, _option),
+    "SubgoalOption": Record(SubgoalOption, SubgoalOption, _of(*OPTION)),
     "TabularPolicy": Record(TabularPolicy, TabularPolicy, _of("states", "values")),
     "NetworkPolicy": Record(NetworkPolicy, NetworkPolicy, _of("mean", "std", "weights", "biases")),
 }

@@ -14,7 +14,6 @@ from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.grouped import GroupedDiscovery
 from sb3_options.discovery.methods import METHODS, DiscoveryMethod, Experience, Proposal
-from sb3_options.discovery.methods.visits import RandomPlaces
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.subgoals import FoundSubgoal, Search, SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray
@@ -32,7 +31,7 @@ class ProposedDiscovery(SubgoalDiscovery):
         method: Which.
     """
 
-    method: DiscoveryMethod = field(default_factory=RandomPlaces)
+    method: DiscoveryMethod = field(kw_only=True)
 
     def __post_init__(self) -> None:
         """Set up what grows with experience."""

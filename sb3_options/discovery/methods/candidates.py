@@ -24,7 +24,7 @@ MAX_PLACES = 20_000
 
 
 def often_enough(min_seen: int, min_share: float) -> Accept:
-    """Accept what was seen so often and was a candidate in this share of the times (Şimşek, Wolfe & Barto 2005, §3).
+    """Accept what was seen so often and was a candidate in this share of the times (Şimşek, Wolfe & Barto 2005).
 
     Args:
         min_seen: t_o.
@@ -40,7 +40,7 @@ def often_enough(min_seen: int, min_share: float) -> Accept:
 
 
 def more_likely(p_target: float, p_other: float, odds: float) -> Accept:
-    """Accept where the likelihood ratio of two binomial distributions exceeds ``odds`` (Şimşek & Barto 2004, §4).
+    """Accept where the likelihood ratio of two binomial distributions exceeds ``odds`` (Şimşek & Barto 2004).
 
     Args:
         p_target: p: how often a subgoal is a candidate when it is seen.
@@ -119,3 +119,27 @@ class Candidates:
             (of.tobytes(), _Place(point, float(seen), float(hits), bool(allowed)))
             for of, point, (seen, hits, allowed) in zip(state["bins"], state["points"], state["counts"], strict=True)
         )
+
+
+class CandidateMethod:
+    """A method of discovery whose subgoals are the places that were candidates often enough.
+
+    Args:
+        accept: Which places become subgoals.
+    """
+
+    def __init__(self, accept: Accept) -> None:
+        self._candidates = Candidates(accept)
+
+    def _counted(self, experience: Experience, seen: IntArray, hits: IntArray) -> list[Region]:
+        """Count what `Candidates.add` counts, and propose."""
+        self._candidates.add(experience, seen, hits)
+        return self._candidates.proposals(experience)
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return self._candidates.get_state()
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self._candidates.set_state(state)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import networkx as nx
 import numpy as np
 from scipy.linalg import eigh
 
-from sb3_options.discovery.methods.candidates import Candidates, often_enough
+from sb3_options.discovery.methods.candidates import CandidateMethod, often_enough
 from sb3_options.discovery.methods.method import Experience, Proposal
 from sb3_options.experience.observations import FloatArray, IntArray
 
@@ -16,7 +14,7 @@ TOLERANCE = 1e-9
 """Betweenness that differs by less, relative to the largest, is equal."""
 
 
-class LCut:
+class LCut(CandidateMethod):
     """Şimşek, Wolfe & Barto (2005), *Identifying Useful Subgoals in RL by Local Graph Partitioning*.
 
     The last ``horizon`` transitions of a trajectory are a graph, weighted by how often each was made. It is cut in two
@@ -35,7 +33,7 @@ class LCut:
         self, *, horizon: int = 1000, max_cut: float = 0.05, min_seen: int = 10, min_share: float = 0.2
     ) -> None:
         self.horizon, self.max_cut = horizon, max_cut
-        self._candidates = Candidates(often_enough(min_seen, min_share))
+        super().__init__(often_enough(min_seen, min_share))
 
     def update(self, experience: Experience) -> list[Proposal]:
         """Take note of one more trajectory; as `DiscoveryMethod.update`."""
@@ -50,19 +48,10 @@ class LCut:
             if cut < self.max_cut:
                 crosses = part[local[:-1]] != part[local[1:]]
                 hits[nodes[local[1:][crosses]]] = 1
-        self._candidates.add(experience, seen, hits)
-        return self._candidates.proposals(experience)
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        return self._candidates.get_state()
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        self._candidates.set_state(state)
+        return self._counted(experience, seen, hits)
 
 
-class Betweenness:
+class Betweenness(CandidateMethod):
     """Şimşek & Barto (2008), *Skill Characterization Based on Betweenness*.
 
     The last ``horizon`` transitions of a trajectory are a graph. A place is a candidate if shortest paths between other
@@ -77,7 +66,7 @@ class Betweenness:
 
     def __init__(self, *, horizon: int = 1000, min_seen: int = 10, min_share: float = 0.5) -> None:
         self.horizon = horizon
-        self._candidates = Candidates(often_enough(min_seen, min_share))
+        super().__init__(often_enough(min_seen, min_share))
 
     def update(self, experience: Experience) -> list[Proposal]:
         """Take note of one more trajectory; as `DiscoveryMethod.update`."""
@@ -86,16 +75,7 @@ class Betweenness:
         seen, hits = np.zeros((2, len(places.points)), dtype=np.int64)
         seen[np.unique(visits)] = 1
         hits[local_maxima(visits)] = 1
-        self._candidates.add(experience, seen, hits)
-        return self._candidates.proposals(experience)
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        return self._candidates.get_state()
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        self._candidates.set_state(state)
+        return self._counted(experience, seen, hits)
 
 
 def weights_of(visits: IntArray, n: int) -> FloatArray:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from sb3_options.discovery.methods.candidates import Candidates, more_likely
+from sb3_options.discovery.methods.candidates import CandidateMethod, more_likely
 from sb3_options.discovery.methods.method import Experience, Proposal
 from sb3_options.experience.observations import FloatArray, IntArray
 
 
-class RelativeNovelty:
+class RelativeNovelty(CandidateMethod):
     """Şimşek & Barto (2004), *Using Relative Novelty to Identify Useful Temporal Abstractions in RL*.
 
     A state's novelty is 1/√n after its n-th visit in a trajectory. The relative novelty of a time is the mean novelty
@@ -37,7 +35,7 @@ class RelativeNovelty:
         odds: float = 100.0,
     ) -> None:
         self.lag, self.threshold = lag, threshold
-        self._candidates = Candidates(more_likely(p_target, p_other, odds))
+        super().__init__(more_likely(p_target, p_other, odds))
 
     def update(self, experience: Experience) -> list[Proposal]:
         """Take note of one more trajectory; as `DiscoveryMethod.update`."""
@@ -46,16 +44,7 @@ class RelativeNovelty:
         k = len(places.points)
         seen = np.bincount(places.visits[times], minlength=k)
         hits = np.bincount(places.visits[times[relative > self.threshold]], minlength=k)
-        self._candidates.add(experience, seen, hits)
-        return self._candidates.proposals(experience)
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        return self._candidates.get_state()
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        self._candidates.set_state(state)
+        return self._counted(experience, seen, hits)
 
 
 def relative_novelty(visits: IntArray, lag: int) -> tuple[IntArray, FloatArray]:
