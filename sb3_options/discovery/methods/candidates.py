@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from sb3_options.checked import is_number, whole
 from sb3_options.density.regions import Region
 from sb3_options.discovery.methods.method import Experience
 from sb3_options.experience.observations import FloatArray, IntArray
@@ -23,13 +24,40 @@ MAX_PLACES = 20_000
 """As many are remembered; beyond that, those not seen for longest are forgotten."""
 
 
+def check_counts(**counts: object) -> None:
+    """Refuse what is no whole number of at least 1, by its name.
+
+    Raises:
+        ValueError: There is such a one.
+    """
+    for name, count in counts.items():
+        if not whole(count, 1):
+            raise ValueError(f"{name} must be a whole number of at least 1, got {count!r}.")
+
+
+def check_shares(**shares: object) -> None:
+    """Refuse what is no number in (0, 1), by its name.
+
+    Raises:
+        ValueError: There is such a one.
+    """
+    for name, share in shares.items():
+        if not (is_number(share) and 0 < share < 1):  # type: ignore[operator]  # it is a number
+            raise ValueError(f"{name} must be in (0, 1), got {share!r}.")
+
+
 def often_enough(min_seen: int, min_share: float) -> Accept:
     """Accept what was seen so often and was a candidate in this share of the times (Şimşek, Wolfe & Barto 2005).
 
     Args:
         min_seen: t_o.
         min_share: t_p, in (0, 1).
+
+    Raises:
+        ValueError: An argument is out of its range.
     """
+    check_counts(min_seen=min_seen)
+    check_shares(min_share=min_share)
 
     def accept(seen: FloatArray, hits: FloatArray) -> FloatArray:
         margin = hits / np.maximum(seen, 1.0) - min_share
@@ -46,7 +74,13 @@ def more_likely(p_target: float, p_other: float, odds: float) -> Accept:
         p_target: p: how often a subgoal is a candidate when it is seen.
         p_other: q: how often any other state is.
         odds: λ_fa/λ_miss · p(N)/p(T): cost of false alarms to that of misses, times the prior odds of other states.
+
+    Raises:
+        ValueError: An argument is out of its range, or subgoals are to be candidates no oftener than others.
     """
+    check_shares(p_target=p_target, p_other=p_other)
+    if not (p_target > p_other and odds > 0):
+        raise ValueError(f"p_target must be above p_other, and odds above 0, got {p_target}, {p_other} and {odds}.")
 
     def accept(seen: FloatArray, hits: FloatArray) -> FloatArray:
         evidence = hits * np.log(p_target / p_other) + (seen - hits) * np.log((1 - p_target) / (1 - p_other))

@@ -6,7 +6,7 @@ import networkx as nx
 import numpy as np
 from scipy.linalg import eigh
 
-from sb3_options.discovery.methods.candidates import CandidateMethod, often_enough
+from sb3_options.discovery.methods.candidates import CandidateMethod, check_counts, often_enough
 from sb3_options.discovery.methods.method import Experience, Proposal
 from sb3_options.experience.observations import FloatArray, IntArray
 
@@ -26,12 +26,16 @@ class LCut(CandidateMethod):
         horizon: h, in transitions.
         max_cut: t_c, of 2.
         min_seen: t_o.
-        min_share: t_p.
+        min_share: t_p, in (0, 1).
+
+    Raises:
+        ValueError: An argument is out of its range.
     """
 
     def __init__(
         self, *, horizon: int = 1000, max_cut: float = 0.05, min_seen: int = 10, min_share: float = 0.2
     ) -> None:
+        check_counts(horizon=horizon)
         self.horizon, self.max_cut = horizon, max_cut
         super().__init__(often_enough(min_seen, min_share))
 
@@ -61,10 +65,14 @@ class Betweenness(CandidateMethod):
     Args:
         horizon: h, in transitions.
         min_seen: t_o.
-        min_share: t_p.
+        min_share: t_p, in (0, 1).
+
+    Raises:
+        ValueError: An argument is out of its range.
     """
 
     def __init__(self, *, horizon: int = 1000, min_seen: int = 10, min_share: float = 0.5) -> None:
+        check_counts(horizon=horizon)
         self.horizon = horizon
         super().__init__(often_enough(min_seen, min_share))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sb3_options.discovery.methods.candidates import CandidateMethod, more_likely
+from sb3_options.discovery.methods.candidates import CandidateMethod, check_counts, more_likely
 from sb3_options.discovery.methods.method import Experience, Proposal
 from sb3_options.experience.observations import FloatArray, IntArray
 
@@ -23,6 +23,9 @@ class RelativeNovelty(CandidateMethod):
         p_target: p, how often a subgoal is a candidate when it is visited.
         p_other: q, how often another state is.
         odds: λ_fa/λ_miss · p(N)/p(T).
+
+    Raises:
+        ValueError: An argument is out of its range.
     """
 
     def __init__(
@@ -34,6 +37,7 @@ class RelativeNovelty(CandidateMethod):
         p_other: float = 0.0056,
         odds: float = 100.0,
     ) -> None:
+        check_counts(lag=lag)
         self.lag, self.threshold = lag, threshold
         super().__init__(more_likely(p_target, p_other, odds))
 

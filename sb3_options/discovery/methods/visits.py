@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sb3_options.discovery.methods.candidates import Candidates
+from sb3_options.discovery.methods.candidates import Candidates, check_counts
 from sb3_options.discovery.methods.method import Experience, Proposal
 from sb3_options.discovery.peaks import PeakTracker, plateau_centres
 from sb3_options.experience.observations import FloatArray
@@ -34,6 +34,7 @@ class VisitFrequency:
         min_successes: int = 8,
         radius: float = 1.5,
     ) -> None:
+        check_counts(min_successes=min_successes)
         self.count, self.min_successes, self.radius = count, min_successes, radius
         self._visited = Candidates(_most)
         self._tracker = PeakTracker(decay=decay, threshold=threshold, radius=radius)
@@ -85,6 +86,7 @@ class RandomPlaces:
     """
 
     def __init__(self, *, min_successes: int = 8, seed: int = 0) -> None:
+        check_counts(min_successes=min_successes)
         self.min_successes = min_successes
         self._random = np.random.default_rng(seed)
         self._successes = 0

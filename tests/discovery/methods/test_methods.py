@@ -207,3 +207,25 @@ def test_graph_methods_find_the_doorway_of_two_rooms_from_random_walks(name: str
     found = run("TwoRooms", {"method": name}, seed=0, n_episodes=14)["found"]
     assert len(found) == 1
     assert is_bottleneck(world_for("TwoRooms", 0), found[0]["point"])
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: LCut(horizon=0), "horizon must be a whole number of at least 1, got 0."),
+        (lambda: LCut(min_seen=2.5), "min_seen must be a whole number of at least 1, got 2.5."),  # type: ignore[arg-type]
+        (lambda: Betweenness(min_share=1.0), r"min_share must be in \(0, 1\), got 1.0."),
+        (lambda: Betweenness(horizon=-1), "horizon must be a whole number of at least 1, got -1."),
+        (lambda: RelativeNovelty(lag=0), "lag must be a whole number of at least 1, got 0."),
+        (lambda: RelativeNovelty(p_target=0.1, p_other=0.2), "p_target must be above p_other"),
+        (lambda: RelativeNovelty(p_other=math.nan), r"p_other must be in \(0, 1\), got nan."),
+        (lambda: VisitFrequency(min_successes=0), "min_successes must be a whole number of at least 1, got 0."),
+        (
+            lambda: METHODS["random"](min_successes=True),
+            "min_successes must be a whole number of at least 1, got True.",
+        ),  # type: ignore[call-arg]
+    ],
+)
+def test_arguments_out_of_range_are_refused_by_name(make: Callable[[], object], message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}"):
+        make()
