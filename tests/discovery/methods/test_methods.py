@@ -14,7 +14,7 @@ from sb3_options.discovery.methods.candidates import Candidates, more_likely, of
 from sb3_options.discovery.methods.graphs import Betweenness, LCut, local_maxima, normalised_cut, weights_of
 from sb3_options.discovery.methods.method import DiscoveryMethod, Experience
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty, relative_novelty
-from sb3_options.discovery.methods.visits import VisitFrequency
+from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
 from sb3_options.experience.observations import BoolArray, IntArray
 
 
@@ -220,10 +220,7 @@ def test_graph_methods_find_the_doorway_of_two_rooms_from_random_walks(name: str
         (lambda: RelativeNovelty(p_target=0.1, p_other=0.2), "p_target must be above p_other"),
         (lambda: RelativeNovelty(p_other=math.nan), r"p_other must be in \(0, 1\), got nan."),
         (lambda: VisitFrequency(min_successes=0), "min_successes must be a whole number of at least 1, got 0."),
-        (
-            lambda: METHODS["random"](min_successes=True),
-            "min_successes must be a whole number of at least 1, got True.",
-        ),  # type: ignore[call-arg]
+        (lambda: RandomPlaces(min_successes=True), "min_successes must be a whole number of at least 1, got True."),
     ],
 )
 def test_arguments_out_of_range_are_refused_by_name(make: Callable[[], object], message: str) -> None:
