@@ -25,6 +25,8 @@ LAST = 100
 IN_A_ROW = 20
 """Successes in a row by which a task counts as learned."""
 
+PROGRAM = "train.py"
+
 
 def closing_table(histories: Mapping[str, Sequence[EpisodeRecord]]) -> Table:
     """Return, success and length of training episodes, exploration included.
@@ -89,7 +91,9 @@ def next_commands(console: Console, config: TrainConfig, folder: Path) -> None:
     console.print(f"TensorBoard:  {python} -m tensorboard.main --logdir {path}")
     # What imports a module is named anew, for the file of a run is not trusted with it.
     named = "".join(f" {flag(n)} {shlex.quote(t)}" for n, t in importing(vars(config)).items())
-    console.print(f"Evaluate:     {python} train.py evaluate {path} --video {path}/video.mp4{escape(named)}")
+    console.print(
+        f"Evaluate:     {python} {escape(_program())} evaluate {path} --video {path}/video.mp4{escape(named)}"
+    )
     if (folder / runs.BEST).is_file():
         console.print("Best model:   add --best; it is the one whose evaluation gave the highest return")
 
@@ -98,4 +102,14 @@ def _python() -> str:
     """What to type for this interpreter: it may be in a virtual environment that nobody activated."""
     if shutil.which("python") == sys.executable:
         return "python"
-    return min(sys.executable, os.path.relpath(sys.executable), key=len)
+    return _shortest(sys.executable)
+
+
+def _program() -> str:
+    """Where ``train.py`` is, seen from here: a run may be started from another folder."""
+    program = Path(sys.argv[0])
+    return shlex.quote(_shortest(str(program.absolute()))) if program.name == PROGRAM else PROGRAM
+
+
+def _shortest(path: str) -> str:
+    return min(path, os.path.relpath(path), key=len)

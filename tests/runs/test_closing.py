@@ -1,9 +1,13 @@
 """What training says of itself at its end."""
 
+from pathlib import Path
+
+import pytest
 from rich.console import Console
 
 from sb3_options.experience.trajectories import EpisodeRecord
-from sb3_options.runs.closing import IN_A_ROW, LAST, closing_table
+from sb3_options.runs.closing import IN_A_ROW, LAST, closing_table, next_commands
+from sb3_options.runs.config import PPOConfig
 
 
 def rows(*histories: list[EpisodeRecord]) -> dict[str, list[str]]:
@@ -33,3 +37,24 @@ def test_when_the_task_was_learned() -> None:
     almost = [True] * (IN_A_ROW - 1)
     shown = rows(episodes([*almost, False, *almost, True]), episodes([*almost, False, *almost]))
     assert shown["20 successes in a row after"] == ["400 steps", "–"]
+
+
+@pytest.mark.parametrize(
+    ("program", "seen_from", "shown"),
+    [
+        ("train.py", "checkout", "train.py"),
+        ("../checkout/train.py", "else where", "../checkout/train.py"),
+        ("{root}/else where/train.py", "checkout", "'../else where/train.py'"),
+        ("{root}/checkout/pytest", "checkout", "train.py"),
+    ],
+)
+def test_the_next_command_finds_the_program(
+    program: str, seen_from: str, shown: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / seen_from).mkdir()
+    monkeypatch.chdir(tmp_path / seen_from)
+    monkeypatch.setattr("sys.argv", [program.format(root=tmp_path)])
+    console = Console(width=400, no_color=True)
+    with console.capture() as captured:
+        next_commands(console, PPOConfig(), Path("runs/ppo"))
+    assert f" {shown} evaluate runs/ppo --video " in captured.get()
