@@ -141,7 +141,10 @@ class TestTrain:
         assert f"Run folder:   {shown}\n" in run.printed
         board = re.search(rf"TensorBoard:  (\S+) -m tensorboard.main --logdir {shown}\n", run.printed)
         assert board is not None
-        assert f"{board[1]} train.py evaluate {shown} --video {shown}/video.mp4" in run.printed
+        tail = f"evaluate {shown} --video {shown}/video.mp4"
+        evaluation = re.search(rf"Evaluate:     {re.escape(board[1])} (\S+) {tail}\n", run.printed)
+        assert evaluation is not None
+        assert (run.folder.parents[2] / evaluation[1]).resolve() == ROOT / "train.py"  # from where it was started
 
     @pytest.mark.parametrize(
         ("args", "text"),
