@@ -67,7 +67,7 @@ def get_state(model: BaseAlgorithm) -> State:
     if buffer is not None:
         state["replay_buffer"] = buffer_state.get_state(buffer)
     if model.use_sde:  # the noise of the rollout that begins is drawn already
-        noise = model.policy.action_dist
+        noise: Any = model.policy.action_dist
         state["noise"] = noise.exploration_mat.detach(), noise.exploration_matrices.detach()
     if hasattr(model, "_last_lstm_states"):
         state["lstm"] = None if model._last_lstm_states is None else [tuple(each) for each in model._last_lstm_states]
@@ -98,7 +98,7 @@ def set_state(model: BaseAlgorithm, state: State) -> None:
     if "replay_buffer" in state:
         buffer_state.set_state(model.replay_buffer, state["replay_buffer"])  # type: ignore[attr-defined]  # as there
     if model.use_sde:
-        noise = model.policy.action_dist
+        noise: Any = model.policy.action_dist
         noise.exploration_mat, noise.exploration_matrices = state["noise"]
     if state.get("lstm") is not None:
         model._last_lstm_states = type(model._last_lstm_states)(*state["lstm"])  # type: ignore[attr-defined]  # as there

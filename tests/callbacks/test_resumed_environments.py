@@ -26,10 +26,9 @@ from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback
 from sb3_options.checkpoints.comparison import differing
 from sb3_options.checkpoints.environments import refusal
 from sb3_options.checkpoints.file import CheckpointFolder, read
-from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.envs.minigrid import concept_groups
+from sb3_options.discovery.grouped import GroupedDiscovery
 from sb3_options.envs.minigrid import make as make_minigrid
-from tests.callbacks.test_checkpoints import Callbacks, check_resumes, discovering, keep_all, model_of, trained
+from tests.callbacks.test_checkpoints import TRIAL, Callbacks, check_resumes, discovering, keep_all, model_of, trained
 from tests.execution.test_repeating import Growing
 from tests.support.sb3_helpers import TAXI, make_optioned_rooms
 
@@ -60,10 +59,8 @@ def pioneer() -> gym.Env[Any, Any]:
     return gym.make("sb3_options/Pioneer-v0", max_steps=30)
 
 
-def grouped() -> SubgoalDiscoveryCallback:
-    """Finds a concept of DoorKey within some hundred steps."""
-    settings = DiscoverySettings(min_positive=2, goal_radius=0.0, groups=concept_groups(), threshold=0.5)
-    return SubgoalDiscoveryCallback(settings, {}, max_new_options=2, seed=0)
+def empty() -> gym.Env[Any, Any]:
+    return make_minigrid("MiniGrid-Empty-Random-5x5-v0")
 
 
 @pytest.mark.parametrize(
@@ -103,14 +100,19 @@ def test_without_options(kind: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_grouped_discovery(tmp_path: Path) -> None:
+    """The features of MiniGrid have groups: each makes a concept by itself."""
+    soon = {"start_radius": 0.5, "goal_radius": 0.5, "min_positive": 4, "decay": 0.5, "threshold": 0.5}
     callbacks, _ = check_resumes(
-        lambda: model_of("MaskablePPO", vec(optioned(door_key), 8)),
-        lambda: [grouped()],
+        lambda: model_of("MaskablePPO", vec(optioned(empty))),
+        lambda: [SubgoalDiscoveryCallback(soon, max_new_options=1, trial=TRIAL)],
         tmp_path,
-        cuts=(0.3, 0.9),
-        steps=8000,
+        cuts=(0.0, 0.3, 0.9),
+        steps=2500,
     )
-    assert callbacks[0].discoveries  # type: ignore[attr-defined]  # of discovery
+    (discovery, _) = callbacks
+    assert isinstance(discovery, SubgoalDiscoveryCallback)
+    assert isinstance(discovery.discovery, GroupedDiscovery)
+    assert discovery.discoveries
 
 
 @pytest.mark.parametrize("above", [False, True])
