@@ -124,19 +124,20 @@ def test_an_environment_that_does_not_tell_its_state(tmp_path: Path, capsys: pyt
     assert "cannot go on" not in capsys.readouterr().out
 
 
-class TestSeries:
-    @pytest.fixture(scope="class")
-    def tasks(self, tmp_path_factory: pytest.TempPathFactory) -> Path:
-        """The folder of a series of two tasks that has ended."""
-        folder = tmp_path_factory.mktemp("series")
-        series = "series: [{goal: [1, 1]}, {goal: [8, 0]}]\ncompare: false\n"
-        settings = CONFIG.replace("compare: true\n", series).replace("checkpoint_freq: 400", "checkpoint_freq: 200")
-        settings = settings.replace("...G", "....").replace("n_timesteps: 2000", "n_timesteps: 6000")
-        (folder / "config.yml").write_text(settings, encoding="utf-8")
-        cli.main(["--config", str(folder / "config.yml"), "--tensorboard-log", str(folder)])
-        assert len(list((folder / "ppo").iterdir())) == 2
-        return folder / "ppo"
+@pytest.fixture(scope="module")
+def tasks(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a series of two tasks that has ended."""
+    folder = tmp_path_factory.mktemp("series")
+    series = "series: [{goal: [1, 1]}, {goal: [8, 0]}]\ncompare: false\n"
+    settings = CONFIG.replace("compare: true\n", series).replace("checkpoint_freq: 400", "checkpoint_freq: 200")
+    settings = settings.replace("...G", "....").replace("n_timesteps: 2000", "n_timesteps: 6000")
+    (folder / "config.yml").write_text(settings, encoding="utf-8")
+    cli.main(["--config", str(folder / "config.yml"), "--tensorboard-log", str(folder)])
+    assert len(list((folder / "ppo").iterdir())) == 2
+    return folder / "ppo"
 
+
+class TestSeries:
     @pytest.mark.parametrize("number", [1, 2])
     def test_goes_on_in_the_task_that_was_under_way(
         self, number: int, tasks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
