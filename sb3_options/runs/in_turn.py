@@ -15,8 +15,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from sb3_options.atomic import atomic_write
-from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.checkpoints.file import CheckpointFolder
+from sb3_options.discovery.subgoals import SubgoalDiscovery
+from sb3_options.experience.trajectories import EpisodeRecord
+from sb3_options.options.bank import OptionBank
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
 from sb3_options.runs import yaml_file
@@ -58,11 +60,26 @@ class Series:
             temporary.write_text(yaml.safe_dump(content), encoding="utf-8")
 
 
+class Discovering(Protocol):
+    """What is asked of a `SubgoalDiscoveryCallback` after training."""
+
+    history: list[EpisodeRecord]
+    num_timesteps: int
+
+    @property
+    def bank(self) -> OptionBank:
+        """The slots."""
+
+    @property
+    def discovery(self) -> SubgoalDiscovery | None:
+        """Of the training."""
+
+
 class Trained(NamedTuple):
     """What is left of one training."""
 
     folder: Path
-    discovery: SubgoalDiscoveryCallback
+    discovery: Discovering
     interrupted: bool
 
 

@@ -34,7 +34,7 @@ PIONEER = "sb3_options/Pioneer-v0"
 
 def advanced(env: Env, steps: int, random: np.random.Generator) -> list[Any]:
     """Random steps, on from one episode into the next; returns what came."""
-    seen = []
+    seen: list[Any] = []
     for _ in range(steps):
         if isinstance(env.action_space, spaces.Discrete):
             action: Any = int(random.integers(env.action_space.n))
