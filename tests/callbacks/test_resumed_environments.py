@@ -147,8 +147,12 @@ def test_vec_monitor(above: bool, tmp_path: Path) -> None:
 def test_wrappers_above_options_in_workers(tmp_path: Path) -> None:
     """As ``make_vec_env`` puts them: a Monitor around everything."""
 
+    forked = {"start_method": "fork"}
+
     def make() -> Any:
-        return model_of("A2C", make_vec_env(make_optioned_rooms, 2, seed=0, vec_env_cls=SubprocVecEnv))
+        return model_of(
+            "A2C", make_vec_env(make_optioned_rooms, 2, 0, vec_env_cls=SubprocVecEnv, vec_env_kwargs=forked)
+        )
 
     check_resumes(make, lambda: [discovering()], tmp_path, cuts=(0.5,), steps=900)
 
