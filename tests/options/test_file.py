@@ -222,7 +222,7 @@ def test_no_flipped_bit_of_the_header_is_read_over() -> None:
     for bit in range(8 * len(content)):
         flipped = bytearray(content)
         flipped[bit // 8] ^= 1 << bit % 8
-        with pytest.raises(ValueError, match="^What the model carries is "):
+        with pytest.raises(ValueError, match=r"^What the model carries is "):
             read(bytes(flipped))
 
 
