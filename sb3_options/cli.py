@@ -295,6 +295,9 @@ def _learn(
                     shutil.rmtree(folder)
             else:
                 runs.save(model, discovery.bank, folder)
+        except OSError as error:
+            error.add_note(how_to_resume(config, folder))
+            raise
         finally:
             for env in envs:
                 if finished:

@@ -24,7 +24,6 @@ from experiments.faults import checkpoints, disk, files, fuzz, memory, workers
 from experiments.faults.run_folder import run_folder
 from sb3_options.runs import folder as runs
 
-
 SETTINGS = {
     "files": ["n_files"],
     "checkpoints": ["n_files"],

@@ -84,7 +84,7 @@ def _damage(path: Path, both: list[Path], random: np.random.Generator) -> None:
 
 
 def _outcome(folder: Path, whole: dict[Path, State]) -> str:
-    newest, before = whole
+    before = list(whole)[1]
     try:
         path, state = CheckpointFolder(folder).newest()
     except ValueError as error:

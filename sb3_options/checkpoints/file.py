@@ -101,6 +101,16 @@ class CheckpointFolder:
             raise wrong
         raise FileNotFoundError(f"There is no checkpoint in {self.path}.")
 
+    def make_room(self) -> None:
+        """Remove what can be spared on a full disk: all but the newest and the best, and one from before any step."""
+        for file in list(self)[1:]:
+            file.unlink()
+        for file in self:
+            if int(file.stem) == 0:
+                file.unlink()
+        if (self.path / BLOCKS).is_dir():
+            self._remove_old()
+
     def _remove_old(self) -> None:
         files = list(self)
         for file in files[KEPT:]:

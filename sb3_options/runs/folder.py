@@ -14,6 +14,7 @@ from stable_baselines3.common.preprocessing import get_obs_shape
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from sb3_options.atomic import remove_stale
+from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.envs import minigrid
 from sb3_options.execution.workers import watched_workers
 from sb3_options.execution.wrapper import OptionsWrapper
@@ -134,6 +135,8 @@ def options_file(config: TrainConfig) -> Path | None:
 def save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
     """Save model and options; where one cannot be written, the other is.
 
+    Where there is no room for the model, older checkpoints make room.
+
     Args:
         model: Trained.
         bank: Its options.
@@ -142,8 +145,16 @@ def save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
     Raises:
         OSError: One of them cannot be written; a note says which is missing.
     """
+
+    def save_model(path: Path) -> None:
+        try:
+            model.save(path)
+        except OSError:
+            CheckpointFolder(folder / CHECKPOINTS).make_room()
+            model.save(path)
+
     failed: list[Exception] = []
-    for save, name in ((model.save, MODEL), (bank.save, OPTIONS)):
+    for save, name in ((save_model, MODEL), (bank.save, OPTIONS)):
         try:
             save(folder / name)
         except Exception as error:
