@@ -30,7 +30,7 @@ SETTINGS = {
     "disk": ["n_offsets"],
     "fuzz": ["n_bags", "n_settings"],
     "workers": ["n_worker_steps", "kill_every"],
-    "memory": ["n_timesteps"],
+    "memory": [],
 }
 """What the results of each part depend on, beside the seed."""
 
@@ -47,6 +47,8 @@ class Study:
         n_bags: Fuzzed sets of bags.
         n_settings: Fuzzed configurations.
         n_timesteps: Of each long run.
+        warm_up: Primitive steps of it after which memory is to grow no more.
+        cases: Which long runs; of the others the results of an earlier command are kept.
         n_worker_steps: Of the run whose workers are killed, all workers together.
         kill_every: Seconds of training before a worker is killed.
         seed: Of the damages and the runs.
@@ -60,6 +62,8 @@ class Study:
     n_bags: int = 10_000
     n_settings: int = 2_000
     n_timesteps: int = memory.N_TIMESTEPS
+    warm_up: int = memory.WARM_UP
+    cases: tuple[str, ...] = tuple(memory.CASES)
     n_worker_steps: int = 1_600_000
     kill_every: float = 60.0
     seed: int = 1000
@@ -81,7 +85,7 @@ def main(study: Study) -> None:
         path = study.out / "parts" / f"{name}.json"
         if study.part in (name, "all"):
             settings = {key: getattr(study, key) for key in ("seed", *SETTINGS[name])}
-            found[name] = {"settings": settings, **functions[name](study)}
+            found[name] = functions[name](study) | {"settings": settings}
             write_json(path, found[name])
         elif path.is_file():
             found[name] = json.loads(path.read_text(encoding="utf-8"))
@@ -122,13 +126,23 @@ def _disk(study: Study) -> dict[str, Any]:
 
 
 def _memory(study: Study) -> dict[str, Any]:
+    """The chosen cases, beside what others were found to be before."""
+    unknown = set(study.cases) - set(memory.CASES)
+    if unknown:
+        raise SystemExit(f"--cases: there is no {unknown.pop()!r}, choose from {', '.join(map(repr, memory.CASES))}.")
+    path = study.out / "parts" / "memory.json"
+    before = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     parts = [
-        Part(name, partial(memory.run, name, study.n_timesteps), study.out / "memory" / name.replace(" ", "_"))
-        for name in memory.CASES
+        Part(
+            name,
+            partial(memory.run, name, study.n_timesteps, study.warm_up),
+            study.out / "memory" / name.replace(" ", "_"),
+        )
+        for name in study.cases
     ]
-    settings = {"n_timesteps": study.n_timesteps}
+    settings = {"n_timesteps": study.n_timesteps, "warm_up": study.warm_up}
     results = run_parts(parts, [study.seed], settings=settings, jobs=study.jobs, description="Long runs")
-    return {name: runs_[0] for name, runs_ in results.items()}
+    return before | {name: runs_[0] for name, runs_ in results.items()}
 
 
 def _table(part: str, rows: dict[str, Any]) -> Table:

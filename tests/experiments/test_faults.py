@@ -69,6 +69,6 @@ def test_a_file_is_kept_only_if_it_is_replaced_whole() -> None:
 
 @pytest.mark.parametrize("name", memory.CASES)
 def test_long_runs_run(name: str) -> None:
-    result = memory.run(name, 600, seed=0)
+    result = memory.run(name, 600, 120, seed=0)
     assert result["after_warm_up"] > 0
     assert result["growth"] == result["at_end"] - result["after_warm_up"]
