@@ -130,13 +130,13 @@ def _memory(study: Study) -> dict[str, Any]:
     unknown = set(study.cases) - set(memory.CASES)
     if unknown:
         raise SystemExit(f"--cases: there is no {unknown.pop()!r}, choose from {', '.join(map(repr, memory.CASES))}.")
-    path = study.out / "parts" / "memory.json"
+    folder, path = study.out / "memory", study.out / "parts" / "memory.json"
     before = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     parts = [
         Part(
             name,
             partial(memory.run, name, study.n_timesteps, study.warm_up),
-            study.out / "memory" / name.replace(" ", "_"),
+            folder / name.replace(" ", "_"),
         )
         for name in study.cases
     ]

@@ -152,7 +152,8 @@ def run(name: str, n_timesteps: int, warm_up: int, seed: int) -> Result:
         seed: Of everything.
 
     Returns:
-        What it was told; ``after_warm_up`` and ``at_end``, MB; ``growth``, their difference; ``episodes``, ``options``, ``seconds``.
+        What it was told; ``after_warm_up`` and ``at_end``, MB; ``growth``, their difference; ``episodes``,
+        ``options``, ``seconds``.
     """
     make, env, callback = CASES[name]
     discovery, memory = callback(), Memory(warm_up)

@@ -86,8 +86,10 @@ def set_state(model: BaseAlgorithm, state: State) -> None:
         model.policy.optimizer.load_state_dict(state["optimizer"])
     if state["own"] is not None:
         model.set_state(state["own"])  # type: ignore[attr-defined]  # as there
-    for name, value in (state["counters"] | state["last"]).items():
-        setattr(model, name, value)
+    for names, values in ((COUNTERS, state["counters"]), (LAST, state["last"])):
+        for name in names:  # and no others that a stranger's file may name
+            if name in values:
+                setattr(model, name, values[name])
     model.start_time = time.time_ns() - state["elapsed"]
     for buffer, there in ((model.ep_info_buffer, "episodes"), (model.ep_success_buffer, "successes")):
         assert buffer is not None  # learn() has begun
