@@ -161,7 +161,7 @@ def large_buffer(folder: Path, seed: int, n: int) -> dict[str, Any]:
     """
     config = replace(DQNConfig(seed=seed, device="cpu"), buffer_size=n)
     contestant = Contestant(config, folder)
-    contestant.model.learn(1)  # sets everything up
+    contestant.model.learn(1, contestant.callbacks)  # sets everything up
     buffer = cast("OptionReplayBuffer", cast("DQN", contestant.model).replay_buffer)
     n_bytes = fill(buffer, contestant.n_actions, np.random.default_rng(seed))
     # The last rollout of a `learn` writes none: a few steps more, so that each turn has its own.

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Sequence
+from multiprocessing import get_all_start_methods, set_forkserver_preload
 from multiprocessing.connection import Connection, wait
 from typing import Any, NoReturn
 
 import gymnasium as gym
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv
+
+LIBRARIES = ["gymnasium", "stable_baselines3", "torch"]
+"""What takes a process seconds to import."""
 
 PATIENCE = 1.0
 """Seconds that a process has to end by itself before it is killed."""
@@ -31,6 +35,8 @@ class WorkerLostError(RuntimeError):
 def watched_workers(env_fns: Sequence[Callable[[], gym.Env[Any, Any]]], **kwargs: Any) -> SubprocVecEnv:
     """A ``SubprocVecEnv`` that is watched from its first moment; see `watch_workers`.
 
+    Where Python's fork server makes the workers, it imports the libraries once for all of them.
+
     Args:
         env_fns: Each makes an environment.
         kwargs: Others of ``SubprocVecEnv``.
@@ -38,6 +44,8 @@ def watched_workers(env_fns: Sequence[Callable[[], gym.Env[Any, Any]]], **kwargs
     Raises:
         WorkerLostError: The first worker was lost before its environment was made.
     """
+    if "forkserver" in get_all_start_methods():
+        set_forkserver_preload(LIBRARIES)  # of a server that runs already it changes nothing
     try:
         venv = SubprocVecEnv(list(env_fns), **kwargs)
     except (EOFError, ConnectionError) as error:
