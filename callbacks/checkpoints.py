@@ -75,7 +75,7 @@ class CheckpointCallback(BaseCallback):
             best, before = checkpoint_state.best_of(self._root), self._best
             self._best = best
             try:
-                self.folder.save(now, self.state(), best=best > before)
+                self.folder.save(now, self.state(), best=best > before, growing=models.growing(self.model))
             except OSError as error:
                 logger.warning("No checkpoint could be written, training goes on: %s", error)
 

@@ -14,6 +14,8 @@ from stable_baselines3.common.logger import Logger
 
 from sb3_options.checkpoints.tree import State
 from sb3_options.learning import buffer_state
+from sb3_options.learning.replay_buffer import OptionReplayBuffer
+from sb3_options.learning.stored_rows import Growing
 
 SUPPORTED = ("DQN", "OptionDQN", "QRDQN", "PPO", "MaskablePPO", "A2C", "TRPO", "RecurrentPPO", "MacroQ")
 """Names of the classes of models whose whole state is known."""
@@ -71,6 +73,12 @@ def get_state(model: BaseAlgorithm) -> State:
     if hasattr(model, "_last_lstm_states"):
         state["lstm"] = None if model._last_lstm_states is None else [tuple(each) for each in model._last_lstm_states]
     return state
+
+
+def growing(model: BaseAlgorithm) -> list[Growing]:
+    """The large arrays in `get_state` that tell how they have grown."""
+    buffer = getattr(model, "replay_buffer", None)
+    return buffer.growing() if isinstance(buffer, OptionReplayBuffer) else []
 
 
 def set_state(model: BaseAlgorithm, state: State) -> None:
