@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -27,7 +28,7 @@ from sb3_options.runs.intervals import mean_interval, ratio_interval
 BAR = 0.02
 """Largest share of the processor time of training that checkpoints may take."""
 
-CONFIGS: dict[str, type[TrainConfig]] = {"ppo_checkpoints": PPOConfig, "dqn_checkpoints": DQNConfig}
+CONFIGS: dict[str, Callable[..., TrainConfig]] = {"ppo_checkpoints": PPOConfig, "dqn_checkpoints": DQNConfig}
 """Algorithms by scenario, with the settings of train.py."""
 
 LARGE = "large_buffer"
@@ -83,7 +84,7 @@ class Contestant:
 
     def __init__(self, config: TrainConfig, folder: Path | None) -> None:
         env = runs.make_env(config, config.n_envs, config.seed)
-        self.n_actions = cast("Discrete", env.action_space).n
+        self.n_actions = int(cast("Discrete", env.action_space).n)
         self.model: BaseAlgorithm = make_model(config, env)
         self.callbacks: list[BaseCallback] = [
             SubgoalDiscoveryCallback(config.discovery, config.option, seed=config.seed, **callback_settings(config))

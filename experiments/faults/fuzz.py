@@ -95,8 +95,8 @@ def check_bags(n: int, of_seed: int) -> dict[str, dict[str, int]]:
     @_drawn(n, of_seed)
     @given(SETS, SCALES, DTYPES)
     def each(sets: Any, scale: float, dtype: torch.dtype) -> None:
-        counts["diverse density"][outcome(lambda: densities(*sets, scale, dtype))] += 1
-        counts["discovery"][outcome(lambda: discovered(*sets, scale))] += 1
+        counts["diverse density"][outcome(lambda: densities(sets[0], sets[1], scale, dtype))] += 1
+        counts["discovery"][outcome(lambda: discovered(sets[0], sets[1], scale))] += 1
 
     each()
     return {name: dict(sorted(of.items())) for name, of in counts.items()}

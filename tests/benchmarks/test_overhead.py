@@ -1,6 +1,7 @@
 """The overhead benchmark, small: its arithmetic, and that it runs."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -46,7 +47,7 @@ def test_shares_are_of_all_turns() -> None:
 
 
 @pytest.mark.parametrize("config", [PPOConfig, DQNConfig])
-def test_every_turn_has_a_checkpoint(config: type[TrainConfig], tmp_path: Path) -> None:
+def test_every_turn_has_a_checkpoint(config: Callable[..., TrainConfig], tmp_path: Path) -> None:
     small = config(seed=0, device="cpu", checkpoint_freq=600)
     found = checkpoints.race(small, tmp_path, 2, small.checkpoint_freq, description="")
     assert found["checkpoints_written"] == 2

@@ -50,7 +50,7 @@ def hashed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         found.append(len(memoryview(content).cast("B")) if isinstance(content, memoryview) else 0)
         return sha256(content)
 
-    monkeypatch.setattr(checkpoint_file.hashlib, "sha256", counted)
+    monkeypatch.setattr(hashlib, "sha256", counted)
     return found
 
 

@@ -14,6 +14,7 @@ from sb3_options.callbacks.checkpoints import CheckpointCallback
 from sb3_options.execution import workers
 from sb3_options.execution.workers import WorkerLostError, watched_workers
 from sb3_options.runs import folder as runs
+from tests.support.helpers import CountingEnv
 
 FLAGS = (
     "ppo --n-envs 2 --vec-env subproc --n-timesteps 1024 --n-steps 64 --batch-size 64 --n-epochs 1 --net-arch 8 "
@@ -86,4 +87,4 @@ def test_a_worker_that_is_lost_before_its_environment_is_made(
 
     monkeypatch.setattr(workers, "SubprocVecEnv", lost)
     with pytest.raises(WorkerLostError, match=r"^Environment 0 of 2 is gone: its worker process ended before"):
-        watched_workers([lambda: None] * 2)  # type: ignore[arg-type, return-value]  # nobody calls it
+        watched_workers([CountingEnv] * 2)

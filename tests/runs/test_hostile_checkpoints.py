@@ -18,6 +18,8 @@ from safetensors.numpy import save as to_safetensors
 from sb3_options import cli
 from sb3_options.checkpoints import file as checkpoint_file
 from sb3_options.checkpoints.file import FORMAT, CheckpointFolder, read
+from sb3_options.checkpoints.records import RECORDS
+from sb3_options.checkpoints.tree import Arrays, encode
 from sb3_options.runs import folder as runs
 
 FLAGS = (
@@ -45,8 +47,9 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return run
 
 
-def packed(state: str, *, blocks: str = "{}", digest: str | None = None, **arrays: np.ndarray[Any, Any]) -> bytes:
+def packed(state: str, arrays: Arrays | None = None, *, blocks: str = "{}", digest: str | None = None) -> bytes:
     """A checkpoint that says this."""
+    arrays = arrays or {}
     digest = checkpoint_file._digest(state, blocks, arrays) if digest is None else digest
     about = {"format": FORMAT, "state": state, "blocks": blocks, "digest": digest}
     content: bytes = to_safetensors(arrays, metadata=about)
@@ -65,8 +68,8 @@ def changed(change: Callable[[dict[str, Any], Path], object]) -> Make:
 
     def make(state: dict[str, Any], trace: Path) -> bytes:
         change(state, trace)
-        content, arrays = checkpoint_file.encode(state, checkpoint_file.RECORDS)
-        return packed(json.dumps(content), **arrays)
+        content, arrays = encode(state, RECORDS)
+        return packed(json.dumps(content), arrays)
 
     return make
 
