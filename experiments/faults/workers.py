@@ -65,23 +65,23 @@ def run(out: Path, n_timesteps: int, every: float, seed: int, n_workers: int = N
     Returns:
         `Killed`, and the ``differences`` of what was left.
     """
-    shutil.rmtree(out, ignore_errors=True)
     flags = [ALGO, "--n-envs", str(n_workers), "--vec-env", "subproc", "--seed", str(seed), *FLAGS]
     flags += ["--n-timesteps", str(n_timesteps)]
-    began = time.monotonic()
-    alone = subprocess.run(_command([*flags, "--tensorboard-log", str(out / "alone")]), check=True, capture_output=True)
-    assert alone.returncode == 0
-    seconds = time.monotonic() - began
+    alone = out / f"alone_{n_workers}_{n_timesteps}_{seed}"
+    if not any(alone.glob(f"{ALGO}/*/{runs.MODEL}")):
+        shutil.rmtree(alone, ignore_errors=True)
+        subprocess.run(_command([*flags, "--tensorboard-log", str(alone)]), check=True, capture_output=True)
+    shutil.rmtree(out / "killed", ignore_errors=True)
     killed = Killed()
     random = np.random.default_rng(seed)
     args = [*flags, "--tensorboard-log", str(out / "killed")]
     while not _to_its_end(args, out / "killed.log", killed, every, random):
         args = ["resume", str(_run_in(out / "killed")), "--no-progress"]
-    differ = differences(_run_in(out / "alone"), _run_in(out / "killed"))
+    differ = differences(_run_in(alone), _run_in(out / "killed"))
     return {
         "workers": n_workers,
         "n_timesteps": n_timesteps,
-        "seconds_alone": seconds,
+        "every": every,
         "times_killed": len(killed.kills),
         **asdict(killed),
         "differences": differ,
