@@ -58,7 +58,8 @@ def run(out: Path, n_timesteps: int, every: float, seed: int, n_workers: int = N
     Args:
         out: For both.
         n_timesteps: Primitive steps of all workers together.
-        every: Seconds of training before a worker is killed.
+        every: Seconds of training before a worker is killed; more, where no new checkpoint was written until then, so
+            that a slow machine gets to the end as well.
         seed: Of training and of who is killed.
         n_workers: Worker processes.
 
@@ -97,7 +98,7 @@ def _run_in(folder: Path) -> Path:
 
 
 def _to_its_end(args: list[str], log: Path, killed: Killed, every: float, random: np.random.Generator) -> bool:
-    """Train, and kill a worker after ``every`` seconds; whether training was over before.
+    """Train, and kill a worker after ``every`` seconds, once there is a new checkpoint; whether it was over before.
 
     Raises:
         RuntimeError: Training failed for another reason.
@@ -107,7 +108,9 @@ def _to_its_end(args: list[str], log: Path, killed: Killed, every: float, random
     while process.poll() is None and "Training " not in log.read_text(encoding="utf-8"):
         time.sleep(LOOK)
     began = time.monotonic()
-    while process.poll() is None and time.monotonic() < began + every:
+    last = killed.steps[-1] if killed.steps else -1
+    folder = log.with_suffix("")
+    while process.poll() is None and (time.monotonic() < began + every or _checkpoints(folder)[-1:] <= [last]):
         time.sleep(LOOK)
     below = _below(process.pid)
     if process.poll() is not None or not (workers := _workers(below)):
@@ -115,7 +118,6 @@ def _to_its_end(args: list[str], log: Path, killed: Killed, every: float, random
         if process.returncode != 0:
             raise RuntimeError(f"Training failed: {errors[-500:]}")
         return True
-    folder = log.with_suffix("")
     before = _checkpoints(folder)
     killed.kills.append(time.monotonic() - began)
     killed.steps.append(before[-1])
