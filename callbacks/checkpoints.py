@@ -65,13 +65,20 @@ class CheckpointCallback(BaseCallback):
         now = self.model.num_timesteps
         if self._resumed is not None:
             state, self._resumed = self._resumed, None
-            self._put_back(state)
+            try:
+                self._put_back(state)
+            except Exception as error:
+                self.model.num_timesteps = 0  # what is put back by halves is not to be saved
+                if isinstance(error, ValueError):
+                    raise
+                what = f"{type(error).__name__}: {' '.join(str(error).split())}"
+                raise ValueError(f"The checkpoint does not fit what is trained here: {what}") from error
         elif (self._last is None or now - self._last >= self.freq) and not self._is_last_rollout():
             self._last = now
             best, before = checkpoint_state.best_of(self._root), self._best
             self._best = best
             try:
-                self.folder.save(now, self.state(), best=best > before)
+                self.folder.save(now, self.state(), best=best > before, growing=models.growing(self.model))
             except OSError as error:
                 logger.warning("No checkpoint could be written, training goes on: %s", error)
 
@@ -112,6 +119,10 @@ class CheckpointCallback(BaseCallback):
                 "differ from here on.",
                 state["model"]["total"],
                 model._total_timesteps,
+            )
+        if len(state["environments"]) != len(self._venvs()):
+            raise ValueError(
+                "The checkpoint is of training with other environments for evaluation than there are here."
             )
         checkpoint_state.set_states(self._root, state["callbacks"])  # first: options go into the environments
         trained, *evaluated = state["environments"]
@@ -171,8 +182,12 @@ def load_checkpoint(
     own = [each for each in all_callbacks(root) if isinstance(each, CheckpointCallback)]
     if not own:
         raise ValueError("load_checkpoint needs a CheckpointCallback among the callbacks: it puts everything back.")
-    _, state = CheckpointFolder(folder).newest()
-    if state["model"]["class"] != type(model).__name__:
-        raise ValueError(f"The checkpoint is of {state['model']['class']}, the model is {type(model).__name__}.")
+    file, state = CheckpointFolder(folder).newest()
+    try:
+        there, steps = state["model"]["class"], int(state["model"]["counters"]["num_timesteps"])
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"{file} is no checkpoint of a training: {error!r}") from error
+    if there != type(model).__name__:
+        raise ValueError(f"The checkpoint is of {there}, the model is {type(model).__name__}.")
     own[0].resume_from(state)
-    return int(state["model"]["counters"]["num_timesteps"])
+    return steps

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import shutil
 import sys
 from collections.abc import Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -35,7 +34,7 @@ from sb3_options.runs import evaluation
 from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import callback_settings, check_device, make_model
 from sb3_options.runs.budget import KeepToBudget, memory_is_short
-from sb3_options.runs.closing import closing_table, next_commands, unit_of
+from sb3_options.runs.closing import closing_table, how_to_resume, next_commands, unit_of
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.eval_callback import eval_callback_class
 from sb3_options.runs.flags import parse
@@ -52,6 +51,9 @@ errors = Console(highlight=False, soft_wrap=True, stderr=True)
 
 INTERRUPTED = 130
 """Exit status where an interrupt left nothing; shells use it for a process that SIGINT ended."""
+
+TRY_AGAIN = 75
+"""Exit status where a worker process was killed: ``EX_TEMPFAIL`` of sysexits.h."""
 
 
 def main(args: Sequence[str] | None = None) -> None:
@@ -73,7 +75,9 @@ def main(args: Sequence[str] | None = None) -> None:
     except KeyboardInterrupt as interrupt:
         errors.print(" ".join(["Interrupted", *interrupt.args]) + ".")
         sys.exit(INTERRUPTED)
-    except (ValueError, TypeError, OSError, ModuleNotFoundError, WorkerLostError, gym.error.Error) as error:
+    except WorkerLostError as error:
+        _stop(error, error.what, TRY_AGAIN if error.killed else 1)
+    except (ValueError, TypeError, OSError, ModuleNotFoundError, gym.error.Error) as error:
         _stop(error, str(error))
     except (MemoryError, RuntimeError) as error:
         if (text := memory_is_short(error)) is None:
@@ -81,10 +85,10 @@ def main(args: Sequence[str] | None = None) -> None:
         _stop(error, text)
 
 
-def _stop(error: BaseException, text: str) -> NoReturn:
+def _stop(error: BaseException, text: str, status: int = 1) -> NoReturn:
     """Exit with one line."""
-    errors.print(f"[bold red]Error:[/] {escape(' '.join([text, *getattr(error, '__notes__', ())]))}")
-    sys.exit(1)
+    errors.print(f"[bold red]Error:[/] {escape(' '.join([text, *getattr(error, '__notes__', ())]).strip())}")
+    sys.exit(status)
 
 
 def train(config: TrainConfig) -> Path:
@@ -237,6 +241,8 @@ def _learn(
         if not (interrupts.noted and isinstance(error, WorkerLostError | EOFError | ConnectionError)):
             if model is not None and model.num_timesteps > 0:
                 error.add_note(f"What was learned until then is kept in {folder}.")
+            if isinstance(error, WorkerLostError) and (resume or (model is not None and model.num_timesteps > 0)):
+                error.add_note(how_to_resume(config, folder))
             raise
     finally:
         interrupts.saving = True  # before anything else: from now on no interrupt is raised
@@ -246,10 +252,14 @@ def _learn(
                     shutil.rmtree(folder)
             else:
                 runs.save(model, discovery.bank, folder)
+        except OSError as error:
+            error.add_note(how_to_resume(config, folder))
+            raise
         finally:
             for env in envs:
                 if finished:
-                    env.close()
+                    with suppress(WorkerLostError):  # it was not needed any more
+                        env.close()
                 else:
                     end_workers(env)  # which may be in the middle of a step
 
@@ -338,21 +348,8 @@ def evaluate(config: evaluation.EvaluateConfig) -> evaluation.Evaluation:
     """
     how = {name: value for name, value in dataclasses.asdict(config).items() if name != "run"}
     result = evaluation.evaluate_run(config.run, **how)
-    table = Table(
-        "", "mean", "95 % confidence interval", title=f"{escape(str(config.run))}: {result.episodes} episodes"
-    )
-    rows = {
-        "return": result.mean_return,
-        "success rate": result.success_rate,
-        "primitive steps": result.steps,
-    }
-    for name, interval in rows.items():
-        table.add_row(name, f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}")
-    console.print(table)
-    content = {"episodes": result.episodes, "seed": config.seed}
-    content |= {name.replace(" ", "_"): interval._asdict() for name, interval in rows.items()}  # type: ignore[misc]  # values of two kinds
-    with atomic_write(config.run / "evaluation.json") as temporary:
-        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    console.print(evaluation.table(result, escape(str(config.run))))
+    evaluation.save(result, config.seed, config.run / "evaluation.json")
     if config.video is not None:
         console.print(f"Video: {escape(str(config.video))}")
     return result

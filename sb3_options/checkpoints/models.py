@@ -14,6 +14,8 @@ from stable_baselines3.common.logger import Logger
 
 from sb3_options.checkpoints.tree import State
 from sb3_options.learning import buffer_state
+from sb3_options.learning.replay_buffer import OptionReplayBuffer
+from sb3_options.learning.stored_rows import Growing
 
 SUPPORTED = ("DQN", "OptionDQN", "QRDQN", "PPO", "MaskablePPO", "A2C", "TRPO", "RecurrentPPO", "MacroQ")
 """Names of the classes of models whose whole state is known."""
@@ -74,6 +76,12 @@ def get_state(model: BaseAlgorithm) -> State:
     return state
 
 
+def growing(model: BaseAlgorithm) -> list[Growing]:
+    """The large arrays in `get_state` that tell how they have grown."""
+    buffer = getattr(model, "replay_buffer", None)
+    return buffer.growing() if isinstance(buffer, OptionReplayBuffer) else []
+
+
 def set_state(model: BaseAlgorithm, state: State) -> None:
     """Go on with what `get_state` gave, in a model that was made with the same arguments.
 
@@ -87,8 +95,10 @@ def set_state(model: BaseAlgorithm, state: State) -> None:
         model.policy.optimizer.load_state_dict(state["optimizer"])
     if state["own"] is not None:
         model.set_state(state["own"])  # type: ignore[attr-defined]  # as there
-    for name, value in (state["counters"] | state["last"]).items():
-        setattr(model, name, value)
+    for names, values in ((COUNTERS, state["counters"]), (LAST, state["last"])):
+        for name in names:  # and no others that a stranger's file may name
+            if name in values:
+                setattr(model, name, values[name])
     model.start_time = time.time_ns() - state["elapsed"]
     for buffer, there in ((model.ep_info_buffer, "episodes"), (model.ep_success_buffer, "successes")):
         assert buffer is not None  # learn() has begun
