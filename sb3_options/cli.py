@@ -1,12 +1,13 @@
-"""The command line: train a run, evaluate a run."""
+"""The command line: train a run, resume it, evaluate it, compare runs, show options."""
 
 from __future__ import annotations
 
 import dataclasses
 import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -34,14 +35,18 @@ from sb3_options.runs import evaluation
 from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import callback_settings, check_device, make_model
 from sb3_options.runs.budget import KeepToBudget, memory_is_short
-from sb3_options.runs.closing import closing_table, how_to_resume, next_commands, unit_of
+from sb3_options.runs.card import CARD, write_card
+from sb3_options.runs.closing import closing_table, how_to_resume, next_commands, program_name, unit_of
+from sb3_options.runs.compare import CompareConfig, show_comparison
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.eval_callback import eval_callback_class
 from sb3_options.runs.flags import parse
 from sb3_options.runs.in_turn import Series, Trained, go_on, train_in_turn
 from sb3_options.runs.in_turn import read as read_series
+from sb3_options.runs.inspection import InspectConfig, show_options
 from sb3_options.runs.interrupts import Interrupts, StopWhenNoted
-from sb3_options.runs.logs import KeepTraining, without
+from sb3_options.runs.logs import KeepTraining
+from sb3_options.runs.logs import without as without_file
 from sb3_options.runs.resume import ResumeConfig, config_of
 from sb3_options.runs.series import StopWhenLearned
 from sb3_options.runs.users_code import IMPORTING
@@ -57,18 +62,18 @@ TRY_AGAIN = 75
 
 
 def main(args: Sequence[str] | None = None) -> None:
-    """Run a command line: ``evaluate RUN …``, ``resume RUN``, or an algorithm and the flags of its settings.
+    """Run a command line: a command and its arguments, or an algorithm and the flags of its settings.
 
     Args:
         args: Without the program's name; by default those of the process.
     """
     args = sys.argv[1:] if args is None else list(args)
+    command, prog = (args or [""])[0], program_name()
     try:
-        if args[:1] == ["evaluate"]:
-            evaluate(tyro.cli(evaluation.EvaluateConfig, prog="train.py evaluate", args=args[1:]))
-        elif args[:1] == ["resume"]:
-            resume(tyro.cli(ResumeConfig, prog="train.py resume", args=args[1:]))
-        elif (config := parse(args)).series:
+        if command in COMMANDS:
+            of, run = COMMANDS[command]
+            run(tyro.cli(of, prog=f"{prog} {command}", args=args[1:]))
+        elif (config := parse(args[1:] if command == "train" else args, prog)).series:
             train_series(config)
         else:
             train(config)
@@ -164,6 +169,8 @@ def _train(config: TrainConfig, *, series: Series | None = None, resumed: Path |
     if not folder.exists():
         raise KeyboardInterrupt("before the first step: there is nothing to keep")
     _draw(config, discovery, folder)
+    with without_file(folder / CARD):
+        write_card(folder, config, discovery.history, {d.slot: d.timestep for d in discovery.discoveries})
     unit = unit_of(config)
     took = f"{discovery.num_timesteps:,} primitive steps, {discovery.episodes:,} {unit}s"
     console.print(f"\n[bold]{'Interrupted' if interrupts.noted else 'Finished'}[/] after {took}.")
@@ -328,7 +335,7 @@ def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path
     if config.vec_env == "subproc":  # φ was in a process that has ended
         env = runs.make_env(config, 1, config.seed)
         discovery.bank.bind(lambda observations: env.env_method("concept_features", observations)[0])
-    with without(folder / runs.SUBGOALS), atomic_write(folder / runs.SUBGOALS) as temporary:
+    with without_file(folder / runs.SUBGOALS), atomic_write(folder / runs.SUBGOALS) as temporary:
         figure = subgoals_figure(discovery.discovery, discovery.bank, _why_nothing(discovery))
         figure.savefig(temporary, dpi=110)
 
@@ -353,3 +360,12 @@ def evaluate(config: evaluation.EvaluateConfig) -> evaluation.Evaluation:
     if config.video is not None:
         console.print(f"Video: {escape(str(config.video))}")
     return result
+
+
+COMMANDS: dict[str, tuple[type[Any], Callable[[Any], object]]] = {
+    "evaluate": (evaluation.EvaluateConfig, evaluate),
+    "resume": (ResumeConfig, resume),
+    "compare": (CompareConfig, partial(show_comparison, console=console)),
+    "options": (InspectConfig, partial(show_options, console=console)),
+}
+"""What a command takes, and what it does."""

@@ -26,7 +26,7 @@ LAST = 100
 IN_A_ROW = 20
 """Successes in a row by which a task counts as learned."""
 
-PROGRAM = "train.py"
+PROGRAM, SCRIPT = "train.py", "sb3-options"
 
 
 def closing_table(histories: Mapping[str, Sequence[EpisodeRecord]]) -> Table:
@@ -92,7 +92,7 @@ def next_commands(console: Console, config: TrainConfig, folder: Path) -> None:
     python = escape(_python())
     console.print(f"TensorBoard:  {python} -m tensorboard.main --logdir {path}")
     named = escape(_importing(config))
-    console.print(f"Evaluate:     {python} {escape(_program())} evaluate {path} --video {path}/video.mp4{named}")
+    console.print(f"Evaluate:     {escape(_command())} evaluate {path} --video {path}/video.mp4{named}")
     if (folder / runs.BEST).is_file():
         console.print("Best model:   add --best; it is the one whose evaluation gave the highest return")
 
@@ -106,7 +106,7 @@ def how_to_resume(config: TrainConfig, folder: Path) -> str:
     """
     if not any(CheckpointFolder(folder / runs.CHECKPOINTS)):
         return ""
-    command = f"{_python()} {_program()} resume {shlex.quote(_shortest(str(folder)))}{_importing(config)}"
+    command = f"{_command()} resume {shlex.quote(_shortest(str(folder)))}{_importing(config)}"
     return f"Go on from its last checkpoint: {command}"
 
 
@@ -122,10 +122,19 @@ def _python() -> str:
     return _shortest(sys.executable)
 
 
-def _program() -> str:
-    """Where ``train.py`` is, seen from here: a run may be started from another folder."""
-    program = Path(sys.argv[0])
-    return shlex.quote(_shortest(str(program.absolute()))) if program.name == PROGRAM else PROGRAM
+def program_name() -> str:
+    """``sb3-options`` where that was called, or ``python -m sb3_options``; else ``train.py``."""
+    return SCRIPT if Path(sys.argv[0]).stem in (SCRIPT, "__main__") else PROGRAM
+
+
+def _command() -> str:
+    """What to type before a command. A run may be started from another folder, or by a script that is in no path."""
+    called = Path(sys.argv[0])
+    if called.stem == SCRIPT:
+        return SCRIPT if shutil.which(SCRIPT) == str(called.absolute()) else shlex.quote(_shortest(str(called)))
+    if program_name() == SCRIPT:
+        return f"{_python()} -m sb3_options"
+    return f"{_python()} {shlex.quote(_shortest(str(called.absolute()))) if called.name == PROGRAM else PROGRAM}"
 
 
 def _shortest(path: str) -> str:

@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from stable_baselines3 import DQN
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator  # type: ignore[import-untyped]  # it has none
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from sb3_options import OptionBank, cli
 from sb3_options.atomic import atomic_write
