@@ -48,8 +48,6 @@ def check(model: BaseAlgorithm) -> None:
         raise ValueError(
             f"Checkpoints of {type(model).__name__} are not supported yet; those of {', '.join(SUPPORTED)} are."
         )
-    if model.use_sde:
-        raise ValueError("Checkpoints with use_sde=True are not supported yet.")
 
 
 def get_state(model: BaseAlgorithm) -> State:
@@ -70,6 +68,9 @@ def get_state(model: BaseAlgorithm) -> State:
     buffer = getattr(model, "replay_buffer", None)
     if buffer is not None:
         state["replay_buffer"] = buffer_state.get_state(buffer)
+    if model.use_sde:  # the noise of the rollout that begins is drawn already
+        noise: Any = model.policy.action_dist
+        state["noise"] = noise.exploration_mat.detach(), noise.exploration_matrices.detach()
     if hasattr(model, "_last_lstm_states"):
         state["lstm"] = None if model._last_lstm_states is None else [tuple(each) for each in model._last_lstm_states]
     return state
@@ -106,8 +107,21 @@ def set_state(model: BaseAlgorithm, state: State) -> None:
     _set_random(model.action_space, state["action_space"])
     if "replay_buffer" in state:
         buffer_state.set_state(model.replay_buffer, state["replay_buffer"])  # type: ignore[attr-defined]  # as there
+    if model.use_sde:
+        noise: Any = model.policy.action_dist
+        noise.exploration_mat, noise.exploration_matrices = state["noise"]
     if state.get("lstm") is not None:
         model._last_lstm_states = type(model._last_lstm_states)(*state["lstm"])  # type: ignore[attr-defined]  # as there
+
+
+def begin_episodes(model: BaseAlgorithm) -> None:
+    """Reset the environments, between two rollouts."""
+    venv = model.get_env()
+    assert venv is not None  # learn() has begun
+    model._last_obs = venv.reset()  # type: ignore[assignment]  # as SB3 does
+    model._last_episode_starts = np.ones(venv.num_envs, dtype=bool)
+    if model._vec_normalize_env is not None:
+        model._last_original_obs = model._vec_normalize_env.get_original_obs()
 
 
 def random_states() -> State:
