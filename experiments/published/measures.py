@@ -90,11 +90,15 @@ def relative_novelty(seeds: range, n_episodes: int = 25) -> dict[str, Any]:
 
 
 class _Accepting(RelativeNovelty):
-    """Remembers what it proposed last."""
+    """Remembers all that it ever proposed in a trial."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.accepted: set[tuple[float, ...]] = set()
 
     def update(self, experience: Any) -> Any:
         proposals = super().update(experience)
-        self.accepted = [tuple(region.points[0]) for region in proposals]
+        self.accepted |= {tuple(region.points[0].tolist()) for region in proposals}
         return proposals
 
 
