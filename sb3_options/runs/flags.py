@@ -59,9 +59,8 @@ INTRODUCTION = """Train an agent that discovers its own options, or evaluate one
                     qrdqn, optiondqn. Its settings: `train.py ppo --help`
   evaluate RUN      plays a run again; `resume RUN` goes on with one
   --config FILE     reads settings from YAML; flags win over it
-  --method NAME     finds subgoals by another method, as --discovery.method does
-  --help discovery  shows how subgoals are found, `--help option` how options
-                    are learned, `--help all` every flag
+  --method NAME     finds subgoals otherwise (`--help discovery` shows how);
+                    `--help option`: how options are learned; `--help all`
 """
 
 
