@@ -66,7 +66,7 @@ def l_cut(seeds: range) -> dict[str, Any]:
     return {"runs": len(seeds), "at_the_doorway": steps.count(0), "within_one_step": sum(s <= 1 for s in steps)}
 
 
-def relative_novelty(seeds: range, n_episodes: int = 25) -> dict[str, Any]:
+def relative_novelty(seeds: range, n_episodes: int = 10) -> dict[str, Any]:
     """How many places of two rooms the rule accepts in a trial of random walks, before any filter, and where."""
     counts, steps = [], []
     for seed in seeds:
