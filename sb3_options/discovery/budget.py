@@ -35,8 +35,10 @@ ASCENTS = 96
 """Evaluations of all instances by the points that ascend: 8 of them in 12 steps."""
 
 GROUP_SECONDS = 3e-4
+COMPARED_SECONDS = 1e-5
 CELL_SECONDS = 1e-8
-"""Nominal time of the contrast of a group, and for each pair of a state with a trajectory or a state."""
+"""Nominal time of the contrast of a group, for each trajectory, and for each pair of a state with a trajectory or a
+state."""
 
 
 @dataclass
@@ -103,4 +105,4 @@ def seconds_of_contrast(n_trajectories: int, n_states: int) -> float:
         n_trajectories: That are compared.
         n_states: Distinct ones of the group.
     """
-    return GROUP_SECONDS + TRAJECTORY_SECONDS * n_trajectories + CELL_SECONDS * n_states * (n_trajectories + n_states)
+    return GROUP_SECONDS + COMPARED_SECONDS * n_trajectories + CELL_SECONDS * n_states * (n_trajectories + n_states)

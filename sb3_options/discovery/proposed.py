@@ -81,6 +81,7 @@ class ProposedDiscovery(SubgoalDiscovery):
 
     def _look(self) -> None:
         """Look whether anything recurs; the method is told all the same."""
+        assert self.scale is not None  # known before the method is told anything
         lived = [labelled.features * self.scale for labelled in self.database]
         ways = [
             way[self._maker.may_be_subgoals(labelled, [])] for way, labelled in zip(lived, self.database, strict=True)

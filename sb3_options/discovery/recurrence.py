@@ -88,7 +88,7 @@ def recurs(ways: Sequence[FloatArray], radius: float) -> bool:
             if way.shape[1] > TREE_FEATURES:
                 near = bool((cdist(way, other) <= radius).any())
             else:
-                near = cKDTree(other).count_neighbors(cKDTree(way), radius) > 0
+                near = bool(cKDTree(other).count_neighbors(cKDTree(way), radius) > 0)
             if near:
                 return True
     return False

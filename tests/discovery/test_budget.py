@@ -75,9 +75,9 @@ class TestBudget:
 
     def test_estimates_grow_with_what_is_searched(self) -> None:
         for estimate, n in ((seconds_of_bags, 4), (seconds_of_search, 3), (seconds_of_contrast, 2)):
-            smaller = estimate(*[100] * n)  # type: ignore[operator]
+            smaller = estimate(*[100] * n)
             for i in range(n):
-                assert estimate(*[200 if i == j else 100 for j in range(n)]) > smaller  # type: ignore[operator]
+                assert estimate(*[200 if i == j else 100 for j in range(n)]) > smaller
 
     @pytest.mark.parametrize(
         ("n", "points", "d", "measured"), [(98, 108, 2, 0.0025), (1200, 100, 147, 0.02), (1700, 106, 2352, 0.32)]

@@ -5,7 +5,7 @@ import logging
 import numpy as np
 import pytest
 
-from sb3_options.discovery.methods import RandomPlaces
+from sb3_options.discovery.methods.visits import RandomPlaces
 from sb3_options.discovery.proposed import discovery_with
 from sb3_options.discovery.recurrence import Recurrence, recurs
 from sb3_options.discovery.settings import DiscoverySettings

@@ -6,8 +6,9 @@ import networkx as nx
 import numpy as np
 from scipy.linalg import eigh
 
+from sb3_options.density.regions import Region
 from sb3_options.discovery.methods.candidates import CandidateMethod, check_counts, often_enough
-from sb3_options.discovery.methods.method import Experience, Proposal
+from sb3_options.discovery.methods.method import Experience
 from sb3_options.experience.observations import FloatArray, IntArray
 
 CUT_SECONDS = 1e-8
@@ -43,7 +44,7 @@ class LCut(CandidateMethod):
         self.horizon, self.max_cut = horizon, max_cut
         super().__init__(often_enough(min_seen, min_share))
 
-    def update(self, experience: Experience) -> list[Proposal]:
+    def update(self, experience: Experience) -> list[Region]:
         """Take note of one more trajectory; as `DiscoveryMethod.update`."""
         places = experience.places
         k = len(places.points)
@@ -84,7 +85,7 @@ class Betweenness(CandidateMethod):
         self.horizon = horizon
         super().__init__(often_enough(min_seen, min_share))
 
-    def update(self, experience: Experience) -> list[Proposal]:
+    def update(self, experience: Experience) -> list[Region]:
         """Take note of one more trajectory; as `DiscoveryMethod.update`."""
         places = experience.places
         visits = places.visits[-self.horizon - 1 :]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
@@ -79,7 +80,7 @@ class DiscoveryMethod(Protocol):
     method is told of every trajectory, whatever it takes.
     """
 
-    def update(self, experience: Experience) -> list[Proposal]:
+    def update(self, experience: Experience) -> Sequence[Proposal]:
         """Take note of one more trajectory.
 
         Args:

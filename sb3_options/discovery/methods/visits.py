@@ -7,8 +7,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sb3_options.density.regions import Region
 from sb3_options.discovery.methods.candidates import Candidates, check_counts
-from sb3_options.discovery.methods.method import Experience, Proposal
+from sb3_options.discovery.methods.method import Experience
 from sb3_options.discovery.peaks import PeakTracker, plateau_centres
 from sb3_options.experience.observations import FloatArray
 
@@ -41,7 +42,7 @@ class VisitFrequency:
         self._tracker = PeakTracker(decay=decay, threshold=threshold, radius=radius)
         self._successes = 0
 
-    def update(self, experience: Experience) -> list[Proposal]:
+    def update(self, experience: Experience) -> list[Region]:
         """Take note of one more trajectory; as `DiscoveryMethod.update`."""
         if not experience.success:
             return []
@@ -92,7 +93,7 @@ class RandomPlaces:
         self._random = np.random.default_rng(seed)
         self._successes = 0
 
-    def update(self, experience: Experience) -> list[Proposal]:
+    def update(self, experience: Experience) -> list[Region]:
         """Take note of one more trajectory; as `DiscoveryMethod.update`."""
         self._successes += experience.success
         allowed = np.flatnonzero(experience.places.allowed)
@@ -125,7 +126,7 @@ class GivenPlaces:
         if self.points.ndim != 2 or not np.isfinite(self.points).all():
             raise ValueError(f"points must be finite, of shape (n, d), got {self.points.shape}.")
 
-    def update(self, experience: Experience) -> list[Proposal]:
+    def update(self, experience: Experience) -> list[Region]:
         """Propose those that the trajectory came to; as `DiscoveryMethod.update`."""
         regions = [experience.region(point) for point in self.points]
         return [region for region in regions if region.contains(experience.features).any()]

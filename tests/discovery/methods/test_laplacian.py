@@ -14,6 +14,7 @@ from sb3_options.discovery.methods.covering import CoveringOptions, farthest_pai
 from sb3_options.discovery.methods.eigenoptions import Eigenoptions
 from sb3_options.discovery.methods.method import DiscoveryMethod, Experience
 from sb3_options.discovery.methods.place_graph import PlaceGraph, smoothest
+from sb3_options.options.proposals import goal_of
 from tests.discovery.methods.test_methods import dumbbell, experience
 
 
@@ -165,7 +166,7 @@ def _end(proposal: object) -> float:
 class TestGivenPlaces:
     def test_those_that_the_trajectory_came_to(self) -> None:
         method = GivenPlaces([[5.0], [3.0], [77.0]])
-        assert [float(p.points[0, 0]) for p in method.update(experience([1, 2, 3, 4, 5]))] == [5.0, 3.0]  # type: ignore[union-attr]
+        assert [float(goal_of(p).points[0, 0]) for p in method.update(experience([1, 2, 3, 4, 5]))] == [5.0, 3.0]
         assert method.update(experience([1, 2])) == []
 
     @pytest.mark.parametrize("points", [[1.0, 2.0], [[np.nan]]])
