@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from scipy.linalg import eigh
@@ -113,7 +113,7 @@ def smoothest(adjacency: csr_array, k: int) -> FloatArray:
     """
     n = adjacency.shape[0]
     k = min(k, n - 1)
-    matrix = laplacian(adjacency)
+    matrix = csr_array(cast("Any", laplacian(adjacency)))  # it may give other kinds of matrices to others
     if n <= DENSE or k >= n - 2:
         _, vectors = eigh(matrix.toarray(), subset_by_index=[1, k])
     else:
