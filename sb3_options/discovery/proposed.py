@@ -142,7 +142,8 @@ class ProposedDiscovery(SubgoalDiscovery):
             return super().why_nothing()
         if self.recurrence.nothing:
             return f"No subgoal was discovered: {self.recurrence.why(len(self.database), f'{self.outcomes.unit}s')}"
-        return f"No subgoal was discovered: {type(self.method).__name__} proposed none that the filters leave."
+        none = f"{type(self.method).__name__} proposed none that the filters leave.{self._left_out()}"
+        return f"No subgoal was discovered: {none}"
 
 
 def discovery_with(

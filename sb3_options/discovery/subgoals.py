@@ -242,7 +242,16 @@ class SubgoalDiscovery:
                 f"{seen.successes} of {seen.n} {seen.unit}s were successful; a search needs "
                 f"{self.settings.min_positive} (min_positive) of which the filters leave something."
             )
-        return f"No subgoal was discovered: {why}"
+        return f"No subgoal was discovered: {why}{self._left_out()}"
+
+    def _left_out(self) -> str:
+        """What to add where searches were left out."""
+        if not self.budget.skipped or self.found or self.recurrence.nothing:
+            return ""
+        return (
+            f" {self.budget.skipped} searches were left out, because max_share={self.settings.max_share:g} affords no "
+            "more: a larger one, or features that are fewer, gives more of them."
+        )
 
     def bags(self) -> Bags | None:
         """The bags of the database; None while there are too few positive ones to search."""

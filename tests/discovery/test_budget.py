@@ -95,6 +95,13 @@ class TestSchedule:
         allowed = ALLOWANCE + 0.05 * STEP_SECONDS * discovery.budget.steps
         assert discovery.budget.spent < allowed + discovery.cost
 
+    def test_who_finds_nothing_is_told(self) -> None:
+        discovery = costly()
+        searches_of(discovery)
+        left_out = f" {discovery.budget.skipped} searches were left out, because max_share=0.05 affords no more: "
+        assert left_out in discovery.why_nothing()
+        assert "left out" not in costly().why_nothing()
+
     def test_a_larger_share_affords_more(self) -> None:
         assert all(searches_of(costly(max_share=None), 30))
         few, more = (sum(searches_of(costly(max_share=share))) for share in (0.05, 1.0))
