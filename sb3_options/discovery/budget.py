@@ -35,7 +35,7 @@ ASCENTS = 96
 """Evaluations of all instances by the points that ascend: 8 of them in 12 steps."""
 
 GROUP_SECONDS = 3e-4
-COMPARED_SECONDS = 1e-5
+COMPARED_SECONDS = 2e-5
 CELL_SECONDS = 1e-8
 """Nominal time of the contrast of a group, for each trajectory, and for each pair of a state with a trajectory or a
 state."""
