@@ -54,16 +54,19 @@ class Contrast:
         self._visits = {id(t): old.get(id(t)) or _Visits(t, self.group) for t in trajectories}
         visits = [self._visits[id(t)] for t in trajectories]
         states, which = np.unique(np.concatenate([v.states for v in visits]), axis=0, return_inverse=True)
-        columns = np.split(which.ravel(), np.cumsum([len(v.states) for v in visits])[:-1])
         success = np.array([t.success for t in trajectories], dtype=bool)
         durations = np.sort([len(t.trajectory) for t in trajectories if t.success])
+        n_states = np.array([len(v.states) for v in visits])
+        rows, columns = np.repeat(np.arange(len(visits)), n_states), which.ravel()
+        counts = np.ones(len(rows))
+        if self.equal_time and len(durations):
+            times = np.concatenate([v.times for v in visits])
+            counts = np.where(success[rows], 1.0, 1.0 - np.searchsorted(durations, times) / len(durations))
         reached, began = np.zeros((2, len(visits), len(states)))
-        for i, (v, its) in enumerate(zip(visits, columns, strict=True)):
-            reached[i, its] = 1.0
-            if self.equal_time and not success[i] and len(durations):
-                reached[i, its] = 1.0 - np.searchsorted(durations, v.times) / len(durations)
-            if v.first is not None:
-                began[i, its[v.first]] = 1.0
+        reached[rows, columns] = counts
+        starts = np.cumsum(n_states) - n_states
+        firsts = [(i, int(starts[i]) + v.first) for i, v in enumerate(visits) if v.first is not None]
+        began[[i for i, _ in firsts], columns[[at for _, at in firsts]]] = 1.0
         scaled = states * np.asarray(self.group.scale)
         near = cdist(scaled, scaled) <= self.radius
         reached, began = _anywhere(reached, near), _anywhere(began, near)
@@ -82,6 +85,11 @@ class Contrast:
         """Go on with what `get_state` gave."""
         self._values = {_key(of): float(value) for of, value in zip(state["states"], state["values"], strict=True)}
         self._visits = {}
+
+    @property
+    def n_states(self) -> int:
+        """Distinct states of the group in the trajectories."""
+        return len(self._values)
 
     def largest(self) -> float:
         """Of all states; `NO_PLACE` where there is none."""
