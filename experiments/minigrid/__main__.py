@@ -29,11 +29,14 @@ class Study(Flags):
     Attributes:
         family: Which.
         arms: Which agents.
+        learned: A stage before the last ends when this share of the last episodes succeeded; by default, when its
+            frames are used up.
     """
 
     runs: int = 8
     family: str = "MultiRoom-4"
     arms: tuple[Arm, ...] = ARMS
+    learned: float | None = None
 
 
 def main(study: Study) -> None:
@@ -41,11 +44,17 @@ def main(study: Study) -> None:
     if study.family not in FAMILIES:
         raise SystemExit(f"--family must be one of {', '.join(FAMILIES)}, got {study.family}.")
     parts = [
-        Part(arm, partial(run, study.family, arm), study.out / study.family / folder_of(arm), settings.of(arm))
+        Part(
+            arm,
+            partial(run, study.family, arm, study.learned),
+            study.out / study.family / folder_of(arm),
+            settings.of(arm),
+        )
         for arm in study.arms
     ]
     used = {
         "stages": FAMILIES[study.family],
+        "learned": study.learned,
         "ppo": settings.PPO,
         "n_envs": settings.N_ENVS,
         "max_options": settings.max_options(study.family),
@@ -56,6 +65,7 @@ def main(study: Study) -> None:
     results = run_parts(parts, study.seeds(), settings=used, jobs=study.jobs, description="Training")
     summary = summarise(study.family, results)
     command = f"python -m experiments.minigrid --family {study.family} --runs {study.runs} "
+    command += "" if study.learned is None else f"--learned {study.learned:g} "
     command += f"--first-seed {study.first_seed} --arms {' '.join(map(repr, study.arms))}"
     special = {arm: settings.of(arm) for arm in study.arms if settings.of(arm)}
     content = {"command": command, **used, "special": special, "summary": summary, "runs": results}

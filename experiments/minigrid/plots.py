@@ -7,11 +7,12 @@ from collections.abc import Mapping, Sequence
 from matplotlib.figure import Figure
 
 from experiments.common.seeds import Result
-from experiments.minigrid.conditions import stages_of
 from experiments.minigrid.settings import EPISODES, FAMILIES
+from experiments.minigrid.summary import run_frames
 
 COLOURS: dict[str, str] = {
-    "discovered": "#d62728", "discovered, RND": "#ff9896", "hand-made": "#2ca02c",
+    "discovered": "#d62728", "discovered, RND": "#ff9896", "discovered, rollouts in decisions": "#8c564b",
+    "discovered, offered later": "#e377c2", "hand-made": "#2ca02c",
     "stock, curriculum": "#1f77b4", "stock, RND": "#9467bd", "stock, rl-zoo3's settings": "#ff7f0e", "stock": "#7f7f7f",
 }  # fmt: skip
 
@@ -23,12 +24,13 @@ def draw(family: str, results: Mapping[str, Sequence[Result]]) -> Figure:
     for name, runs in results.items():
         for i, run in enumerate(runs):
             before = 0
-            for stage, noted in zip(stages_of(family, name), run["stages"], strict=True):  # type: ignore[arg-type]  # arms
+            spent = run_frames(run, family, name)  # type: ignore[arg-type]  # the names are arms
+            for took, noted in zip(spent, run["stages"], strict=True):
                 frames = [before + at for at, _ in noted["curve"]]
                 success = [rate for _, rate in noted["curve"]]
                 label = name if i == 0 and before == 0 else None
                 axes.plot(frames, success, color=COLOURS[name], linewidth=1.2, label=label)
-                before += stage.frames
+                before += took
     before = 0
     for stage in FAMILIES[family]:
         axes.axvline(before, color="0.8", linewidth=0.8, zorder=0)

@@ -34,7 +34,7 @@ def test_study_writes_results_and_picture(tmp_path: Path, monkeypatch: pytest.Mo
     assert {arm: len(runs[0]["stages"]) for arm, runs in written["runs"].items()} == {
         arm: 1 if arm == "stock" else 2 for arm in ARMS
     }
-    assert set(written["special"]) == set(ARMS) - {"hand-made", "stock, curriculum", "stock"}
+    assert set(written["special"]) == set(ARMS) - {"stock, curriculum", "stock"}
     assert (tmp_path / "minigrid.png").stat().st_size > 5_000
 
 
