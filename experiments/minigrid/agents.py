@@ -98,15 +98,16 @@ class Notes(BaseCallback):
 
     Args:
         learned: Training ends when this share of the last `EPISODES` episodes succeeded; None: it does not.
+        least: And not before so many primitive steps.
 
     Attributes:
         curve: After each rollout primitive steps so far, and the success rate of the last episodes.
         runs: Of each option, by its name, how its runs ended.
     """
 
-    def __init__(self, learned: float | None = None) -> None:
+    def __init__(self, learned: float | None = None, least: int = 0) -> None:
         super().__init__()
-        self.learned = learned
+        self.learned, self.least = learned, least
         self.curve: list[tuple[int, float]] = []
         self.runs: dict[str, Counter[str]] = {}
         self._successes: deque[bool] = deque(maxlen=settings.EPISODES)
@@ -120,7 +121,7 @@ class Notes(BaseCallback):
                 option = self.training_env.get_attr("bank", indices=[0])[0].slots[run["index"]]
                 if option is not None:  # it was not closed just now
                     self.runs.setdefault(option.name, Counter())[run["termination"]] += 1
-        enough = len(self._successes) == self._successes.maxlen
+        enough = len(self._successes) == self._successes.maxlen and self.num_timesteps >= self.least
         return self.learned is None or not enough or float(np.mean(self._successes)) < self.learned
 
     def _on_rollout_end(self) -> None:

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from experiments.common.seeds import Result
 from experiments.minigrid import settings
-from experiments.minigrid.agents import Notes, learned, model_of, normalised, success_rate, uniform, venv_of
+from experiments.minigrid.agents import Chooser, Notes, learned, model_of, normalised, success_rate, uniform, venv_of
 from experiments.minigrid.settings import FAMILIES, LATER_ARM, WITH_OPTIONS, ZOO_ARM, Arm, Stage
 from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.callbacks.records import DiscoveredOption
 from sb3_options.learning import heads
+
+Judged = Literal["sampled", "greedy", "uniform"]
+JUDGED: tuple[Judged, ...] = get_args(Judged)
+"""The policy, with actions sampled or the likeliest, and a uniform choice among options and primitives."""
 
 SEEDS_APART = 100
 """Between two runs: environments of one run count on from its seed."""
@@ -33,14 +39,29 @@ def stages_of(family: str, arm: Arm) -> tuple[Stage, ...]:
     return (Stage(stages[-1].env_id, sum(stage.frames for stage in stages)),)
 
 
-def run(family: str, arm: Arm, learned: float | None, seed: int) -> Result:
+@dataclass(frozen=True)
+class Protocol:
+    """When stages end, and which policies are judged.
+
+    Attributes:
+        learned: A stage before the last ends when this share of the last episodes succeeded, if it has not used up its
+            frames before; None: each uses them up.
+        until: Likewise the last one, once every environment has had time for the longest episode.
+        judged: Policies that play fresh episodes in the end.
+    """
+
+    learned: float | None = None
+    until: float | None = None
+    judged: Sequence[Judged] = JUDGED
+
+
+def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
     """Train once through the stages.
 
     Args:
         family: A key of `FAMILIES`.
         arm: Which agent.
-        learned: A stage before the last ends when this share of the last episodes succeeded, if it has not used up its
-            frames before; None: each uses them up.
+        protocol: When stages end, and what is judged.
         seed: Of model, environments and discovery.
 
     Returns:
@@ -67,7 +88,8 @@ def run(family: str, arm: Arm, learned: float | None, seed: int) -> Result:
                 model = model_of(arm, venv, env_seed)
             else:
                 model.set_env(venv)
-            notes = Notes(None if is_last else learned)
+            longest = n_envs * venv.get_attr("unwrapped", [0])[0].max_steps
+            notes = Notes(protocol.until, longest) if is_last else Notes(protocol.learned)
             callbacks = _callbacks(arm, seed, discovers=number == 0 or not is_last)
             began = time.perf_counter()
             model.learn(stage.frames, callback=[*callbacks, notes])
@@ -89,7 +111,9 @@ def run(family: str, arm: Arm, learned: float | None, seed: int) -> Result:
         venv = venv_of(stages[-1].env_id, fresh, **how)
         if arm == ZOO_ARM:
             venv = normalised(venv, before, training=False)
-        result["success"] = _judged(model, venv, fresh, slots > 0)
+        result["success"] = _judged(
+            model, venv, fresh, protocol.judged if slots else [how for how in protocol.judged if how != "uniform"]
+        )
     return result
 
 
@@ -122,12 +146,12 @@ def _about(callback: SubgoalDiscoveryCallback, found: DiscoveredOption, stage: i
     }
 
 
-def _judged(model: Any, venv: Any, seed: int, slots: bool) -> dict[str, float]:
-    success = {
-        "sampled": success_rate(learned(model, deterministic=False), venv, seed),
-        "greedy": success_rate(learned(model, deterministic=True), venv, seed),
+def _judged(model: Any, venv: VecEnv, seed: int, policies: Sequence[Judged]) -> dict[str, float]:
+    choosers: dict[Judged, Chooser] = {
+        "sampled": learned(model, deterministic=False),
+        "greedy": learned(model, deterministic=True),
+        "uniform": uniform(seed),
     }
-    if slots:
-        success["uniform"] = success_rate(uniform(seed), venv, seed)
+    success: dict[str, float] = {how: success_rate(choosers[how], venv, seed) for how in policies}
     venv.close()
     return success

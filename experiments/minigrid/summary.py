@@ -51,10 +51,11 @@ def summarise(family: str, results: Mapping[str, Sequence[Result]]) -> Summary:
     """
     summary: Summary = {"arms": {}, "uniform": {}, "options": {}}
     for name, runs in results.items():
+        judged = [how for how in ("sampled", "greedy") if how in runs[0]["success"]]
         arm: Arm = name  # type: ignore[assignment]  # the names of the parts are arms
         summary["arms"][name] = {
             "n_runs": len(runs),
-            "success": {how: _mean([run["success"][how] for run in runs]) for how in ("sampled", "greedy")},
+            "success": {how: _mean([run["success"][how] for run in runs]) for how in judged},
             "frames_to": {str(least): [frames_to(run, family, arm, least) for run in runs] for least in REACHED},
             "seconds": _mean([sum(stage["seconds"] for stage in run["stages"]) for run in runs]),
         }
