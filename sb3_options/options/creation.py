@@ -15,6 +15,7 @@ from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.options.initiation import Transitions, initiation_set, option_transitions
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import OptionPolicy, TabularPolicy
+from sb3_options.options.reach import reliable_part
 from sb3_options.options.replay import replay_into_network, replay_into_table
 from sb3_options.options.settings import OptionLearningSettings
 
@@ -46,7 +47,8 @@ def learn_option(
         name: For people.
 
     Returns:
-        The option, not yet bound to a feature map; None if no saved trajectory leads to the subgoal.
+        The option, not yet bound to a feature map; None if no saved trajectory leads to the subgoal, or, on a group of
+        features, none promises to reach it often enough (``min_reach``).
     """
     trajectories = list(trajectories)
     if subgoal.group is not None:
@@ -56,6 +58,17 @@ def learn_option(
     if transitions is None:
         return None
     policy = _learn_policy(transitions, n_primitive, settings, generator)
+    if subgoal.group is not None and settings.min_reach and isinstance(policy, TabularPolicy):
+        initiation = reliable_part(
+            initiation,
+            transitions,
+            policy,
+            least=settings.min_reach,
+            steps=min(settings.initiation_steps, settings.max_duration),
+            subgoal_reward=settings.subgoal_reward,
+        )
+        if not len(initiation.points):
+            return None
     return SubgoalOption(
         subgoal,
         initiation,
