@@ -187,7 +187,7 @@ class SubgoalDiscovery:
         elif seen.successes == 0:
             why = seen.why_no_success()
         elif self.found:
-            why = "one was found that no saved trajectory leads to, or none surely (min_reach), so that no option could be made."
+            why = "no saved trajectory leads surely enough (min_reach) to the one that was found: there is no option."
         elif self.last.bags is None:
             why = (
                 f"{seen.successes} of {seen.n} {seen.unit}s were successful; a search needs "
