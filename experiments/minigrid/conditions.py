@@ -122,10 +122,11 @@ def _callbacks(arm: Arm, seed: int, *, discovers: bool) -> list[BaseCallback]:
     if arm in settings.DISCOVERING:
         discovery = SubgoalDiscoveryCallback(
             settings.DISCOVERY,
+            {"min_reach": 0.0} if arm == settings.FORMER_ARM else None,
             max_new_options=None if discovers else 0,
             opening_share=settings.OPENING_SHARE,
             min_reached=settings.MIN_REACHED,
-            primitive_rollouts=arm != settings.DECISIONS_ARM,
+            primitive_rollouts=arm != settings.FORMER_ARM,
             seed=seed,
         )
         callbacks.append(discovery)

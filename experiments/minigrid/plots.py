@@ -11,7 +11,7 @@ from experiments.minigrid.settings import EPISODES, FAMILIES
 from experiments.minigrid.summary import run_frames
 
 COLOURS: dict[str, str] = {
-    "discovered": "#d62728", "discovered, RND": "#ff9896", "discovered, rollouts in decisions": "#8c564b",
+    "discovered": "#d62728", "discovered, RND": "#ff9896", "discovered, former settings": "#8c564b",
     "discovered, offered later": "#e377c2", "hand-made": "#2ca02c",
     "stock, curriculum": "#1f77b4", "stock, RND": "#9467bd", "stock, rl-zoo3's settings": "#ff7f0e", "stock": "#7f7f7f",
 }  # fmt: skip

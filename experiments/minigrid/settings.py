@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Literal, NamedTuple, get_args
 
 Arm = Literal[
-    "discovered", "discovered, rollouts in decisions", "discovered, offered later", "discovered, RND", "hand-made",
+    "discovered", "discovered, former settings", "discovered, offered later", "discovered, RND", "hand-made",
     "stock, curriculum", "stock, RND", "stock, rl-zoo3's settings", "stock",
 ]  # fmt: skip
 ARMS: tuple[Arm, ...] = get_args(Arm)
@@ -13,13 +13,12 @@ ARMS: tuple[Arm, ...] = get_args(Arm)
 weights along. ``stock, curriculum``: PPO; ``stock, rl-zoo3's settings``: with these; ``stock, RND``: with a bonus for
 what is new in each task. ``discovered``: with options that are discovered in the stages before the last, and kept;
 ``discovered, RND``: with the
-bonus. ``discovered, rollouts in decisions``: whose rollouts hold as many decisions as those of PPO, and so more steps;
-``discovered, offered later``: which may be chosen from the second stage on. ``hand-made``: with options by hand from
-the first step on, the bound."""
+bonus. ``discovered, former settings``: rollouts count decisions, and options begin in all of I; ``discovered, offered
+later``: they may be chosen from the second stage on. ``hand-made``: options by hand from the first step on, the bound."""
 
-DECISIONS_ARM: Arm = "discovered, rollouts in decisions"
+FORMER_ARM: Arm = "discovered, former settings"
 LATER_ARM: Arm = "discovered, offered later"
-DISCOVERING: tuple[Arm, ...] = ("discovered", DECISIONS_ARM, LATER_ARM, "discovered, RND")
+DISCOVERING: tuple[Arm, ...] = ("discovered", FORMER_ARM, LATER_ARM, "discovered, RND")
 WITH_OPTIONS: tuple[Arm, ...] = (*DISCOVERING, "hand-made")
 WITH_BONUS: tuple[Arm, ...] = ("discovered, RND", "stock, RND")
 ZOO_ARM: Arm = "stock, rl-zoo3's settings"
@@ -122,7 +121,9 @@ def of(arm: Arm) -> dict[str, Any]:
     """What one arm alone has."""
     special: dict[str, Any] = {}
     if arm in WITH_OPTIONS:
-        special |= {"primitive_rollouts": arm != DECISIONS_ARM}
+        special |= {"primitive_rollouts": arm != FORMER_ARM}
+    if arm == FORMER_ARM:
+        special |= {"min_reach": 0.0}
     if arm in DISCOVERING:
         special |= {"min_reached": MIN_REACHED, "discovers_in": "all stages but the last"}
     if arm in WITH_BONUS:
