@@ -12,9 +12,9 @@ ARMS: tuple[Arm, ...] = get_args(Arm)
 """``stock``: PPO in the last task alone, for the frames of all stages. All others go through all stages and take the
 weights along. ``stock, curriculum``: PPO; ``stock, rl-zoo3's settings``: with these; ``stock, RND``: with a bonus for
 what is new in each task. ``discovered``: with options that are discovered in the stages before the last, and kept;
-``discovered, RND``: with the
-bonus. ``discovered, former settings``: rollouts count decisions, and options begin in all of I; ``discovered, offered
-later``: they may be chosen from the second stage on. ``hand-made``: options by hand from the first step on, the bound."""
+``discovered, RND``: with the bonus. ``discovered, former settings``: rollouts count decisions, and options begin in all
+of I; ``discovered, offered later``: options may be chosen from the second stage on. ``hand-made``: options by hand from
+the first step on, the bound."""
 
 FORMER_ARM: Arm = "discovered, former settings"
 LATER_ARM: Arm = "discovered, offered later"
