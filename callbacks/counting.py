@@ -54,11 +54,10 @@ class PrimitiveRollouts:
         buffer: Its rollout buffer.
     """
 
-    def __init__(self, model: BaseAlgorithm, buffer: SMDPAdvantages) -> None:
-        self.model: Any = model
-        self.buffer = buffer
-        self.n_steps: int = getattr(model, "n_primitive_steps", None) or self.model.n_steps
-        self.model.n_primitive_steps = self.n_steps
+    def __init__(self, model: Any, buffer: SMDPAdvantages) -> None:
+        self.model, self.buffer = model, buffer
+        self.n_steps: int = getattr(model, "n_primitive_steps", None) or model.n_steps
+        model.n_primitive_steps = self.n_steps
         batch = getattr(model, "batch_size", None)
         self.multiple = 1 if not batch else batch // math.gcd(batch, buffer.n_envs)
 

@@ -159,8 +159,8 @@ class _Reached:
         self._of_whom, self._weights = of_whom[order], weights[order]
         self._starts = np.searchsorted(states[order], np.arange(n_states + 1))
         well = success[of_whom]
-        self.positive = np.bincount(states[well], weights[well], minlength=n_states)
-        self.negative = np.bincount(states[~well], weights[~well], minlength=n_states)
+        self.positive: FloatArray = np.bincount(states[well], weights[well], minlength=n_states).astype(np.float64)
+        self.negative: FloatArray = np.bincount(states[~well], weights[~well], minlength=n_states).astype(np.float64)
 
     def join(self, state: int, near: IntArray) -> None:
         """Count a visit of any of the states ``near`` as one of ``state``, the most that a trajectory has."""
