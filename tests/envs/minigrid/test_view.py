@@ -64,7 +64,7 @@ def test_make_sees_quickly_and_equally() -> None:
 
 
 def test_a_view_of_its_own_is_left_alone() -> None:
-    own = {"gen_obs": lambda self: {}}
+    own: dict[str, Any] = {"gen_obs": lambda self: {}}
     env: Any = object.__new__(type("Blind", (minigrid_env.MiniGridEnv,), own))
     see_quickly(env)
     assert env.gen_obs() == {}
