@@ -10,13 +10,9 @@ from matplotlib.axes import Axes
 
 from experiments.common.seeds import Result
 from sb3_options.experience.observations import FloatArray
-from sb3_options.runs.intervals import CONFIDENCE, mean_interval
+from sb3_options.runs.intervals import CONFIDENCE, Band, mean_interval
 
 N_CURVE_RESAMPLES = 2000
-
-
-Band = tuple[FloatArray, FloatArray, FloatArray]
-"""An estimate at each point, and the ends of its interval."""
 
 
 def curves_of(results: Sequence[Result], column: str) -> FloatArray:

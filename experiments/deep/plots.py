@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.common.curves import Band, draw_band
+from experiments.common.curves import draw_band
 from experiments.common.seeds import Result
-from experiments.deep.summary import GRID, curve, curve_at, iqm, iqm_interval, steps_to_success
-from sb3_options.experience.observations import FloatArray
+from experiments.deep.summary import GRID, curve, curve_at, steps_to_success
+from sb3_options.runs.intervals import band, iqm_interval
 
 COLOURS = {
     "stock": "0.45",
@@ -35,7 +35,6 @@ LABELS = {
     "options-bonus": "options, count bonus",
     "repeats": "random repeats",
 }
-N_BANDS = 500
 APART = 0.025
 N_SECONDS = 200
 MOST_INSIDE = 3
@@ -112,11 +111,3 @@ def _panels(
     else:
         panels[0, 0].legend(loc="lower right", fontsize=8)
     return figure
-
-
-def band(curves: FloatArray) -> Band:
-    """Interquartile mean of (runs, points) at each point, and its 95 % percentile bootstrap interval."""
-    rng = np.random.default_rng(0)
-    drawn = curves[rng.integers(len(curves), size=(N_BANDS, len(curves)))]
-    low, high = np.quantile(iqm(drawn, axis=1), [0.025, 0.975], axis=0)
-    return iqm(curves, axis=0), low, high

@@ -1,4 +1,4 @@
-"""Numbers of the study: interquartile means, stratified bootstrap intervals, areas, probability of improvement."""
+"""Numbers of the study: steps to success, areas, final steps, and how they compare with stock's."""
 
 from __future__ import annotations
 
@@ -7,58 +7,21 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import mannwhitneyu, trim_mean
 
 from experiments.common.seeds import Result
 from experiments.deep.agents import reached_at
 from sb3_options.experience.observations import FloatArray
-from sb3_options.runs.intervals import CONFIDENCE, Interval, mean_interval, ratio_interval
+from sb3_options.runs.intervals import (
+    iqm_difference,
+    iqm_interval,
+    iqm_ratio,
+    mean_interval,
+    probability_of_improvement,
+    ratio_interval,
+)
 
-N_RESAMPLES = 5000
 GRID = 500
 """Curves are compared every so many primitive steps."""
-
-
-def iqm(values: FloatArray, axis: int = -1) -> Any:
-    """Interquartile mean: the mean without the lowest and the highest quarter (Agarwal et al. 2021, §4.3)."""
-    return trim_mean(values, 0.25, axis=axis)
-
-
-def resampled(values: FloatArray, seed: int) -> FloatArray:
-    """Bootstrap resamples of the runs of one condition, (n_resamples, n)."""
-    rng = np.random.default_rng(seed)
-    drawn: FloatArray = values[rng.integers(len(values), size=(N_RESAMPLES, len(values)))]
-    return drawn
-
-
-def interval_of(statistic: float, resamples: FloatArray) -> Interval:
-    """With the 95 % percentile interval of its resamples."""
-    low, high = np.quantile(resamples, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-    return Interval(float(statistic), float(low), float(high))
-
-
-def iqm_interval(values: FloatArray) -> Interval:
-    """Interquartile mean of some runs with its interval."""
-    return interval_of(iqm(values), iqm(resampled(values, 0)))
-
-
-def iqm_ratio(ours: FloatArray, theirs: FloatArray) -> Interval:
-    """Ratio of interquartile means; each side is resampled on its own (stratified bootstrap)."""
-    return interval_of(iqm(ours) / iqm(theirs), iqm(resampled(ours, 0)) / iqm(resampled(theirs, 1)))
-
-
-def iqm_difference(ours: FloatArray, theirs: FloatArray) -> Interval:
-    """Difference of interquartile means; each side is resampled on its own."""
-    return interval_of(iqm(ours) - iqm(theirs), iqm(resampled(ours, 0)) - iqm(resampled(theirs, 1)))
-
-
-def probability_of_improvement(ours: FloatArray, theirs: FloatArray) -> Interval:
-    """Pr(a run of ours takes fewer steps than one of theirs), ties counting half (Agarwal et al. 2021, §4.3)."""
-
-    def share(a: FloatArray, b: FloatArray) -> Any:
-        return 1.0 - mannwhitneyu(a, b, axis=-1).statistic / (a.shape[-1] * b.shape[-1])
-
-    return interval_of(share(ours, theirs), share(resampled(ours, 0), resampled(theirs, 1)))
 
 
 def steps_to_success(result: Result, n_timesteps: int) -> float:

@@ -17,8 +17,8 @@ from rich.table import Table
 
 from experiments.common.seeds import Part, Result, run_parts
 from experiments.common.study import Flags, show, write
-from experiments.deep.summary import iqm_interval
 from experiments.first_success.conditions import ARMS, N_TIMESTEPS, SETTINGS, TASKS, Arm, run
+from sb3_options.runs.intervals import iqm_interval
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -38,13 +38,14 @@ def closing_table(histories: Mapping[str, Sequence[EpisodeRecord]]) -> Table:
         A row for each measure, a column for each training; "–" where there is nothing to average.
     """
     table = Table("", *histories)
-    columns = [_measures(history) for history in histories.values()]
+    columns = [measures(history) for history in histories.values()]
     for name in columns[0]:
         table.add_row(name, *(column[name] for column in columns))
     return table
 
 
-def _measures(history: Sequence[EpisodeRecord]) -> dict[str, str]:
+def measures(history: Sequence[EpisodeRecord]) -> dict[str, str]:
+    """What is said of training episodes, by name."""
     last, learned = history[-LAST:], learned_after(history)
     return {
         f"return, last {LAST} episodes": _mean([e.total_reward for e in last]),

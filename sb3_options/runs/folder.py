@@ -77,7 +77,7 @@ def check_env_id(env_id: str) -> None:
         ValueError: The id is not registered.
         ModuleNotFoundError: It is one of MiniGrid's, which is not installed.
     """
-    if _is_minigrid(env_id):
+    if is_minigrid(env_id):
         minigrid.require()
     # An id may name the module that registers it, as in "module:Env-v0".
     if env_id in gym.registry or ":" in env_id:
@@ -90,7 +90,8 @@ def check_env_id(env_id: str) -> None:
     raise ValueError(f"There is no environment {env_id!r}. {hint}")
 
 
-def _is_minigrid(env_id: str) -> bool:
+def is_minigrid(env_id: str) -> bool:
+    """Whether it is one of MiniGrid's."""
     return env_id.removeprefix(MINIGRID_MODULE).startswith(MINIGRID)
 
 
@@ -220,9 +221,9 @@ def make_env(
     wrapper: Callable[..., gym.Env[Any, Any]] | None = None
     if config.env_wrapper is not None:
         wrapper = named(config.env_wrapper, "--env-wrapper")
-    elif _is_minigrid(env_id):
+    elif is_minigrid(env_id):
         wrapper = minigrid.MiniGridWrapper
-    if _is_minigrid(env_id):
+    if is_minigrid(env_id):
         env_id = MINIGRID_MODULE + env_id.removeprefix(MINIGRID_MODULE)  # nobody has registered it in a worker
     elif subproc and env_id.startswith(OWN_NAMESPACE):
         env_id = f"sb3_options.envs:{env_id}"  # nobody has registered it there

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from scipy.stats import binomtest, bootstrap
+from scipy.stats import binomtest, bootstrap, mannwhitneyu, trim_mean
 
 from sb3_options.experience.observations import FloatArray
 
 CONFIDENCE = 0.95
 N_RESAMPLES = 9999
 """Bootstrap resamples; their generator is seeded, so that the same values have the same interval."""
+
+
+N_STRATIFIED = 5000
+"""Resamples of a stratified bootstrap."""
+
+N_BANDS = 500
+"""Resamples of a curve."""
 
 
 class Interval(NamedTuple):
@@ -26,6 +33,10 @@ class Interval(NamedTuple):
     mean: float
     low: float
     high: float
+
+
+Band: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
+"""An estimate at each point, and the ends of its interval, (points,) each."""
 
 
 def mean_interval(values: FloatArray) -> Interval:
@@ -50,6 +61,56 @@ def share_interval(successes: int, n: int) -> Interval:
     """Share with a Wilson interval."""
     ci = binomtest(successes, n).proportion_ci(CONFIDENCE, method="wilson")
     return Interval(successes / n, float(ci.low), float(ci.high))
+
+
+def iqm(values: FloatArray, axis: int = -1) -> Any:
+    """Interquartile mean: the mean without the lowest and the highest quarter (Agarwal et al. 2021, §4.3)."""
+    return trim_mean(values, 0.25, axis=axis)
+
+
+def resampled(values: FloatArray, seed: int) -> FloatArray:
+    """Bootstrap resamples of the runs of one condition, (n_resamples, n)."""
+    rng = np.random.default_rng(seed)
+    drawn: FloatArray = values[rng.integers(len(values), size=(N_STRATIFIED, len(values)))]
+    return drawn
+
+
+def interval_of(statistic: float, resamples: FloatArray) -> Interval:
+    """With the 95 % percentile interval of its resamples."""
+    low, high = np.quantile(resamples, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    return Interval(float(statistic), float(low), float(high))
+
+
+def iqm_interval(values: FloatArray) -> Interval:
+    """Interquartile mean of some runs with its interval."""
+    return interval_of(iqm(values), iqm(resampled(values, 0)))
+
+
+def iqm_ratio(ours: FloatArray, theirs: FloatArray) -> Interval:
+    """Ratio of interquartile means; each side is resampled on its own (stratified bootstrap)."""
+    return interval_of(iqm(ours) / iqm(theirs), iqm(resampled(ours, 0)) / iqm(resampled(theirs, 1)))
+
+
+def iqm_difference(ours: FloatArray, theirs: FloatArray) -> Interval:
+    """Difference of interquartile means; each side is resampled on its own."""
+    return interval_of(iqm(ours) - iqm(theirs), iqm(resampled(ours, 0)) - iqm(resampled(theirs, 1)))
+
+
+def probability_of_improvement(ours: FloatArray, theirs: FloatArray) -> Interval:
+    """Pr(a run of ours takes fewer steps than one of theirs), ties counting half (Agarwal et al. 2021, §4.3)."""
+
+    def share(a: FloatArray, b: FloatArray) -> Any:
+        return 1.0 - mannwhitneyu(a, b, axis=-1).statistic / (a.shape[-1] * b.shape[-1])
+
+    return interval_of(share(ours, theirs), share(resampled(ours, 0), resampled(theirs, 1)))
+
+
+def band(curves: FloatArray) -> Band:
+    """Interquartile mean of (runs, points) at each point, and its 95 % percentile bootstrap interval."""
+    rng = np.random.default_rng(0)
+    drawn = curves[rng.integers(len(curves), size=(N_BANDS, len(curves)))]
+    low, high = np.quantile(iqm(drawn, axis=1), [0.025, 0.975], axis=0)
+    return iqm(curves, axis=0), low, high
 
 
 def _bootstrapped(estimate: float, samples: tuple[FloatArray, ...], statistic: Any, **kwargs: Any) -> Interval:

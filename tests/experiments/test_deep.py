@@ -14,9 +14,6 @@ from experiments.deep.repeats import LONGEST, RandomRepeat
 from experiments.deep.settings import DeepSettings
 from experiments.deep.summary import (
     curve,
-    iqm,
-    iqm_ratio,
-    probability_of_improvement,
     steps_to_success,
     summarise,
 )
@@ -30,10 +27,6 @@ RESULTS = Path(__file__).parents[2] / "docs" / "results"
 
 def result(steps: list[int], success: list[float], length: float = 20.0, **kwargs: Any) -> dict[str, Any]:
     return {"steps": steps, "success": success, "final_length": length, "final_success": 1.0, "options": []} | kwargs
-
-
-def test_interquartile_mean() -> None:
-    assert iqm(np.array([100.0, 2.0, 3.0, 4.0, 5.0, -50.0, 3.0, 4.0])) == pytest.approx((3 + 4 + 3 + 4) / 4)
 
 
 def test_steps_to_success() -> None:
@@ -61,21 +54,6 @@ def test_what_the_old_task_leaves(arm: Any, tmp_path: Path) -> None:
 
 def test_a_curve_holds_its_last_value() -> None:
     np.testing.assert_array_equal(curve(result([0, 900, 1500], [0.0, 0.4, 1.0]), 2500), [0, 0, 0.4, 1, 1, 1])
-
-
-def test_ratio_of_interquartile_means() -> None:
-    ratio = iqm_ratio(np.full(8, 3.0), np.full(8, 6.0))
-    assert ratio == (0.5, 0.5, 0.5)
-    rng = np.random.default_rng(0)
-    ours, theirs = rng.normal(5.0, 1.0, 20), rng.normal(10.0, 1.0, 20)
-    noisy = iqm_ratio(ours, theirs)
-    assert noisy.low < noisy.mean < noisy.high
-    assert noisy.low > 0.4
-    assert noisy.high < 0.6
-
-
-def test_probability_of_improvement_counts_ties_half() -> None:
-    assert probability_of_improvement(np.array([1.0, 2.0]), np.array([2.0, 3.0])).mean == pytest.approx(3.5 / 4)
 
 
 def test_summary_by_hand() -> None:

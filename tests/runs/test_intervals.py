@@ -1,7 +1,16 @@
 import numpy as np
 import pytest
 
-from sb3_options.runs.intervals import Interval, mean_interval, ratio_interval, share_interval
+from sb3_options.runs.intervals import (
+    Interval,
+    band,
+    iqm,
+    iqm_ratio,
+    mean_interval,
+    probability_of_improvement,
+    ratio_interval,
+    share_interval,
+)
 
 
 class TestIntervals:
@@ -35,3 +44,30 @@ class TestIntervals:
         assert ratio_interval(theirs / 2, theirs) == (0.5, 0.5, 0.5)
         interval = ratio_interval(np.array([1.0, 3.0, 2.0]), theirs)
         assert interval.low < interval.mean == 0.5 < interval.high
+
+
+def test_interquartile_mean() -> None:
+    assert iqm(np.array([100.0, 2.0, 3.0, 4.0, 5.0, -50.0, 3.0, 4.0])) == pytest.approx((3 + 4 + 3 + 4) / 4)
+
+
+def test_ratio_of_interquartile_means() -> None:
+    ratio = iqm_ratio(np.full(8, 3.0), np.full(8, 6.0))
+    assert ratio == (0.5, 0.5, 0.5)
+    rng = np.random.default_rng(0)
+    ours, theirs = rng.normal(5.0, 1.0, 20), rng.normal(10.0, 1.0, 20)
+    noisy = iqm_ratio(ours, theirs)
+    assert noisy.low < noisy.mean < noisy.high
+    assert noisy.low > 0.4
+    assert noisy.high < 0.6
+
+
+def test_probability_of_improvement_counts_ties_half() -> None:
+    assert probability_of_improvement(np.array([1.0, 2.0]), np.array([2.0, 3.0])).mean == pytest.approx(3.5 / 4)
+
+
+def test_a_band_encloses_the_interquartile_mean_of_each_point() -> None:
+    curves = np.stack([np.array([0.0, float(i)]) for i in range(8)])
+    middle, low, high = band(curves)
+    assert (middle[0], low[0], high[0]) == (0.0, 0.0, 0.0)
+    assert middle[1] == pytest.approx(3.5)
+    assert 0.5 < low[1] < 3.5 < high[1] < 6.5

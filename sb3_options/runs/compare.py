@@ -1,0 +1,239 @@
+"""Comparing runs: success, return and length over primitive steps and wall time, one picture and one table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple, get_args
+
+import numpy as np
+import tyro
+from matplotlib.figure import Figure
+from rich.table import Table
+
+from sb3_options.experience.observations import FloatArray
+from sb3_options.runs.intervals import Interval, band, interval_of, iqm_interval, probability_of_improvement
+from sb3_options.runs.logged import TAGS, Curve, Measure, Run
+
+N_POINTS = 200
+"""At which curves are drawn."""
+
+END = 0.1
+"""Share of training whose mean is what an agent has learned at the end."""
+
+COLOURS = ("#d62728", "0.45", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b")
+CAPTION = (
+    "Interquartile means with 95 % stratified bootstrap intervals. A run that never gets there counts with the whole "
+    "budget, that of the shortest run."
+)
+UNITS: dict[Measure, str] = {"success": "success rate", "return": "return", "length": "primitive steps of an episode"}
+
+
+@dataclass(frozen=True)
+class CompareConfig:
+    """Compare runs, or groups of runs, by what they logged to TensorBoard: a table and a picture.
+
+    Attributes:
+        runs: Run folders. Those that differ in their seed alone make a group; NAME=PATTERN makes a group by hand.
+        out: The picture.
+        reach: What is waited for: "success", "return" or "length" and a value. It counts from the first of two
+            entries in a row that have it.
+        source: Evaluations or training episodes; by default evaluations if every run has them.
+    """
+
+    runs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")]
+    out: Path = Path("compare.png")
+    reach: str = "success=0.9"
+    source: Literal["auto", "eval", "rollout"] = "auto"
+
+
+class Goal(NamedTuple):
+    """What is waited for: at least a success rate or a return, at most a length."""
+
+    measure: Measure
+    value: float
+
+    @classmethod
+    def parsed(cls, text: str) -> Goal:
+        """Of ``success=0.9``.
+
+        Raises:
+            ValueError: It names no measure, or no number.
+        """
+        name, _, value = text.partition("=")
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if name not in get_args(Measure) or not math.isfinite(number):
+            raise ValueError(f"--reach takes success=0.9, return=1.5 or length=40, not {text!r}.")
+        return cls(name, number)  # type: ignore[arg-type]  # checked
+
+    def reached(self, curve: Curve) -> int | None:
+        """Number of the first of two entries in a row that have it; None if there is none."""
+        wanted = float(np.float32(self.value))  # as TensorBoard keeps numbers: its 0.9 is a little less than 0.9
+        there = curve.values <= wanted if self.measure == "length" else curve.values >= wanted
+        first = np.flatnonzero(there[:-1] & there[1:])
+        return int(first[0]) if len(first) else None
+
+    def __str__(self) -> str:
+        sign = "≤" if self.measure == "length" else "≥"
+        return f"{UNITS[self.measure]} {sign} {self.value:g}"
+
+
+class Compared(NamedTuple):
+    """Numbers of one group; a single run has points for intervals.
+
+    Attributes:
+        runs: How many.
+        never: Of them, those that did not reach the goal.
+        steps: Primitive steps until it was reached, interquartile mean; a run that never did counts with the budget.
+        seconds: The same in wall time; a run that never did counts with its whole length.
+        end: The measures over the last tenth of training.
+        sooner: Pr(a run of the first group takes more steps than one of this one); None for the first group.
+    """
+
+    runs: int
+    never: int
+    steps: Interval
+    seconds: Interval
+    end: dict[Measure, Interval]
+    sooner: Interval | None
+
+
+def source_of(runs: Sequence[Run], wanted: str) -> str:
+    """Where all runs have the same measures.
+
+    Raises:
+        ValueError: There is no such place.
+    """
+    for source in TAGS if wanted == "auto" else (wanted,):
+        if all(run.curves[source] for run in runs):
+            return source
+    without = next(run.folder for run in runs if wanted == "auto" or not run.curves[wanted])
+    what = "what the others have" if wanted == "auto" else f"{wanted}/..."
+    raise ValueError(f"{without} did not log {what}: compare runs that did, or choose another --source.")
+
+
+def compared(groups: Mapping[str, Sequence[Run]], goal: Goal, source: str) -> dict[str, Compared]:
+    """The numbers of every group; all are cut to the shortest run.
+
+    Args:
+        groups: Runs by the name of their group; the others are compared with the first.
+        goal: What is waited for.
+        source: ``eval`` or ``rollout``.
+
+    Raises:
+        ValueError: A run did not log what is waited for.
+    """
+    everything = [run for runs in groups.values() for run in runs]
+    for run in everything:
+        if goal.measure not in run.curves[source]:
+            raise ValueError(
+                f"{run.folder} did not log {TAGS[source][goal.measure]}: say --reach with one of "
+                f"{', '.join(run.curves[source])}."
+            )
+    limit = budget(everything, source)
+    measures = [m for m in UNITS if all(m in run.curves[source] for run in everything)]
+    first: FloatArray | None = None
+    numbers: dict[str, Compared] = {}
+    for name, runs in groups.items():
+        curves = [cut(run.curves[source][goal.measure], limit) for run in runs]
+        at = [goal.reached(curve) for curve in curves]
+        steps = np.array([limit if i is None else c.steps[i] for i, c in zip(at, curves, strict=True)])
+        seconds = np.array([c.seconds[-1 if i is None else i] for i, c in zip(at, curves, strict=True)])
+        ends = {m: np.array([_end(cut(run.curves[source][m], limit), limit) for run in runs]) for m in measures}
+        numbers[name] = Compared(
+            len(runs),
+            sum(i is None for i in at),
+            iqm_interval(steps),
+            iqm_interval(seconds),
+            {m: iqm_interval(values) for m, values in ends.items()},
+            None if first is None else _sooner(steps, first),
+        )
+        first = steps if first is None else first
+    return numbers
+
+
+def _sooner(ours: FloatArray, theirs: FloatArray) -> Interval:
+    probability = probability_of_improvement(ours, theirs)
+    if min(len(ours), len(theirs)) > 1:
+        return probability
+    return interval_of(probability.mean, np.array([0.0, 1.0]))  # one run says nothing of others
+
+
+def budget(runs: Sequence[Run], source: str) -> float:
+    """Primitive steps of the shortest run."""
+    return min(float(curve.steps[-1]) for run in runs for curve in run.curves[source].values())
+
+
+def cut(curve: Curve, limit: float) -> Curve:
+    """A curve up to some primitive steps, with its first entry in any case."""
+    n = max(1, int(np.searchsorted(curve.steps, limit, side="right")))
+    return Curve(*(column[:n] for column in curve))
+
+
+def _end(curve: Curve, limit: float) -> float:
+    last = curve.values[curve.steps >= (1.0 - END) * limit]
+    return float(last.mean() if len(last) else curve.values[-1])
+
+
+def table_of(numbers: Mapping[str, Compared], goal: Goal) -> Table:
+    """A column for every group."""
+    first = next(iter(numbers))
+    table = Table("", *numbers, caption=CAPTION)
+    rows: dict[str, Callable[[Compared], str]] = {
+        "runs": lambda of: str(of.runs),
+        f"primitive steps to {goal}": lambda of: _text(of.steps, of.runs),
+        "runs that never get there": lambda of: str(of.never),
+        "seconds until then": lambda of: _text(of.seconds, of.runs),
+        f"Pr(sooner than {first})": lambda of: "" if of.sooner is None else _text(of.sooner, of.runs),
+    }
+    for measure in numbers[first].end:
+        rows[f"{UNITS[measure]}, at the end"] = lambda of, m=measure: _text(of.end[m], of.runs)  # type: ignore[misc]  # bound now
+    for name, text in rows.items():
+        table.add_row(name, *map(text, numbers.values()))
+    return table
+
+
+def _text(interval: Interval, runs: int) -> str:
+    mean, low, high = (f"{x:,.0f}" if abs(interval.mean) >= 100 else f"{x:.3g}" for x in interval)
+    return mean if runs == 1 else f"{mean} ({low} to {high})"
+
+
+def figure_of(groups: Mapping[str, Sequence[Run]], source: str) -> Figure:
+    """Each measure over primitive steps and over seconds: interquartile means with 95 % bootstrap bands.
+
+    Args:
+        groups: As for `compared`.
+        source: Likewise.
+    """
+    everything = [run for runs in groups.values() for run in runs]
+    limit = budget(everything, source)
+    measures = [m for m in UNITS if all(m in run.curves[source] for run in everything)]
+    figure = Figure(figsize=(9.5, 2.6 * len(measures) + 0.6), layout="constrained")
+    panels = figure.subplots(len(measures), 2, squeeze=False, sharey="row")
+    for row, measure in zip(panels, measures, strict=True):
+        for number, (name, runs) in enumerate(groups.items()):
+            curves = [cut(run.curves[source][measure], limit) for run in runs]
+            for axes, over in zip(row, ("steps", "seconds"), strict=True):
+                when = [getattr(curve, over) for curve in curves]
+                at = np.linspace(max(w[0] for w in when), min(w[-1] for w in when), N_POINTS)
+                values = np.array(
+                    [c.values[np.searchsorted(w, at, "right") - 1] for c, w in zip(curves, when, strict=True)]
+                )
+                middle, low, high = band(values)
+                colour = COLOURS[number % len(COLOURS)]
+                axes.plot(at, middle, color=colour, linewidth=1.3, label=f"{name} ({len(runs)})")
+                if len(runs) > 1:
+                    axes.fill_between(at, low, high, color=colour, alpha=0.2, linewidth=0)
+        row[0].set_ylabel(UNITS[measure])
+        for axes in row:
+            axes.grid(alpha=0.25)
+    panels[-1, 0].set_xlabel("primitive steps")
+    panels[-1, 1].set_xlabel("seconds since the first entry")
+    marks, names = panels[0, 0].get_legend_handles_labels()
+    figure.legend(marks, names, loc="outside lower center", ncols=min(3, len(names)), fontsize=9)
+    return figure

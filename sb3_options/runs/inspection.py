@@ -1,0 +1,192 @@
+"""What is in an options file: a table and a picture."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, NoReturn
+
+import numpy as np
+import tyro
+from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
+from rich.table import Table
+
+from sb3_options.density.regions import HalfSpace
+from sb3_options.discovery.figures import INITIATION_COLOUR, SUBGOAL
+from sb3_options.discovery.settings import described
+from sb3_options.experience.observations import FloatArray
+from sb3_options.options import file as option_file
+from sb3_options.options.archive import NAME, content_in
+from sb3_options.options.option import Option, SubgoalOption
+from sb3_options.options.policies import TabularPolicy
+
+COLUMNS = 2
+PANEL = (4.6, 3.4)
+"""Inches."""
+
+
+@dataclass(frozen=True)
+class InspectConfig:
+    """Show the options of a run folder, an options file or a model.zip, without loading the model.
+
+    Attributes:
+        file: Which.
+        out: A picture of subgoals and initiation sets.
+    """
+
+    file: Annotated[Path, tyro.conf.Positional]
+    out: Path | None = None
+
+
+class Contents(NamedTuple):
+    """What an options file says.
+
+    Attributes:
+        options: By slot; a hand-made one is a name only.
+        max_options: Slots of the bank.
+        n_primitive: Actions of the environment.
+        observations: The space that policies act on, in words; None in files of early versions.
+        features: Where φ comes from (`features.FeatureKind`); None where that is not said.
+        digest: SHA-256 of the content.
+    """
+
+    options: dict[int, SubgoalOption | str]
+    max_options: int
+    n_primitive: int
+    observations: str | None
+    features: str | None
+    digest: str
+
+
+def contents_of(path: Path) -> Contents:
+    """Read a run folder, an options file or a ``model.zip``; nothing is unpickled.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is damaged, or something else.
+    """
+    content = content_in(path / NAME if path.is_dir() else path)
+    about, _ = option_file.read(content)
+    try:
+        n_primitive, max_options = int(about["n_primitive"]), int(about["max_options"])
+        by_hand = {int(slot): str(e["name"]) for slot, e in about["slots"].items() if e.get("hand_made")}
+        made_for: dict[str, Any] = about.get("made_for") or {}
+        slots = [_placeholder(by_hand[slot]) if slot in by_hand else None for slot in range(max_options)]
+    except (KeyError, TypeError, ValueError, AttributeError, MemoryError, OverflowError) as error:
+        raise ValueError(f"{path} is damaged: {error!r}") from error
+    learned = option_file.load(
+        content, slots, n_primitive=n_primitive, observation_size=None, feature_size=None, signature=None
+    )
+    options: dict[int, SubgoalOption | str] = {**by_hand, **learned}
+    return Contents(
+        dict(sorted(options.items())),
+        max_options,
+        n_primitive,
+        made_for.get("space"),
+        made_for.get("features"),
+        hashlib.sha256(content).hexdigest(),
+    )
+
+
+def _placeholder(name: str) -> Option:
+    """Stands where a hand-made option must be, of which a file has the name only."""
+
+    def code(observations: Any) -> NoReturn:
+        raise NotImplementedError(f"The option {name!r} is code, which is not in the file.")
+
+    return Option(code, code, code, name=name)
+
+
+def subgoal_of(option: SubgoalOption, features: str | None) -> str:
+    """Its subgoal for people."""
+    point = described(option.subgoal.points[0], features if option.subgoal.group is None else None)
+    if isinstance(option.subgoal, HalfSpace):
+        return f"beyond the plane through {point}"
+    return point if option.subgoal.group is None else f"{option.subgoal.group.name} at {point}"
+
+
+def table_of(contents: Contents) -> Table:
+    """A row for every option."""
+    table = Table("slot", "name", "subgoal", "radius", "initiation set", "policy", "longest run")
+    for slot, option in contents.options.items():
+        if isinstance(option, str):
+            table.add_row(str(slot), option, "by hand: code, not in the file", "", "", "", "")
+            continue
+        policy = option.option_policy
+        kind = f"table of {len(policy.states):,} states" if isinstance(policy, TabularPolicy) else "network"
+        table.add_row(
+            str(slot),
+            option.name,
+            subgoal_of(option, contents.features),
+            f"{option.subgoal.radius:g}",
+            f"{len(option.initiation_set.points):,} states, radius {option.initiation_set.radius:g}",
+            f"{kind} on the {'observation' if option.policy_input == 'observation' else 'features'}",
+            f"{option.max_duration:,} steps",
+        )
+    return table
+
+
+def summary_of(contents: Contents) -> list[str]:
+    """What holds for all options, a line each."""
+    return [
+        f"{len(contents.options)} of {contents.max_options} slots are taken; "
+        f"policies choose among {contents.n_primitive} primitive actions.",
+        f"Made for observations {contents.observations or 'of a space that is not said'}.",
+        f"SHA-256 {contents.digest}",
+    ]
+
+
+def picture_of(contents: Contents) -> Figure:
+    """A panel for each discovered option: its initiation set and its subgoal, in the first two features that count."""
+    options = {slot: o for slot, o in contents.options.items() if isinstance(o, SubgoalOption)}
+    columns = min(COLUMNS, max(1, len(options)))
+    rows = max(1, -(-len(options) // columns))
+    figure = Figure(figsize=(PANEL[0] * columns, PANEL[1] * rows), layout="constrained")
+    if not options:
+        axes = figure.add_subplot()
+        axes.set_axis_off()
+        axes.text(0.5, 0.5, "No discovered options.", ha="center", va="center")
+    for number, (slot, option) in enumerate(options.items(), start=1):
+        _draw(figure.add_subplot(rows, columns, number), slot, option, contents.features)
+    return figure
+
+
+def _draw(axes: Axes, slot: int, option: SubgoalOption, features: str | None) -> None:
+    group = option.subgoal.group
+    if features == "categorical" and group is None:
+        names = ["number of the state", ""]
+        initiation, subgoal = (
+            _on_a_line(p.argmax(axis=1)) for p in (option.initiation_set.points, option.subgoal.points)
+        )
+        side = np.ones(2)
+    else:
+        numbers = range(option.subgoal.points.shape[1]) if group is None else group.features
+        names = [f"feature {i + 1}" for i in list(numbers)[:2]] + [""]
+        initiation, subgoal = (_plane(p) for p in (option.initiation_set.points, option.subgoal.points))
+        side = 1.0 / _plane(np.maximum(option.subgoal.scale, 1e-9)[None])[0] if len(numbers) > 1 else np.ones(2)
+    squares = [Rectangle((float(x), float(y)), *map(float, side)) for x, y in initiation - side / 2]
+    axes.add_collection(PatchCollection(squares, facecolor=INITIATION_COLOUR, edgecolor="white"))
+    axes.plot(*subgoal.T, linestyle="", **SUBGOAL)
+    everything = np.concatenate([initiation, subgoal])
+    low, high = everything.min(axis=0) - 1.5 * side, everything.max(axis=0) + 1.5 * side
+    axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), xlabel=names[0], ylabel=names[1])
+    axes.set_title(f"slot {slot}: {subgoal_of(option, features)}", fontsize=10)
+    for axis in (axes.xaxis, axes.yaxis):
+        if np.array_equal(everything, np.round(everything)):
+            axis.set_major_locator(MaxNLocator(integer=True))
+    if np.ptp(everything[:, 1]) == 0 and not names[1]:
+        axes.set_yticks([])
+
+
+def _plane(points: FloatArray) -> FloatArray:
+    """The first two numbers of each point, (n, 2); 0 for the second where there is one only."""
+    return np.column_stack([points[:, 0], points[:, 1] if points.shape[1] > 1 else np.zeros(len(points))])
+
+
+def _on_a_line(numbers: Any) -> FloatArray:
+    return np.column_stack([numbers, np.zeros(len(numbers))]).astype(np.float64)

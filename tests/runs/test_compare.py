@@ -1,0 +1,169 @@
+"""Runs are compared by what they logged: groups, steps until a goal, a table and a picture."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from rich.console import Console
+from stable_baselines3.common.logger import TensorBoardOutputFormat
+
+from sb3_options.runs.compare import Goal, compared, figure_of, source_of, table_of
+from sb3_options.runs.logged import Curve, Run, grouped, named_groups, read_run
+
+STEPS = [1000, 2000, 3000, 4000]
+
+
+def logged(
+    folder: Path, success: Sequence[float], settings: dict[str, Any] | None = None, source: str = "rollout"
+) -> Path:
+    """A run folder as SB3 writes it, with a success rate and a return every 1,000 steps."""
+    writer = TensorBoardOutputFormat(str(folder / "tensorboard_1"))
+    mean_return = {"rollout": "rollout/ep_rew_mean", "eval": "eval/mean_reward"}[source]
+    for step, value in zip(STEPS, success, strict=False):
+        values = {f"{source}/success_rate": value, mean_return: 2 * value}
+        writer.write(values, dict.fromkeys(values, ()), step)
+    writer.close()
+    if settings is not None:
+        (folder / "config.yml").write_text(yaml.safe_dump(settings))
+    return folder
+
+
+def shown(table: Any) -> str:
+    console = Console(width=120, no_color=True)
+    with console.capture() as captured:
+        console.print(table)
+    return captured.get()
+
+
+def test_a_run_is_read_whole(tmp_path: Path) -> None:
+    run = read_run(logged(tmp_path / "run", [0.0, 0.5, 0.75, 1.0], {"algo": "ppo"}))
+    curve = run.curves["rollout"]["success"]
+    assert curve.steps.tolist() == STEPS
+    assert curve.values.tolist() == [0.0, 0.5, 0.75, 1.0]
+    assert (np.diff(curve.seconds) >= 0).all()
+    assert curve.seconds[0] >= 0
+    assert run.curves["rollout"]["return"].values.tolist() == [0.0, 1.0, 1.5, 2.0]
+    assert run.curves["eval"] == {}
+    assert run.settings == {"algo": "ppo"}
+
+
+def test_files_of_a_resumed_run_make_one_curve(tmp_path: Path) -> None:
+    logged(tmp_path / "run", [0.0, 0.25])
+    writer = TensorBoardOutputFormat(str(tmp_path / "run" / "tensorboard_1"))
+    writer.write({"rollout/success_rate": 0.5}, {"rollout/success_rate": ()}, 3000)
+    writer.close()
+    assert read_run(tmp_path / "run").curves["rollout"]["success"].values.tolist() == [0.0, 0.25, 0.5]
+
+
+def test_a_folder_without_a_log_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="TensorBoard"):
+        read_run(tmp_path)
+    logged(tmp_path / "empty", [])
+    with pytest.raises((ValueError, FileNotFoundError)):
+        read_run(tmp_path / "empty")
+
+
+def test_runs_that_differ_in_their_seed_alone_are_a_group(tmp_path: Path) -> None:
+    def run(name: str, **settings: Any) -> Run:
+        return read_run(logged(tmp_path / "ppo" / name, [0.0, 1.0], {"algo": "ppo", **settings}))
+
+    runs = [
+        run("a_1", seed=0, discover=True, discovery={"decay": 0.9}),
+        run("a_2", seed=1, discover=True, discovery={"decay": 0.9}),
+        run("a_3", seed=0, discover=False, discovery={"decay": 0.9}),
+        run("a_4", seed=0, discover=True, discovery={"decay": 0.5}),
+    ]
+    groups = grouped(runs)
+    assert {name: [r.folder.name for r in members] for name, members in groups.items()} == {
+        "discover true, discovery.decay 0.9": ["a_1", "a_2"],
+        "discover false, discovery.decay 0.9": ["a_3"],
+        "discover true, discovery.decay 0.5": ["a_4"],
+    }
+    assert list(grouped(runs[:2])) == ["ppo/a"]
+
+
+def test_runs_of_others_are_grouped_by_their_folders(tmp_path: Path) -> None:
+    runs = [read_run(logged(tmp_path / algo / f"CartPole-v1_{n}", [1.0])) for algo in ("ppo", "dqn") for n in (1, 2)]
+    assert {name: len(members) for name, members in grouped(runs).items()} == {
+        "ppo/CartPole-v1": 2,
+        "dqn/CartPole-v1": 2,
+    }
+
+
+def test_groups_by_hand(tmp_path: Path) -> None:
+    for name in ("a_1", "a_2", "b=1"):
+        (tmp_path / name).mkdir()
+    groups = named_groups([f"ours={tmp_path}/a_*", f"{tmp_path}/b=1"])
+    assert groups == {"ours": [tmp_path / "a_1", tmp_path / "a_2"], "": [tmp_path / "b=1"]}
+    with pytest.raises(FileNotFoundError, match="no run folder"):
+        named_groups([f"{tmp_path}/c_*"])
+
+
+@pytest.mark.parametrize("text", ["0.9", "success", "success=often", "speed=1", "success=nan"])
+def test_a_goal_that_says_nothing_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="--reach"):
+        Goal.parsed(text)
+
+
+def test_a_goal_must_be_kept_for_two_entries() -> None:
+    def curve(*values: float) -> Curve:
+        return Curve(
+            np.arange(1.0 * len(values)),
+            np.arange(1.0 * len(values)),
+            np.array(values, dtype=np.float32).astype(np.float64),
+        )
+
+    assert Goal("success", 0.9).reached(curve(0.0, 1.0, 0.5, 0.9, 0.95)) == 3
+    assert Goal("success", 0.9).reached(curve(0.0, 0.5, 0.9)) is None
+    assert Goal("length", 40).reached(curve(90, 40, 39, 50)) == 1
+
+
+def test_numbers_by_hand(tmp_path: Path) -> None:
+    quick = [read_run(logged(tmp_path / f"q_{i}", [0.0, 0.9, 0.9, 1.0])) for i in range(3)]
+    slow = [read_run(logged(tmp_path / f"s_{i}", [0.0, 0.0, 0.0, 1.0])) for i in range(2)]
+    slow.append(read_run(logged(tmp_path / "short", [0.0, 0.5, 0.5])))
+    numbers = compared({"quick": quick, "slow": slow}, Goal("success", 0.9), "rollout")
+    assert numbers["quick"].steps == (2000, 2000, 2000)
+    assert numbers["quick"].never == 0
+    assert numbers["quick"].sooner is None
+    assert numbers["slow"].steps.mean == 3000, "the shortest run is the budget of all"
+    assert numbers["slow"].never == 3
+    assert numbers["slow"].sooner == (0.0, 0.0, 0.0)
+    assert numbers["quick"].end["success"].mean == pytest.approx(0.9)
+    assert numbers["slow"].end["return"].mean == pytest.approx(np.mean([0.0, 0.0, 1.0]), abs=1e-6)
+    text = shown(table_of(numbers, Goal("success", 0.9)))
+    assert "2,000 (2,000 to 2,000)" in text
+    assert "Pr(sooner than quick)" in text
+
+
+def test_one_run_says_nothing_of_others(tmp_path: Path) -> None:
+    groups = {n: [read_run(logged(tmp_path / n, s))] for n, s in {"a": [0.0, 0.9, 0.9], "b": [0.9, 0.9, 0.9]}.items()}
+    sooner = compared(groups, Goal("success", 0.9), "rollout")["b"].sooner
+    assert sooner is not None
+    assert sooner.mean == 1.0
+    assert sooner.low < 0.1
+
+
+def test_evaluations_count_where_all_have_them(tmp_path: Path) -> None:
+    evaluated = read_run(logged(tmp_path / "a", [1.0, 1.0], source="eval"))
+    trained = read_run(logged(tmp_path / "b", [1.0, 1.0]))
+    assert source_of([evaluated], "auto") == "eval"
+    assert source_of([trained, trained], "auto") == "rollout"
+    with pytest.raises(ValueError, match="did not log"):
+        source_of([evaluated, trained], "auto")
+    with pytest.raises(ValueError, match="eval/"):
+        source_of([trained], "eval")
+    with pytest.raises(ValueError, match="ep_len_mean"):
+        compared({"b": [trained]}, Goal("length", 40), "rollout")
+
+
+def test_a_picture_has_a_row_for_each_measure(tmp_path: Path) -> None:
+    groups = {n: [read_run(logged(tmp_path / f"{n}_{i}", [0.0, 0.5, 1.0])) for i in range(2)] for n in ("a", "b")}
+    figure = figure_of(groups, "rollout")
+    assert [axes.get_ylabel() for axes in figure.axes] == ["success rate", "", "return", ""]
+    assert [len(axes.lines) for axes in figure.axes] == [2, 2, 2, 2]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["a (2)", "b (2)"]
+    figure.savefig(tmp_path / "compare.png")
