@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.common.seeds import Result
@@ -21,6 +22,7 @@ def draw(family: str, results: Mapping[str, Sequence[Result]]) -> Figure:
     """Training success by frames of all stages, a line a seed."""
     figure = Figure(figsize=(7.2, 3.6), layout="constrained")
     axes = figure.subplots()
+    as_planned = all("frames" not in stage for runs in results.values() for run in runs for stage in run["stages"])
     for name, runs in results.items():
         for i, run in enumerate(runs):
             before = 0
@@ -30,12 +32,18 @@ def draw(family: str, results: Mapping[str, Sequence[Result]]) -> Figure:
                 success = [rate for _, rate in noted["curve"]]
                 label = name if i == 0 and before == 0 else None
                 axes.plot(frames, success, color=COLOURS[name], linewidth=1.2, label=label)
+                if not as_planned:
+                    axes.plot(frames[:1], success[:1], ".", color=COLOURS[name], markersize=8)
                 before += took
-    before = 0
-    for stage in FAMILIES[family]:
-        axes.axvline(before, color="0.8", linewidth=0.8, zorder=0)
-        axes.text(before, 1.03, f" {stage.env_id.removeprefix('MiniGrid-')}", fontsize=8)
-        before += stage.frames
+    stages = FAMILIES[family]
+    if as_planned:
+        starts = np.cumsum([0, *(stage.frames for stage in stages)])
+        for before, stage in zip(starts, stages, strict=False):
+            axes.axvline(before, color="0.8", linewidth=0.8, zorder=0)
+            axes.text(before, 1.03, f" {stage.env_id.removeprefix('MiniGrid-')}", fontsize=8)
+    else:
+        names = " → ".join(stage.env_id.removeprefix("MiniGrid-") for stage in stages)
+        axes.set_title(f"{names}; a dot where a task begins", fontsize=9)
     axes.set_ylim(-0.02, 1.02)
     axes.set_xlabel("primitive steps of all stages; “stock” spends all of them in the last task")
     axes.set_ylabel(f"success, last {EPISODES} episodes")
