@@ -61,6 +61,10 @@ class CheckpointCallback(BaseCallback):
             environments.prepare(venv)
         checkpoint_state.check(self._root)
 
+    def _init_callback(self) -> None:
+        if self._resumed is not None and self._resumed["model"]["class"] == type(self.model).__name__:
+            models.prepare(self.model, self._resumed["model"])
+
     def _on_rollout_start(self) -> None:
         now = self.model.num_timesteps
         if self._resumed is not None:

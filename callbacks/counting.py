@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import (
@@ -19,6 +20,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, is
 
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.option_run import OptionRun
+from sb3_options.learning.rollout_buffer import SMDPAdvantages, n_decisions
 
 logger = logging.getLogger("sb3_options")
 
@@ -39,6 +41,35 @@ def count_inner_steps(callback: BaseCallback, runs: Sequence[OptionRun]) -> None
     for sibling in all_callbacks(callback.locals.get("callback")):
         if isinstance(sibling, ProgressBarCallback):
             sibling.pbar.update(extra)
+
+
+class PrimitiveRollouts:
+    """Keeps the rollouts of an on-policy algorithm at about ``n_steps`` primitive steps of each environment.
+
+    SB3 fixes the number of decisions when a rollout starts. So each has as many decisions as would have taken so long
+    in the one before, in multiples that fill the minibatches, and never more than ``n_steps``.
+
+    Args:
+        model: On-policy. What its ``n_steps`` was is kept in it while training goes on, and in its checkpoints.
+        buffer: Its rollout buffer.
+    """
+
+    def __init__(self, model: Any, buffer: SMDPAdvantages) -> None:
+        self.model, self.buffer = model, buffer
+        self.n_steps: int = getattr(model, "n_primitive_steps", None) or model.n_steps
+        model.n_primitive_steps = self.n_steps
+        batch = getattr(model, "batch_size", None)
+        self.multiple = 1 if not batch else batch // math.gcd(batch, buffer.n_envs)
+
+    def plan_next(self) -> None:
+        """Set the size of the next rollout; the present one is still to be learned from."""
+        self.model.n_steps = n_decisions(self.n_steps, self.buffer.durations, self.multiple)
+        self.buffer.next_size = self.model.n_steps
+
+    def end(self) -> None:
+        """Put ``n_steps`` back."""
+        self.model.n_steps = self.buffer.next_size = self.n_steps
+        del self.model.n_primitive_steps
 
 
 def clip_schedules(model: BaseAlgorithm) -> dict[str, Schedule]:

@@ -82,6 +82,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         trial: How options are tried, and closed where they prove harmful (`execution.trials`); by default they are not.
         min_reached: An option is closed when less than this share of its last runs reached the subgoal, in [0, 1]; 0
             closes none. Runs that the end of the episode cut off do not count.
+        primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps, not decisions
+            (`PrimitiveStepsCallback`).
         save_path: File for the options, written each time one is made; None writes nothing.
         seed: Of option policies that are networks, and of trials.
         verbose: 1 prints each new option.
@@ -106,11 +108,12 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         interruption: bool = True,
         trial: TrialSettings | Mapping[str, Any] | None = None,
         min_reached: float = 0.0,
+        primitive_rollouts: bool = False,
         save_path: str | os.PathLike[str] | None = None,
         seed: int = 0,
         verbose: int = 0,
     ) -> None:
-        super().__init__(verbose)
+        super().__init__(verbose, primitive_rollouts=primitive_rollouts)
         self.settings = given_as(DiscoverySettings, {} if settings is None else settings)
         if isinstance(method, str):
             self.settings = dataclasses.replace(self.settings, method=method)
@@ -203,6 +206,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._options.on_rollout_start()
 
     def _on_rollout_end(self) -> None:
+        super()._on_rollout_end()
         self._options.on_rollout_end()
 
     def _on_step(self) -> bool:

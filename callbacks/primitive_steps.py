@@ -14,6 +14,7 @@ from sb3_options.callbacks.checks import (
     check_replay_buffer,
 )
 from sb3_options.callbacks.counting import (
+    PrimitiveRollouts,
     all_callbacks,
     clip_schedules,
     count_inner_steps,
@@ -41,14 +42,23 @@ class PrimitiveStepsCallback(BaseCallback):
     (it leaves ``info["option"] = {"index": -1, "duration": k, "discount": gamma**k}``). `SubgoalDiscoveryCallback` does
     the same, so that it is not needed beside it.
 
-    ``train_freq``, ``target_update_interval``, ``n_steps`` and ``eval_freq`` of an ``EvalCallback`` still count
-    decisions. A rollout of ``n_steps`` decisions may be many more primitive steps. Hence on-policy training ends in the
-    middle of a rollout when the budget is used up (SB3's last rollout is counted in full, as if every action were
-    one step); that rollout is not learned from. No schedule sees a progress below 0.
+    ``train_freq``, ``target_update_interval`` and ``eval_freq`` of an ``EvalCallback`` still count decisions, and so
+    does ``n_steps``, unless ``primitive_rollouts`` says otherwise. A rollout may be many more primitive steps. Hence
+    on-policy training ends in the middle of one when the budget is used up (SB3's last rollout is counted in full, as
+    if every action were one step); that rollout is not learned from. No schedule sees a progress below 0.
+
+    Args:
+        primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps: a rollout has as many
+            decisions as took so long in the one before. Otherwise options make rollouts longer, and updates rarer.
+        verbose: As for any callback.
 
     Raises:
         ValueError: When training starts: the environment reports no durations, or buffer or discount do not fit.
     """
+
+    def __init__(self, verbose: int = 0, *, primitive_rollouts: bool = False) -> None:
+        super().__init__(verbose)
+        self.primitive_rollouts = primitive_rollouts
 
     def _on_training_start(self) -> None:
         check_replay_buffer(self.model)
@@ -80,6 +90,9 @@ class PrimitiveStepsCallback(BaseCallback):
         if isinstance(buffer, OptionReplayBuffer):
             buffer.heads_are_closed = True
         self._rollout_buffer = option_rollout_buffer(self.model)
+        self._rollouts = None
+        if self.primitive_rollouts and self._rollout_buffer is not None:
+            self._rollouts = PrimitiveRollouts(self.model, self._rollout_buffer)
         counting = (c for c in all_callbacks(self.locals.get("callback")) if isinstance(c, PrimitiveStepsCallback))
         self._counts = next(counting, self) is self  # the first of several
         self._stock_schedules = clip_schedules(self.model)
@@ -92,6 +105,10 @@ class PrimitiveStepsCallback(BaseCallback):
 
     def _on_step(self) -> bool:
         return self._count(list(map(OptionRun.from_info, self.locals["infos"])))
+
+    def _on_rollout_end(self) -> None:
+        if self._rollouts is not None:
+            self._rollouts.plan_next()
 
     def _count(self, runs: list[OptionRun]) -> bool:
         """Count what one step of every environment ran; whether training goes on."""
@@ -118,6 +135,8 @@ class PrimitiveStepsCallback(BaseCallback):
     def _on_training_end(self) -> None:
         for name, schedule in self._stock_schedules.items():
             setattr(self.model, name, schedule)
+        if self._rollouts is not None:
+            self._rollouts.end()
         buffer = self._rollout_buffer
         if buffer is not None and self.num_timesteps >= self._budget and self._n_updates() == self._updates_before:
             logger.warning(

@@ -6,7 +6,7 @@ goes on where it was. Needs the extra ``minigrid``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 
 import tyro
@@ -16,7 +16,7 @@ from experiments.common.documents import number
 from experiments.common.seeds import Part, run_parts
 from experiments.common.study import Flags, show, write
 from experiments.minigrid import settings
-from experiments.minigrid.conditions import run
+from experiments.minigrid.conditions import JUDGED, Judged, Protocol, run
 from experiments.minigrid.plots import draw
 from experiments.minigrid.settings import ARMS, FAMILIES, Arm
 from experiments.minigrid.summary import Summary, summarise
@@ -29,23 +29,33 @@ class Study(Flags):
     Attributes:
         family: Which.
         arms: Which agents.
+        learned: A stage before the last ends when this share of the last episodes succeeded; by default, when its
+            frames are used up.
+        until: Likewise the last stage, once every environment has had time for the longest episode.
+        judged: Policies that play fresh episodes in the end: as sampled, the likeliest actions, or a uniform choice.
     """
 
     runs: int = 8
     family: str = "MultiRoom-4"
     arms: tuple[Arm, ...] = ARMS
+    learned: float | None = None
+    until: float | None = None
+    judged: tuple[Judged, ...] = JUDGED
 
 
 def main(study: Study) -> None:
     """Run the study, and write and print what it found."""
     if study.family not in FAMILIES:
         raise SystemExit(f"--family must be one of {', '.join(FAMILIES)}, got {study.family}.")
+    protocol = Protocol(study.learned, study.until, study.judged)
+    out = study.out / study.family
     parts = [
-        Part(arm, partial(run, study.family, arm), study.out / study.family / folder_of(arm), settings.of(arm))
+        Part(arm, partial(run, study.family, arm, protocol), out / folder_of(arm), settings.of(arm))
         for arm in study.arms
     ]
     used = {
         "stages": FAMILIES[study.family],
+        **asdict(protocol),
         "ppo": settings.PPO,
         "n_envs": settings.N_ENVS,
         "max_options": settings.max_options(study.family),
@@ -56,6 +66,9 @@ def main(study: Study) -> None:
     results = run_parts(parts, study.seeds(), settings=used, jobs=study.jobs, description="Training")
     summary = summarise(study.family, results)
     command = f"python -m experiments.minigrid --family {study.family} --runs {study.runs} "
+    command += "" if study.learned is None else f"--learned {study.learned:g} "
+    command += "" if study.until is None else f"--until {study.until:g} "
+    command += "" if study.judged == JUDGED else f"--judged {' '.join(study.judged)} "
     command += f"--first-seed {study.first_seed} --arms {' '.join(map(repr, study.arms))}"
     special = {arm: settings.of(arm) for arm in study.arms if settings.of(arm)}
     content = {"command": command, **used, "special": special, "summary": summary, "runs": results}
@@ -71,7 +84,7 @@ def folder_of(arm: Arm) -> str:
 def _table(summary: Summary) -> Table:
     table = Table("agent", "seeds", *(f"success, {how}" for how in ("sampled", "greedy")), "frames to 0.8", "seconds")
     for arm, row in summary["arms"].items():
-        success = [number(row["success"][how]) for how in ("sampled", "greedy")]
+        success = [number(row["success"][how]) if how in row["success"] else "" for how in ("sampled", "greedy")]
         frames = [str(at) if at is not None else "never" for at in row["frames_to"]["0.8"]]
         table.add_row(arm, str(row["n_runs"]), *success, ", ".join(frames), number(row["seconds"], form="{:.0f}"))
     for arm, interval in summary["uniform"].items():

@@ -28,6 +28,16 @@ Chooser = Callable[[Any, BoolArray], npt.NDArray[Any]]
 """Observations and masks (n_envs, n_actions) → actions (n_envs,)."""
 
 
+class WithheldOptions(OptionsWrapper):
+    """Options that are discovered and cannot be chosen."""
+
+    def action_masks(self) -> BoolArray:
+        """Primitive actions only."""
+        mask = super().action_masks()
+        mask[self.n_primitive :] = False
+        return mask
+
+
 def venv_of(
     env_id: str,
     seed: int,
@@ -36,6 +46,7 @@ def venv_of(
     slots: int = 0,
     options: Path | None = None,
     hand_made: bool = False,
+    withheld: bool = False,
 ) -> VecEnv:
     """Parallel environments of one task.
 
@@ -46,12 +57,14 @@ def venv_of(
         slots: For options.
         options: File of the options they begin with.
         hand_made: Whether they have the options by hand, as many as there are slots.
+        withheld: Whether options cannot be chosen.
     """
 
     def wrapped(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
         if not slots:
             return env
-        optioned = OptionsWrapper(env, slots, gamma=settings.GAMMA, options_file=options)
+        wrapper = WithheldOptions if withheld else OptionsWrapper
+        optioned = wrapper(env, slots, gamma=settings.GAMMA, options_file=options)
         for option in options_on(optioned.concept_features)[:slots] if hand_made else ():
             optioned.bank.add(option)
         return optioned
@@ -83,13 +96,18 @@ def model_of(arm: Arm, venv: VecEnv, seed: int) -> BaseAlgorithm:
 class Notes(BaseCallback):
     """Notes how training goes.
 
+    Args:
+        learned: Training ends when this share of the last `EPISODES` episodes succeeded; None: it does not.
+        least: And not before so many primitive steps.
+
     Attributes:
         curve: After each rollout primitive steps so far, and the success rate of the last episodes.
         runs: Of each option, by its name, how its runs ended.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, learned: float | None = None, least: int = 0) -> None:
         super().__init__()
+        self.learned, self.least = learned, least
         self.curve: list[tuple[int, float]] = []
         self.runs: dict[str, Counter[str]] = {}
         self._successes: deque[bool] = deque(maxlen=settings.EPISODES)
@@ -103,7 +121,8 @@ class Notes(BaseCallback):
                 option = self.training_env.get_attr("bank", indices=[0])[0].slots[run["index"]]
                 if option is not None:  # it was not closed just now
                     self.runs.setdefault(option.name, Counter())[run["termination"]] += 1
-        return True
+        enough = len(self._successes) == self._successes.maxlen and self.num_timesteps >= self.least
+        return self.learned is None or not enough or float(np.mean(self._successes)) < self.learned
 
     def _on_rollout_end(self) -> None:
         self.curve.append((self.num_timesteps, float(np.mean(self._successes or [0.0]))))

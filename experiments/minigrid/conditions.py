@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from experiments.common.seeds import Result
 from experiments.minigrid import settings
-from experiments.minigrid.agents import Notes, learned, model_of, normalised, success_rate, uniform, venv_of
-from experiments.minigrid.settings import FAMILIES, WITH_OPTIONS, ZOO_ARM, Arm, Stage
+from experiments.minigrid.agents import Chooser, Notes, learned, model_of, normalised, success_rate, uniform, venv_of
+from experiments.minigrid.settings import FAMILIES, LATER_ARM, WITH_OPTIONS, ZOO_ARM, Arm, Stage
 from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.callbacks.records import DiscoveredOption
+from sb3_options.learning import heads
+
+Judged = Literal["sampled", "greedy", "uniform"]
+JUDGED: tuple[Judged, ...] = get_args(Judged)
+"""The policy, with actions sampled or the likeliest, and a uniform choice among options and primitives."""
 
 SEEDS_APART = 100
 """Between two runs: environments of one run count on from its seed."""
@@ -32,19 +39,36 @@ def stages_of(family: str, arm: Arm) -> tuple[Stage, ...]:
     return (Stage(stages[-1].env_id, sum(stage.frames for stage in stages)),)
 
 
-def run(family: str, arm: Arm, seed: int) -> Result:
+@dataclass(frozen=True)
+class Protocol:
+    """When stages end, and which policies are judged.
+
+    Attributes:
+        learned: A stage before the last ends when this share of the last episodes succeeded, if it has not used up its
+            frames before; None: each uses them up.
+        until: Likewise the last one, once every environment has had time for the longest episode.
+        judged: Policies that play fresh episodes in the end.
+    """
+
+    learned: float | None = None
+    until: float | None = None
+    judged: Sequence[Judged] = JUDGED
+
+
+def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
     """Train once through the stages.
 
     Args:
         family: A key of `FAMILIES`.
         arm: Which agent.
+        protocol: When stages end, and what is judged.
         seed: Of model, environments and discovery.
 
     Returns:
         ``stages``: of each the ``curve`` of training success by primitive steps of the stage, ``option_runs`` by name
-        and ending, ``seconds``; ``success`` of the policy, sampled and greedy, in fresh episodes after the last stage,
-        and, where there are options, of a ``uniform`` choice among them and the primitives; ``options``: the discovered
-        ones.
+        and ending, ``frames``, ``seconds``; ``success`` of the policy, sampled and greedy, in fresh episodes after the
+        last stage, and, where there are options, of a ``uniform`` choice among them and the primitives; ``options``:
+        the discovered ones.
     """
     env_seed = seed * SEEDS_APART
     model: Any = None
@@ -56,20 +80,23 @@ def run(family: str, arm: Arm, seed: int) -> Result:
     before: VecEnv | None = None
     with tempfile.TemporaryDirectory() as folder:
         for number, stage in enumerate(stages):
-            venv = venv_of(stage.env_id, env_seed, **how)
+            is_last = number == len(stages) - 1
+            venv = venv_of(stage.env_id, env_seed, **how, withheld=arm == LATER_ARM and number == 0)
             if arm == ZOO_ARM:
                 venv = before = normalised(venv, before)
             if model is None:
                 model = model_of(arm, venv, env_seed)
             else:
                 model.set_env(venv)
-            notes = Notes()
-            callbacks = _callbacks(arm, seed, discovers=number < max(1, len(stages) - 1))
+            longest = n_envs * venv.get_attr("unwrapped", [0])[0].max_steps
+            notes = Notes(protocol.until, longest) if is_last else Notes(protocol.learned)
+            callbacks = _callbacks(arm, seed, discovers=number == 0 or not is_last)
             began = time.perf_counter()
             model.learn(stage.frames, callback=[*callbacks, notes])
             seconds = time.perf_counter() - began
             runs = {name: dict(ends) for name, ends in notes.runs.items()}
             result["stages"].append({"curve": notes.curve, "option_runs": runs, "seconds": seconds})
+            result["stages"][-1]["frames"] = model.num_timesteps
             for found in callbacks:
                 if isinstance(found, SubgoalDiscoveryCallback):
                     result["options"] += [_about(found, discovery, number) for discovery in found.discoveries]
@@ -77,11 +104,16 @@ def run(family: str, arm: Arm, seed: int) -> Result:
                     how["options"] = Path(folder) / "options"
                     found.bank.save(how["options"])
             venv.close()
+            if arm == LATER_ARM and number == 0:
+                for slot in range(slots):  # they open with their share where they are offered first
+                    heads.close_head(model.policy, model.action_space.n - slots + slot)
         fresh = env_seed + FRESH
         venv = venv_of(stages[-1].env_id, fresh, **how)
         if arm == ZOO_ARM:
             venv = normalised(venv, before, training=False)
-        result["success"] = _judged(model, venv, fresh, slots > 0)
+        result["success"] = _judged(
+            model, venv, fresh, protocol.judged if slots else [how for how in protocol.judged if how != "uniform"]
+        )
     return result
 
 
@@ -90,14 +122,16 @@ def _callbacks(arm: Arm, seed: int, *, discovers: bool) -> list[BaseCallback]:
     if arm in settings.DISCOVERING:
         discovery = SubgoalDiscoveryCallback(
             settings.DISCOVERY,
+            {"min_reach": 0.0} if arm == settings.FORMER_ARM else None,
             max_new_options=None if discovers else 0,
             opening_share=settings.OPENING_SHARE,
             min_reached=settings.MIN_REACHED,
+            primitive_rollouts=arm != settings.FORMER_ARM,
             seed=seed,
         )
         callbacks.append(discovery)
     if arm == "hand-made":
-        callbacks.append(PrimitiveStepsCallback())
+        callbacks.append(PrimitiveStepsCallback(primitive_rollouts=True))
     if arm in settings.WITH_BONUS:
         callbacks.append(IntrinsicRewardCallback("rnd", weight=settings.RND_WEIGHT, seed=seed))
     return callbacks
@@ -113,12 +147,12 @@ def _about(callback: SubgoalDiscoveryCallback, found: DiscoveredOption, stage: i
     }
 
 
-def _judged(model: Any, venv: Any, seed: int, slots: bool) -> dict[str, float]:
-    success = {
-        "sampled": success_rate(learned(model, deterministic=False), venv, seed),
-        "greedy": success_rate(learned(model, deterministic=True), venv, seed),
+def _judged(model: Any, venv: VecEnv, seed: int, policies: Sequence[Judged]) -> dict[str, float]:
+    choosers: dict[Judged, Chooser] = {
+        "sampled": learned(model, deterministic=False),
+        "greedy": learned(model, deterministic=True),
+        "uniform": uniform(seed),
     }
-    if slots:
-        success["uniform"] = success_rate(uniform(seed), venv, seed)
+    success: dict[str, float] = {how: success_rate(choosers[how], venv, seed) for how in policies}
     venv.close()
     return success

@@ -31,15 +31,22 @@ from sb3_options.runs.intervals import mean_interval
 
 TASK = "MiniGrid-DoorKey-5x5-v0"
 
-CONCEPTS: dict[str, dict[str, tuple[float, float]]] = {
+Where = tuple[float, float] | None
+"""Cells ahead and to the right; None: anywhere in view."""
+
+CONCEPTS: dict[str, dict[str, Where]] = {
     "key straight ahead": {"key": (1, 0)},
     "key in hand": {"key": (0, 0)},
     "locked door straight ahead": {"locked_door": (1, 0)},
     "locked door straight ahead, key in hand": {"key": (0, 0), "locked_door": (1, 0)},
     "open door straight ahead": {"open_door": (1, 0)},
     "goal straight ahead": {"goal": (1, 0)},
+    "key in view": {"key": None},
+    "locked door in view": {"locked_door": None},
+    "open door in view": {"open_door": None},
+    "goal in view": {"goal": None},
 }
-"""By name, where which things are: cells ahead and to the right."""
+"""By name, where which things are."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,21 +61,21 @@ class Study(Flags):
     frames: int = 40_000
 
 
-def point_of(concept: dict[str, tuple[float, float]]) -> FloatArray:
+def point_of(concept: dict[str, Where]) -> FloatArray:
     """All features (1, d) where these things are there, and no others."""
     point = np.zeros((1, len(FEATURES)))
     for kind, where in concept.items():
         first = FEATURES.index(f"{kind}_visible")
-        point[0, first : first + 3] = 1, *where
+        point[0, first : first + 3] = 1, *(where or (0, 0))
     return point
 
 
-def contrast_of(
-    concept: dict[str, tuple[float, float]], lived: Sequence[LabelledTrajectory], *, equal_time: bool
-) -> float:
+def contrast_of(concept: dict[str, Where], lived: Sequence[LabelledTrajectory], *, equal_time: bool) -> float:
     """The contrast of a concept in the group of features that it is about; -1 if no trajectory visited it."""
     name = " and ".join(concept)
     (group,) = (FeatureGroup(**fields) for fields in concept_groups() if fields["name"] == name)
+    if None in concept.values():
+        group = FeatureGroup(name, [FEATURES.index(f"{name}_visible")], present=[[FEATURES.index(f"{name}_visible")]])
     contrast = Contrast(group, DiscoverySettings().subgoal_radius, equal_time=equal_time)
     contrast.update(lived)
     try:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.common.seeds import Result
-from experiments.minigrid.conditions import stages_of
 from experiments.minigrid.settings import EPISODES, FAMILIES
+from experiments.minigrid.summary import run_frames
 
 COLOURS: dict[str, str] = {
-    "discovered": "#d62728", "discovered, RND": "#ff9896", "hand-made": "#2ca02c",
+    "discovered": "#d62728", "discovered, RND": "#ff9896", "discovered, former settings": "#8c564b",
+    "discovered, offered later": "#e377c2", "hand-made": "#2ca02c",
     "stock, curriculum": "#1f77b4", "stock, RND": "#9467bd", "stock, rl-zoo3's settings": "#ff7f0e", "stock": "#7f7f7f",
 }  # fmt: skip
 
@@ -20,20 +22,28 @@ def draw(family: str, results: Mapping[str, Sequence[Result]]) -> Figure:
     """Training success by frames of all stages, a line a seed."""
     figure = Figure(figsize=(7.2, 3.6), layout="constrained")
     axes = figure.subplots()
+    as_planned = all("frames" not in stage for runs in results.values() for run in runs for stage in run["stages"])
     for name, runs in results.items():
         for i, run in enumerate(runs):
             before = 0
-            for stage, noted in zip(stages_of(family, name), run["stages"], strict=True):  # type: ignore[arg-type]  # arms
+            spent = run_frames(run, family, name)  # type: ignore[arg-type]  # the names are arms
+            for took, noted in zip(spent, run["stages"], strict=True):
                 frames = [before + at for at, _ in noted["curve"]]
                 success = [rate for _, rate in noted["curve"]]
                 label = name if i == 0 and before == 0 else None
                 axes.plot(frames, success, color=COLOURS[name], linewidth=1.2, label=label)
-                before += stage.frames
-    before = 0
-    for stage in FAMILIES[family]:
-        axes.axvline(before, color="0.8", linewidth=0.8, zorder=0)
-        axes.text(before, 1.03, f" {stage.env_id.removeprefix('MiniGrid-')}", fontsize=8)
-        before += stage.frames
+                if not as_planned:
+                    axes.plot(frames[:1], success[:1], ".", color=COLOURS[name], markersize=8)
+                before += took
+    stages = FAMILIES[family]
+    if as_planned:
+        starts = np.cumsum([0, *(stage.frames for stage in stages)])
+        for before, stage in zip(starts, stages, strict=False):
+            axes.axvline(before, color="0.8", linewidth=0.8, zorder=0)
+            axes.text(before, 1.03, f" {stage.env_id.removeprefix('MiniGrid-')}", fontsize=8)
+    else:
+        names = " → ".join(stage.env_id.removeprefix("MiniGrid-") for stage in stages)
+        axes.set_title(f"{names}; a dot where a task begins", fontsize=9)
     axes.set_ylim(-0.02, 1.02)
     axes.set_xlabel("primitive steps of all stages; “stock” spends all of them in the last task")
     axes.set_ylabel(f"success, last {EPISODES} episodes")

@@ -5,16 +5,20 @@ from __future__ import annotations
 from typing import Any, Literal, NamedTuple, get_args
 
 Arm = Literal[
-    "discovered", "discovered, RND", "hand-made",
+    "discovered", "discovered, former settings", "discovered, offered later", "discovered, RND", "hand-made",
     "stock, curriculum", "stock, RND", "stock, rl-zoo3's settings", "stock",
 ]  # fmt: skip
 ARMS: tuple[Arm, ...] = get_args(Arm)
 """``stock``: PPO in the last task alone, for the frames of all stages. All others go through all stages and take the
 weights along. ``stock, curriculum``: PPO; ``stock, rl-zoo3's settings``: with these; ``stock, RND``: with a bonus for
 what is new in each task. ``discovered``: with options that are discovered in the stages before the last, and kept;
-``discovered, RND``: with the bonus too. ``hand-made``: with options by hand from the first step on, the bound."""
+``discovered, RND``: with the bonus. ``discovered, former settings``: rollouts count decisions, and options begin in all
+of I; ``discovered, offered later``: options may be chosen from the second stage on. ``hand-made``: options by hand from
+the first step on, the bound."""
 
-DISCOVERING: tuple[Arm, ...] = ("discovered", "discovered, RND")
+FORMER_ARM: Arm = "discovered, former settings"
+LATER_ARM: Arm = "discovered, offered later"
+DISCOVERING: tuple[Arm, ...] = ("discovered", FORMER_ARM, LATER_ARM, "discovered, RND")
 WITH_OPTIONS: tuple[Arm, ...] = (*DISCOVERING, "hand-made")
 WITH_BONUS: tuple[Arm, ...] = ("discovered, RND", "stock, RND")
 ZOO_ARM: Arm = "stock, rl-zoo3's settings"
@@ -50,6 +54,22 @@ FAMILIES: dict[str, tuple[Stage, ...]] = {
         Stage("MiniGrid-DoorKey-8x8-v0", 90_000),
         Stage("MiniGrid-DoorKey-16x16-v0", 150_000),
     ),
+    "DoorKey-5-16": (
+        Stage("MiniGrid-DoorKey-5x5-v0", 60_000),
+        Stage("MiniGrid-DoorKey-16x16-v0", 150_000),
+    ),
+    "MultiRoom-N6": (
+        Stage("MiniGrid-MultiRoom-N2-S4-v0", 40_000),
+        Stage("MiniGrid-MultiRoom-N6-v0", 160_000),
+    ),
+    "FourRooms": (
+        Stage("MiniGrid-MultiRoom-N2-S4-v0", 40_000),
+        Stage("MiniGrid-FourRooms-v0", 160_000),
+    ),
+    "LockedRoom": (
+        Stage("MiniGrid-DoorKey-5x5-v0", 60_000),
+        Stage("MiniGrid-LockedRoom-v0", 200_000),
+    ),
     "KeyCorridor": (
         Stage("MiniGrid-KeyCorridorS3R1-v0", 150_000),
         Stage("MiniGrid-KeyCorridorS3R2-v0", 150_000),
@@ -80,7 +100,7 @@ RND_WEIGHT = 0.1
 
 def max_options(family: str) -> int:
     """Slots for options: as many as the family has use for by hand."""
-    return {"DoorKey": 6, "KeyCorridor": 8}.get(family.split("-")[0], 4)
+    return {"DoorKey": 6, "LockedRoom": 6, "KeyCorridor": 8}.get(family.split("-")[0], 4)
 
 
 DISCOVERY: dict[str, Any] = {"capacity": 500, "start_radius": 0.5, "goal_radius": 0.5, "max_share": None}
@@ -101,6 +121,10 @@ REACHED = (0.5, 0.8, 0.9)
 def of(arm: Arm) -> dict[str, Any]:
     """What one arm alone has."""
     special: dict[str, Any] = {}
+    if arm in WITH_OPTIONS:
+        special |= {"primitive_rollouts": arm != FORMER_ARM}
+    if arm == FORMER_ARM:
+        special |= {"min_reach": 0.0}
     if arm in DISCOVERING:
         special |= {"min_reached": MIN_REACHED, "discovers_in": "all stages but the last"}
     if arm in WITH_BONUS:

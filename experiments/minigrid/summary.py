@@ -16,12 +16,18 @@ from sb3_options.runs.intervals import mean_interval
 Summary = dict[str, dict[str, Any]]
 
 
+def run_frames(run: Result, family: str, arm: Arm) -> list[int]:
+    """Frames that a run took in each of its stages."""
+    budgets = [stage.frames for stage in stages_of(family, arm)]
+    return [noted.get("frames", budget) for noted, budget in zip(run["stages"], budgets, strict=True)]
+
+
 def frames_to(run: Result, family: str, arm: Arm, success: float) -> int | None:
     """Frames of all stages until the training success of the last task is at least this, and stays so; None if never.
 
     The first rates of a task are those of few episodes, and of short ones: they do not count by themselves.
     """
-    before = sum(stage.frames for stage in stages_of(family, arm)[:-1])
+    before = sum(run_frames(run, family, arm)[:-1])
     reached: int | None = None
     for frames, rate in run["stages"][-1]["curve"]:
         if rate < success:
@@ -45,10 +51,11 @@ def summarise(family: str, results: Mapping[str, Sequence[Result]]) -> Summary:
     """
     summary: Summary = {"arms": {}, "uniform": {}, "options": {}}
     for name, runs in results.items():
+        judged = [how for how in ("sampled", "greedy") if how in runs[0]["success"]]
         arm: Arm = name  # type: ignore[assignment]  # the names of the parts are arms
         summary["arms"][name] = {
             "n_runs": len(runs),
-            "success": {how: _mean([run["success"][how] for run in runs]) for how in ("sampled", "greedy")},
+            "success": {how: _mean([run["success"][how] for run in runs]) for how in judged},
             "frames_to": {str(least): [frames_to(run, family, arm, least) for run in runs] for least in REACHED},
             "seconds": _mean([sum(stage["seconds"] for stage in run["stages"]) for run in runs]),
         }

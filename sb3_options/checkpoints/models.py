@@ -29,6 +29,8 @@ COUNTERS = (
     "_current_progress_remaining",
     "exploration_rate",
 )
+ROLLOUT = ("n_steps", "n_primitive_steps")
+"""How long the rollout is that begins, in decisions, and in primitive steps where these count."""
 LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts")
 """What the environments gave last."""
 
@@ -60,6 +62,7 @@ def get_state(model: BaseAlgorithm) -> State:
         "counters": {name: getattr(model, name) for name in COUNTERS if hasattr(model, name)},
         "last": {name: getattr(model, name, None) for name in LAST},
         "total": model._total_timesteps,
+        "rollout": {name: getattr(model, name) for name in ROLLOUT if hasattr(model, name)},
         "elapsed": time.time_ns() - model.start_time,
         "episodes": list(model.ep_info_buffer or ()),
         "successes": list(model.ep_success_buffer or ()),
@@ -80,6 +83,15 @@ def growing(model: BaseAlgorithm) -> list[Growing]:
     """The large arrays in `get_state` that tell how they have grown."""
     buffer = getattr(model, "replay_buffer", None)
     return buffer.growing() if isinstance(buffer, OptionReplayBuffer) else []
+
+
+def prepare(model: BaseAlgorithm, state: State) -> None:
+    """Let the first rollout of an on-policy algorithm be as long as the one that began with what `get_state` gave."""
+    for name, value in state["rollout"].items():
+        setattr(model, name, value)
+    buffer = getattr(model, "rollout_buffer", None)
+    if buffer is not None:
+        buffer.buffer_size = state["rollout"]["n_steps"]
 
 
 def set_state(model: BaseAlgorithm, state: State) -> None:

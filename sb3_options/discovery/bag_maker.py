@@ -210,7 +210,7 @@ class BagMaker:
         """Which states the ways near them lead through, and which stand out: `DiscoverySettings.min_passing`."""
         if self.contrast is not None:
             least = self.settings.min_contrast
-            return [k.allowed & self.contrast.stands_out(k.labelled.features[k.rows], least) for k in known]
+            return [k.allowed & self.contrast.stands_out(k.labelled, least)[k.rows] for k in known]
         if self.settings.min_passing == 0.0:
             return [k.allowed for k in known]
         shares = self._passing.update([k.scaled for k in known])

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.spatial.distance import cdist
+from scipy.spatial import cKDTree
 
 from sb3_options.density.groups import FeatureGroup
-from sb3_options.experience.observations import BoolArray, FloatArray
+from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 from sb3_options.experience.trajectories import LabelledTrajectory
 
 MAX_START_SHARE = 0.5
@@ -20,6 +20,12 @@ PAIR_GAIN = 0.1
 
 NO_PLACE = -1.0
 """Contrast of a state that is no place of the group; no place has less."""
+
+ABSENT = -2.0
+"""Contrast of a state that none of the present trajectories visited."""
+
+MAX_FORMER_STATES = 1000
+"""Absent states are forgotten when there are more than this, and more than there are present ones."""
 
 
 class Contrast:
@@ -45,95 +51,164 @@ class Contrast:
         self, group: FeatureGroup, radius: float, parts: Sequence[Contrast] = (), *, equal_time: bool = True
     ) -> None:
         self.group, self.radius, self.parts, self.equal_time = group, radius, parts, equal_time
-        self._values: dict[bytes, float] = {}
+        self._forget()
+
+    def _forget(self) -> None:
+        self._values: FloatArray = np.zeros(0)
+        self._or_no_place: FloatArray = np.full(1, NO_PLACE)
+        self._numbers: dict[bytes, int] = {}
         self._visits: dict[int, _Visits] = {}
 
     def update(self, trajectories: Sequence[LabelledTrajectory]) -> None:
         """Count the visits of these trajectories, and of no others."""
+        if len(self._numbers) > MAX_FORMER_STATES + 2 * int((self._values > ABSENT).sum()):
+            self._forget()  # most are of trajectories that are gone
         old = {id(visits.labelled): visits for visits in self._visits.values()}  # a copied object has another id
-        self._visits = {id(t): old.get(id(t)) or _Visits(t, self.group) for t in trajectories}
+        self._visits = {id(t): old.get(id(t)) or _Visits(t, self.group, self._numbers) for t in trajectories}
         visits = [self._visits[id(t)] for t in trajectories]
-        states, which = np.unique(np.concatenate([v.states for v in visits]), axis=0, return_inverse=True)
         success = np.array([t.success for t in trajectories], dtype=bool)
-        durations = np.sort([len(t.trajectory) for t in trajectories if t.success])
-        n_states = np.array([len(v.states) for v in visits])
-        rows, columns = np.repeat(np.arange(len(visits)), n_states), which.ravel()
-        counts = np.ones(len(rows))
-        if self.equal_time and len(durations):
-            times = np.concatenate([v.times for v in visits])
-            counts = np.where(success[rows], 1.0, 1.0 - np.searchsorted(durations, times) / len(durations))
-        reached, began = np.zeros((2, len(visits), len(states)))
-        reached[rows, columns] = counts
-        starts = np.cumsum(n_states) - n_states
-        firsts = [(i, int(starts[i]) + v.first) for i, v in enumerate(visits) if v.first is not None]
-        began[[i for i, _ in firsts], columns[[at for _, at in firsts]]] = 1.0
-        scaled = states * np.asarray(self.group.scale)
-        near = cdist(scaled, scaled) <= self.radius
-        reached, began = _anywhere(reached, near), _anywhere(began, near)
-        values = _share(reached[success]) - _share(reached[~success])
-        values[began.mean(axis=0) > MAX_START_SHARE] = NO_PLACE
-        self._values = {_key(state): float(value) for state, value in zip(states, values, strict=True)}
+        states = np.concatenate([v.states for v in visits])
+        if not len(states):
+            self._values, self._or_no_place = np.full(len(self._numbers), ABSENT), np.full(1, NO_PLACE)
+            return
+        of_whom = np.repeat(np.arange(len(visits)), [len(v.states) for v in visits])
+        weights = np.ones(len(states))
+        if self.equal_time and success.any():
+            durations = np.sort([len(t.trajectory) for t in trajectories if t.success])
+            late = np.searchsorted(durations, np.concatenate([v.times for v in visits])) / len(durations)
+            weights = np.where(success[of_whom], 1.0, 1.0 - late)
+        first = np.array([v.first for v in visits])
+        n_states, began = len(self._numbers), np.flatnonzero(first >= 0)
+        reached = _Reached(states, of_whom, weights, success, n_states)
+        begun = _Reached(first[began], began, np.ones(len(began)), success, n_states)
+        present = np.bincount(states, minlength=n_states) > 0
+        for state, near in self._neighbours(present):
+            reached.join(state, near)
+            begun.join(state, near)
+        n_positive, n_negative = int(success.sum()), int((~success).sum())
+        values = _share(reached.positive, n_positive) - _share(reached.negative, n_negative)
+        values[(begun.positive + begun.negative) / len(visits) > MAX_START_SHARE] = NO_PLACE
+        values[~present] = ABSENT
+        self._values, self._or_no_place = values, np.append(values, NO_PLACE)  # the last has number -1
+
+    def _neighbours(self, present: BoolArray) -> list[tuple[int, IntArray]]:
+        """Of each state that has others within the radius: its number, and the numbers of all of them and of itself."""
+        numbers = np.flatnonzero(present)
+        if len(numbers) < 2:
+            return []
+        scaled = self._states()[numbers] * np.asarray(self.group.scale)
+        near = cKDTree(scaled).query_ball_point(scaled, self.radius)
+        return [(int(numbers[i]), numbers[these]) for i, these in enumerate(near) if len(these) > 1]
+
+    def _states(self) -> FloatArray:
+        """The states by their numbers, (n, k)."""
+        return np.frombuffer(b"".join(self._numbers)).reshape(-1, len(self.group.features))
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint. Visits are not in it: they follow from the trajectories."""
-        return {
-            "states": np.array([np.frombuffer(key) for key in self._values]),
-            "values": np.array(list(self._values.values())),
-        }
+        present = self._values > ABSENT
+        return {"states": self._states()[: len(present)][present], "values": self._values[present]}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave."""
-        self._values = {_key(of): float(value) for of, value in zip(state["states"], state["values"], strict=True)}
-        self._visits = {}
+        self._forget()
+        self._numbers = {_key(of): i for i, of in enumerate(state["states"])}
+        self._values = np.array(state["values"], dtype=np.float64)
 
     @property
     def n_states(self) -> int:
         """Distinct states of the group in the trajectories."""
-        return len(self._values)
+        return int(np.count_nonzero(self._values != ABSENT))
 
     def largest(self) -> float:
         """Of all states; `NO_PLACE` where there is none."""
-        return max(self._values.values(), default=NO_PLACE)
+        return max(float(self._values.max(initial=NO_PLACE)), NO_PLACE)
 
     def of(self, features: FloatArray) -> FloatArray:
         """The contrast of states by all their features (m, d), shape (m,); they were in an updated trajectory."""
         places = self.group.is_place(features)
         values = np.full(len(features), NO_PLACE)
-        values[places] = [self._values[_key(state)] for state in self.group.own(features[places])]
+        values[places] = [self._values[self._numbers[_key(state)]] for state in self.group.own(features[places])]
         return values
 
-    def stands_out(self, features: FloatArray, least: float) -> BoolArray:
-        """Which states (m, d) have a contrast of ``least``, and more than in a part of the group, shape (m,)."""
-        values = self.of(features)
+    def of_visited(self, labelled: LabelledTrajectory) -> FloatArray:
+        """The contrast of the states of a trajectory, (m,), which is one of the updated."""
+        values: FloatArray = self._or_no_place[self._visits[id(labelled)].numbers]
+        return values
+
+    def stands_out(self, labelled: LabelledTrajectory, least: float) -> BoolArray:
+        """Which states of a trajectory have a contrast of ``least``, and more than in a part of the group, (m,)."""
+        values = self.of_visited(labelled)
         enough: BoolArray = values >= least
-        for part in self.parts:
-            enough &= values >= part.of(features) + PAIR_GAIN
+        for part in self.parts if enough.any() else ():
+            enough &= values >= part.of_visited(labelled) + PAIR_GAIN
         return enough
 
 
-class _Visits:
-    """The distinct places of a group that a trajectory visited, (n, k), when first, and which it began in, if any."""
+class _Reached:
+    """How many trajectories visited each state, those that succeeded and the others.
 
-    def __init__(self, labelled: LabelledTrajectory, group: FeatureGroup) -> None:
+    Args:
+        states: Numbers of the states of all visits, (n,).
+        of_whom: The trajectory of each visit, (n,).
+        weights: What it counts, (n,).
+        success: Of each trajectory.
+        n_states: How many states there are.
+    """
+
+    def __init__(
+        self, states: IntArray, of_whom: IntArray, weights: FloatArray, success: BoolArray, n_states: int
+    ) -> None:
+        self.success = success
+        order = np.argsort(states, kind="stable")
+        self._of_whom, self._weights = of_whom[order], weights[order]
+        self._starts = np.searchsorted(states[order], np.arange(n_states + 1))
+        well = success[of_whom]
+        self.positive: FloatArray = np.bincount(states[well], weights[well], minlength=n_states).astype(np.float64)
+        self.negative: FloatArray = np.bincount(states[~well], weights[~well], minlength=n_states).astype(np.float64)
+
+    def join(self, state: int, near: IntArray) -> None:
+        """Count a visit of any of the states ``near`` as one of ``state``, the most that a trajectory has."""
+        most = np.zeros(len(self.success))
+        for other in near:
+            visits = slice(self._starts[other], self._starts[other + 1])
+            np.maximum.at(most, self._of_whom[visits], self._weights[visits])
+        self.positive[state], self.negative[state] = most[self.success].sum(), most[~self.success].sum()
+
+
+class _Visits:
+    """What a trajectory visited.
+
+    Args:
+        labelled: The trajectory.
+        group: The features that count.
+        numbers: Of all states of the group that were visited so far; new ones are added.
+
+    Attributes:
+        numbers: Of each observation the number of its state, -1 where it is no place of the group, (m,).
+        states: The distinct ones, (n,).
+        times: When each was first, (n,).
+        first: That in which the trajectory began, or -1.
+    """
+
+    def __init__(self, labelled: LabelledTrajectory, group: FeatureGroup, numbers: dict[bytes, int]) -> None:
         self.labelled = labelled  # kept, so that no other takes its id
         places = group.is_place(labelled.features)
-        self.states, which = np.unique(group.own(labelled.features[places]), axis=0, return_inverse=True)
-        self.first = int(which.ravel()[0]) if places[0] else None
+        self.numbers = np.full(len(places), -1)
+        self.states, self.times, self.first = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp), -1
+        if not places.any():
+            return
+        keys = map(_key, group.own(labelled.features[places]))
+        self.numbers[places] = [numbers.setdefault(key, len(numbers)) for key in keys]
+        self.first = int(self.numbers[0])
         came = np.unique(labelled.trajectory.visits, return_index=True)[1]  # when to each observation
+        self.states, which = np.unique(self.numbers[places], return_inverse=True)
         self.times = np.full(len(self.states), came.max(initial=0))
         np.minimum.at(self.times, which.ravel(), came[places])
 
 
-def _anywhere(reached: FloatArray, near: BoolArray) -> FloatArray:
-    """For each state (n, states) the most of those near it; a state is near itself."""
-    most = reached.copy()
-    for state in np.flatnonzero(near.sum(axis=0) > 1):
-        most[:, state] = reached[:, near[:, state]].max(axis=1)
-    return most
-
-
-def _share(reached: FloatArray) -> FloatArray:
-    shares: FloatArray = (reached.sum(axis=0) + 1.0) / (len(reached) + 2.0)
+def _share(reached: FloatArray, n: int) -> FloatArray:
+    shares: FloatArray = (reached + 1.0) / (n + 2.0)
     return shares
 
 

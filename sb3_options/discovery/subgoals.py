@@ -234,7 +234,7 @@ class SubgoalDiscovery:
         elif seen.successes == 0:
             why = seen.why_no_success()
         elif self.found:
-            why = "one was found that no saved trajectory leads to, so that no option could be made."
+            why = "no saved trajectory leads surely enough (min_reach) to the one that was found: there is no option."
         elif self.recurrence.nothing:
             why = self.recurrence.why(seen.successes, f"successful {seen.unit}s")
         elif self.last.bags is None:

@@ -51,6 +51,21 @@ def smdp_advantages(
     return advantages
 
 
+def n_decisions(n_primitive_steps: int, durations: FloatArray, multiple: int = 1) -> int:
+    """How many decisions of each environment take about so many primitive steps.
+
+    Args:
+        n_primitive_steps: Of each environment, at least 1.
+        durations: Of the decisions of the last rollout, in primitive steps, any shape.
+        multiple: Decisions come in multiples of this, so that minibatches are full.
+
+    Returns:
+        At least ``multiple``, at most as many decisions as primitive steps, in multiples.
+    """
+    most = max(n_primitive_steps // multiple, 1)
+    return multiple * min(max(round(n_primitive_steps / float(durations.mean()) / multiple), 1), most)
+
+
 def add_bonuses(buffer: RolloutBuffer, bonuses: FloatArray) -> None:
     """Turn a complete rollout into the one of rewards with a bonus.
 
@@ -102,7 +117,11 @@ class SMDPAdvantages:
     are γᵏ for a transition of k primitive steps. SB3 does not pass infos to the buffer. Hence a callback
     (`PrimitiveStepsCallback`, `SubgoalDiscoveryCallback`) calls `expect` before each `add`.
 
+    Attributes:
+        next_size: ``buffer_size`` of the rollout that begins with the next `reset`; None leaves it as it is.
     """
+
+    next_size: int | None = None
 
     # Attributes of the SB3 buffer.
     buffer_size: int
@@ -118,6 +137,8 @@ class SMDPAdvantages:
 
     def reset(self) -> None:
         """Forget the last rollout."""
+        if self.next_size is not None:
+            self.buffer_size, self.next_size = self.next_size, None
         self.durations = np.ones((self.buffer_size, self.n_envs))
         self.discounts = np.full((self.buffer_size, self.n_envs), self.gamma)
         self._expected: tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None = None

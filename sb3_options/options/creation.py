@@ -16,6 +16,7 @@ from sb3_options.options.initiation import initiation_set, leading
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import OptionPolicy, TabularPolicy
 from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal
+from sb3_options.options.reach import reliable_part
 from sb3_options.options.replay import replay_into_network, replay_into_table
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.options.tasks import Climbing, OwnTask, Reaching, Transitions, transitions_of
@@ -51,8 +52,8 @@ def learn_option(
         name: For people.
 
     Returns:
-        The option, not yet bound to a feature map; None if no saved trajectory leads to the subgoal, or nothing is to
-        be gained on any.
+        The option, not yet bound to a feature map; None if no saved trajectory leads to the subgoal or, on a group of
+        features, none promises to reach it often enough (``min_reach``), or if nothing is to be gained on any.
     """
     trajectories = list(trajectories)
     if isinstance(proposal, Region) and proposal.group is not None:
@@ -73,6 +74,15 @@ def learn_option(
     else:
         assert isinstance(proposal, IntrinsicReward)
         subgoal, initiation = where_it_pays(proposal, policy, trajectories, settings)
+    if subgoal.group is not None and settings.min_reach and isinstance(policy, TabularPolicy):
+        initiation = reliable_part(
+            initiation,
+            transitions,
+            policy,
+            least=settings.min_reach,
+            steps=min(settings.initiation_steps, settings.max_duration),
+            subgoal_reward=settings.subgoal_reward,
+        )
     if not len(initiation.points):
         return None
     return SubgoalOption(

@@ -19,6 +19,9 @@ class OptionLearningSettings:
         initiation_visits: ``first`` visit of the subgoal in each trajectory only, which leads forward, or ``every``.
         initiation_radius: An observation lies in I if its features are within this distance, in scaled units, of a
             state that entered I.
+        min_reach: Of an option on a group of features: I keeps the states from where the saved steps promise to reach
+            the subgoal within n steps with at least this probability (`reach.reliable_part`); 0 keeps all. With none
+            left there is no option.
         max_duration: Longest run of the option, primitive steps.
         step_reward: Reward of the option's own task for every step that goes on.
         subgoal_reward: Reward for the step that reaches the subgoal.
@@ -39,6 +42,7 @@ class OptionLearningSettings:
     initiation_steps: Annotated[int, Field(ge=1)] = 15
     initiation_visits: Literal["first", "every"] = "first"
     initiation_radius: Annotated[float, Field(ge=0)] = 0.5
+    min_reach: Annotated[float, Field(ge=0, le=1)] = 0.5
     max_duration: Annotated[int, Field(ge=1)] = 100
     step_reward: Annotated[float, Field(allow_inf_nan=False)] = -1.0
     subgoal_reward: Annotated[float, Field(allow_inf_nan=False)] = 0.0

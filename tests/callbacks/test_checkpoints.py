@@ -122,6 +122,15 @@ def test_every_algorithm_goes_on_as_if_never_ended(name: str, tmp_path: Path) ->
 
 
 @pytest.mark.usefixtures("keep_all")
+def test_rollouts_in_primitive_steps(tmp_path: Path) -> None:
+    callbacks, _ = check_resumes(
+        lambda: model_of("PPO", venv_of()), lambda: [discovering(primitive_rollouts=True)], tmp_path, cuts=(0.1, 0.95)
+    )
+    model: Any = callbacks[0].model
+    assert (model.n_steps, hasattr(model, "n_primitive_steps")) == (32, False)
+
+
+@pytest.mark.usefixtures("keep_all")
 @pytest.mark.parametrize("name", ["PPO", *(pytest.param(each, marks=pytest.mark.slow) for each in SLOW[:2])])
 def test_cut_right_before_and_after_an_option_is_installed(name: str, tmp_path: Path) -> None:
     def make() -> Any:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.minigrid import agents, keys, settings
+from experiments.minigrid import agents, keys, reach, settings
 from experiments.minigrid.__main__ import Study, folder_of, main
 from experiments.minigrid.conditions import stages_of
 from experiments.minigrid.hand_made import FORWARD, LEFT, RIGHT, TOGGLE, approach
@@ -34,7 +34,7 @@ def test_study_writes_results_and_picture(tmp_path: Path, monkeypatch: pytest.Mo
     assert {arm: len(runs[0]["stages"]) for arm, runs in written["runs"].items()} == {
         arm: 1 if arm == "stock" else 2 for arm in ARMS
     }
-    assert set(written["special"]) == set(ARMS) - {"hand-made", "stock, curriculum", "stock"}
+    assert set(written["special"]) == set(ARMS) - {"stock, curriculum", "stock"}
     assert (tmp_path / "minigrid.png").stat().st_size > 5_000
 
 
@@ -136,3 +136,20 @@ def test_the_point_of_a_concept() -> None:
     point = keys.point_of({"key": (0, 0), "locked_door": (1, 0)})[0]
     shown = {name: value for name, value in zip(FEATURES, point, strict=True) if value}
     assert shown == {"key_visible": 1, "locked_door_visible": 1, "locked_door_forward": 1}
+
+
+def test_how_often_options_reach_their_subgoals(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stages = Stage("MiniGrid-Empty-5x5-v0", 600), Stage("MiniGrid-Empty-6x6-v0", 600)
+    monkeypatch.setitem(FAMILIES, "small", stages)
+    monkeypatch.setattr(settings, "N_ENVS", 2)
+    monkeypatch.setitem(settings.PPO, "n_steps", 64)
+    monkeypatch.setitem(settings.PPO, "batch_size", 64)
+    monkeypatch.setattr(reach, "MOST_RUNS", 20)
+    for name, value in {"min_positive": 4, "decay": 0.5, "threshold": 0.4, "min_contrast": -0.9}.items():
+        monkeypatch.setitem(settings.DISCOVERY, name, value)
+    reach.main(reach.Study(out=tmp_path, runs=1, first_seed=0, jobs=1, family="small", frames=3000))
+    written = json.loads((tmp_path / "results.json").read_text())
+    (run,) = written["runs"]
+    found = {option["where"]: option for option in run["options"]}
+    assert any(option["min_reach"]["first"]["reached"] > 0 for option in found.values())
+    assert set(written["summary"]) == set(reach.LEASTS)

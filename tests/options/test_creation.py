@@ -60,7 +60,8 @@ class TestLearnOption:
         for trajectory in self.trajectories:
             places = trajectory.features[:, 0]
             known.append(replace(trajectory, features=seen(places, (places != 2).astype(float))))
-        option = learn_option(door, known, 2, OptionLearningSettings(initiation_steps=4), generator())
+        all_states = OptionLearningSettings(initiation_steps=4, min_reach=0)
+        option = learn_option(door, known, 2, all_states, generator())
         assert option is not None
         assert option.policy_input == "features"
         np.testing.assert_array_equal(option.initiation_set.points, [[1, 1], [3, 1], [4, 1]])  # nobody knows of 2
@@ -72,6 +73,10 @@ class TestLearnOption:
         further = learn_further(option, known[0], OptionLearningSettings())
         assert isinstance(further.option_policy, TabularPolicy)
         assert further.option_policy.states.shape[1] == 2
+        surer = learn_option(door, known, 2, replace(all_states, min_reach=0.4), generator())
+        assert surer is not None
+        np.testing.assert_array_equal(surer.initiation_set.points, [[3, 1], [4, 1]])  # from 1 nobody came
+        assert learn_option(door, known, 2, replace(all_states, min_reach=1.0), generator()) is None
 
     @pytest.mark.parametrize("kind", ["table", "network"])
     def test_a_policy_of_features_needs_no_more_of_the_observation(self, kind: str) -> None:

@@ -1,0 +1,112 @@
+"""What an agent of MiniGrid sees, computed several times faster than by MiniGrid itself, and equal to it.
+
+MiniGrid copies the cells in view into a new grid, and again for every quarter turn: most of the time of a step.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from types import MethodType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+WALL_CODE = b"\x02\x05\x00"
+EMPTY_CODE = b"\x01\x00\x00"
+UNSEEN_CODE = b"\x00\x00\x00"
+"""Object, colour and state of a cell, as ``minigrid.core.constants`` numbers them."""
+
+
+def see_quickly(env: Any) -> None:
+    """Let an environment of MiniGrid compute its observations with `image_of`.
+
+    One whose class has a ``gen_obs`` or ``gen_obs_grid`` of its own is left as it is.
+
+    Args:
+        env: A ``MiniGridEnv``, without wrappers.
+    """
+    from minigrid.minigrid_env import MiniGridEnv
+
+    kept = (getattr(type(env), name, None) is getattr(MiniGridEnv, name) for name in ("gen_obs", "gen_obs_grid"))
+    if all(kept):
+        env.gen_obs = MethodType(_observation, env)
+
+
+def _observation(env: Any) -> dict[str, Any]:
+    return {"image": image_of(env), "direction": env.agent_dir, "mission": env.mission}
+
+
+def image_of(env: Any) -> npt.NDArray[np.uint8]:
+    """The image (v, v, 3) of what the agent sees: column, row, and object, colour and state.
+
+    Args:
+        env: A ``MiniGridEnv``.
+    """
+    view = env.agent_view_size
+    left, top, _, _ = env.get_view_exts(view)
+    width, height, cells = env.grid.width, env.grid.height, env.grid.grid
+    codes: list[bytes] = []
+    transparent: list[bool] = []
+    for dx, dy in _turned(env.agent_dir, view):
+        x, y = left + dx, top + dy
+        if not (0 <= x < width and 0 <= y < height):
+            codes.append(WALL_CODE)
+            transparent.append(False)
+            continue
+        thing = cells[y * width + x]
+        if thing is None:
+            codes.append(EMPTY_CODE)
+            transparent.append(True)
+        elif thing.type == "wall":
+            codes.append(bytes(thing.encode()))
+            transparent.append(False)
+        else:
+            codes.append(bytes(thing.encode()))
+            transparent.append(thing.see_behind())
+    agent = view // 2 * view + view - 1
+    if not env.see_through_walls:
+        for cell, seen in enumerate(_visible(transparent, view)):
+            if not seen:
+                codes[cell] = UNSEEN_CODE
+    codes[agent] = EMPTY_CODE if env.carrying is None else bytes(env.carrying.encode())
+    return np.frombuffer(bytearray(b"".join(codes)), dtype=np.uint8).reshape(view, view, 3)
+
+
+@lru_cache
+def _turned(direction: int, view: int) -> tuple[tuple[int, int], ...]:
+    """Of each cell of the image, column by column, where it lies in the square in view, from its upper left corner."""
+    square = np.stack(np.meshgrid(np.arange(view), np.arange(view), indexing="ij"), axis=-1)
+    for _ in range(direction + 1):
+        square = np.rot90(square, -1)
+    return tuple((int(dx), int(dy)) for dx, dy in square.reshape(-1, 2))
+
+
+def _visible(transparent: list[bool], view: int) -> list[bool]:
+    """Which cells are lit from the agent's, row by row from the nearest on; column by column, as ``transparent``."""
+    visible = [False] * (view * view)
+    row = 1 << view // 2
+    for j in reversed(range(view)):
+        clear = sum(1 << i for i in range(view) if transparent[i * view + j])
+        lit, row = _spread(row, clear, view)
+        for i in range(view):
+            visible[i * view + j] = bool(lit >> i & 1)
+    return visible
+
+
+@lru_cache(maxsize=1 << 16)
+def _spread(lit: int, clear: int, view: int) -> tuple[int, int]:
+    """What is lit in a row, and by it in the row beyond: to the right, then to the left, as long as cells are clear.
+
+    Args:
+        lit: Bit i is set where column i is lit.
+        clear: Likewise where one can see through.
+        view: Columns.
+    """
+    beyond = 0
+    for columns, step in ((range(view - 1), 1), (range(view - 1, 0, -1), -1)):
+        for i in columns:
+            if lit >> i & 1 and clear >> i & 1:
+                lit |= 1 << i + step
+                beyond |= 1 << i + step | 1 << i
+    return lit, beyond

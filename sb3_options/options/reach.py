@@ -1,0 +1,93 @@
+"""From where the saved steps of an option's policy promise to reach its subgoal."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from sb3_options.density.regions import Region
+from sb3_options.experience.observations import BoolArray, FloatArray, flatten
+from sb3_options.options.policies import TabularPolicy
+from sb3_options.options.tasks import Transitions
+
+IMAGINED_FAILURES = 1.0
+"""Steps that fail, imagined for each state and action beside those that were seen: few seen steps promise little."""
+
+
+def reach_probabilities(
+    transitions: Transitions,
+    policy: TabularPolicy,
+    *,
+    steps: int,
+    subgoal_reward: float,
+    inside: BoolArray | None = None,
+) -> FloatArray:
+    """The probability of reaching the subgoal within some steps of the policy, as far as was seen.
+
+    The saved steps in which the policy's action was taken make a Markov chain: P(s) = Σ P(s') / (n + 1) over the n
+    steps from s, with P = 1 at the subgoal and 0 where the option ends. The 1 is a step that fails
+    (`IMAGINED_FAILURES`).
+
+    Args:
+        transitions: Of the option's own task.
+        policy: A table.
+        steps: At least 1.
+        subgoal_reward: Reward of the steps that reached the subgoal.
+        inside: In which of ``transitions.states`` the option goes on, (m,); by default in all.
+
+    Returns:
+        P of each of ``transitions.states``, (m,); 0 where the policy's action never was taken.
+    """
+    chosen = policy.actions(transitions.states)
+    taken = chosen[transitions.began] == transitions.actions
+    began, led, ends = transitions.began[taken], transitions.led[taken], transitions.ends[taken]
+    reached = ends & (transitions.rewards[taken] == subgoal_reward)
+    goes_on = ~ends if inside is None else ~ends & inside[led]
+    m = len(chosen)
+    seen = np.bincount(began, minlength=m) + IMAGINED_FAILURES
+    probability = np.zeros(m)
+    for _ in range(steps):
+        follows = np.where(reached, 1.0, goes_on * probability[led])
+        probability = np.bincount(began, weights=follows, minlength=m) / seen
+    return probability
+
+
+def reliable_part(
+    initiation: Region,
+    transitions: Transitions,
+    policy: TabularPolicy,
+    *,
+    least: float,
+    steps: int,
+    subgoal_reward: float,
+) -> Region:
+    """The states of an initiation set from where the subgoal is reached often enough without leaving them.
+
+    On a few features, states that look the same need not be the same: a step ahead leads to a door, or nowhere,
+    because a wall that they do not tell of is in the way. A policy that is greedy in these then stays where it is.
+
+    Args:
+        initiation: I, in the features that ``transitions.states`` are.
+        transitions: Of the option's own task.
+        policy: A table.
+        least: Probability of `reach_probabilities`, in [0, 1].
+        steps: Within which it is to be reached.
+        subgoal_reward: As there.
+
+    Returns:
+        I with fewer points; possibly none.
+    """
+    states = flatten(transitions.states) + 0.0  # -0.0 and 0.0 are one state
+    inside = np.ones(len(states), dtype=bool)
+    while True:
+        probability = reach_probabilities(
+            transitions, policy, steps=steps, subgoal_reward=subgoal_reward, inside=inside
+        )
+        still = inside & (probability >= least)
+        if still.sum() == inside.sum():
+            break
+        inside = still
+    known = {state.tobytes() for state in states[inside]}
+    kept = [(point + 0.0).tobytes() in known for point in initiation.points]
+    return replace(initiation, points=initiation.points[np.array(kept, dtype=bool)])

@@ -1,0 +1,70 @@
+"""What is seen quickly is what MiniGrid shows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+minigrid_env: Any = pytest.importorskip("minigrid.minigrid_env")
+
+from sb3_options.envs.minigrid import make, require  # noqa: E402
+from sb3_options.envs.minigrid.view import image_of, see_quickly  # noqa: E402
+
+TASKS = [
+    "MiniGrid-DoorKey-8x8-v0",
+    "MiniGrid-MultiRoom-N4-S5-v1",
+    "MiniGrid-KeyCorridorS3R3-v0",
+    "MiniGrid-LavaCrossingS9N2-v0",
+    "MiniGrid-ObstructedMaze-2Dlh-v0",
+    "MiniGrid-BlockedUnlockPickup-v0",
+    "MiniGrid-Dynamic-Obstacles-6x6-v0",
+]
+
+
+@pytest.mark.parametrize("env_id", TASKS)
+def test_images_are_those_of_minigrid(env_id: str) -> None:
+    require()
+    env: Any = gym.make(env_id)
+    inner = env.unwrapped
+    rng = np.random.default_rng(0)
+    env.reset(seed=0)
+    carried = 0
+    for _ in range(600):
+        _, _, terminated, truncated, _ = env.step(rng.choice([0, 1, 2, 2, 2, 3, 3, 4, 5, 5]) % env.action_space.n)
+        expected = minigrid_env.MiniGridEnv.gen_obs(inner)["image"]
+        image = image_of(inner)
+        np.testing.assert_array_equal(image, expected)
+        assert image.dtype == expected.dtype
+        assert image.flags.writeable
+        carried += inner.carrying is not None
+        if terminated or truncated:
+            env.reset()
+
+
+def test_other_views_and_through_walls() -> None:
+    require()
+    env = gym.make("MiniGrid-FourRooms-v0", agent_view_size=5, see_through_walls=True)
+    env.reset(seed=1)
+    for action in (2, 1, 2, 2, 0, 2, 2, 1):
+        env.step(action)
+        expected = minigrid_env.MiniGridEnv.gen_obs(env.unwrapped)["image"]
+        np.testing.assert_array_equal(image_of(env.unwrapped), expected)
+
+
+def test_make_sees_quickly_and_equally() -> None:
+    quick: Any = make("MiniGrid-DoorKey-5x5-v0")
+    slow = gym.make("MiniGrid-DoorKey-5x5-v0")
+    assert quick.unwrapped.gen_obs.__func__.__module__ == "sb3_options.envs.minigrid.view"
+    ours, theirs = quick.env.reset(seed=3)[0], slow.reset(seed=3)[0]
+    np.testing.assert_array_equal(ours["image"], theirs["image"])
+    assert (ours["direction"], ours["mission"]) == (theirs["direction"], theirs["mission"])
+
+
+def test_a_view_of_its_own_is_left_alone() -> None:
+    own: dict[str, Any] = {"gen_obs": lambda self: {}}
+    env: Any = object.__new__(type("Blind", (minigrid_env.MiniGridEnv,), own))
+    see_quickly(env)
+    assert env.gen_obs() == {}
