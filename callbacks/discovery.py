@@ -228,8 +228,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     def _episode_ended(self, trajectory: Trajectory, report: TrialReport | None) -> None:
         self.episodes += 1
         try:
-            success = bool(self.success(trajectory))
-            total = float(trajectory.rewards.sum())
+            success, total = bool(self.success(trajectory)), float(trajectory.rewards.sum())
             self.history.append(EpisodeRecord(self.num_timesteps, total, success, len(trajectory)))
             if self._trials is not None:
                 for slot, why in self._trials.episode_ended(report, success=success, filled=self._options.installed()):
@@ -248,10 +247,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         labelled = self._search.add(trajectory, self._options.features_of(trajectory.states), success=success)
         if self.option_settings.goes_on:
             self._learn_further(labelled)
-        if discovers and (labelled.success or self.settings.negative_bags):
-            subgoal = self._search.search()
-            if subgoal is not None:
-                self._make_option(subgoal)
+        tells = labelled.success or self.settings.negative_bags
+        if discovers and tells and (subgoal := self._search.search()) is not None:
+            self._make_option(subgoal)
 
     def _learn_further(self, labelled: LabelledTrajectory) -> None:
         for slot in self.bank.filled:
