@@ -2,7 +2,8 @@
 
 ``python -m benchmarks.overhead --out FOLDER`` lets the contestants of a scenario (DQN; PPO; PPO with eight worker
 processes) take turns, a chunk of training each, so that a machine that slows down slows all of them; ratios are taken
-within each turn. It writes ``results.json`` and ``overhead.png``.
+within each turn. It writes ``results.json`` and ``overhead.png``. ``--scenarios
+ppo_checkpoints,dqn_checkpoints,large_buffer`` measures the default checkpoints of ``train.py``, in processor time.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 import sb3_options.envs  # noqa: F401  # registers them
+from benchmarks import checkpoints
 from benchmarks.turns import take_turns
 from experiments.common.study import show, write
 from sb3_options import OptionReplayBuffer, OptionsWrapper
@@ -57,7 +59,8 @@ class Benchmark:
         rounds: Turns.
         chunk: Primitive steps of training a turn.
         seed: Of everything random.
-        scenarios: Which, with commas between: dqn, ppo, ppo_subprocesses.
+        scenarios: Which, with commas between: dqn, ppo, ppo_subprocesses; ppo_checkpoints, dqn_checkpoints,
+            large_buffer, whose turns are as long as a checkpoint is good for.
     """
 
     out: Path
@@ -123,15 +126,23 @@ def clock_of(scenario: str) -> Callable[[], float]:
 def main(benchmark: Benchmark) -> None:
     """Run the benchmark, and write and print what it found."""
     chosen = [scenario.strip() for scenario in benchmark.scenarios.split(",")]
-    unknown = set(chosen) - set(KINDS)
+    known = (*KINDS, *checkpoints.SCENARIOS)
+    unknown = set(chosen) - set(known)
     if unknown:
-        raise SystemExit(f"--scenarios: there is no {unknown.pop()!r}, choose from {', '.join(KINDS)}.")
+        raise SystemExit(f"--scenarios: there is no {unknown.pop()!r}, choose from {', '.join(known)}.")
     torch.set_num_threads(1)
     command = f"python -m benchmarks.overhead --rounds {benchmark.rounds} --chunk {benchmark.chunk}"
-    rates = {scenario: race(scenario, benchmark) for scenario in chosen}
+    command += f" --seed {benchmark.seed} --scenarios {','.join(chosen)}"
+    rates = {scenario: race(scenario, benchmark) for scenario in chosen if scenario in KINDS}
     results = {scenario: summarise(of) for scenario, of in rates.items()}
-    write(benchmark.out, {"command": command, **results}, {"overhead": draw(rates)}, dpi=110)
-    show(_table(results), f"Results: {benchmark.out / 'results.json'}, {benchmark.out / 'overhead.png'}")
+    costs = {
+        scenario: checkpoints.measure(scenario, benchmark.rounds, benchmark.seed)
+        for scenario in chosen
+        if scenario not in KINDS
+    }
+    write(benchmark.out, {"command": command, **results, **costs}, {"overhead": draw(rates)} if rates else {}, dpi=110)
+    tables = ([_table(results)] if results else []) + ([checkpoints.table(costs)] if costs else [])
+    show(*tables, f"Results: {benchmark.out}")
 
 
 def race(scenario: str, benchmark: Benchmark) -> dict[str, list[float]]:

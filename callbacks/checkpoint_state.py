@@ -73,8 +73,10 @@ def set_states(root: BaseCallback | None, states: list[State]) -> None:
             f"The checkpoint was written with the callbacks {', '.join(there)}, here are {', '.join(here)}."
         )
     for callback, state in zip(callbacks, states, strict=True):
-        for name, value in (state["counters"] | state["known"]).items():
-            setattr(callback, name, value)
+        for name in COUNTERS:
+            setattr(callback, name, state["counters"][name])
+        for name in _names(callback):  # and no others that a stranger's file may name, as a path to write to
+            setattr(callback, name, state["known"][name])
         if _tells(callback):
             callback.set_state(state["own"])  # type: ignore[attr-defined]  # it tells
 

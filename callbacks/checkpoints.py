@@ -55,7 +55,10 @@ class CheckpointCallback(BaseCallback):
     def _on_training_start(self) -> None:
         models.check(self.model)
         self._root: BaseCallback | None = self.locals.get("callback")
-        environments.get_state(self.training_env)  # what cannot be in a checkpoint is refused now
+        # What cannot be in a checkpoint is refused now. Before its first step a model has just reset its environments.
+        environments.prepare(self.training_env, just_reset=self.model.num_timesteps == 0)
+        for venv in self._evaluated():
+            environments.prepare(venv)
         checkpoint_state.check(self._root)
 
     def _init_callback(self) -> None:
@@ -66,13 +69,20 @@ class CheckpointCallback(BaseCallback):
         now = self.model.num_timesteps
         if self._resumed is not None:
             state, self._resumed = self._resumed, None
-            self._put_back(state)
+            try:
+                self._put_back(state)
+            except Exception as error:
+                self.model.num_timesteps = 0  # what is put back by halves is not to be saved
+                if isinstance(error, ValueError):
+                    raise
+                what = f"{type(error).__name__}: {' '.join(str(error).split())}"
+                raise ValueError(f"The checkpoint does not fit what is trained here: {what}") from error
         elif (self._last is None or now - self._last >= self.freq) and not self._is_last_rollout():
             self._last = now
             best, before = checkpoint_state.best_of(self._root), self._best
             self._best = best
             try:
-                self.folder.save(now, self.state(), best=best > before)
+                self.folder.save(now, self.state(), best=best > before, growing=models.growing(self.model))
             except OSError as error:
                 logger.warning("No checkpoint could be written, training goes on: %s", error)
 
@@ -97,7 +107,7 @@ class CheckpointCallback(BaseCallback):
         """Everything that training is, at the start of a rollout."""
         return {
             "callbacks": checkpoint_state.get_states(self._root),
-            "environments": [environments.get_state(venv) for venv in self._venvs()],
+            "environments": [environments.get_state(venv) for venv in (self.training_env, *self._evaluated())],
             "model": models.get_state(self.model),
             "logged": models.logged(self.model.logger),
             "event_files": event_files.sizes(self.model.logger),
@@ -114,10 +124,23 @@ class CheckpointCallback(BaseCallback):
                 state["model"]["total"],
                 model._total_timesteps,
             )
+        if len(state["environments"]) != len(self._venvs()):
+            raise ValueError(
+                "The checkpoint is of training with other environments for evaluation than there are here."
+            )
         checkpoint_state.set_states(self._root, state["callbacks"])  # first: options go into the environments
-        for venv, there in zip(self._venvs(), state["environments"], strict=True):
-            environments.set_state(venv, there)
+        trained, *evaluated = state["environments"]
+        failures = environments.set_state(self.training_env, trained)
+        for venv, there in zip(self._evaluated(), evaluated, strict=True):
+            environments.set_state(venv, there)  # an evaluation begins with a reset, wherever the episode was
         models.set_state(model, state["model"])
+        if failures:
+            logger.warning(
+                "The episodes under way cannot go on (%s): all environments begin a new one here, and training is not "
+                "what it would have been.",
+                "; ".join(failures),
+            )
+            models.begin_episodes(model)
         models.set_logged(model.logger, state["logged"])
         event_files.cut(model.logger, state["event_files"])
         for callback in all_callbacks(self._root):
@@ -129,9 +152,8 @@ class CheckpointCallback(BaseCallback):
         if self.verbose:
             print(f"Going on after {model.num_timesteps:,} primitive steps.")
 
-    def _venvs(self) -> list[VecEnv]:
-        evaluated = [c.eval_env for c in all_callbacks(self._root) if isinstance(c, EvalCallback)]
-        return [self.training_env, *evaluated]
+    def _evaluated(self) -> list[VecEnv]:
+        return [each.eval_env for each in all_callbacks(self._root) if isinstance(each, EvalCallback)]
 
 
 def load_checkpoint(
@@ -164,8 +186,12 @@ def load_checkpoint(
     own = [each for each in all_callbacks(root) if isinstance(each, CheckpointCallback)]
     if not own:
         raise ValueError("load_checkpoint needs a CheckpointCallback among the callbacks: it puts everything back.")
-    _, state = CheckpointFolder(folder).newest()
-    if state["model"]["class"] != type(model).__name__:
-        raise ValueError(f"The checkpoint is of {state['model']['class']}, the model is {type(model).__name__}.")
+    file, state = CheckpointFolder(folder).newest()
+    try:
+        there, steps = state["model"]["class"], int(state["model"]["counters"]["num_timesteps"])
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"{file} is no checkpoint of a training: {error!r}") from error
+    if there != type(model).__name__:
+        raise ValueError(f"The checkpoint is of {there}, the model is {type(model).__name__}.")
     own[0].resume_from(state)
-    return int(state["model"]["counters"]["num_timesteps"])
+    return steps

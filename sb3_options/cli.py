@@ -1,15 +1,15 @@
-"""The command line: train a run, evaluate a run."""
+"""The command line: train a run, resume it, evaluate it, compare runs, show options."""
 
 from __future__ import annotations
 
 import dataclasses
-import json
 import shutil
 import sys
-from collections.abc import Sequence
-from contextlib import closing
+from collections.abc import Callable, Sequence
+from contextlib import closing, suppress
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NoReturn
 
 import gymnasium as gym
 import torch
@@ -35,14 +35,21 @@ from sb3_options.runs import evaluation
 from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import callback_settings, check_device, make_model
 from sb3_options.runs.budget import KeepToBudget, memory_is_short
-from sb3_options.runs.closing import IN_A_ROW, closing_table, learned_after, next_commands, unit_of
+from sb3_options.runs.card import CARD, write_card
+from sb3_options.runs.closing import closing_table, how_to_resume, next_commands, program_name, unit_of
+from sb3_options.runs.compare import CompareConfig, show_comparison
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.eval_callback import eval_callback_class
 from sb3_options.runs.flags import parse
+from sb3_options.runs.in_turn import Series, Trained, go_on, train_in_turn
+from sb3_options.runs.in_turn import read as read_series
+from sb3_options.runs.inspection import InspectConfig, show_options
 from sb3_options.runs.interrupts import Interrupts, StopWhenNoted
-from sb3_options.runs.logs import KeepTraining, without
+from sb3_options.runs.logs import KeepTraining
+from sb3_options.runs.logs import without as without_file
 from sb3_options.runs.resume import ResumeConfig, config_of
-from sb3_options.runs.series import KEPT, StopWhenLearned, free_slots
+from sb3_options.runs.series import StopWhenLearned
+from sb3_options.runs.users_code import IMPORTING
 
 console = Console(highlight=False, soft_wrap=True)
 errors = Console(highlight=False, soft_wrap=True, stderr=True)
@@ -50,28 +57,32 @@ errors = Console(highlight=False, soft_wrap=True, stderr=True)
 INTERRUPTED = 130
 """Exit status where an interrupt left nothing; shells use it for a process that SIGINT ended."""
 
+TRY_AGAIN = 75
+"""Exit status where a worker process was killed: ``EX_TEMPFAIL`` of sysexits.h."""
+
 
 def main(args: Sequence[str] | None = None) -> None:
-    """Run a command line: ``evaluate RUN …``, ``resume RUN``, or an algorithm and the flags of its settings.
+    """Run a command line: a command and its arguments, or an algorithm and the flags of its settings.
 
     Args:
         args: Without the program's name; by default those of the process.
     """
     args = sys.argv[1:] if args is None else list(args)
+    command, prog = (args or [""])[0], program_name()
     try:
-        if args[:1] == ["evaluate"]:
-            evaluate(tyro.cli(evaluation.EvaluateConfig, prog="train.py evaluate", args=args[1:]))
-        elif args[:1] == ["resume"]:
-            resumed = tyro.cli(ResumeConfig, prog="train.py resume", args=args[1:])
-            _train(config_of(resumed), resumed=resumed.run)
-        elif (config := parse(args)).series:
+        if command in COMMANDS:
+            of, run = COMMANDS[command]
+            run(tyro.cli(of, prog=f"{prog} {command}", args=args[1:]))
+        elif (config := parse(args[1:] if command == "train" else args, prog)).series:
             train_series(config)
         else:
             train(config)
     except KeyboardInterrupt as interrupt:
         errors.print(" ".join(["Interrupted", *interrupt.args]) + ".")
         sys.exit(INTERRUPTED)
-    except (ValueError, TypeError, OSError, ModuleNotFoundError, WorkerLostError, gym.error.Error) as error:
+    except WorkerLostError as error:
+        _stop(error, error.what, TRY_AGAIN if error.killed else 1)
+    except (ValueError, TypeError, OSError, ModuleNotFoundError, gym.error.Error) as error:
         _stop(error, str(error))
     except (MemoryError, RuntimeError) as error:
         if (text := memory_is_short(error)) is None:
@@ -79,10 +90,10 @@ def main(args: Sequence[str] | None = None) -> None:
         _stop(error, text)
 
 
-def _stop(error: BaseException, text: str) -> NoReturn:
+def _stop(error: BaseException, text: str, status: int = 1) -> NoReturn:
     """Exit with one line."""
-    errors.print(f"[bold red]Error:[/] {escape(' '.join([text, *getattr(error, '__notes__', ())]))}")
-    sys.exit(1)
+    errors.print(f"[bold red]Error:[/] {escape(' '.join([text, *getattr(error, '__notes__', ())]).strip())}")
+    sys.exit(status)
 
 
 def train(config: TrainConfig) -> Path:
@@ -107,10 +118,7 @@ def train(config: TrainConfig) -> Path:
 
 
 def train_series(config: TrainConfig) -> list[Path]:
-    """Train in one task after another; each begins with the options of the one before, and with a network of its own.
-
-    A task ends when it is learned (`StopWhenLearned`), the last one with the budget, which all tasks share. Options
-    that its successes do not need leave their slots (`free_slots`).
+    """Train in one task after another; see `train_in_turn`.
 
     Args:
         config: With a ``series``.
@@ -121,69 +129,26 @@ def train_series(config: TrainConfig) -> list[Path]:
     Raises:
         As `train`.
     """
-    if config.compare:
-        raise ValueError("--compare is for one task: leave it out, or train the last task of the series alone.")
-    runs.check_env_id(config.env)
-    config = dataclasses.replace(config, checkpoint_freq=0)  # what goes before a task is in no checkpoint
-    tasks = [dataclasses.replace(config, series=(), env_kwargs={**config.env_kwargs, **task}) for task in config.series]
-    for number, task in enumerate(tasks, start=1):  # a mistake in the last one is no surprise after hours
-        try:
-            runs.make_env(task, 1, config.seed).close()
-        except Exception as error:
-            error.add_note(f"This is task {number} of the series.")
-            raise
-    folders: list[Path] = []
-    table = Table("task", "primitive steps", f"{IN_A_ROW} successes in a row", "options", "taken out")
-    try:
-        _in_turn(tasks, config, folders, table)
-    finally:
-        if folders:
-            console.print(table)
-            console.print(f"Run folders:  {escape(', '.join(map(str, folders)))}")
-        if len(folders) < len(tasks):
-            console.print(f"Of {len(tasks)} tasks {len(tasks) - len(folders)} were not begun.")
-    return folders
+    return train_in_turn(config, _train, console)
 
 
-def _in_turn(tasks: list[TrainConfig], config: TrainConfig, folders: list[Path], table: Table) -> None:
-    """Train in the tasks of a series until the budget is used up; fills ``folders`` and ``table``."""
-    left, options = config.n_timesteps, config.options
-    for number, task in enumerate(tasks, start=1):
-        name = json.dumps(config.series[number - 1])
-        console.print(f"\n[bold]Task {number} of {len(tasks)}[/]: {escape(name)}")
-        last = number == len(tasks)
-        done = _train(
-            dataclasses.replace(task, n_timesteps=left, options=options), until_learned=not last, in_series=True
-        )
-        gone = [] if last else free_slots(done.discovery.discovery, done.discovery.bank)
-        options = done.folder / KEPT
-        done.discovery.bank.save(options)
-        left -= done.discovery.num_timesteps
-        folders.append(done.folder)
-        learned = "yes" if learned_after(done.discovery.history) is not None else "no"
-        kept = ", ".join(option.name for option in done.discovery.bank.slots if option is not None)
-        cells = f"{done.discovery.num_timesteps:,}", learned, kept or "–", ", ".join(gone) or "–"
-        table.add_row(escape(name), *map(escape, cells))
-        if done.interrupted or left <= 0:
-            return
-        if not (last or kept):
-            console.print(
-                "No option to carry on: the task was learned before a subgoal was found. A shorter time limit "
-                "(max_steps) or a farther goal makes tasks that need one."
-            )
+def resume(resumed: ResumeConfig) -> None:
+    """Go on with a run that was cut off, and with the series that it is in.
+
+    Raises:
+        As `train`; and FileNotFoundError: There is no run, or no checkpoint in it.
+    """
+    config = config_of(resumed)
+    series = read_series(resumed.run, {name: getattr(resumed, name) for name in IMPORTING})
+    if series is None:
+        _train(config, resumed=resumed.run)
+    else:
+        run = resumed.run.absolute()  # the next tasks come beside it, wherever it is now
+        whole = dataclasses.replace(series.config, progress=resumed.progress, tensorboard_log=run.parents[1])
+        go_on(dataclasses.replace(series, config=whole), config, run, _train, console)
 
 
-class _Trained(NamedTuple):
-    """What is left of one training."""
-
-    folder: Path
-    discovery: SubgoalDiscoveryCallback
-    interrupted: bool
-
-
-def _train(
-    config: TrainConfig, *, until_learned: bool = False, in_series: bool = False, resumed: Path | None = None
-) -> _Trained:
+def _train(config: TrainConfig, *, series: Series | None = None, resumed: Path | None = None) -> Trained:
     torch.set_num_threads(config.num_threads)
     runs.check_env_id(config.env)
     check_device(config.device)
@@ -195,7 +160,7 @@ def _train(
             started_with = [f"{slot} ({option.name})" for slot, option in enumerate(bank.slots) if option is not None]
         discovery = _discovery(config)
         folder = runs.new_run_folder(config) if resumed is None else resumed
-        _learn(config, discovery, folder, interrupts, until_learned=until_learned, resume=resumed is not None)
+        _learn(config, discovery, folder, interrupts, series=series, resume=resumed is not None)
         if config.compare and config.discover and not interrupts.noted:
             without = dataclasses.replace(config, discover=False, compare=False, options=None)
             console.print("Once more, without discovery:")
@@ -204,14 +169,16 @@ def _train(
     if not folder.exists():
         raise KeyboardInterrupt("before the first step: there is nothing to keep")
     _draw(config, discovery, folder)
+    with without_file(folder / CARD):
+        write_card(folder, config, discovery.history, {d.slot: d.timestep for d in discovery.discoveries})
     unit = unit_of(config)
     took = f"{discovery.num_timesteps:,} primitive steps, {discovery.episodes:,} {unit}s"
     console.print(f"\n[bold]{'Interrupted' if interrupts.noted else 'Finished'}[/] after {took}.")
     if config.options is not None:
         what = ", ".join(started_with) or "none"
         console.print(f"Started with the options of {escape(str(config.options))}: {escape(what)}.")
-    _report(config, discovery, stock, folder, in_series=in_series)
-    return _Trained(folder, discovery, interrupts.noted)
+    _report(config, discovery, stock, folder, in_series=series is not None)
+    return Trained(folder, discovery, interrupts.noted)
 
 
 def _discovery(config: TrainConfig) -> SubgoalDiscoveryCallback:
@@ -232,7 +199,7 @@ def _learn(
     folder: Path,
     interrupts: Interrupts,
     *,
-    until_learned: bool = False,
+    series: Series | None = None,
     resume: bool = False,
 ) -> None:
     """Train, and save what was learned, however training ends; without a step taken, remove a new folder."""
@@ -247,6 +214,8 @@ def _learn(
         envs.append(runs.make_env(config, config.n_envs, config.seed, monitor_dir=monitors, subproc=subproc))
         if not resume:
             configs.save(config, folder / runs.CONFIG)
+            if series is not None:
+                series.save(folder)
         model = make_model(config, envs[0])
         model.tensorboard_log = str(folder)
         callbacks: list[BaseCallback] = [discovery]
@@ -261,7 +230,7 @@ def _learn(
             # EvalCallback counts calls of step, of which one may be many primitive steps.
             callbacks.append(EveryNTimesteps(config.eval_freq, evaluation_callback))
         callbacks += [KeepToBudget(), StopWhenNoted(interrupts), KeepTraining()]
-        if until_learned:
+        if series is not None and not series.is_last:
             callbacks.append(StopWhenLearned(discovery.history))
         if config.checkpoint_freq > 0:
             callbacks += _checkpoints(config, folder, model, callbacks, resume=resume)
@@ -279,6 +248,8 @@ def _learn(
         if not (interrupts.noted and isinstance(error, WorkerLostError | EOFError | ConnectionError)):
             if model is not None and model.num_timesteps > 0:
                 error.add_note(f"What was learned until then is kept in {folder}.")
+            if isinstance(error, WorkerLostError) and (resume or (model is not None and model.num_timesteps > 0)):
+                error.add_note(how_to_resume(config, folder))
             raise
     finally:
         interrupts.saving = True  # before anything else: from now on no interrupt is raised
@@ -288,10 +259,14 @@ def _learn(
                     shutil.rmtree(folder)
             else:
                 runs.save(model, discovery.bank, folder)
+        except OSError as error:
+            error.add_note(how_to_resume(config, folder))
+            raise
         finally:
             for env in envs:
                 if finished:
-                    env.close()
+                    with suppress(WorkerLostError):  # it was not needed any more
+                        env.close()
                 else:
                     end_workers(env)  # which may be in the middle of a step
 
@@ -360,7 +335,7 @@ def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path
     if config.vec_env == "subproc":  # φ was in a process that has ended
         env = runs.make_env(config, 1, config.seed)
         discovery.bank.bind(lambda observations: env.env_method("concept_features", observations)[0])
-    with without(folder / runs.SUBGOALS), atomic_write(folder / runs.SUBGOALS) as temporary:
+    with without_file(folder / runs.SUBGOALS), atomic_write(folder / runs.SUBGOALS) as temporary:
         figure = subgoals_figure(discovery.discovery, discovery.bank, _why_nothing(discovery))
         figure.savefig(temporary, dpi=110)
 
@@ -380,21 +355,17 @@ def evaluate(config: evaluation.EvaluateConfig) -> evaluation.Evaluation:
     """
     how = {name: value for name, value in dataclasses.asdict(config).items() if name != "run"}
     result = evaluation.evaluate_run(config.run, **how)
-    table = Table(
-        "", "mean", "95 % confidence interval", title=f"{escape(str(config.run))}: {result.episodes} episodes"
-    )
-    rows = {
-        "return": result.mean_return,
-        "success rate": result.success_rate,
-        "primitive steps": result.steps,
-    }
-    for name, interval in rows.items():
-        table.add_row(name, f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}")
-    console.print(table)
-    content = {"episodes": result.episodes, "seed": config.seed}
-    content |= {name.replace(" ", "_"): interval._asdict() for name, interval in rows.items()}  # type: ignore[misc]  # values of two kinds
-    with atomic_write(config.run / "evaluation.json") as temporary:
-        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    console.print(evaluation.table(result, escape(str(config.run))))
+    evaluation.save(result, config.seed, config.run / "evaluation.json")
     if config.video is not None:
         console.print(f"Video: {escape(str(config.video))}")
     return result
+
+
+COMMANDS: dict[str, tuple[type[Any], Callable[[Any], object]]] = {
+    "evaluate": (evaluation.EvaluateConfig, evaluate),
+    "resume": (ResumeConfig, resume),
+    "compare": (CompareConfig, partial(show_comparison, console=console)),
+    "options": (InspectConfig, partial(show_options, console=console)),
+}
+"""What a command takes, and what it does."""

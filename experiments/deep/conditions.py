@@ -77,6 +77,8 @@ def train(
         for each in (venv, eval_env):
             for wrapper in each.envs:  # type: ignore[attr-defined]  # a DummyVecEnv
                 wrapper.bank.load(options)
+    if options is not None:
+        settings = settings.for_brought_options()
     model = make_model(algo, venv, arm, settings, seed)
     if carried is not None:
         model.set_parameters(cast("Any", carried.get_parameters()))

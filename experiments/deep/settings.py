@@ -76,6 +76,8 @@ class DeepSettings:
         callback: Switches of `SubgoalDiscoveryCallback`: ``interruption``.
         buffer: Switches of `OptionReplayBuffer`: ``intra_option``, ``macro_q``.
         n_steps: Decisions of the n-step returns, stock and with options.
+        brought_exploration: Share of training over which DQN's ε falls where options are brought along, which explore
+            themselves; None takes the algorithm's own.
         bonus_weight: Of `IntrinsicRewardCallback`.
         evaluate_every: Primitive steps between evaluations.
         evaluation_episodes: Episodes of each.
@@ -97,6 +99,7 @@ class DeepSettings:
     callback: dict[str, Any] = field(default_factory=lambda: {"interruption": True})
     buffer: dict[str, Any] = field(default_factory=lambda: {"intra_option": False})
     n_steps: int = 10
+    brought_exploration: float | None = None
     bonus_weight: float = 0.1
     evaluate_every: int = 1000
     evaluation_episodes: int = 20
@@ -115,6 +118,8 @@ class DeepSettings:
             own["withhold"] = self.withhold[family(algo)]
         if arm in N_STEP:
             own["n_steps"] = self.n_steps
+        if arm in OPTIONS and family(algo) == "dqn" and self.brought_exploration is not None:
+            own["brought_exploration"] = self.brought_exploration
         if arm in BONUS:
             own["bonus_weight"] = self.bonus_weight
         return {**own, **{name: value for name, value in dataclasses.asdict(self).items() if name in common}}
@@ -124,10 +129,17 @@ class DeepSettings:
         sides: Sides = getattr(self, family(algo))
         return sides[self.both_as or ("stock" if arm in STOCK else "options")]
 
+    def for_brought_options(self) -> DeepSettings:
+        """Those of training with options that are brought along."""
+        if self.brought_exploration is None:
+            return self
+        options = {**self.dqn["options"], "exploration_fraction": self.brought_exploration}
+        return dataclasses.replace(self, dqn={**self.dqn, "options": options})
+
     def switched(self) -> list[str]:
         """The flags of what is not as by default, as far as the study varies it."""
         flags = [f"--settings.both-as {self.both_as}"] if self.both_as else []
-        for name in ("n_steps", "bonus_weight"):
+        for name in ("n_steps", "brought_exploration", "bonus_weight"):
             if getattr(self, name) != getattr(DeepSettings(), name):
                 flags.append(f"--settings.{name.replace('_', '-')} {getattr(self, name)}")
         for group in ("max_option_exploration", "max_runs", "withhold"):

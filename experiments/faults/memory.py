@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, SupportsFloat
 
 import gymnasium as gym
 import numpy as np
@@ -22,8 +22,8 @@ from sb3_options import OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 
 N_TIMESTEPS = 1_000_000
-WARM_UP = 0.2
-"""Share of the steps after which memory is to grow no more: buffers are full, and the last trajectories saved."""
+WARM_UP = 200_000
+"""Primitive steps after which memory is to grow no more: buffers are full, and the last trajectories saved."""
 
 GAMMA = 0.97
 MAX_STEPS = 200
@@ -49,8 +49,23 @@ class NeverAgain(gym.ObservationWrapper[Any, Any, Any]):
         return np.asarray(observations)[:, :2]
 
 
-def _room(*, max_steps: int | None = MAX_STEPS, **wrapper: Any) -> gym.Env[Any, Any]:
-    return OptionsWrapper(Monitor(gym.make("sb3_options/TwoRooms-v0", max_steps=max_steps)), 4, gamma=GAMMA, **wrapper)
+class Endless(gym.Wrapper[Any, Any, Any, Any]):
+    """Begins anew at the start where an episode would end, so that none ever does."""
+
+    def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
+        """The environment's, which never ends."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        if terminated or truncated:
+            observation, _ = self.env.reset()
+        return observation, reward, False, False, info
+
+
+def _endless() -> gym.Env[Any, Any]:
+    return OptionsWrapper(Monitor(Endless(gym.make("sb3_options/TwoRooms-v0", max_steps=None))), 4, gamma=GAMMA)
+
+
+def _room() -> gym.Env[Any, Any]:
+    return OptionsWrapper(Monitor(gym.make("sb3_options/TwoRooms-v0", max_steps=MAX_STEPS)), 4, gamma=GAMMA)
 
 
 def _never_again() -> gym.Env[Any, Any]:
@@ -71,6 +86,11 @@ def _ppo(env: gym.Env[Any, Any], seed: int) -> BaseAlgorithm:
     return PPO("MlpPolicy", env, gamma=GAMMA, seed=seed, device="cpu")
 
 
+def _one_epoch(env: gym.Env[Any, Any], seed: int) -> BaseAlgorithm:
+    """PPO that learns from each rollout once, which takes a third of the time: gradient steps keep nothing."""
+    return PPO("MlpPolicy", env, n_epochs=1, gamma=GAMMA, seed=seed, device="cpu")
+
+
 def _dqn(env: gym.Env[Any, Any], seed: int) -> BaseAlgorithm:
     return DQN(
         "MlpPolicy",
@@ -88,10 +108,10 @@ CASES: dict[str, tuple[Make, Callable[[], gym.Env[Any, Any]], Callable[[], Subgo
     "PPO, discovering": (_ppo, _room, _callback),
     "DQN, discovering": (_dqn, _room, _callback),
     "endless failures": (_ppo, _room, partial(_callback, success=_fail)),
-    "one endless episode": (_ppo, partial(_room, max_steps=None), partial(_callback, success=_fail)),
-    "incremental search": (_ppo, _room, partial(_callback, settings={"search": "incremental"})),
+    "one endless episode": (_one_epoch, _endless, partial(_callback, success=_fail)),
+    "incremental search": (_one_epoch, _room, partial(_callback, settings={"search": "incremental"})),
     "options that go on learning, observations that never repeat": (
-        _ppo,
+        _one_epoch,
         _never_again,
         partial(_callback, option_settings={"keep_learning": True, "value_function": "table"}),
     ),
@@ -122,22 +142,26 @@ def resident() -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def run(name: str, n_timesteps: int, seed: int) -> Result:
+def run(name: str, n_timesteps: int, warm_up: int, seed: int) -> Result:
     """Train once.
 
     Args:
         name: Of `CASES`.
         n_timesteps: How long.
+        warm_up: When memory is read first.
         seed: Of everything.
 
     Returns:
-        ``after_warm_up`` and ``at_end``, MB; ``growth``, their difference; ``episodes``, ``options``, ``seconds``.
+        What it was told; ``after_warm_up`` and ``at_end``, MB; ``growth``, their difference; ``episodes``,
+        ``options``, ``seconds``.
     """
     make, env, callback = CASES[name]
-    discovery, memory = callback(), Memory(int(WARM_UP * n_timesteps))
+    discovery, memory = callback(), Memory(warm_up)
     began = time.perf_counter()
     make(env(), seed).learn(n_timesteps, callback=[discovery, memory])
     return {
+        "n_timesteps": n_timesteps,
+        "warm_up": warm_up,
         "after_warm_up": memory.after_warm_up,
         "at_end": memory.at_end,
         "growth": memory.at_end - memory.after_warm_up,

@@ -34,15 +34,18 @@ class RunFolder:
     max_options: int = 4
 
 
-def train(out: Path, *flags: str, before: Callable[[], None] | None = None) -> subprocess.CompletedProcess[str]:
+def train(
+    out: Path, *flags: str, algo: str = ALGO, before: Callable[[], None] | None = None
+) -> subprocess.CompletedProcess[str]:
     """A real training, in a process of its own.
 
     Args:
         out: ``--tensorboard-log``.
         flags: More of them.
+        algo: Which algorithm.
         before: What the process does before it begins.
     """
-    command = [sys.executable, "-W", "ignore", str(ROOT / "train.py"), ALGO, "--env", ENV, "--no-progress"]
+    command = [sys.executable, "-W", "ignore", str(ROOT / "train.py"), algo, "--env", ENV, "--no-progress"]
     command += ["--seed", str(SEED), "--device", "cpu", "--tensorboard-log", str(out), *flags]
     return subprocess.run(command, capture_output=True, text=True, check=False, preexec_fn=before)
 

@@ -1,11 +1,13 @@
 """``python -m experiments.kills --kills 100 --out FOLDER``: does a run that is killed end like one that is not?
 
 For every algorithm ``train.py`` runs once undisturbed. Then it runs again and again, is killed by SIGKILL at random
-moments, and resumed until it is done. What is left must be equal, byte for byte. Writes ``results.json``.
+moments, and resumed until it is done. What is left must be equal, byte for byte. Writes ``results.json``; where there
+is one with the same settings, its kills count, and only what is missing is done.
 """
 
 from __future__ import annotations
 
+import json
 import shutil
 import signal
 import subprocess
@@ -13,12 +15,13 @@ import sys
 import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tyro
 from rich.table import Table
 
-from experiments.common.study import show, write
+from experiments.common.study import RESULTS, show, write
 from experiments.kills.comparison import differences
 from sb3_options.runs import folder as runs
 
@@ -39,15 +42,15 @@ class Study:
         kills_per_run: Most kills of one run.
         early: Share of the kills that come while a process starts; the others come while it trains.
         share: A process that trains is killed within this share of the time that the undisturbed training took.
-        seed: Of the moments.
+        seed: Of the moments, with the number of the run that is killed.
         flags: More flags of train.py, as one text each.
     """
 
     out: Path
     kills: int = 100
     algorithms: tuple[str, ...] = ALGORITHMS
-    n_timesteps: int = 12_000
-    checkpoint_freq: int = 1_500
+    n_timesteps: int = 8_000
+    checkpoint_freq: int = 1_000
     kills_per_run: int = 8
     early: float = 0.1
     share: float = 0.4
@@ -72,8 +75,7 @@ class Victim:
 
 def main(study: Study) -> None:
     """Run the study, and write and print what it found."""
-    random = np.random.default_rng(study.seed)
-    victims: list[Victim] = []
+    victims = _done(study)
     alone: dict[str, tuple[Path, float]] = {}
     while (done := sum(len(victim.kills) for victim in victims)) < study.kills:
         algorithm = study.algorithms[len(victims) % len(study.algorithms)]
@@ -82,6 +84,7 @@ def main(study: Study) -> None:
         victim = Victim(algorithm)
         folder = study.out / f"victim_{len(victims)}"
         undisturbed, seconds = alone[algorithm]
+        random = np.random.default_rng([study.seed, len(victims)])
         most = min(study.kills - done, study.kills_per_run)
         run = _killed(study, victim, folder, random, most, study.share * seconds)
         victim.differences = differences(undisturbed, run)
@@ -89,6 +92,21 @@ def main(study: Study) -> None:
         shutil.rmtree(folder)
         _report(study, victims)
     show(_table(victims), f"Results: {study.out / 'results.json'}")
+
+
+def _done(study: Study) -> list[Victim]:
+    """The victims of a results.json with the same settings; none where there is no such file."""
+    path = study.out / RESULTS
+    found = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {"study": {}}
+    same = {name: found["study"].get(name) == value for name, value in _settings(study).items() if name != "kills"}
+    return [Victim(**victim) for victim in found["victims"]] if all(same.values()) else []
+
+
+def _settings(study: Study) -> dict[str, Any]:
+    """Everything but the folder, as JSON has it."""
+    settings: dict[str, Any] = json.loads(json.dumps(asdict(study), default=str))
+    settings.pop("out")
+    return settings
 
 
 def _command(study: Study, algorithm: str, folder: Path) -> list[str]:
@@ -153,13 +171,12 @@ def _killed(study: Study, victim: Victim, folder: Path, random: np.random.Genera
 
 def _report(study: Study, victims: list[Victim]) -> None:
     content = {
-        "study": {name: str(value) if isinstance(value, Path) else value for name, value in asdict(study).items()},
+        "study": _settings(study),
         "kills": sum(len(victim.kills) for victim in victims),
         "runs": len(victims),
         "runs_that_differ": sum(any(victim.differences.values()) for victim in victims),
         "victims": [asdict(victim) for victim in victims],
     }
-    content["study"].pop("out")  # type: ignore[attr-defined]  # a dictionary
     write(study.out, content, {})
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 from stable_baselines3.common.save_util import load_from_zip_file
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator  # type: ignore[import-untyped]  # no stubs
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from sb3_options.checkpoints.comparison import OF_THE_CLOCK, differing
 from sb3_options.checkpoints.file import CheckpointFolder

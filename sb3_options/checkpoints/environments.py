@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import gymnasium as gym
-from stable_baselines3.common.env_util import is_wrapped
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import (
     DummyVecEnv,
@@ -15,11 +13,13 @@ from stable_baselines3.common.vec_env import (
     VecEnvWrapper,
     VecExtractDictObs,
     VecFrameStack,
+    VecMonitor,
     VecNormalize,
     VecTransposeImage,
 )
 from stable_baselines3.common.vec_env.stacked_observations import StackedObservations
 
+from sb3_options.checkpoints import vec_monitor
 from sb3_options.checkpoints.records import RECORDS
 from sb3_options.checkpoints.tree import State, encode
 from sb3_options.execution import layers
@@ -28,8 +28,34 @@ from sb3_options.execution.slots import OptionSlots
 REMEMBER_NOTHING = (VecTransposeImage, VecCheckNan, VecExtractDictObs)
 
 
+def prepare(venv: VecEnv, *, just_reset: bool = False) -> None:
+    """Have noted what it takes to go on in mid-episode; `get_state` needs it, and a second time does nothing.
+
+    Args:
+        venv: Of environments that may be anything.
+        just_reset: Whether they have been reset and no step was taken.
+
+    Raises:
+        ValueError: Something in it does not tell its state, and cannot be repeated.
+    """
+    while isinstance(venv, VecEnvWrapper):
+        _wrapper_state(venv)
+        venv = venv.venv
+    if isinstance(venv, DummyVecEnv):
+        venv.envs = [layers.prepare(env, just_reset=just_reset) for env in venv.envs]
+        return
+    if not isinstance(venv, SubprocVecEnv):
+        raise ValueError(f"Checkpoints of {type(venv).__name__} are not supported yet.")
+    if not all(venv.env_is_wrapped(OptionSlots)):
+        raise ValueError("Checkpoints of environments in worker processes need OptionsWrapper around each of them.")
+    venv.env_is_wrapped(_Outermost)  # type: ignore[arg-type]  # it is asked whether they are instances
+    for why in venv.env_method("prepare_layers", just_reset):
+        if why is not None:
+            raise ValueError(why)
+
+
 def get_state(venv: VecEnv) -> State:
-    """Between two steps.
+    """Between two steps, after `prepare`.
 
     Raises:
         ValueError: Something in it does not tell its state.
@@ -40,20 +66,28 @@ def get_state(venv: VecEnv) -> State:
         venv = venv.venv
     # An environment for evaluation that was not yet reset has still to be seeded.
     seeds, options = list(venv._seeds), [dict(each) for each in venv._options]
-    return {"wrappers": wrappers, "environments": _states(venv), "seeds": seeds, "options": options}
+    if isinstance(venv, DummyVecEnv):
+        states = [layers.states_of(env) for env in venv.envs]
+    else:
+        states = list(venv.env_method("layer_states"))
+    return {"wrappers": wrappers, "environments": states, "seeds": seeds, "options": options}
 
 
 def refusal(venv: VecEnv | None) -> str | None:
-    """Why there can be no checkpoints of an environment; None if there can."""
+    """Why there can be no checkpoints of an environment; None if there can, and it is prepared."""
     try:
-        encode(get_state(venv), RECORDS)  # type: ignore[arg-type]  # a model without an environment is not trained
+        prepare(venv)  # type: ignore[arg-type]  # a model without an environment is not trained
+        encode(get_state(venv), RECORDS)  # type: ignore[arg-type]  # likewise
     except (ValueError, TypeError) as error:
         return str(error)
     return None
 
 
-def set_state(venv: VecEnv, state: State) -> None:
-    """Go on with what `get_state` gave, in environments that were made alike and have been reset.
+def set_state(venv: VecEnv, state: State) -> list[str]:
+    """Go on with what `get_state` gave, in environments that were made alike, prepared, and have been reset.
+
+    Returns:
+        Of which of them the episode cannot go on where it was, and why: then all have to be reset.
 
     Raises:
         ValueError: They were not made alike.
@@ -70,39 +104,30 @@ def set_state(venv: VecEnv, state: State) -> None:
             f"{type(venv).__name__}."
         )
     venv._seeds, venv._options = state["seeds"], state["options"]
+    failures = []
     for i, states in enumerate(state["environments"]):
         if isinstance(venv, DummyVecEnv):
-            layers.set_states(venv.envs[i], states)
+            failure = layers.set_states(venv.envs[i], states)
         else:
-            venv.env_method("set_layer_states", states, indices=[i])
-
-
-def _states(venv: VecEnv) -> list[list[State]]:
-    if isinstance(venv, DummyVecEnv):
-        return [layers.states_of(env) for env in venv.envs]
-    if isinstance(venv, SubprocVecEnv):
-        if not all(venv.env_is_wrapped(OptionSlots)):
-            raise ValueError("Checkpoints of environments in worker processes need OptionsWrapper around each of them.")
-        if any(venv.env_is_wrapped(_AboveOptions)):  # type: ignore[arg-type]  # it is asked whether they are instances
-            raise ValueError(
-                "Checkpoints of wrappers above OptionsWrapper in worker processes are not supported yet: put them "
-                "beneath it."
-            )
-        found = venv.env_method("layer_states")
-        for each in found:
-            if isinstance(each, str):
-                raise ValueError(each)
-        return list(found)
-    raise ValueError(f"Checkpoints of {type(venv).__name__} are not supported yet.")
+            ((failure, wrong),) = venv.env_method("set_layer_states", states, indices=[i])
+            if wrong is not None:
+                raise ValueError(wrong)
+        if failure is not None:
+            failures.append(f"environment {i}: {failure}")
+    return failures
 
 
 class _Kind(type):
     def __instancecheck__(cls, env: Any) -> bool:
-        return isinstance(env, gym.Wrapper) and not isinstance(env, OptionSlots) and is_wrapped(env, OptionSlots)
+        inner = env
+        while not isinstance(inner, OptionSlots):
+            inner = inner.env
+        inner._outermost = env
+        return True
 
 
-class _AboveOptions(metaclass=_Kind):
-    """Any wrapper above `OptionsWrapper`, for ``VecEnv.env_is_wrapped``."""
+class _Outermost(metaclass=_Kind):
+    """For ``VecEnv.env_is_wrapped``, which asks the outermost wrapper first: `OptionSlots` knows it then."""
 
 
 def _wrapper_state(venv: VecEnvWrapper) -> State:
@@ -116,6 +141,8 @@ def _wrapper_state(venv: VecEnvWrapper) -> State:
         }
     if isinstance(venv, VecFrameStack):
         return {"frames": {key: stack.stacked_obs for key, stack in _stacks(venv).items()}}
+    if isinstance(venv, VecMonitor):
+        return vec_monitor.get_state(venv)
     if type(venv) in REMEMBER_NOTHING:
         return {}
     raise ValueError(f"Checkpoints of {type(venv).__name__} are not supported yet.")
@@ -132,6 +159,8 @@ def _set_wrapper_state(venv: VecEnvWrapper, state: State) -> None:
     if isinstance(venv, VecFrameStack):
         for key, stack in _stacks(venv).items():
             stack.stacked_obs = state["frames"][key]
+    if isinstance(venv, VecMonitor):
+        vec_monitor.set_state(venv, state)
 
 
 def _stacks(venv: VecFrameStack) -> dict[str, StackedObservations[Any]]:

@@ -10,7 +10,7 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,10 @@ from safetensors.numpy import load as from_safetensors
 from safetensors.numpy import save as to_safetensors
 
 from sb3_options.atomic import atomic_write
+from sb3_options.checkpoints.growing import KnownBlocks
 from sb3_options.checkpoints.records import RECORDS
 from sb3_options.checkpoints.tree import Arrays, State, decode, encode
+from sb3_options.learning.stored_rows import Growing
 
 FORMAT = "sb3-options checkpoint 1"
 
@@ -52,13 +54,14 @@ class CheckpointFolder:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
+        self._known = KnownBlocks()
 
     def __iter__(self) -> Iterator[Path]:
         """The checkpoints, newest first; damaged ones, too."""
         found = [file for file in self.path.glob(f"*{SUFFIX}") if file.stem.isdecimal()]
         return iter(sorted(found, key=lambda file: int(file.stem), reverse=True))
 
-    def save(self, steps: int, state: State, *, best: bool = False) -> Path:
+    def save(self, steps: int, state: State, *, best: bool = False, growing: Sequence[Growing] = ()) -> Path:
         """Write a checkpoint, and remove what is older than the last `KEPT`.
 
         A killed process or a full disk leaves the older ones whole.
@@ -67,6 +70,7 @@ class CheckpointFolder:
             steps: Primitive steps taken.
             state: Everything.
             best: Whether it is the best so far, and kept until there is a better one.
+            growing: Arrays of the state of which only new rows are read, where this object wrote them before.
 
         Raises:
             OSError: It cannot be written.
@@ -74,13 +78,15 @@ class CheckpointFolder:
         """
         blocks = self.path / BLOCKS
         blocks.mkdir(parents=True, exist_ok=True)
-        content = _packed(state, blocks)
+        known = KnownBlocks(growing, self._known)
+        content = _packed(state, blocks, known)
         _sync(blocks)
         file = self.path / f"{steps:012d}{SUFFIX}"
         for path in [file, *([self.path / f"{BEST}{SUFFIX}"] if best else [])]:
             with atomic_write(path) as temporary:
                 temporary.write_bytes(content)
         _sync(self.path)
+        self._known = known
         self._remove_old()
         return file
 
@@ -100,6 +106,16 @@ class CheckpointFolder:
         if wrong is not None:
             raise wrong
         raise FileNotFoundError(f"There is no checkpoint in {self.path}.")
+
+    def make_room(self) -> None:
+        """Remove what can be spared on a full disk: all but the newest and the best, and one from before any step."""
+        for file in list(self)[1:]:
+            file.unlink()
+        for file in self:
+            if int(file.stem) == 0:
+                file.unlink()
+        if (self.path / BLOCKS).is_dir():
+            self._remove_old()
 
     def _remove_old(self) -> None:
         files = list(self)
@@ -141,13 +157,13 @@ def read(file: Path) -> State:
     return state
 
 
-def _packed(state: State, blocks: Path) -> bytes:
+def _packed(state: State, blocks: Path, known: KnownBlocks) -> bytes:
     content, arrays = encode(state, RECORDS)
     small: Arrays = {}
     large: dict[str, Any] = {}
     for number, array in arrays.items():
         if array.nbytes > BLOCK_BYTES:
-            large[number] = _cut(array, blocks)
+            large[number] = _cut(array, blocks, known)
         else:
             small[number] = array
     text, about = json.dumps(content), json.dumps(large)
@@ -156,18 +172,23 @@ def _packed(state: State, blocks: Path) -> bytes:
     return packed
 
 
-def _cut(array: npt.NDArray[Any], folder: Path) -> State:
+def _cut(array: npt.NDArray[Any], folder: Path, known: KnownBlocks) -> State:
     """Write those blocks of an array that are not there, and say where all are."""
     rows = array if array.ndim else array[None]
     n = max(1, BLOCK_BYTES * len(rows) // rows.nbytes)
     names = []
+    unchanged = known.unchanged(rows, n)
     for start in range(0, len(rows), n):
+        if start in unchanged and (folder / f"{unchanged[start]}{SUFFIX}").is_file():
+            names.append(unchanged[start])
+            continue
         block = rows[start : start + n]
         name = hashlib.sha256(block.data).hexdigest()
         names.append(name)
         if not (folder / f"{name}{SUFFIX}").is_file():
             with atomic_write(folder / f"{name}{SUFFIX}") as temporary:
                 temporary.write_bytes(to_safetensors({"rows": block}))
+    known.keep(rows, n, names)
     return {"shape": list(array.shape), "dtype": array.dtype.str, "names": names}
 
 

@@ -14,6 +14,8 @@ from stable_baselines3.common.logger import Logger
 
 from sb3_options.checkpoints.tree import State
 from sb3_options.learning import buffer_state
+from sb3_options.learning.replay_buffer import OptionReplayBuffer
+from sb3_options.learning.stored_rows import Growing
 
 SUPPORTED = ("DQN", "OptionDQN", "QRDQN", "PPO", "MaskablePPO", "A2C", "TRPO", "RecurrentPPO", "MacroQ")
 """Names of the classes of models whose whole state is known."""
@@ -48,8 +50,6 @@ def check(model: BaseAlgorithm) -> None:
         raise ValueError(
             f"Checkpoints of {type(model).__name__} are not supported yet; those of {', '.join(SUPPORTED)} are."
         )
-    if model.use_sde:
-        raise ValueError("Checkpoints with use_sde=True are not supported yet.")
 
 
 def get_state(model: BaseAlgorithm) -> State:
@@ -71,6 +71,9 @@ def get_state(model: BaseAlgorithm) -> State:
     buffer = getattr(model, "replay_buffer", None)
     if buffer is not None:
         state["replay_buffer"] = buffer_state.get_state(buffer)
+    if model.use_sde:  # the noise of the rollout that begins is drawn already
+        noise: Any = model.policy.action_dist
+        state["noise"] = noise.exploration_mat.detach(), noise.exploration_matrices.detach()
     if hasattr(model, "_last_lstm_states"):
         state["lstm"] = None if model._last_lstm_states is None else [tuple(each) for each in model._last_lstm_states]
     return state
@@ -78,11 +81,18 @@ def get_state(model: BaseAlgorithm) -> State:
 
 def prepare(model: BaseAlgorithm, state: State) -> None:
     """Let the first rollout of an on-policy algorithm be as long as the one that began with what `get_state` gave."""
-    for name, value in state["rollout"].items():
+    there = state.get("rollout", {})  # checkpoints of before have none
+    for name, value in there.items():
         setattr(model, name, value)
     buffer = getattr(model, "rollout_buffer", None)
-    if buffer is not None:
-        buffer.buffer_size = state["rollout"]["n_steps"]
+    if buffer is not None and "n_steps" in there:
+        buffer.buffer_size = there["n_steps"]
+
+
+def growing(model: BaseAlgorithm) -> list[Growing]:
+    """The large arrays in `get_state` that tell how they have grown."""
+    buffer = getattr(model, "replay_buffer", None)
+    return buffer.growing() if isinstance(buffer, OptionReplayBuffer) else []
 
 
 def set_state(model: BaseAlgorithm, state: State) -> None:
@@ -98,8 +108,10 @@ def set_state(model: BaseAlgorithm, state: State) -> None:
         model.policy.optimizer.load_state_dict(state["optimizer"])
     if state["own"] is not None:
         model.set_state(state["own"])  # type: ignore[attr-defined]  # as there
-    for name, value in (state["counters"] | state["last"]).items():
-        setattr(model, name, value)
+    for names, values in ((COUNTERS, state["counters"]), (LAST, state["last"])):
+        for name in names:  # and no others that a stranger's file may name
+            if name in values:
+                setattr(model, name, values[name])
     model.start_time = time.time_ns() - state["elapsed"]
     for buffer, there in ((model.ep_info_buffer, "episodes"), (model.ep_success_buffer, "successes")):
         assert buffer is not None  # learn() has begun
@@ -108,8 +120,21 @@ def set_state(model: BaseAlgorithm, state: State) -> None:
     _set_random(model.action_space, state["action_space"])
     if "replay_buffer" in state:
         buffer_state.set_state(model.replay_buffer, state["replay_buffer"])  # type: ignore[attr-defined]  # as there
+    if model.use_sde:
+        noise: Any = model.policy.action_dist
+        noise.exploration_mat, noise.exploration_matrices = state["noise"]
     if state.get("lstm") is not None:
         model._last_lstm_states = type(model._last_lstm_states)(*state["lstm"])  # type: ignore[attr-defined]  # as there
+
+
+def begin_episodes(model: BaseAlgorithm) -> None:
+    """Reset the environments, between two rollouts."""
+    venv = model.get_env()
+    assert venv is not None  # learn() has begun
+    model._last_obs = venv.reset()  # type: ignore[assignment]  # as SB3 does
+    model._last_episode_starts = np.ones(venv.num_envs, dtype=bool)
+    if model._vec_normalize_env is not None:
+        model._last_original_obs = model._vec_normalize_env.get_original_obs()
 
 
 def random_states() -> State:

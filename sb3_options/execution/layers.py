@@ -1,7 +1,8 @@
 """The state of an environment in mid-episode: that of each of its wrappers, and of what they are around.
 
 An environment that gives and takes its state has ``get_state()`` and ``set_state(state)``, of numbers, text, arrays,
-lists and dictionaries. Its ``np_random`` need not be in it.
+lists and dictionaries. Its ``np_random`` need not be in it. Of any other, and of wrappers that do not tell what they
+remember, the episode is repeated; see `repeating`.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,6 +18,8 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import wrappers
 from stable_baselines3.common.monitor import Monitor
+
+from sb3_options.execution.repeating import RecordActions
 
 State = dict[str, Any]
 
@@ -33,17 +37,50 @@ class _Layer(NamedTuple):
     set: Callable[[Any, State], None]
 
 
-def states_of(env: gym.Env[Any, Any]) -> list[State]:
-    """The states of an environment and its wrappers, the outermost first.
+def prepare(env: Any, *, just_reset: bool = False) -> Any:
+    """Have the episodes of an environment noted, if it or one of its wrappers does not tell its state.
+
+    Whoever notes them is put around the outermost of those, once.
+
+    Args:
+        env: Any.
+        just_reset: As `RecordActions` takes it.
+
+    Returns:
+        The environment, or what is around it now.
 
     Raises:
-        ValueError: One of them does not tell its state.
+        ValueError: A wrapper above `OptionsWrapper` does not tell its state; what is there cannot be repeated.
     """
-    return [{"class": type(layer).__name__, **_how(layer).get(layer)} for layer in _layers(env)]
+    layers = list(_layers(env))
+    silent = next(
+        (i for i, layer in enumerate(layers) if isinstance(layer, RecordActions) or _how(layer) is None), None
+    )
+    if silent is None or isinstance(layers[silent], RecordActions):
+        return env
+    if any(hasattr(layer, "set_layer_states") for layer in layers[silent:]):  # OptionsWrapper has it
+        raise ValueError(
+            f"Checkpoints of {type(layers[silent]).__name__} are not supported above OptionsWrapper: put the wrapper "
+            "beneath it, give it get_state() and set_state(state), or the attribute remembers_nothing = True if it is "
+            "the same in every step."
+        )
+    recorder = RecordActions(layers[silent], just_reset=just_reset)
+    if silent == 0:
+        return recorder
+    layers[silent - 1].env = recorder
+    return env
 
 
-def set_states(env: gym.Env[Any, Any], states: list[State]) -> None:
+def states_of(env: gym.Env[Any, Any]) -> list[State]:
+    """The states of an environment and its wrappers, the outermost first, after `prepare`."""
+    return [{"class": type(layer).__name__, **(_how(layer) or _REPEATED).get(layer)} for layer in _layers(env)]
+
+
+def set_states(env: gym.Env[Any, Any], states: list[State]) -> str | None:
     """Go on with what `states_of` gave, in an environment that was made alike and has been reset.
+
+    Returns:
+        Why its episode cannot go on where it was, so that it has to be reset; None if it can.
 
     Raises:
         ValueError: It is wrapped otherwise.
@@ -52,8 +89,12 @@ def set_states(env: gym.Env[Any, Any], states: list[State]) -> None:
     here, there = [type(layer).__name__ for layer in layers], [state["class"] for state in states]
     if here != there:
         raise ValueError(f"The environment is {' around '.join(here)}; its checkpoint is of {' around '.join(there)}.")
+    failure = None
     for layer, state in zip(layers, states, strict=True):
-        _how(layer).set(layer, state)
+        (_how(layer) or _REPEATED).set(layer, state)  # what is beneath a RecordActions comes after it
+        if isinstance(layer, RecordActions):
+            failure = failure or layer.failure()
+    return failure
 
 
 def _layers(env: Any) -> Iterator[Any]:
@@ -63,20 +104,11 @@ def _layers(env: Any) -> Iterator[Any]:
     yield env
 
 
-def _how(layer: Any) -> _Layer:
-    """How a layer gives and takes its state.
-
-    Raises:
-        ValueError: It does not.
-    """
+def _how(layer: Any) -> _Layer | None:
+    """How a layer gives and takes its state; None if it does not."""
     own = hasattr(layer, "get_state") and hasattr(layer, "set_state")
     if not isinstance(layer, gym.Wrapper):
-        if not own:
-            raise ValueError(
-                f"Checkpoints of {type(layer).__name__} are not supported yet: the environment does not tell where "
-                "its episode is. Give it get_state() and set_state(state)."
-            )
-        return _ENVIRONMENT
+        return _ENVIRONMENT if own else None
     if own:
         return _Layer(lambda wrapper: {"own": wrapper.get_state()}, lambda wrapper, s: wrapper.set_state(s["own"]))
     if isinstance(layer, Monitor):
@@ -86,16 +118,15 @@ def _how(layer: Any) -> _Layer:
             return _by_attributes(names)
     if isinstance(layer, REMEMBER_NOTHING) or getattr(layer, "remembers_nothing", False):
         return _by_attributes(())
-    raise ValueError(
-        f"Checkpoints of {type(layer).__name__} are not supported yet: give the wrapper get_state() and "
-        "set_state(state), or the attribute remembers_nothing = True if it is the same in every step."
-    )
+    return None
 
 
 ATTRIBUTES: dict[type[Any], tuple[str, ...]] = {
     wrappers.TimeLimit: ("_elapsed_steps",),
     wrappers.OrderEnforcing: ("_has_reset",),
     wrappers.Autoreset: ("autoreset",),
+    wrappers.NormalizeObservation: ("obs_rms.mean", "obs_rms.var", "obs_rms.count"),
+    wrappers.NormalizeReward: ("return_rms.mean", "return_rms.var", "return_rms.count", "discounted_reward"),
 }
 """What wrappers of Gymnasium remember."""
 
@@ -103,9 +134,14 @@ ATTRIBUTES: dict[type[Any], tuple[str, ...]] = {
 def _by_attributes(names: tuple[str, ...]) -> _Layer:
     def put(layer: Any, state: State) -> None:
         for name in names:
-            setattr(layer, name, state["own"][name])
+            owner, _, attribute = name.rpartition(".")
+            setattr(getattr(layer, owner) if owner else layer, attribute, state["own"][name])
 
-    return _Layer(lambda layer: {"own": {name: getattr(layer, name) for name in names}}, put)
+    return _Layer(lambda layer: {"own": {name: attrgetter(name)(layer) for name in names}}, put)
+
+
+_REPEATED = _Layer(lambda layer: {}, lambda layer, state: None)
+"""Of what is beneath a `RecordActions`."""
 
 
 def _environment_state(env: Any) -> State:

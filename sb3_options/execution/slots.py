@@ -96,6 +96,7 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         self._withholding: Withholding | None = None
         self._expects_empty = self._warned = False
         self._running: int | None = None
+        self._outermost: gym.Env[Any, Any] = self
 
     def available(self, observations: Observations) -> BoolArray:
         """Which augmented actions may start in each observation, shape (batch, n_primitive + max_options).
@@ -239,16 +240,24 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self._withholding.set_state(state["withholding"])
         self.bank.feature_size = state["feature_size"]
 
-    def layer_states(self) -> list[layers.State] | str:
-        """`layers.states_of` this environment, in its own process; or why there are none: an error would end it."""
+    def prepare_layers(self, just_reset: bool) -> str | None:
+        """`layers.prepare` this environment, in its own process; returns why it cannot: an error would end it."""
         try:
-            return layers.states_of(self)
+            layers.prepare(self._outermost, just_reset=just_reset)
         except ValueError as error:
             return str(error)
+        return None
 
-    def set_layer_states(self, states: list[dict[str, Any]]) -> None:
-        """`layers.set_states` of this environment, in its own process."""
-        layers.set_states(self, states)
+    def layer_states(self) -> list[layers.State]:
+        """`layers.states_of` this environment, in its own process."""
+        return layers.states_of(self._outermost)
+
+    def set_layer_states(self, states: list[dict[str, Any]]) -> tuple[str | None, str | None]:
+        """`layers.set_states` of this environment, in its own process: what it returns, and the text of its error."""
+        try:
+            return layers.set_states(self._outermost, states), None
+        except ValueError as error:
+            return None, str(error)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # A copied or unpickled bank has no feature map (see `OptionBank.__getstate__`); this wrapper does.

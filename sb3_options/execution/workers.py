@@ -3,17 +3,58 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Callable, Sequence
+from multiprocessing import get_all_start_methods, set_forkserver_preload
 from multiprocessing.connection import Connection, wait
 from typing import Any, NoReturn
 
+import gymnasium as gym
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv
+
+LIBRARIES = ["gymnasium", "stable_baselines3", "torch"]
+"""What takes a process seconds to import."""
 
 PATIENCE = 1.0
 """Seconds that a process has to end by itself before it is killed."""
 
 
 class WorkerLostError(RuntimeError):
-    """A worker process has ended unexpectedly; the others were ended too."""
+    """A worker process has ended unexpectedly; the others were ended too.
+
+    Args:
+        what: Which one, and how it ended.
+        advice: What to do in a script.
+        killed: Whether a signal ended it, so that the same training may succeed another time.
+    """
+
+    def __init__(self, what: str, advice: str = "", *, killed: bool = False) -> None:
+        super().__init__(f"{what} {advice}".strip())
+        self.what, self.killed = what, killed
+
+
+def watched_workers(env_fns: Sequence[Callable[[], gym.Env[Any, Any]]], **kwargs: Any) -> SubprocVecEnv:
+    """A ``SubprocVecEnv`` that is watched from its first moment; see `watch_workers`.
+
+    Where Python's fork server makes the workers, it imports the libraries once for all of them.
+
+    Args:
+        env_fns: Each makes an environment.
+        kwargs: Others of ``SubprocVecEnv``.
+
+    Raises:
+        WorkerLostError: The first worker was lost before its environment was made.
+    """
+    if "forkserver" in get_all_start_methods():
+        set_forkserver_preload(LIBRARIES)  # of a server that runs already it changes nothing
+    try:
+        venv = SubprocVecEnv(list(env_fns), **kwargs)
+    except (EOFError, ConnectionError) as error:
+        raise WorkerLostError(
+            f"Environment 0 of {len(env_fns)} is gone: its worker process ended before the environment was made; if "
+            "an error ended it, that stands above."
+        ) from error
+    watch_workers(venv)
+    return venv
 
 
 def watch_workers(venv: VecEnv) -> None:
@@ -66,13 +107,13 @@ class _WatchedPipe:
     def _lost(self, error: Exception | None) -> NoReturn:
         process = self._venv.processes[self._index]
         process.join(PATIENCE)
-        text = (
+        what = (
             f"Environment {self._index} of {self._venv.num_envs} is gone: its worker process (pid {process.pid}) "
-            f"{_how_it_ended(process.exitcode)}. The other workers have been ended too. Make new environments and "
-            "train on, with fewer of them or a DummyVecEnv if memory was short."
+            f"{_how_it_ended(process.exitcode)}. The other workers have been ended too."
         )
         end_workers(self._venv)
-        raise WorkerLostError(text) from error
+        advice = "Make new environments and train on, with fewer of them or a DummyVecEnv if memory was short."
+        raise WorkerLostError(what, advice, killed=(process.exitcode or 0) < 0) from error
 
 
 def _how_it_ended(exitcode: int | None) -> str:

@@ -103,7 +103,7 @@ class OptionReplayBuffer(StoredRows, ReplayBuffer):
         if n_steps > 1:
             self._successors = Successors(buffer_size, n_envs)
         self.row_bonuses = RowBonuses(buffer_size)
-        self.written = 0
+        self.written = self.copies = 0
         self._spaces = (
             observation_space.spaces if isinstance(observation_space, spaces.Dict) else {"": observation_space}
         )
@@ -205,6 +205,7 @@ class OptionReplayBuffer(StoredRows, ReplayBuffer):
         With Macro-Q that is the first primitive step of the run.
         """
         size = self.size()
+        self.copies += 1
         named = self.actions[:size, 0] == action
         rows, others = np.flatnonzero(named), np.flatnonzero(~named)
         if self._successors is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy.typing as npt
 
@@ -13,12 +13,29 @@ from sb3_options.learning.n_step import Successors
 Rows = dict[str, npt.NDArray[Any]]
 
 
+class Growing(NamedTuple):
+    """How far an array has come that is written row by row, and over its oldest rows once it is full.
+
+    Attributes:
+        array: All of it.
+        written: Rows written so far.
+        at: The row that is written next.
+        changes: How often rows were changed in another way.
+    """
+
+    array: npt.NDArray[Any]
+    written: int
+    at: int
+    changes: int
+
+
 class StoredRows:
     """The part of an `OptionReplayBuffer` that knows all its columns. It comes before the SB3 buffer in the bases."""
 
     pos: int
     full: bool
     written: int
+    copies: int
     heads_are_closed: bool
     consistency: ConsistencyTable | None
     row_bonuses: RowBonuses | None
@@ -40,6 +57,13 @@ class StoredRows:
 
     def _checkpointed(self) -> list[npt.NDArray[Any]]:
         return [*self._columns(), *(() if self.consistency is None else self.consistency.columns())]
+
+    def growing(self) -> list[Growing]:
+        """The observations, of which a checkpoint need not read again what it has: they are most of the memory."""
+        return [
+            Growing(array, self.written, self.pos, self.copies)
+            for array in (*self._observations.values(), *self._next_observations.values())
+        ]
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint: the stored rows, which are not copied, and the counters."""

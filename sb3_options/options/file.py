@@ -196,12 +196,9 @@ def packed(about: dict[str, Any], tensors: Arrays) -> bytes:
     half_space = any(name.endswith(".subgoal_normal") for name in tensors)
     slots = about.get("slots")
     group = isinstance(slots, dict) and any("group" in entry for entry in slots.values())
-    text = json.dumps(about)
-    metadata = {
-        "format": FILE_FORMAT_GROUP if group else FILE_FORMAT_HALF_SPACE if half_space else FILE_FORMAT,
-        "bank": text,
-        "digest": digest(text, tensors),
-    }
+    file_format = FILE_FORMAT_GROUP if group else FILE_FORMAT_HALF_SPACE if half_space else FILE_FORMAT
+    text = json.dumps({**about, "format": file_format})  # here it is under the digest
+    metadata = {"format": file_format, "bank": text, "digest": digest(text, tensors)}
     content: bytes = to_safetensors(tensors, metadata=metadata)
     return content
 
@@ -228,6 +225,8 @@ def read(source: Source) -> tuple[dict[str, Any], Arrays]:
         raise ValueError(f"{name} is damaged: {error!r}") from error
     if not isinstance(about, dict):
         raise ValueError(f"{name} is damaged: it says {type(about).__name__} where a dictionary should be.")
+    if about.pop("format", metadata["format"]) != metadata["format"]:  # version 0.1.0 did not say it twice
+        raise ValueError(f"{name} is damaged: its format is not the one it was written in.")
     return about, tensors
 
 

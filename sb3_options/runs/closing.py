@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.experience.trajectories import EpisodeRecord
 from sb3_options.runs import folder as runs
 from sb3_options.runs.config import TrainConfig
@@ -25,7 +26,7 @@ LAST = 100
 IN_A_ROW = 20
 """Successes in a row by which a task counts as learned."""
 
-PROGRAM = "train.py"
+PROGRAM, SCRIPT = "train.py", "sb3-options"
 
 
 def closing_table(histories: Mapping[str, Sequence[EpisodeRecord]]) -> Table:
@@ -90,13 +91,28 @@ def next_commands(console: Console, config: TrainConfig, folder: Path) -> None:
     console.print(f"Run folder:   {path}")
     python = escape(_python())
     console.print(f"TensorBoard:  {python} -m tensorboard.main --logdir {path}")
-    # What imports a module is named anew, for the file of a run is not trusted with it.
-    named = "".join(f" {flag(n)} {shlex.quote(t)}" for n, t in importing(vars(config)).items())
-    console.print(
-        f"Evaluate:     {python} {escape(_program())} evaluate {path} --video {path}/video.mp4{escape(named)}"
-    )
+    named = escape(_importing(config))
+    console.print(f"Evaluate:     {escape(_command())} evaluate {path} --video {path}/video.mp4{named}")
     if (folder / runs.BEST).is_file():
         console.print("Best model:   add --best; it is the one whose evaluation gave the highest return")
+
+
+def how_to_resume(config: TrainConfig, folder: Path) -> str:
+    """The command that goes on from a run's last checkpoint; empty where there is none.
+
+    Args:
+        config: Of the run.
+        folder: The run folder.
+    """
+    if not any(CheckpointFolder(folder / runs.CHECKPOINTS)):
+        return ""
+    command = f"{_command()} resume {shlex.quote(_shortest(str(folder)))}{_importing(config)}"
+    return f"Go on from its last checkpoint: {command}"
+
+
+def _importing(config: TrainConfig) -> str:
+    """The flags that import a module, which are named anew: the file of a run is not trusted with it."""
+    return "".join(f" {flag(n)} {shlex.quote(t)}" for n, t in importing(vars(config)).items())
 
 
 def _python() -> str:
@@ -106,10 +122,19 @@ def _python() -> str:
     return _shortest(sys.executable)
 
 
-def _program() -> str:
-    """Where ``train.py`` is, seen from here: a run may be started from another folder."""
-    program = Path(sys.argv[0])
-    return shlex.quote(_shortest(str(program.absolute()))) if program.name == PROGRAM else PROGRAM
+def program_name() -> str:
+    """``sb3-options`` where that was called, or ``python -m sb3_options``; else ``train.py``."""
+    return SCRIPT if Path(sys.argv[0]).stem in (SCRIPT, "__main__") else PROGRAM
+
+
+def _command() -> str:
+    """What to type before a command. A run may be started from another folder, or by a script that is in no path."""
+    called = Path(sys.argv[0])
+    if called.stem == SCRIPT:
+        return SCRIPT if shutil.which(SCRIPT) == str(called.absolute()) else shlex.quote(_shortest(str(called)))
+    if program_name() == SCRIPT:
+        return f"{_python()} -m sb3_options"
+    return f"{_python()} {shlex.quote(_shortest(str(called.absolute()))) if called.name == PROGRAM else PROGRAM}"
 
 
 def _shortest(path: str) -> str:

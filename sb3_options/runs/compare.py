@@ -11,11 +11,15 @@ from typing import Annotated, Literal, NamedTuple, get_args
 import numpy as np
 import tyro
 from matplotlib.figure import Figure
+from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
+from sb3_options.atomic import atomic_write
 from sb3_options.experience.observations import FloatArray
 from sb3_options.runs.intervals import Interval, band, interval_of, iqm_interval, probability_of_improvement
-from sb3_options.runs.logged import TAGS, Curve, Measure, Run
+from sb3_options.runs.logged import TAGS, Curve, Measure, Run, groups_of
+from sb3_options.runs.pictures import DPI, format_of
 
 N_POINTS = 200
 """At which curves are drawn."""
@@ -47,6 +51,29 @@ class CompareConfig:
     out: Path = Path("compare.png")
     reach: str = "success=0.9"
     source: Literal["auto", "eval", "rollout"] = "auto"
+
+
+def show_comparison(config: CompareConfig, *, console: Console) -> None:
+    """Print a table of runs side by side, and draw them.
+
+    Args:
+        config: Which, and how.
+        console: For the table.
+
+    Raises:
+        ValueError: They cannot be compared.
+        OSError: A file is missing or cannot be written.
+    """
+    if not config.runs:
+        raise ValueError("Name the run folders that are to be compared.")
+    goal = Goal.parsed(config.reach)
+    format = format_of(config.out)
+    groups = groups_of(config.runs)
+    source = source_of([run for members in groups.values() for run in members], config.source)
+    console.print(table_of(compared(groups, goal, source), goal))
+    with atomic_write(config.out) as temporary:
+        figure_of(groups, source).savefig(temporary, dpi=DPI, format=format)
+    console.print(f"Picture: {escape(str(config.out))}")
 
 
 class Goal(NamedTuple):

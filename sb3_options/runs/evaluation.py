@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -13,9 +14,11 @@ import gymnasium as gym
 import numpy as np
 import tyro
 from rich.progress import track
+from rich.table import Table
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
+from sb3_options.atomic import atomic_write
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.recording import LONGEST_EPISODE
 from sb3_options.experience.success import reported_success
@@ -73,6 +76,30 @@ class Evaluation(NamedTuple):
     mean_return: Interval
     success_rate: Interval
     steps: Interval
+
+    def intervals(self) -> dict[str, Interval]:
+        """The three of them, by what one calls them."""
+        return {"return": self.mean_return, "success rate": self.success_rate, "primitive steps": self.steps}
+
+
+def table(result: Evaluation, run: str) -> Table:
+    """The result for people; ``run`` names what was evaluated."""
+    rows = Table("", "mean", "95 % confidence interval", title=f"{run}: {result.episodes} episodes")
+    for name, interval in result.intervals().items():
+        rows.add_row(name, f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}")
+    return rows
+
+
+def save(result: Evaluation, seed: int, path: Path) -> None:
+    """Write the result as JSON.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    found = {name.replace(" ", "_"): interval._asdict() for name, interval in result.intervals().items()}
+    with atomic_write(path) as temporary:
+        content = json.dumps({"episodes": result.episodes, "seed": seed, **found}, indent=2)
+        temporary.write_text(content + "\n", encoding="utf-8")
 
 
 def greedy_episodes(

@@ -51,8 +51,9 @@ LAST = (
 
 INTRODUCTION = """Train an agent that discovers its own options, or evaluate one.
   ALGORITHM         maskableppo (default), ppo, a2c, trpo, recurrentppo, dqn,
-                    qrdqn, optiondqn. Its settings: `train.py ppo --help`
+                    qrdqn, optiondqn. Its settings: `{prog} ppo --help`
   evaluate RUN      plays a run again; `resume RUN` goes on with one
+  compare RUN ...   sets runs side by side; `options RUN` shows its options
   --config FILE     reads settings from YAML; flags win over it
   --help discovery  shows how subgoals are found, `--help option` how options
                     are learned, `--help all` every flag
@@ -114,4 +115,4 @@ def _show_help(default: TrainConfig, section: str | bool, prog: str) -> None:
         rest = {"learning": view("", names)(), "other": view("", LAST)()}
         groups = rest | groups
     everything = view("", () if section in GROUPS else FIRST, **groups)
-    tyro.cli(everything, prog=prog, description=INTRODUCTION, args=["--help"])
+    tyro.cli(everything, prog=prog, description=INTRODUCTION.format(prog=prog.partition(" [")[0]), args=["--help"])

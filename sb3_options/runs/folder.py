@@ -11,10 +11,12 @@ import gymnasium as gym
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.preprocessing import get_obs_shape
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from sb3_options.atomic import remove_stale
+from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.envs import minigrid
+from sb3_options.execution.workers import watched_workers
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.options import file as option_file
 from sb3_options.options.archive import NAME
@@ -134,6 +136,8 @@ def options_file(config: TrainConfig) -> Path | None:
 def save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
     """Save model and options; where one cannot be written, the other is.
 
+    Where there is no room for the model, older checkpoints make room.
+
     Args:
         model: Trained.
         bank: Its options.
@@ -142,8 +146,16 @@ def save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
     Raises:
         OSError: One of them cannot be written; a note says which is missing.
     """
+
+    def save_model(path: Path) -> None:
+        try:
+            model.save(path)
+        except OSError:
+            CheckpointFolder(folder / CHECKPOINTS).make_room()
+            model.save(path)
+
     failed: list[Exception] = []
-    for save, name in ((model.save, MODEL), (bank.save, OPTIONS)):
+    for save, name in ((save_model, MODEL), (bank.save, OPTIONS)):
         try:
             save(folder / name)
         except Exception as error:
@@ -182,12 +194,13 @@ def make_env(
         max_steps: Primitive steps after which an episode is cut off, if the environment does not end it; 0 for never.
 
     Returns:
-        A ``DummyVecEnv``, or a ``SubprocVecEnv``.
+        A ``DummyVecEnv``, or a ``SubprocVecEnv`` whose workers are watched.
 
     Raises:
         FileNotFoundError: ``--options`` names no file.
         ModuleNotFoundError: ``--env-wrapper`` or ``--feature-map`` names a module that there is not.
         ValueError: The options do not fit, or one of these two names nothing.
+        WorkerLostError: A worker process has ended.
     """
     keywords = config.env_kwargs | ({} if render_mode is None else {"render_mode": render_mode})
     if max_steps:
@@ -236,5 +249,5 @@ def make_env(
         wrapper_class=with_options,
         monitor_dir=None if monitor_dir is None else str(monitor_dir),
         monitor_kwargs={"override_existing": monitor_dir is None or not monitor_dir.exists()},
-        vec_env_cls=SubprocVecEnv if subproc else DummyVecEnv,
+        vec_env_cls=watched_workers if subproc else DummyVecEnv,  # type: ignore[arg-type]  # it makes one, too
     )

@@ -14,8 +14,11 @@ from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
+from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
+from sb3_options.atomic import atomic_write
 from sb3_options.density.regions import HalfSpace
 from sb3_options.discovery.figures import INITIATION_COLOUR, SUBGOAL
 from sb3_options.discovery.settings import described
@@ -24,6 +27,7 @@ from sb3_options.options import file as option_file
 from sb3_options.options.archive import NAME, content_in
 from sb3_options.options.option import Option, SubgoalOption
 from sb3_options.options.policies import TabularPolicy
+from sb3_options.runs.pictures import DPI, format_of
 
 COLUMNS = 2
 PANEL = (4.6, 3.4)
@@ -41,6 +45,26 @@ class InspectConfig:
 
     file: Annotated[Path, tyro.conf.Positional]
     out: Path | None = None
+
+
+def show_options(config: InspectConfig, *, console: Console) -> None:
+    """Print what is in an options file, and draw it.
+
+    Args:
+        config: Which.
+        console: For the table.
+
+    Raises:
+        ValueError: It is damaged, or something else.
+        OSError: There is none, or the picture cannot be written.
+    """
+    contents = contents_of(config.file)
+    console.print(table_of(contents))
+    console.print(*map(escape, summary_of(contents)), sep="\n")
+    if config.out is not None:
+        with atomic_write(config.out) as temporary:
+            picture_of(contents).savefig(temporary, dpi=DPI, format=format_of(config.out))
+        console.print(f"Picture: {escape(str(config.out))}")
 
 
 class Contents(NamedTuple):

@@ -90,6 +90,19 @@ def read_run(folder: Path) -> Run:
     return Run(folder, yaml_file.read_mapping(config) if config.is_file() else {}, curves)
 
 
+def groups_of(words: Sequence[str]) -> dict[str, list[Run]]:
+    """Runs by the name of their group, those with a name of their own last.
+
+    Args:
+        words: As `named_groups` takes them.
+
+    Raises:
+        As `named_groups` and `read_run`.
+    """
+    named = {name: [read_run(folder) for folder in folders] for name, folders in named_groups(words).items()}
+    return (grouped(named.pop("")) if "" in named else {}) | named
+
+
 def named_groups(words: Sequence[str]) -> dict[str, list[Path]]:
     """Folders by the name of their group.
 

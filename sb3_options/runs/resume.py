@@ -50,7 +50,7 @@ def config_of(resumed: ResumeConfig) -> TrainConfig:
     if not any(CheckpointFolder(resumed.run / runs.CHECKPOINTS)):
         raise FileNotFoundError(
             f"There is no checkpoint in {resumed.run} to go on from: it was cut off before its first one, or trained "
-            "with --checkpoint-freq 0, or in a series."
+            "with --checkpoint-freq 0."
         )
     config = configs.load(file, {name: getattr(resumed, name) for name in IMPORTING})
     return dataclasses.replace(config, options=None, compare=False, progress=resumed.progress)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from stable_baselines3.common.callbacks import BaseCallback
 
@@ -30,6 +31,14 @@ class StopWhenLearned(BaseCallback):
         super().__init__()
         self.history = history
         self._seen = self._in_a_row = 0
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint; the episodes are in that of whoever keeps them."""
+        return {"seen": self._seen, "in_a_row": self._in_a_row}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self._seen, self._in_a_row = state["seen"], state["in_a_row"]
 
     def _on_step(self) -> bool:
         for episode in self.history[self._seen :]:

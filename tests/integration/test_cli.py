@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 from matplotlib.figure import Figure
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator  # type: ignore[import-untyped]  # no stubs
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from sb3_options import OptionBank, cli
 from sb3_options.callbacks import SubgoalDiscoveryCallback
@@ -94,9 +94,16 @@ class TestTrain:
         events = {name for name in names if "events.out.tfevents" in name}
         assert len(events) == 1
         assert names - events == {
-            "config.yml", "model.zip", "best_model.zip", "options.safetensors", "subgoals.png", "evaluations.npz",
+            "config.yml", "model.zip", "best_model.zip", "options.safetensors", "subgoals.png", "evaluations.npz", "README.md",
             "monitor/0.monitor.csv", "checkpoints/000000000000.safetensors",
         }  # fmt: skip
+
+    def test_with_a_card_whose_program_loads_the_model(self, run: Run) -> None:
+        (program,) = re.findall(r"```python\n(.*?)```", (run.folder / "README.md").read_text(), re.DOTALL)
+        check = "print(model.num_timesteps > 0, model.get_env().get_attr('bank')[0])"
+        done = processes.python("-c", f"{program}\n{check}", cwd=run.folder)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.startswith("True")
 
     def test_with_the_resolved_configuration(self, run: Run) -> None:
         config = configs.load(run.folder / "config.yml")

@@ -13,9 +13,8 @@ import tyro
 from experiments.deep import report as deep_report
 from experiments.paper import report as paper_report
 from experiments.pioneer import report as pioneer_report
-from sb3_options.runs.evaluation import EvaluateConfig
+from sb3_options.cli import COMMANDS
 from sb3_options.runs.flags import parse
-from sb3_options.runs.resume import ResumeConfig
 from tests.support import processes
 from tests.support.documents import (
     PAGES,
@@ -120,12 +119,12 @@ def test_commands_of_train_are_understood(page: Path) -> None:
     for command in commands_of(page):
         program, _, arguments = command.removeprefix("python ").partition(" ")
         words = shlex.split(re.sub(r"--config \S+", "", arguments))  # there is no such file
-        if program != "train.py" or words in (["evaluate"], ["resume"]):
+        if program not in ("train.py", "sb3-options") or (len(words) == 1 and words[0] in COMMANDS):
             continue
-        if words[:1] == ["evaluate"]:
-            tyro.cli(EvaluateConfig, args=words[1:])
-        elif words[:1] == ["resume"]:
-            tyro.cli(ResumeConfig, args=words[1:])
+        if words[:1] == ["train"]:
+            words = words[1:]
+        if words[0] in COMMANDS:
+            tyro.cli(COMMANDS[words[0]][0], args=words[1:])
         elif "--help" in words:
             with pytest.raises(SystemExit, match=r"^0$"):
                 parse(words)

@@ -21,6 +21,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv,
 
 from sb3_options import OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
+from sb3_options.cli import TRY_AGAIN
 from sb3_options.execution.workers import WorkerLostError, end_workers, watch_workers
 from tests.support.helpers import CountingEnv
 from tests.support.sb3_helpers import TINY, make_optioned_rooms
@@ -248,7 +249,8 @@ def test_command_line_keeps_what_was_learned(tmp_path: Path, what: str) -> None:
     (folder,) = tmp_path.glob("dqn/*")
     assert "Traceback" not in errors
     if what == "worker killed":
-        assert process.returncode == 1
+        assert process.returncode == TRY_AGAIN
+        assert f" resume {folder}" in errors
         assert "of 2 is gone: its worker process" in errors
         assert f"What was learned until then is kept in {folder}" in errors
     else:

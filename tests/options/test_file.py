@@ -217,6 +217,21 @@ def test_the_description_is_part_of_what_the_digest_covers(tmp_path: Path) -> No
     assert digest(json.dumps(about), tensors) != digest(json.dumps(other), tensors)
 
 
+def test_no_flipped_bit_of_the_header_is_read_over() -> None:
+    content = packed({"n_primitive": 4, "slots": {}}, {})
+    for bit in range(8 * len(content)):
+        flipped = bytearray(content)
+        flipped[bit // 8] ^= 1 << bit % 8
+        with pytest.raises(ValueError, match=r"^What the model carries is "):
+            read(bytes(flipped))
+
+
+def test_a_file_of_version_0_1_0_says_its_format_outside_the_digest_only() -> None:
+    text = json.dumps({"n_primitive": 4, "slots": {}})
+    old = to_safetensors({}, {"format": FILE_FORMAT, "bank": text, "digest": digest(text, {})})
+    assert read(old) == read(packed({"n_primitive": 4, "slots": {}}, {}))
+
+
 @pytest.mark.parametrize(
     ("its_digest", "why"), [(digest("", {}), "KeyError"), ("another", "its contents are not what was written to it")]
 )

@@ -46,6 +46,8 @@ def test_when_the_task_was_learned() -> None:
         ("../checkout/train.py", "else where", "../checkout/train.py"),
         ("{root}/else where/train.py", "checkout", "'../else where/train.py'"),
         ("{root}/checkout/pytest", "checkout", "train.py"),
+        ("{root}/bin/sb3-options", "checkout", "../bin/sb3-options"),
+        ("{root}/site/sb3_options/__main__.py", "checkout", "-m sb3_options"),
     ],
 )
 def test_the_next_command_finds_the_program(

@@ -3,6 +3,7 @@
 Stands in for the disk: the operating system's limit on the size of a file (RLIMIT_FSIZE).
 """
 
+import errno
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,10 +13,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from stable_baselines3 import DQN
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator  # type: ignore[import-untyped]  # it has none
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from sb3_options import OptionBank, cli
 from sb3_options.atomic import atomic_write
+from sb3_options.checkpoints.file import CheckpointFolder, read
 from sb3_options.runs import folder as runs
 from sb3_options.runs.config import DQNConfig
 from tests.support.helpers import CountingEnv
@@ -134,6 +136,50 @@ def test_a_run_that_cannot_begin_leaves_no_folder(limit: Any, when: Any, tmp_pat
     limit(None)
     assert "config.yml'" in capsys.readouterr().err
     assert not list(tmp_path.glob("dqn/*"))
+
+
+class Full:
+    """A model that can be saved once there are no more checkpoints than ``fits``."""
+
+    def __init__(self, checkpoints: CheckpointFolder, fits: list[int]) -> None:
+        self.checkpoints, self.fits = checkpoints, fits
+
+    def save(self, path: Path) -> None:
+        there = [int(file.stem) for file in self.checkpoints]
+        if not set(there) <= set(self.fits) or (self.checkpoints.path / "blocks" / "rest").exists():
+            raise OSError(errno.ENOSPC, "No space left on device", str(path))
+        path.write_text("the model")
+
+
+@pytest.mark.parametrize(
+    ("there", "fits", "left", "is_saved"),
+    [
+        ([0, 10, 20], [10, 20], [10, 20], True),
+        ([10, 20], [20], [20], True),
+        ([10, 20], [], [20], False),
+        ([0], [], [], True),
+        ([], [0], [], True),
+    ],
+)
+def test_older_checkpoints_make_room_for_the_model(
+    there: list[int], fits: list[int], left: list[int], is_saved: bool, tmp_path: Path
+) -> None:
+    checkpoints = CheckpointFolder(tmp_path / runs.CHECKPOINTS)
+    for steps in there:
+        checkpoints.save(steps, {"steps": steps})
+    if fits == [20]:  # what a checkpoint left that did not fit
+        (checkpoints.path / "blocks" / "rest").touch()
+    model: Any = Full(checkpoints, fits)
+    if is_saved:
+        runs.save(model, OptionBank(2, 4), tmp_path)
+    else:
+        with pytest.raises(OSError, match=r"No space left on device: '.*model\.zip'") as raised:
+            runs.save(model, OptionBank(2, 4), tmp_path)
+        assert raised.value.__notes__ == ["So there is no model.zip of this training."]
+    assert (tmp_path / runs.MODEL).exists() == is_saved
+    assert (tmp_path / runs.OPTIONS).exists()
+    assert sorted(int(file.stem) for file in checkpoints) == left
+    assert all(read(file)["steps"] == int(file.stem) for file in checkpoints)
 
 
 @pytest.mark.parametrize("size", range(0, 5_000, 100))

@@ -1,0 +1,79 @@
+"""Every algorithm, in this process and in worker processes, cut off wherever something may be half done."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback
+from sb3_options.checkpoints.comparison import differing
+from sb3_options.checkpoints.file import CheckpointFolder, read
+from sb3_options.checkpoints.tree import State
+from tests.callbacks.test_checkpoints import FAST, SLOW, filled, keep_all, model_of, trained, venv_of
+from tests.support.sb3_helpers import fast_callback
+
+__all__ = ["keep_all"]
+
+STEPS = 2600
+"""Primitive steps, after which every algorithm tries an option."""
+
+
+def eager() -> SubgoalDiscoveryCallback:
+    """Tries options from the next episode on, so that every algorithm does in these few steps."""
+    trial = {"patience": 1, "look_every": 2, "success_window": 1, "withhold": 0.5}
+    return fast_callback(max_new_options=2, trial=trial, option_settings={"grow": True, "keep_learning": True})
+
+
+def first(files: list[Path], holds: Callable[[Path], object]) -> Path:
+    return next(file for file in files if holds(file))
+
+
+def in_episode(file: Path) -> bool:
+    states: list[list[State]] = read(file)["environments"][0]["environments"]
+    return any(state[-1]["own"]["elapsed"] > 0 for state in states)
+
+
+def in_trial(file: Path) -> bool:
+    (discovery,) = (each["own"] for each in read(file)["callbacks"] if each["class"] == "SubgoalDiscoveryCallback")
+    return bool(discovery["trials"]["trials"])
+
+
+def half_written(files: list[Path], folder: Path) -> Path:
+    """What a process that was killed in the middle of writing the last checkpoint lets another go on from."""
+    folder.mkdir()
+    (folder / "blocks").symlink_to(files[0].parent / "blocks")
+    *_, before, last = files
+    (folder / before.name).write_bytes(before.read_bytes())
+    content = last.read_bytes()
+    (folder / last.name).write_bytes(content[: len(content) // 2])
+    (folder / ".sb3-options-half.safetensors").write_bytes(content[:99])
+    file, _ = CheckpointFolder(folder).newest()
+    assert file.name == before.name
+    return file
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("keep_all")
+@pytest.mark.parametrize("subproc", [False, True], ids=["dummy", "subproc"])
+@pytest.mark.parametrize("name", [*FAST, *SLOW])
+def test_cut_off_anywhere(name: str, subproc: bool, tmp_path: Path) -> None:
+    def make() -> Any:
+        return model_of(name, venv_of(subproc=subproc))
+
+    _, whole = trained(make, [eager(), CheckpointCallback(tmp_path / "whole", 1)], steps=STEPS)
+    files = sorted((tmp_path / "whole").glob("0*"))
+    after = files.index(first(files, filled))
+    cuts = {
+        "at the very start": files[0],
+        "in warm-up": files[1],  # that of off-policy algorithms is 100 steps long; MacroQ has none
+        "inside an episode": first(files, in_episode),
+        "right before an option is installed": files[after - 1],
+        "right after an option is installed": files[after],
+        "in the middle of a trial": first(files, in_trial),
+        "while a checkpoint is written": half_written(files, tmp_path / "half"),
+    }
+    for file in sorted(set(cuts.values())):
+        _, resumed = trained(make, [eager(), CheckpointCallback(tmp_path / "rest", 10**9)], resume=file, steps=STEPS)
+        where = [name for name, each in cuts.items() if each == file]
+        assert differing(whole, resumed) == [], f"{' and '.join(where)}, after {int(file.stem)} steps"

@@ -1,0 +1,233 @@
+"""Training goes on in the middle of an episode of any environment; where it cannot, it says so."""
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from stable_baselines3 import A2C, PPO
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import (
+    DummyVecEnv,
+    SubprocVecEnv,
+    VecEnv,
+    VecFrameStack,
+    VecMonitor,
+    VecNormalize,
+    VecVideoRecorder,
+)
+
+from sb3_options import OptionsWrapper
+from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback
+from sb3_options.checkpoints.comparison import differing
+from sb3_options.checkpoints.environments import refusal
+from sb3_options.checkpoints.file import CheckpointFolder, read
+from sb3_options.discovery.grouped import GroupedDiscovery
+from sb3_options.envs.minigrid import make as make_minigrid
+from tests.callbacks.test_checkpoints import TRIAL, Callbacks, check_resumes, discovering, keep_all, model_of, trained
+from tests.execution.test_repeating import Growing
+from tests.support.sb3_helpers import TAXI, make_optioned_rooms
+
+__all__ = ["keep_all"]
+
+GAMMA = 0.9
+
+pytestmark = pytest.mark.usefixtures("keep_all")
+
+
+def optioned(make: Callable[[], gym.Env[Any, Any]]) -> Callable[[], gym.Env[Any, Any]]:
+    return lambda: OptionsWrapper(Monitor(make()), 2, gamma=GAMMA)
+
+
+def vec(make: Callable[[], gym.Env[Any, Any]], n: int = 2, *, subproc: bool = False) -> VecEnv:
+    return SubprocVecEnv([make] * n, start_method="fork") if subproc else DummyVecEnv([make] * n)
+
+
+def taxi() -> gym.Env[Any, Any]:
+    return gym.make(TAXI)
+
+
+def door_key() -> gym.Env[Any, Any]:
+    return make_minigrid("MiniGrid-DoorKey-5x5-v0", max_steps=50)
+
+
+def pioneer() -> gym.Env[Any, Any]:
+    return gym.make("sb3_options/Pioneer-v0", max_steps=30)
+
+
+def empty() -> gym.Env[Any, Any]:
+    return make_minigrid("MiniGrid-Empty-Random-5x5-v0")
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "subproc"),
+    [
+        ("A2C", taxi, False),
+        ("DQN", door_key, True),
+        pytest.param("MaskablePPO", door_key, False, marks=pytest.mark.slow),
+        pytest.param("PPO", pioneer, False, marks=pytest.mark.slow),
+        pytest.param("OptionDQN", taxi, True, marks=pytest.mark.slow),
+    ],
+)
+def test_environments_that_do_not_tell_their_state(
+    name: str, make: Callable[[], gym.Env[Any, Any]], subproc: bool, tmp_path: Path
+) -> None:
+    steps = 300 if make is pioneer else 900
+    check_resumes(
+        lambda: model_of(name, vec(optioned(make), subproc=subproc)),
+        lambda: [discovering()],
+        tmp_path,
+        cuts=(0.0, 0.6),
+        steps=steps,
+    )
+
+
+@pytest.mark.parametrize("kind", ["A2C", "sde"])
+def test_without_options(kind: str, tmp_path: Path) -> None:
+    """As SB3 makes the environment: it was reset before anything is noted of it."""
+
+    def make() -> Any:
+        if kind == "A2C":
+            return A2C("MlpPolicy", "CartPole-v1", seed=0)
+        return PPO("MlpPolicy", "Pendulum-v1", n_steps=32, batch_size=32, use_sde=True, sde_sample_freq=4, seed=0)
+
+    check_resumes(make, list, tmp_path, cuts=(0.0, 0.7), steps=600)
+
+
+@pytest.mark.slow
+def test_grouped_discovery(tmp_path: Path) -> None:
+    """The features of MiniGrid have groups: each makes a concept by itself."""
+    soon = {"start_radius": 0.5, "goal_radius": 0.5, "min_positive": 4, "decay": 0.5, "threshold": 0.5}
+    callbacks, _ = check_resumes(
+        lambda: model_of("MaskablePPO", vec(optioned(empty))),
+        lambda: [SubgoalDiscoveryCallback(soon, max_new_options=1, trial=TRIAL)],
+        tmp_path,
+        cuts=(0.0, 0.3, 0.9),
+        steps=2500,
+    )
+    (discovery, _) = callbacks
+    assert isinstance(discovery, SubgoalDiscoveryCallback)
+    assert isinstance(discovery.discovery, GroupedDiscovery)
+    assert discovery.discoveries
+
+
+@pytest.mark.parametrize("above", [False, True])
+def test_vec_monitor(above: bool, tmp_path: Path) -> None:
+    """Its file begins anew when it is made again, and holds what it held."""
+
+    def rows(file: Path) -> list[list[str]]:
+        return [line.split(",")[:2] for line in file.read_text(encoding="utf-8").splitlines()[1:]]
+
+    def make(file: Path) -> Any:
+        venv: Any = vec(make_optioned_rooms)
+        venv = VecMonitor(VecFrameStack(venv, 2) if above else venv, str(file))
+        return model_of("A2C", venv if above else VecNormalize(venv, gamma=GAMMA))
+
+    one, other = tmp_path / "one.monitor.csv", tmp_path / "other.monitor.csv"
+    _, whole = trained(lambda: make(one), [discovering(), CheckpointCallback(tmp_path / "whole", 100)], steps=1000)
+    files = sorted((tmp_path / "whole").glob("0*"))
+    _, rest = trained(
+        lambda: make(other),
+        [discovering(), CheckpointCallback(tmp_path / "rest", 10**9)],
+        resume=files[len(files) // 2],
+        steps=1000,
+    )
+    for state in (whole, rest):
+        (monitor,) = (each["state"] for each in state["environments"][0]["wrappers"] if each["class"] == "VecMonitor")
+        assert monitor.pop("file").size > 0
+    assert differing(whole, rest) == []
+    assert len(rows(one)) > 3
+    assert rows(one) == rows(other)
+
+
+def test_wrappers_above_options_in_workers(tmp_path: Path) -> None:
+    """As ``make_vec_env`` puts them: a Monitor around everything."""
+
+    forked = {"start_method": "fork"}
+
+    def make() -> Any:
+        return model_of(
+            "A2C", make_vec_env(make_optioned_rooms, 2, 0, vec_env_cls=SubprocVecEnv, vec_env_kwargs=forked)
+        )
+
+    check_resumes(make, lambda: [discovering()], tmp_path, cuts=(0.5,), steps=900)
+
+
+def test_a_new_episode_where_it_cannot_go_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    class Ending(Growing):
+        def step(self, action: Any) -> Any:
+            observation, reward, _, _, info = super().step(action)
+            return observation, reward, False, bool(self.np_random.random() < 0.1), info
+
+    def make() -> Any:
+        return A2C("MlpPolicy", VecNormalize(vec(Ending)), seed=0)
+
+    trained(make, [CheckpointCallback(tmp_path / "whole", 1)], steps=200)
+    file = sorted((tmp_path / "whole").glob("0*"))[10]
+    checkpoints = CheckpointCallback(tmp_path / "rest", 10**9)
+    with caplog.at_level(logging.WARNING, "sb3_options"):
+        model, _ = trained(make, [checkpoints], resume=file, steps=200)
+    assert caplog.messages == [
+        "The episodes under way cannot go on (environment 0: it took another course the second time; environment 1: "
+        "it took another course the second time): all environments begin a new one here, and training is not what it "
+        "would have been."
+    ]
+    assert model.num_timesteps == 200
+
+
+def test_episodes_that_end_with_the_resumption_are_in_no_record(tmp_path: Path) -> None:
+    """What was recorded of an episode that cannot go on is forgotten."""
+
+    def make() -> Any:
+        return model_of("A2C", vec(optioned(lambda: gym.wrappers.TimeLimit(Growing(), 20)), 1))
+
+    trained(make, [discovering(), CheckpointCallback(tmp_path / "whole", 1)], steps=96)
+    file = next(each for each in sorted((tmp_path / "whole").glob("0*"), reverse=True))
+    again = discovering()
+    trained(make, [again, CheckpointCallback(tmp_path / "rest", 10**9)], resume=file, steps=300)
+    assert {each.steps for each in again.history} == {20}
+
+
+def test_what_is_still_refused(tmp_path: Path) -> None:
+    class Remembering(gym.Wrapper[Any, Any, Any, Any]):
+        returns_steps_unchanged = True
+
+    text = r"^Checkpoints of Remembering are not supported above OptionsWrapper: put the wrapper beneath it, "
+    with pytest.raises(ValueError, match=text):
+        model_of("PPO", vec(lambda: Remembering(make_optioned_rooms()))).learn(8, CheckpointCallback(tmp_path))
+    recorder = VecVideoRecorder(
+        vec(lambda: OptionsWrapper(gym.make("CartPole-v1", render_mode="rgb_array"), 2)), "x", bool
+    )
+    assert refusal(recorder) == "Checkpoints of VecVideoRecorder are not supported yet."
+    recorder.close()
+
+
+def test_a_worker_process_says_why_it_refuses_and_lives() -> None:
+    """An error in it would end it, and training with it."""
+
+    class Remembering(gym.Wrapper[Any, Any, Any, Any]):
+        returns_steps_unchanged = True
+
+    venv = vec(lambda: Remembering(OptionsWrapper(Growing(), 2)), subproc=True)
+    try:
+        assert "Remembering are not supported above OptionsWrapper" in (refusal(venv) or "")
+        venv.reset()
+        assert venv.step(np.zeros(2, dtype=np.int64))[2].shape == (2,)
+    finally:
+        venv.close()
+
+
+def test_checkpoints_change_nothing(tmp_path: Path) -> None:
+    def make() -> Any:
+        return model_of("A2C", vec(optioned(taxi)))
+
+    callbacks: Callbacks = [discovering(), CheckpointCallback(tmp_path, 50)]
+    one = make().learn(600, discovering())
+    other = make().learn(600, callbacks)
+    for name, weights in one.policy.state_dict().items():
+        np.testing.assert_array_equal(weights.numpy(), other.policy.state_dict()[name].numpy())
+    assert read(next(iter(CheckpointFolder(tmp_path))))

@@ -1,0 +1,239 @@
+"""Environments that do not tell their state go on in mid-episode, because the episode is repeated."""
+
+from collections.abc import Callable
+from multiprocessing import get_context
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import spaces, wrappers
+from stable_baselines3.common.monitor import Monitor
+
+import sb3_options.envs  # noqa: F401  # registers them
+from sb3_options import OptionsWrapper
+from sb3_options.envs.minigrid import make as make_minigrid
+from sb3_options.execution import layers, repeating
+from sb3_options.execution.repeating import OTHERWISE, UNKNOWN, RecordActions
+from tests.support.sb3_helpers import TAXI, small_rooms
+
+Env = gym.Env[Any, Any]
+
+MAKERS: dict[str, Callable[[], Env]] = {
+    "CartPole": lambda: gym.make("CartPole-v1"),
+    "Taxi": lambda: gym.make(TAXI),
+    "MiniGrid": lambda: make_minigrid("MiniGrid-DoorKey-5x5-v0", max_steps=60),
+    "frames": lambda: wrappers.FrameStackObservation(gym.make("CartPole-v1"), 3),
+    "averages": lambda: wrappers.NormalizeReward(wrappers.NormalizeObservation(gym.make("CartPole-v1"))),
+    "rooms": small_rooms,
+    "Pendulum": lambda: gym.make("Pendulum-v1"),
+}
+
+PIONEER = "sb3_options/Pioneer-v0"
+
+
+def advanced(env: Env, steps: int, random: np.random.Generator) -> list[Any]:
+    """Random steps, on from one episode into the next; returns what came."""
+    seen: list[Any] = []
+    for _ in range(steps):
+        if isinstance(env.action_space, spaces.Discrete):
+            action: Any = int(random.integers(env.action_space.n))
+        else:
+            action = random.uniform(-2, 2, env.action_space.shape or ()).astype(np.float32)
+        observation, reward, terminated, truncated, _ = env.step(action)
+        seen.append((np.array(observation).tobytes(), float(reward), terminated, truncated))
+        if terminated or truncated:
+            seen.append(np.array(env.reset()[0]).tobytes())
+    return seen
+
+
+def another(make: Callable[[], Env], states: list[layers.State]) -> tuple[Env, str | None]:
+    """Another environment, which goes on with a state."""
+    env = layers.prepare(make())
+    env.reset(seed=123)
+    return env, layers.set_states(env, states)
+
+
+@pytest.mark.parametrize("steps", [0, 1, 37, 150])
+@pytest.mark.parametrize("name", MAKERS)
+def test_goes_on_in_mid_episode(name: str, steps: int) -> None:
+    env = layers.prepare(MAKERS[name]())
+    env.reset(seed=3)
+    random = np.random.default_rng(steps)
+    advanced(env, steps, random)
+    states, drawn = layers.states_of(env), random.bit_generator.state
+    there = advanced(env, 100, random)
+    copy, failure = another(MAKERS[name], states)
+    random.bit_generator.state = drawn
+    assert failure is None
+    assert advanced(copy, 100, random) == there
+
+
+def moment(seed: int, steps: int = 200) -> tuple[list[layers.State], list[Any]]:
+    """A state of a Pioneer at a random moment, with even seeds one in which it holds a ball; and what comes then."""
+    env = layers.prepare(gym.make(PIONEER, n_balls=2, n_obstacles=2, max_steps=None))
+    observation, _ = env.reset(seed=seed)
+    random = np.random.default_rng(seed)
+    taken, least = 0, random.integers(1, 150)
+    while taken < least or (seed % 2 == 0 and not observation[10]):
+        ahead = bool(observation[7]) and random.random() > 0.3
+        towards = 1 if abs(observation[8]) < 0.1 else 3 if observation[8] > 0 else 5
+        observation, _, over, _, _ = env.step(towards if ahead else int(random.integers(7)))
+        taken += 1
+        if over:
+            observation, _ = env.reset()
+    states = layers.states_of(env)
+    there = advanced(env, steps, np.random.default_rng(seed))
+    env.close()
+    return states, there
+
+
+def continued(seed: int, states: list[layers.State], steps: int = 200) -> tuple[str | None, list[Any]]:
+    env, failure = another(lambda: gym.make(PIONEER, n_balls=2, n_obstacles=2, max_steps=None), states)
+    there = advanced(env, steps, np.random.default_rng(seed))
+    env.close()
+    return failure, there
+
+
+def test_the_pioneer_goes_on() -> None:
+    states, there = moment(6, steps=20)  # with a ball in its gripper
+    assert continued(6, states, steps=20) == (None, there)
+
+
+@pytest.mark.slow
+def test_the_pioneer_goes_on_in_a_new_process() -> None:
+    """Twenty random moments, in half of them with a ball in its gripper, and 200 random steps from each."""
+    moments = [moment(seed) for seed in range(20)]
+    with get_context("spawn").Pool(1) as pool:
+        again = pool.starmap(continued, [(seed, states) for seed, (states, _) in enumerate(moments)])
+    assert again == [(None, there) for _, there in moments]
+
+
+def test_is_put_around_the_outermost_that_does_not_tell() -> None:
+    class Own(gym.Wrapper[Any, Any, Any, Any]):
+        pass
+
+    def chain(env: Any) -> list[str]:
+        return [type(layer).__name__ for layer in layers._layers(env)]
+
+    env = OptionsWrapper(Monitor(Own(gym.make("CartPole-v1"))), 2)
+    for _ in range(2):  # a second time changes nothing
+        assert layers.prepare(env) is env
+        assert chain(env)[:4] == ["OptionsWrapper", "Monitor", "RecordActions", "Own"]
+    assert chain(layers.prepare(Own(small_rooms())))[:2] == ["RecordActions", "Own"]
+    assert chain(layers.prepare(gym.make("CartPole-v1"))) == [
+        *("TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "RecordActions", "CartPoleEnv"),
+    ]
+    assert "RecordActions" not in chain(layers.prepare(OptionsWrapper(small_rooms(), 2)))
+    with pytest.raises(
+        ValueError, match=r"^Checkpoints of Own are not supported above OptionsWrapper: put the wrapper"
+    ):
+        layers.prepare(Own(OptionsWrapper(small_rooms(), 2)))
+
+
+def test_attributes_are_those_of_the_environment() -> None:
+    env: Any = RecordActions(small_rooms())
+    env.difficulty = 3
+    assert env.env.difficulty == 3
+    assert "difficulty" not in vars(env)
+    assert env.spec is env.env.spec
+
+
+class Growing(gym.Env[Any, Any]):
+    """Its observations grow from episode to episode: what it remembers is not in its ``np_random``."""
+
+    observation_space = spaces.Box(0, np.inf, (1,))
+    action_space = spaces.Discrete(2)
+
+    def __init__(self, *, by_reward: bool = False, fails: bool = False) -> None:
+        self.resets = -1
+        self.by_reward, self.fails = by_reward, fails
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.resets += 1
+        return self._observation(), {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        if self.fails and self.resets == 1:
+            raise RuntimeError("a bug")
+        return self._observation(), float(self.by_reward * self.resets), False, False, {}
+
+    def _observation(self) -> Any:
+        return np.array([0.0 if self.by_reward else self.resets], dtype=np.float32)
+
+
+@pytest.mark.parametrize("by_reward", [False, True])
+def test_what_survives_a_reset_is_seen(by_reward: bool) -> None:
+    env = layers.prepare(Growing(by_reward=by_reward))
+    env.reset(seed=0)
+    advanced(env, 3, np.random.default_rng(0))
+    assert another(lambda: Growing(by_reward=by_reward), layers.states_of(env))[1] == OTHERWISE
+
+
+def test_numbers_drawn_elsewhere_are_seen() -> None:
+    class Drawing(Growing):
+        def _observation(self) -> Any:
+            return np.zeros(1, dtype=np.float32) * self.np_random.random(1 + self.resets)[:1]
+
+    env = layers.prepare(Drawing())
+    env.reset(seed=0)
+    assert another(Drawing, layers.states_of(env))[1] == OTHERWISE
+
+
+def test_an_error_in_the_repetition_is_told() -> None:
+    env = layers.prepare(Growing())
+    env.reset(seed=0)
+    env.step(0)
+    assert another(lambda: Growing(fails=True), layers.states_of(env))[1] == ("repeating it raised RuntimeError: a bug")
+
+
+def test_an_episode_without_end_takes_no_more_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(repeating, "MAX_ACTIONS", 20)
+    env = layers.prepare(Growing())
+    env.reset(seed=0)
+    advanced(env, 20, np.random.default_rng(0))
+    assert another(Growing, layers.states_of(env))[1] != "it has more than 20 actions"
+    advanced(env, 100, np.random.default_rng(0))
+    assert len(env._episode.actions) == 21
+    state = layers.states_of(env)
+    assert state[0]["own"]["actions"] is None
+    assert another(Growing, state)[1] == "it has more than 20 actions"
+
+
+def test_an_episode_that_was_under_way_is_not_repeated() -> None:
+    env = gym.make("CartPole-v1")
+    env.reset(seed=0)
+    layers.prepare(env)
+    env.step(0)
+    assert another(MAKERS["CartPole"], layers.states_of(env))[1] == UNKNOWN
+    env.reset()
+    assert another(MAKERS["CartPole"], layers.states_of(env))[1] is None
+
+
+@pytest.mark.parametrize("steps", [0, 5])
+def test_an_episode_that_has_just_begun_is_repeated_by_its_seed(steps: int) -> None:
+    env = gym.make("CartPole-v1")
+    env.reset(seed=5)
+    layers.prepare(env, just_reset=True)
+    there = advanced(env, steps, np.random.default_rng(0))
+    copy, failure = another(MAKERS["CartPole"], layers.states_of(env))
+    assert failure is None
+    assert advanced(copy, 5, np.random.default_rng(1)) == advanced(env, 5, np.random.default_rng(1))
+    assert len(there) == steps
+
+
+def test_options_of_a_reset_are_given_again() -> None:
+    env = layers.prepare(gym.make("CartPole-v1"))
+    env.reset(options={"low": -0.01, "high": 0.01})
+    assert another(MAKERS["CartPole"], layers.states_of(env))[1] is None
+    env.reset(options={"low": -0.01, "high": 0.01, "own": object()})
+    assert another(MAKERS["CartPole"], layers.states_of(env))[1] == "the options of its reset cannot be stored"
+
+
+def test_actions_that_cannot_be_stored() -> None:
+    env = layers.prepare(Growing())
+    env.reset(seed=0)
+    env.step("left")
+    env.step(0)
+    assert another(Growing, layers.states_of(env))[1] == "its actions cannot be stored"

@@ -1,0 +1,101 @@
+"""A wheel, installed where there is no checkout: the console script trains, evaluates, compares and shows options."""
+
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from sb3_options import __main__ as script
+from sb3_options import cli
+from tests.support import processes
+
+ROOT = Path(__file__).parents[2]
+SHORT = ["--n-timesteps", "600", "--no-progress", "--max-options", "2", "--checkpoint-freq", "0"]
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder into which the wheel was installed, without what it depends on."""
+    folder = tmp_path_factory.mktemp("wheel")
+    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
+    wheel = [*pip, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(ROOT)]
+    subprocess.run(wheel, check=True, cwd=folder)
+    (file,) = folder.glob("*.whl")
+    target = folder / "site"
+    subprocess.run([*pip, "install", "--no-deps", "--no-index", "--target", str(target), str(file)], check=True)
+    return target
+
+
+@pytest.mark.slow
+def test_from_a_wheel_in_an_empty_folder(installed: Path, tmp_path: Path) -> None:
+    environment = {"PYTHONPATH": str(installed), "COLUMNS": "120", "NO_COLOR": "1", "OMP_NUM_THREADS": "1"}
+
+    def run(*words: str) -> str:
+        done = processes.python(str(installed / "bin" / "sb3-options"), *words, cwd=tmp_path, env=environment)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    where = "import sb3_options, sb3_options.envs, sb3_options.callbacks as c; print(sb3_options.__file__, c.__file__)"
+    done = processes.python("-c", where, cwd=tmp_path, env=environment)
+    assert all(Path(file).is_relative_to(installed) for file in done.stdout.split()), done.stdout + done.stderr
+    for seed in ("0", "1"):
+        said = run("train", "ppo", "--seed", seed, *SHORT)
+        assert "sb3-options evaluate runs/ppo" in said.replace("\n", " ")
+    first, second = sorted((tmp_path / "runs" / "ppo").iterdir())
+    assert "success rate" in run("evaluate", str(first), "--episodes", "2")
+    assert "0 of 2 slots are taken" in run("options", str(first))
+    assert "2" in run("compare", str(first), str(second), "--reach", "return=0.5")
+    assert (tmp_path / "compare.png").stat().st_size > 10_000
+    assert (first / "README.md").read_text().count("one run, and no study") == 1
+
+
+@pytest.mark.slow
+def test_the_wheel_holds_the_settings_that_ship(installed: Path) -> None:
+    (file,) = installed.parent.glob("*.whl")
+    names = zipfile.ZipFile(file).namelist()
+    assert "sb3_options/runs/tuned/pioneer.yml" in names
+    assert "sb3_options/envs/pioneer/env.py" in names
+    assert not any(name.startswith(("tests/", "experiments/", "benchmarks/")) for name in names)
+
+
+def test_without_words_it_shows_its_help(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.argv", ["/somewhere/bin/sb3-options"])
+    with pytest.raises(SystemExit, match=r"^0$"):
+        script.main()
+    assert "usage: sb3-options" in capsys.readouterr().out
+
+
+def test_a_missing_extra_is_named(tmp_path: Path) -> None:
+    code = "import sys; sys.modules['tyro'] = None; from sb3_options.__main__ import main; main()"
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "pip install 'sb3-options[train,contrib]'" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("command", list(cli.COMMANDS))
+def test_every_command_has_its_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match=r"^0$"):
+        cli.main([command, "--help"])
+    assert f" {command} [-h]" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["compare"], "Name the run folders"),
+        (["compare", "nowhere"], "no run folder nowhere"),
+        (["compare", "nowhere", "--out", "picture.doc"], "ends with .png"),
+        (["options", "nowhere"], "no options file"),
+    ],
+)
+def test_what_cannot_be_shown_is_said_in_one_line(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match=r"^1$"):
+        cli.main(words)
+    error = capsys.readouterr().err
+    assert said in error
+    assert "Traceback" not in error

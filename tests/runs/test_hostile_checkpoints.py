@@ -1,0 +1,224 @@
+"""Checkpoints from strangers: `resume` runs none, writes nothing elsewhere, and says one clear line.
+
+Each is written with the right digest, by somebody who knows the format, unless it is no checkpoint at all.
+"""
+
+import json
+import pickle
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from safetensors.numpy import save as to_safetensors
+
+from sb3_options import cli
+from sb3_options.checkpoints import file as checkpoint_file
+from sb3_options.checkpoints.file import FORMAT, CheckpointFolder, read
+from sb3_options.checkpoints.records import RECORDS
+from sb3_options.checkpoints.tree import Arrays, encode
+from sb3_options.runs import folder as runs
+
+FLAGS = (
+    "ppo --n-timesteps 256 --n-envs 1 --n-steps 64 --batch-size 64 --n-epochs 1 --net-arch 8 --eval-freq 0 "
+    "--checkpoint-freq 100 --env-kwargs max_steps:20 --no-progress --device cpu"
+)
+
+
+class Evil:
+    """Unpickling one leaves a trace."""
+
+    def __init__(self, trace: Path) -> None:
+        self.trace = trace
+
+    def __reduce__(self) -> Any:
+        return Path.mkdir, (self.trace,)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that can be resumed."""
+    folder = tmp_path_factory.mktemp("runs")
+    cli.main([*FLAGS.split(), "--tensorboard-log", str(folder)])
+    (run,) = folder.glob("ppo/*")
+    return run
+
+
+def packed(state: str, arrays: Arrays | None = None, *, blocks: str = "{}", digest: str | None = None) -> bytes:
+    """A checkpoint that says this."""
+    arrays = arrays or {}
+    digest = checkpoint_file._digest(state, blocks, arrays) if digest is None else digest
+    about = {"format": FORMAT, "state": state, "blocks": blocks, "digest": digest}
+    content: bytes = to_safetensors(arrays, metadata=about)
+    return content
+
+
+def with_header(header: bytes, length: int | None = None) -> bytes:
+    return (len(header) if length is None else length).to_bytes(8, "little") + header
+
+
+Make = Callable[[dict[str, Any], Path], bytes]
+
+
+def changed(change: Callable[[dict[str, Any], Path], object]) -> Make:
+    """The state of a real checkpoint with a change."""
+
+    def make(state: dict[str, Any], trace: Path) -> bytes:
+        change(state, trace)
+        content, arrays = encode(state, RECORDS)
+        return packed(json.dumps(content), arrays)
+
+    return make
+
+
+def plain(state: str, **more: Any) -> Make:
+    return lambda _, __: packed(state, **more)
+
+
+def blocks(**about: Any) -> str:
+    whole: dict[str, Any] = {"shape": [4], "dtype": "<f8", "names": ["0" * 64]}
+    return json.dumps({"0": whole | about})
+
+
+REFUSED: dict[str, tuple[Make, str]] = {
+    "a pickle": (lambda _, trace: pickle.dumps(Evil(trace)), "is no checkpoint"),
+    "a pickle behind a header": (
+        lambda _, trace: packed("{}") + pickle.dumps(Evil(trace)),
+        "is no checkpoint, or it is damaged",
+    ),
+    "nothing": (lambda _, __: b"", "is no checkpoint"),
+    "a header beyond the file": (lambda _, __: with_header(b"{}", 1 << 62), "is no checkpoint"),
+    "a header beyond all files": (lambda _, __: b"\xff" * 8, "is no checkpoint"),
+    "a deep header": (lambda _, __: with_header(b"[" * 50_000), "is no checkpoint"),
+    "a header that is a list": (lambda _, __: with_header(b"[1]     "), "is no checkpoint"),
+    "no format": (lambda _, __: to_safetensors({}, metadata={"state": "{}"}), "is no checkpoint"),
+    "another format": (
+        lambda _, __: to_safetensors({}, metadata={"format": "sb3-options 1"}),
+        "its format is 'sb3-options 1'",
+    ),
+    "a wrong digest": (plain("{}", digest="0" * 64), "its contents are not what was written to it"),
+    "a list as state": (plain("[]"), "it holds no state"),
+    "no state": (plain("null"), "it holds no state"),
+    "a deep state": (plain("[" * 50_000), "is no checkpoint, or it is damaged"),
+    "half a state": (plain('{"model":'), "is no checkpoint, or it is damaged"),
+    "many digits": (plain('{"model": ' + "9" * 5_000 + "}"), "is no checkpoint, or it is damaged"),
+    "an empty state": (plain("{}"), "is no checkpoint of a training: KeyError('model')"),
+    "a model that is a number": (plain('{"model": 1}'), "is no checkpoint of a training"),
+    "infinite steps": (
+        plain('{"model": {"class": "PPO", "counters": {"num_timesteps": Infinity}}}'),
+        "is no checkpoint of a training",
+    ),
+    "a class to make": (plain('{"model": {"$": "os.system", "fields": {}}}'), "it holds a 'os.system', which is not"),
+    "a record of other fields": (plain('{"a": {"$": "Region", "fields": {"command": "ls"}}}'), "it is damaged"),
+    "a record that was not made": (plain('{"a": {"$": "same", "record": 3}}'), "it is damaged"),
+    "an array that is not there": (plain('{"a": {"$": "array", "array": "7"}}'), "it is damaged: KeyError('7')"),
+    "a block elsewhere": (plain("{}", blocks=blocks(names=["../../config"])), "is no name of a block"),
+    "a block at the root": (plain("{}", blocks=blocks(names=["/etc/passwd"])), "is no name of a block"),
+    "a block that is not there": (plain("{}", blocks=blocks()), "is no checkpoint, or it is damaged"),
+    "no blocks": (plain("{}", blocks=blocks(names=[])), "is no checkpoint, or it is damaged"),
+    "blocks that are a list": (plain("{}", blocks="[1]"), "is no checkpoint, or it is damaged"),
+    "blocks that are deep": (plain("{}", blocks="[" * 50_000), "is no checkpoint, or it is damaged"),
+    "another model": (
+        changed(lambda s, _: s["model"].update({"class": "os.system"})),
+        "The checkpoint is of os.system, the model is PPO",
+    ),
+    "a policy of other sizes": (
+        changed(lambda s, _: s["model"]["policy"].update({"value_net.weight": np.zeros((3, 3))})),
+        "does not fit what is trained here",
+    ),
+    "no policy": (changed(lambda s, _: s["model"].pop("policy")), "does not fit what is trained here: KeyError"),
+    "other callbacks": (
+        changed(lambda s, _: s["callbacks"][0].update({"class": "Evil"})),
+        "The checkpoint was written with the callbacks Evil",
+    ),
+    "no environments": (changed(lambda s, _: s.update({"environments": []})), "is of training with other environments"),
+    "an environment around others": (
+        changed(lambda s, _: s["environments"][0]["environments"][0][0].update({"class": "Evil"})),
+        "its checkpoint is of Evil",
+    ),
+    "a generator of another kind": (
+        changed(lambda s, _: s["random"].update({"numpy": ("evil", 1, 2, 3, 4)})),
+        "MT19937",
+    ),
+    "event files of no size": (
+        changed(lambda s, _: s.update({"event_files": {"evil": "x"}, "logged": 3})),
+        "does not fit what is trained here",
+    ),
+}
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    """What is in it, but for what TensorBoard begins for each training."""
+    found = {}
+    for path in folder.rglob("*"):
+        if path.is_file() and "tfevents" not in path.name and "__pycache__" not in path.parts:
+            found[str(path.relative_to(folder))] = path.read_bytes()
+    return found
+
+
+def stranger(whole: Path, folder: Path, make: Make, trace: Path) -> Path:
+    """A run whose only checkpoint is this one."""
+    run = folder / "run"
+    shutil.copytree(whole, run)
+    there = list(CheckpointFolder(run / runs.CHECKPOINTS))
+    content = make(read(there[0]), trace)
+    for file in there:
+        file.unlink()
+    there[0].write_bytes(content)
+    return run
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_is_refused_in_one_line(name: str, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    make, expected = REFUSED[name]
+    trace = tmp_path / "ran"
+    run = stranger(whole, tmp_path, make, trace)
+    before, modules = files(tmp_path), set(sys.modules)
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(["resume", str(run), "--no-progress"])
+    said = capsys.readouterr().err
+    assert stopped.value.code == 1
+    assert expected in said
+    assert len(said.strip().splitlines()) == 1
+    assert not trace.exists()
+    after, monitor = files(tmp_path), f"run/{runs.MONITOR}/0.monitor.csv"
+    assert before.pop(monitor).startswith(after.pop(monitor)), "it is cut to the checkpoint, nothing else"
+    assert after == before
+    assert not {module for module in set(sys.modules) - modules if "evil" in module}
+
+
+def name_attributes(state: dict[str, Any], trace: Path) -> None:
+    """Have whatever takes attributes from a file write to another place, and run something else."""
+    paths = {"save_path": str(trace), "log_path": str(trace), "best_model_save_path": str(trace)}
+    for callback in state["callbacks"]:
+        callback["known"].update(paths)
+        callback["counters"].update(paths)
+    state["model"]["counters"].update({"save": "x", "tensorboard_log": str(trace), "get_env": None})
+    state["model"]["last"].update({"learn": "x", "policy": None})
+    state["event_files"] = {"../../evil": 0, str(trace): 0}
+
+
+def test_names_no_attributes_and_no_paths(whole: Path, tmp_path: Path) -> None:
+    trace = tmp_path / "ran"
+    run = stranger(whole, tmp_path, changed(name_attributes), trace)
+    (tmp_path / "evil").write_text("not to be cut")
+    cli.main(["resume", str(run), "--no-progress"])
+    assert not trace.exists()
+    assert (tmp_path / "evil").read_text() == "not to be cut"
+    assert (run / runs.MODEL).read_bytes()[:2] == b"PK"
+
+
+def test_a_monitor_file_is_cut_and_never_made_longer(whole: Path, tmp_path: Path) -> None:
+    def enlarge(state: dict[str, Any], _: Path) -> None:
+        for layer in state["environments"][0]["environments"][0]:
+            if "bytes" in layer:
+                layer["bytes"] = 1 << 50
+
+    run = stranger(whole, tmp_path, changed(enlarge), tmp_path / "ran")
+    cli.main(["resume", str(run), "--no-progress"])
+    (monitor,) = (run / runs.MONITOR).iterdir()
+    assert monitor.stat().st_size < 10_000
