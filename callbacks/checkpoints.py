@@ -124,7 +124,7 @@ class CheckpointCallback(BaseCallback):
                 state["model"]["total"],
                 model._total_timesteps,
             )
-        if len(state["environments"]) != len(self._venvs()):
+        if len(state["environments"]) != 1 + len(self._evaluated()):
             raise ValueError(
                 "The checkpoint is of training with other environments for evaluation than there are here."
             )

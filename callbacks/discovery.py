@@ -14,6 +14,7 @@ from stable_baselines3.common.logger import Figure, TensorBoardOutputFormat
 
 from sb3_options.callbacks.checks import check_model
 from sb3_options.callbacks.counting import monitor_primitive_steps
+from sb3_options.callbacks.discovery_log import DiscoveryClock, log_discovery
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
 from sb3_options.callbacks.records import ClosedOption, DiscoveredOption, OptionStatistics
@@ -36,6 +37,7 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.options.creation import OptionGrowth, joined, learn_further, learn_option
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import PolicyInput
+from sb3_options.options.proposals import Proposal
 from sb3_options.options.settings import OptionLearningSettings
 
 logger = logging.getLogger("sb3_options")
@@ -149,6 +151,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._statistics = OptionStatistics()
         self._growth = OptionGrowth()
         self._installer: OptionInstaller | None = None
+        self._clock: DiscoveryClock | None = None
 
     @property
     def bank(self) -> OptionBank:
@@ -180,13 +183,14 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                 taken=[option.subgoal for option in self.bank.slots if isinstance(option, SubgoalOption)],
             )
         for slot, option in enumerate(self.bank.slots):
-            if isinstance(option, SubgoalOption) and slot not in self._made_here:
+            if isinstance(option, SubgoalOption) and slot not in self._made_here and not option.fixed:
                 self._growth.adopted(slot)
         if self.settings.segmentation == "peaks" and set(venv.get_attr("max_runs")) != {None}:
             raise ValueError("max_runs counts in an episode, and a continuing task has none: leave it out with peaks.")
         venv.env_method("record_trajectories", True, self.settings.reward_peaks())
 
         self._trials = None if self.trial is None else OptionTrials(venv, self.trial, self.seed)
+        self._clock = DiscoveryClock(self._search.seconds)
 
     @property
     def _options(self) -> OptionInstaller:
@@ -264,9 +268,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             if later is not None and later is not option:
                 self._options.replace(slot, later)
 
-    def _learn(self, subgoal: Region, name: str, policy_input: PolicyInput) -> SubgoalOption | None:
+    def _learn(self, proposal: Proposal, name: str, policy_input: PolicyInput) -> SubgoalOption | None:
         return learn_option(
-            subgoal,
+            proposal,
             self._search.database,
             self._options.n_primitive,
             dataclasses.replace(self.option_settings, policy_input=policy_input),
@@ -284,7 +288,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         where = described(centre, self._search.kind)
         if subgoal.group is not None:
             where = f"{subgoal.group.name} at {where}"
-        option = self._learn(subgoal, f"reach {where}", self.option_settings.policy_input)
+        proposal = self._search.found[-1].proposal or subgoal
+        option = self._learn(proposal, f"reach {where}", self.option_settings.policy_input)
         if option is None:
             logger.warning("No option for the subgoal at %s: no saved trajectory leads to it.", centre)
             return
@@ -292,7 +297,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._options.install(slot, option)
         self._statistics.forget(slot)  # a closed option went on to the end of its rollout, after it was forgotten
         self._made_here.add(slot)
-        self._growth.made(slot, subgoal, self._search.database)
+        if not option.fixed:
+            self._growth.made(slot, subgoal, self._search.database)
         self.discoveries.append(
             DiscoveredOption(
                 slot,
@@ -337,13 +343,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         record("time/primitive_steps", self.num_timesteps)
         record("options/count", len(self.bank))
         record("options/closed", len(self.closed))
-        record("discovery/seconds", self._search.seconds)
-        leading = self._search.tracker.leading()
-        record("discovery/leading_average", 0.0 if leading is None else leading.average)
-        if self._search.last.peaks:
-            record("discovery/best_log_density", self._search.last.peaks[0].log_density)
-        for tag, value in self._statistics.values().items():
-            record(tag, value)
+        assert self._clock is not None  # made when training started
+        log_discovery(record, self._search, self._clock.share(self._search), self._statistics.values())
 
     def draw(self) -> None:
         """Draw the pictures of discovery for TensorBoard, with the next dump of the log."""
@@ -382,6 +383,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._made_here = set(state["made_here"])
         self._generator.set_state(state["generator"])
         self._search.set_state(state["search"])
+        self._clock = DiscoveryClock(self._search.seconds)
         self._statistics.set_state(state["statistics"])
         self._growth.set_state(state["growth"])
         if self._trials is not None:

@@ -45,8 +45,7 @@ from sb3_options.runs.in_turn import Series, Trained, go_on, train_in_turn
 from sb3_options.runs.in_turn import read as read_series
 from sb3_options.runs.inspection import InspectConfig, show_options
 from sb3_options.runs.interrupts import Interrupts, StopWhenNoted
-from sb3_options.runs.logs import KeepTraining
-from sb3_options.runs.logs import without as without_file
+from sb3_options.runs.logs import KeepTraining, without
 from sb3_options.runs.resume import ResumeConfig, config_of
 from sb3_options.runs.series import StopWhenLearned
 from sb3_options.runs.users_code import IMPORTING
@@ -162,14 +161,14 @@ def _train(config: TrainConfig, *, series: Series | None = None, resumed: Path |
         folder = runs.new_run_folder(config) if resumed is None else resumed
         _learn(config, discovery, folder, interrupts, series=series, resume=resumed is not None)
         if config.compare and config.discover and not interrupts.noted:
-            without = dataclasses.replace(config, discover=False, compare=False, options=None)
+            no_discovery = dataclasses.replace(config, discover=False, compare=False, options=None)
             console.print("Once more, without discovery:")
-            stock = _discovery(without)
-            _learn(without, stock, runs.new_run_folder(without), interrupts)
+            stock = _discovery(no_discovery)
+            _learn(no_discovery, stock, runs.new_run_folder(no_discovery), interrupts)
     if not folder.exists():
         raise KeyboardInterrupt("before the first step: there is nothing to keep")
     _draw(config, discovery, folder)
-    with without_file(folder / CARD):
+    with without(folder / CARD):
         write_card(folder, config, discovery.history, {d.slot: d.timestep for d in discovery.discoveries})
     unit = unit_of(config)
     took = f"{discovery.num_timesteps:,} primitive steps, {discovery.episodes:,} {unit}s"
@@ -335,7 +334,7 @@ def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path
     if config.vec_env == "subproc":  # φ was in a process that has ended
         env = runs.make_env(config, 1, config.seed)
         discovery.bank.bind(lambda observations: env.env_method("concept_features", observations)[0])
-    with without_file(folder / runs.SUBGOALS), atomic_write(folder / runs.SUBGOALS) as temporary:
+    with without(folder / runs.SUBGOALS), atomic_write(folder / runs.SUBGOALS) as temporary:
         figure = subgoals_figure(discovery.discovery, discovery.bank, _why_nothing(discovery))
         figure.savefig(temporary, dpi=110)
 

@@ -131,6 +131,8 @@ def _to_its_end(args: list[str], log: Path, killed: Killed, every: float, random
         process.communicate()
         return False
     if process.returncode == 0:  # it was at its end already
+        killed.kills.pop()
+        killed.steps.pop()
         return True
     killed.seconds_to_end.append(time.monotonic() - ended)
     one_line = process.returncode == TRY_AGAIN and len(errors.strip().splitlines()) == 1 and " resume " in errors

@@ -103,8 +103,9 @@ def max_options(family: str) -> int:
     return {"DoorKey": 6, "LockedRoom": 6, "KeyCorridor": 8}.get(family.split("-")[0], 4)
 
 
-DISCOVERY: dict[str, Any] = {"capacity": 500, "start_radius": 0.5, "goal_radius": 0.5}
-"""Successes are rare at first, so many trajectories are kept. On few features near the start is nearly everywhere."""
+DISCOVERY: dict[str, Any] = {"capacity": 500, "start_radius": 0.5, "goal_radius": 0.5, "max_share": None}
+"""Successes are rare at first, so many trajectories are kept. On few features near the start is nearly everywhere. The
+study was run before there was a `max_share`."""
 
 OPENING_SHARE = 0.5
 MIN_REACHED = 0.5

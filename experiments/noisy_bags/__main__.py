@@ -29,10 +29,10 @@ from rich.table import Table
 from scipy.stats import binomtest
 
 from experiments.common.seeds import write_json
-from experiments.noisy_bags.em_dd import ExpectationMaximisation
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
 from sb3_options.density.concepts import Point
+from sb3_options.density.em_dd import ExpectationMaximisation
 from sb3_options.density.search import ConceptSearch
 
 PLACE = np.array([3.0, -2.0])

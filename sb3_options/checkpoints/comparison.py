@@ -9,7 +9,18 @@ from sb3_options.checkpoints.records import RECORDS
 from sb3_options.checkpoints.tree import Arrays, State, encode
 
 OF_THE_CLOCK = frozenset(
-    ("seconds", "elapsed", "t", "times", "time/fps", "time/time_elapsed", "discovery/seconds", "event_files", "bytes")
+    (
+        "seconds",
+        "elapsed",
+        "t",
+        "times",
+        "time/fps",
+        "time/time_elapsed",
+        "discovery/seconds",
+        "discovery/share",
+        "event_files",
+        "bytes",
+    )
 )
 """Entries that say how long something took; no two runs agree about them."""
 

@@ -79,6 +79,12 @@ def get_state(model: BaseAlgorithm) -> State:
     return state
 
 
+def growing(model: BaseAlgorithm) -> list[Growing]:
+    """The large arrays in `get_state` that tell how they have grown."""
+    buffer = getattr(model, "replay_buffer", None)
+    return buffer.growing() if isinstance(buffer, OptionReplayBuffer) else []
+
+
 def prepare(model: BaseAlgorithm, state: State) -> None:
     """Let the first rollout of an on-policy algorithm be as long as the one that began with what `get_state` gave."""
     there = state.get("rollout", {})  # checkpoints of before have none
@@ -87,12 +93,6 @@ def prepare(model: BaseAlgorithm, state: State) -> None:
     buffer = getattr(model, "rollout_buffer", None)
     if buffer is not None and "n_steps" in there:
         buffer.buffer_size = there["n_steps"]
-
-
-def growing(model: BaseAlgorithm) -> list[Growing]:
-    """The large arrays in `get_state` that tell how they have grown."""
-    buffer = getattr(model, "replay_buffer", None)
-    return buffer.growing() if isinstance(buffer, OptionReplayBuffer) else []
 
 
 def set_state(model: BaseAlgorithm, state: State) -> None:

@@ -15,8 +15,9 @@ from sb3_options.density.regions import HalfSpace, Region
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
+from sb3_options.options.proposals import IntrinsicReward, Passage
 
-OPTION = ("subgoal", "initiation_set", "option_policy", "policy_input", "max_duration", "name")
+OPTION = ("subgoal", "initiation_set", "option_policy", "policy_input", "max_duration", "name", "fixed")
 """What an option is made of: the arguments of `SubgoalOption`."""
 
 
@@ -40,7 +41,17 @@ def _of(*names: str) -> Any:
 
 RECORDS: dict[str, Record] = {
     cls.__name__: record(cls)
-    for cls in (Trajectory, LabelledTrajectory, Region, HalfSpace, FeatureGroup, Peak, BagArrays)
+    for cls in (
+        Trajectory,
+        LabelledTrajectory,
+        Region,
+        HalfSpace,
+        FeatureGroup,
+        Peak,
+        BagArrays,
+        Passage,
+        IntrinsicReward,
+    )
 } | {
     "Bags": Record(Bags, _made_bags, _bags),
     "SubgoalOption": Record(SubgoalOption, SubgoalOption, _of(*OPTION)),

@@ -39,6 +39,11 @@ class FilteredBags:
     negative: list[FloatArray]
 
     @cached_property
+    def n_instances(self) -> int:
+        """In all bags."""
+        return sum(map(len, self.positive)) + sum(map(len, self.negative))
+
+    @cached_property
     def bags(self) -> Bags:
         """Packed, when first asked for: an incremental search does without."""
         return Bags.pack(self.positive, self.negative)
@@ -150,6 +155,10 @@ class BagMaker:
         for subgoal in taken:
             allowed = allowed & (self._distance(known, subgoal) > self.settings.spacing)
         return allowed
+
+    def ways(self) -> list[FloatArray]:
+        """The states of each way that may be subgoals, in scaled units, as of the last bags, (k_i, d) each."""
+        return [known.scaled[known.allowed] for known in self._known.values() if known.labelled.success]
 
     def forget_bags(self) -> None:
         """Every bag changes: instances near a new subgoal are filtered out."""

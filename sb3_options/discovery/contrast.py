@@ -115,6 +115,11 @@ class Contrast:
         self._numbers = {_key(of): i for i, of in enumerate(state["states"])}
         self._values = np.array(state["values"], dtype=np.float64)
 
+    @property
+    def n_states(self) -> int:
+        """Distinct states of the group in the trajectories."""
+        return int(np.count_nonzero(self._values != ABSENT))
+
     def largest(self) -> float:
         """Of all states; `NO_PLACE` where there is none."""
         return max(float(self._values.max(initial=NO_PLACE)), NO_PLACE)

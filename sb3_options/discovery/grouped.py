@@ -12,6 +12,7 @@ from typing import Any
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.bag_maker import BagMaker
+from sb3_options.discovery.budget import seconds_of_contrast
 from sb3_options.discovery.contrast import Contrast
 from sb3_options.discovery.subgoals import Search, SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray
@@ -123,6 +124,8 @@ class GroupedDiscovery(SubgoalDiscovery):
         n_positive = self.database.n_successful
         if self._new_successes < max(1.0, SEARCH_GROWTH * n_positive):
             return None
+        if not self.budget.affords():
+            return None
         self._new_successes = 0
         began = time.perf_counter()
         if n_positive >= self.settings.min_positive:
@@ -132,6 +135,10 @@ class GroupedDiscovery(SubgoalDiscovery):
             for group, member in self.members.items():
                 if self._contrasts[group].largest() >= self.settings.min_contrast:
                     member.update()
+                    self.budget.spent += member.cost
+            self.budget.spent += sum(
+                seconds_of_contrast(len(trajectories), contrast.n_states) for contrast in self._contrasts.values()
+            )
         best = max(self.members.values(), key=lambda m: m.leading_average(), default=None)
         seconds = time.perf_counter() - began
         self.last = Search([], None, seconds) if best is None else best.last._replace(seconds=seconds)

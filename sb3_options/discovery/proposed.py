@@ -14,10 +14,15 @@ from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.grouped import GroupedDiscovery
 from sb3_options.discovery.methods import METHODS, DiscoveryMethod, Experience, Proposal
+from sb3_options.discovery.most_likely import MostLikelyDiscovery
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.subgoals import FoundSubgoal, Search, SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
+from sb3_options.options.proposals import goal_of
+
+UPDATE_SECONDS = 2e-6
+"""Nominal time of telling a method of a trajectory, for each of its steps."""
 
 
 @dataclass
@@ -45,15 +50,43 @@ class ProposedDiscovery(SubgoalDiscovery):
         self._untold = [*self._untold, labelled][-self.settings.capacity :]
         return labelled
 
+    def search(self) -> Region | None:
+        """Tell the method what is new, and take a proposal; as `SubgoalDiscovery.search`.
+
+        Returns:
+            Where it leads; `found` has the proposal. What the budget does not afford the method is never told.
+        """
+        skipped = self.budget.skipped
+        subgoal = super().search()
+        if self.budget.skipped > skipped and self.scale is not None:
+            self._untold = []
+        return subgoal
+
     def update(self) -> None:
         """Tell the method what is new; nothing as long as the scale of the features is not known."""
         began = time.perf_counter()
+        self.cost = 0.0
         if self._maker.knows_scale(self.database):
             for labelled in self._untold:
-                self._proposals = list(self.method.update(self._experience(labelled)))
+                experience = self._experience(labelled)
+                self._proposals = list(self.method.update(experience))
+                self.cost += UPDATE_SECONDS * len(labelled.trajectory)
+                if hasattr(self.method, "seconds"):
+                    self.cost += float(self.method.seconds(experience))
             self._untold = []
+            if self.recurrence.is_due(len(self.database)):
+                self._look()
         self.last = Search([], None, time.perf_counter() - began)
         self.seconds += self.last.seconds
+
+    def _look(self) -> None:
+        """Look whether anything recurs; the method is told all the same."""
+        assert self.scale is not None  # known before the method is told anything
+        lived = [labelled.features * self.scale for labelled in self.database]
+        ways = [
+            way[self._maker.may_be_subgoals(labelled, [])] for way, labelled in zip(lived, self.database, strict=True)
+        ]
+        self.recurrence.look(ways, len(ways), f"{self.outcomes.unit}s")
 
     def _experience(self, labelled: LabelledTrajectory) -> Experience:
         assert self.scale is not None  # known before the method is told anything
@@ -71,11 +104,12 @@ class ProposedDiscovery(SubgoalDiscovery):
         assert self.scale is not None or not self._proposals
         known = [*self.taken, *(found.subgoal for found in self.found)]
         for proposal in self._proposals:
-            point = proposal.points[0] * self.scale
+            goal = goal_of(proposal)
+            point = goal.points[0] * self.scale
             if all(np.linalg.norm(point - other.points[0] * self.scale) > self.settings.spacing for other in known):
-                self.found.append(FoundSubgoal(proposal, None, math.nan))
+                self.found.append(FoundSubgoal(goal, None, math.nan, None if goal is proposal else proposal))
                 self._proposals = []
-                return proposal
+                return goal
         return None
 
     def get_state(self) -> dict[str, Any]:
@@ -106,7 +140,10 @@ class ProposedDiscovery(SubgoalDiscovery):
         """Why there is no option, in a sentence."""
         if self.found or self.outcomes.n == 0:
             return super().why_nothing()
-        return f"No subgoal was discovered: {type(self.method).__name__} proposed none that the filters leave."
+        if self.recurrence.nothing:
+            return f"No subgoal was discovered: {self.recurrence.why(len(self.database), f'{self.outcomes.unit}s')}"
+        none = f"{type(self.method).__name__} proposed none that the filters leave.{self._left_out()}"
+        return f"No subgoal was discovered: {none}"
 
 
 def discovery_with(
@@ -126,14 +163,17 @@ def discovery_with(
     Raises:
         ValueError: A method other than diverse density is to work on groups of features.
     """
-    groups = tuple(groups)
-    if method is None and settings.method != "diverse-density":
-        method = METHODS[settings.method]()
-    if method is None:
-        return GroupedDiscovery(settings, groups=groups, **how) if groups else SubgoalDiscovery(settings, **how)
-    if groups:
+    groups, name = tuple(groups), settings.method
+    if method is None and name in METHODS:
+        method = METHODS[name]()
+    if groups and (method is not None or name != "diverse-density"):
+        what = name if method is None else type(method).__name__
         raise ValueError(
-            f"{type(method).__name__} works on all features together, and the feature map has groups: pass groups=() "
-            "to SubgoalDiscoveryCallback, or use diverse density."
+            f"{what} works on all features together, and the feature map has groups: pass groups=() to "
+            "SubgoalDiscoveryCallback, or use diverse density."
         )
-    return ProposedDiscovery(settings, method=method, **how)
+    if method is not None:
+        return ProposedDiscovery(settings, method=method, **how)
+    if name == "em-dd":
+        return MostLikelyDiscovery(settings, **how)
+    return GroupedDiscovery(settings, groups=groups, **how) if groups else SubgoalDiscovery(settings, **how)

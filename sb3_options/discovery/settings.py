@@ -25,6 +25,8 @@ class DiscoverySettings:
         peak_reward: The least reward of a peak; None takes any that is positive.
         max_segment: Primitive steps without a peak that make an unsuccessful segment; more than random exploration
             takes from peak to peak.
+        max_share: Largest share of training that searches may take, counted in work and not by the clock (`budget`);
+            None for any. A search that took more makes the next ones rarer.
         capacity: How many trajectories are kept: the last n.
         max_bytes: How much memory they may take, 1 GiB; with large observations fewer than n are kept.
         min_positive: Positive bags needed before the first search: over a few bags, accidents tie with bottlenecks.
@@ -63,6 +65,7 @@ class DiscoverySettings:
     segmentation: Literal["episodes", "peaks"] = "episodes"
     peak_reward: Annotated[float, Field(allow_inf_nan=False)] | None = None
     max_segment: Annotated[int, Field(ge=1)] = 10_000
+    max_share: Annotated[float, Field(gt=0, le=1)] | None = 0.05
     capacity: Annotated[int, Field(ge=1)] = 100
     max_bytes: Annotated[int, Field(ge=1)] = 1 << 30
     min_positive: Annotated[int, Field(ge=1)] = 8

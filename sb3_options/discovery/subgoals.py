@@ -15,17 +15,25 @@ from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.incremental import IncrementalSearch
 from sb3_options.density.regions import Region
 from sb3_options.discovery.bag_maker import BagMaker, FilteredBags
+from sb3_options.discovery.budget import ASCENTS, Budget, seconds_of_bags, seconds_of_search
 from sb3_options.discovery.outcomes import Outcomes
 from sb3_options.discovery.peaks import PeakTracker, plateau_centres
+from sb3_options.discovery.recurrence import Recurrence
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.static_filter import StaticFilter
 from sb3_options.discovery.ways import loop_erased
 from sb3_options.experience.observations import FloatArray, batch_size
 from sb3_options.experience.success import SuccessRule, reported_success
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory, TrajectoryDatabase
+from sb3_options.options.proposals import Proposal
 
 WARM_STARTS = 4
 """A search also starts from this many peaks of the one before."""
+
+TRIED_BAGS = 3
+MOST_PAIRS = 1 << 20
+"""A search tries the instances of so many of the smallest positive bags, and compares about so many pairs of them with
+others, as `DiverseDensity` has it."""
 
 
 class Search(NamedTuple):
@@ -54,11 +62,13 @@ class FoundSubgoal(NamedTuple):
         subgoal: In concept space.
         bags: Of the search that completed it; None where another method found it.
         log_density: Best log diverse density of that search; NaN likewise.
+        proposal: What the option is to be made for, if not to reach it.
     """
 
     subgoal: Region
     bags: Bags | None
     log_density: float
+    proposal: Proposal | None = None
 
 
 @dataclass
@@ -91,6 +101,10 @@ class SubgoalDiscovery:
         self.outcomes = Outcomes(unit, self.success is not reported_success)
         self.last = Search([], None, 0.0)
         self.seconds = 0.0
+        self.cost = 0.0
+        self.budget = Budget(s.max_share)
+        self.recurrence = Recurrence(s.min_positive, max(s.peak_radius, s.subgoal_radius))
+        self._n_new = 0
         self._maker = BagMaker(s, self.static_filter, self.kind)
         self._incremental: IncrementalSearch | None = None
 
@@ -127,29 +141,62 @@ class SubgoalDiscovery:
         )
         self.outcomes.add(trajectory, success=labelled.success)
         self.database.add(labelled)
+        self.budget.steps += len(trajectory)
+        self._n_new += n_states
         return labelled
 
     def search(self) -> Region | None:
-        """Search the bags once and update the running averages.
+        """Search the bags once and update the running averages, if the `Budget` affords it.
 
         Returns:
             A new subgoal, if a concept has become persistent. It counts as taken from then on.
         """
+        if not self.budget.affords():
+            return None
         self.update()
+        self.budget.spent += self.cost
         return self._new_subgoal()
 
     def update(self) -> None:
-        """Search the bags once and update the running averages; `search` without its end."""
+        """Search the bags once and update the running averages; `search` without its end.
+
+        `cost` says in nominal seconds what it took.
+        """
         began = time.perf_counter()
-        evidence = self._evidence()
+        evidence = self._recurring_evidence()
         peaks: list[Peak] = []
         if evidence is not None:
             engine = self.engine()
             peaks = self._peaks(evidence, engine)
             assert self.scale is not None  # set with the first bags
             self.tracker.update(self._places(peaks), self.scale)
+            self.cost += self._seconds_of_search(evidence)
         self.last = Search(peaks, evidence, time.perf_counter() - began)
         self.seconds += self.last.seconds
+
+    def _recurring_evidence(self) -> FilteredBags | None:
+        """The bags of the database; None where there are too few, or where nothing recurs."""
+        self.cost, successes = 0.0, self.outcomes.successes
+        due = self.recurrence.is_due(successes)
+        if self.recurrence.nothing and not due:
+            return None
+        evidence = self._evidence()
+        n, d = (0, 0) if evidence is None else (evidence.n_instances, evidence.positive[0].shape[1])
+        self.cost += seconds_of_bags(len(self.database), self._n_new, n, d)
+        self._n_new = 0
+        if due:
+            self.recurrence.look(self._maker.ways(), successes, f"successful {self.outcomes.unit}s")
+        return None if self.recurrence.nothing else evidence
+
+    def _seconds_of_search(self, evidence: FilteredBags) -> float:
+        """What a search takes, in nominal seconds: all instances are compared with what is tried and what ascends."""
+        n, sizes = evidence.n_instances, [len(bag) for bag in evidence.positive]
+        tried = min(sum(sorted(sizes)[:TRIED_BAGS]), max(2 * ASCENTS, MOST_PAIRS // n))
+        if self.engine().method == "exhaustive":
+            tried = sum(sizes)
+        elif self.settings.search == "incremental":
+            tried = min(sizes[-1], MOST_PAIRS // n)
+        return seconds_of_search(n, tried + ASCENTS, evidence.positive[0].shape[1])
 
     def leading_average(self) -> float:
         """The largest running average; 0 before the first peak."""
@@ -188,12 +235,23 @@ class SubgoalDiscovery:
             why = seen.why_no_success()
         elif self.found:
             why = "no saved trajectory leads surely enough (min_reach) to the one that was found: there is no option."
+        elif self.recurrence.nothing:
+            why = self.recurrence.why(seen.successes, f"successful {seen.unit}s")
         elif self.last.bags is None:
             why = (
                 f"{seen.successes} of {seen.n} {seen.unit}s were successful; a search needs "
                 f"{self.settings.min_positive} (min_positive) of which the filters leave something."
             )
-        return f"No subgoal was discovered: {why}"
+        return f"No subgoal was discovered: {why}{self._left_out()}"
+
+    def _left_out(self) -> str:
+        """What to add where searches were left out."""
+        if not self.budget.skipped or self.found or self.recurrence.nothing:
+            return ""
+        return (
+            f" {self.budget.skipped} searches were left out, because max_share={self.settings.max_share:g} affords no "
+            "more: a larger one, or features that are fewer, gives more of them."
+        )
 
     def bags(self) -> Bags | None:
         """The bags of the database; None while there are too few positive ones to search."""
@@ -244,6 +302,9 @@ class SubgoalDiscovery:
             "taken": list(self.taken),
             "maker": self._maker.get_state(),
             "incremental": None if self._incremental is None else self._incremental.get_state(),
+            "budget": self.budget.get_state(),
+            "recurrence": self.recurrence.get_state(),
+            "n_new": self._n_new,
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -261,6 +322,9 @@ class SubgoalDiscovery:
         if state["incremental"] is not None:
             self._incremental = IncrementalSearch(self.engine())
             self._incremental.set_state(state["incremental"])
+        self.budget.set_state(state["budget"])
+        self.recurrence.set_state(state["recurrence"])
+        self._n_new = state["n_new"]
 
     def _new_subgoal(self) -> Region | None:
         for concept in self.tracker.persistent():

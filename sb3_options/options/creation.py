@@ -1,4 +1,4 @@
-"""From a subgoal to an option, learned from saved trajectories, and learned further or anew from later ones."""
+"""From a proposal to an option, learned from saved trajectories, and learned further or anew from later ones."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ import torch
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import BoolArray
 from sb3_options.experience.trajectories import LabelledTrajectory
-from sb3_options.options.initiation import Transitions, initiation_set, option_transitions
+from sb3_options.options.initiation import initiation_set, leading
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import OptionPolicy, TabularPolicy
+from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal
 from sb3_options.options.reach import reliable_part
 from sb3_options.options.replay import replay_into_network, replay_into_table
 from sb3_options.options.settings import OptionLearningSettings
+from sb3_options.options.tasks import Climbing, OwnTask, Reaching, Transitions, transitions_of
 
 LARGEST_TABLE = 4 << 20
 """Bytes up to which a table grows by learning further: some 14,000 rows of four features and four actions."""
@@ -25,9 +27,12 @@ LARGEST_TABLE = 4 << 20
 ROW_BYTES = 200
 """Memory of a row of a table besides its numbers, approximately."""
 
+NO_GAIN = 1e-9
+"""Values below this share of the range of f are rounding."""
+
 
 def learn_option(
-    subgoal: Region,
+    proposal: Proposal,
     trajectories: Iterable[LabelledTrajectory],
     n_primitive: int,
     settings: OptionLearningSettings,
@@ -35,11 +40,11 @@ def learn_option(
     *,
     name: str = "subgoal",
 ) -> SubgoalOption | None:
-    """An option that reaches ``subgoal``, made from saved trajectories.
+    """An option for a proposal, made from saved trajectories.
 
     Args:
-        subgoal: In concept space. If it has a group of features, so has the initiation set, and the policy acts on
-            these features alone, whatever ``policy_input`` says.
+        proposal: A region to reach, a passage to one, or a reward to gain. If a region has a group of features, so has
+            the initiation set, and the policy acts on these features alone, whatever ``policy_input`` says.
         trajectories: The saved ones.
         n_primitive: Number of primitive actions.
         settings: How.
@@ -47,17 +52,28 @@ def learn_option(
         name: For people.
 
     Returns:
-        The option, not yet bound to a feature map; None if no saved trajectory leads to the subgoal, or, on a group of
-        features, none promises to reach it often enough (``min_reach``).
+        The option, not yet bound to a feature map; None if no saved trajectory leads to the subgoal or, on a group of
+        features, none promises to reach it often enough (``min_reach``), or if nothing is to be gained on any.
     """
     trajectories = list(trajectories)
-    if subgoal.group is not None:
+    if isinstance(proposal, Region) and proposal.group is not None:
         settings = replace(settings, policy_input="features")
-    initiation = initiation_set(subgoal, trajectories, settings)
-    transitions = option_transitions(subgoal, initiation, trajectories, settings)
+    task: OwnTask
+    if isinstance(proposal, IntrinsicReward):
+        task = Climbing(proposal)
+    elif isinstance(proposal, Passage):
+        task = Reaching(proposal.subgoal, leading(proposal, trajectories), settings)
+    else:
+        task = Reaching(proposal, initiation_set(proposal, trajectories, settings), settings)
+    transitions = transitions_of(task, trajectories, settings)
     if transitions is None:
         return None
     policy = _learn_policy(transitions, n_primitive, settings, generator)
+    if isinstance(task, Reaching):
+        subgoal, initiation = task.subgoal, task.initiation
+    else:
+        assert isinstance(proposal, IntrinsicReward)
+        subgoal, initiation = where_it_pays(proposal, policy, trajectories, settings)
     if subgoal.group is not None and settings.min_reach and isinstance(policy, TabularPolicy):
         initiation = reliable_part(
             initiation,
@@ -67,8 +83,8 @@ def learn_option(
             steps=min(settings.initiation_steps, settings.max_duration),
             subgoal_reward=settings.subgoal_reward,
         )
-        if not len(initiation.points):
-            return None
+    if not len(initiation.points):
+        return None
     return SubgoalOption(
         subgoal,
         initiation,
@@ -76,6 +92,43 @@ def learn_option(
         policy_input=settings.policy_input,
         max_duration=settings.max_duration,
         name=name,
+        fixed=not isinstance(proposal, Region),
+    )
+
+
+def where_it_pays(
+    reward: IntrinsicReward,
+    policy: OptionPolicy,
+    trajectories: Iterable[LabelledTrajectory],
+    settings: OptionLearningSettings,
+) -> tuple[Region, Region]:
+    """Where an option that gains a reward ends, and its initiation set (Machado et al. 2017, §3.2).
+
+    The option ends where no action has a value above 0, that of stopping. I is every other place that was visited.
+
+    Args:
+        reward: What is gained.
+        policy: Learned.
+        trajectories: Where it was learned.
+        settings: ``policy_input`` and ``initiation_radius`` are used.
+
+    Returns:
+        The places where it ends, the highest first, and I.
+    """
+    sums, counts = np.zeros((2, len(reward.points)))
+    for labelled in trajectories:
+        rows, known = reward.rows(labelled.features)
+        seen = labelled.features if settings.policy_input == "features" else labelled.trajectory.states
+        values = policy.best_values(seen)
+        np.add.at(sums, rows[known], values[known])
+        np.add.at(counts, rows[known], 1.0)
+    visited = counts > 0
+    pays = visited & (sums > NO_GAIN * np.maximum(counts, 1.0) * np.ptp(reward.potentials))
+    ends = np.flatnonzero(visited & ~pays)
+    ends = ends[np.argsort(-reward.potentials[ends], kind="stable")]
+    return (
+        Region(reward.points[ends], reward.scale, reward.radius),
+        Region(reward.points[pays], reward.scale, settings.initiation_radius),
     )
 
 
@@ -109,11 +162,14 @@ def learn_further(
         settings: ``step_size``, ``gamma`` and the rewards are used.
 
     Returns:
-        A new option; ``option`` itself if no step began in I or if its policy is not a table.
+        A new option; ``option`` itself if no step began in I, if its policy is not a table, or if it is fixed.
     """
     policy = option.option_policy
+    if option.fixed:
+        return option
     settings = replace(settings, policy_input=option.policy_input)
-    transitions = option_transitions(option.subgoal, option.initiation_set, [trajectory], settings)
+    task = Reaching(option.subgoal, option.initiation_set, settings)
+    transitions = transitions_of(task, [trajectory], settings)
     if transitions is None or not isinstance(policy, TabularPolicy):
         return option
     rows, states, values = policy.rows_for(transitions.states)

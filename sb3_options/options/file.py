@@ -249,6 +249,8 @@ def _encode(option: SubgoalOption) -> tuple[dict[str, Any], Arrays]:
     }
     if option.subgoal.group is not None:
         entry["group"] = dataclasses.asdict(option.subgoal.group)
+    if option.fixed:
+        entry["fixed"] = True
     return entry, {name: np.ascontiguousarray(array, dtype=np.float64) for name, array in arrays.items()}
 
 
@@ -281,6 +283,7 @@ def _decode(
         policy_input=policy_input,
         max_duration=entry["max_duration"],
         name=str(entry["name"]),
+        fixed=bool(entry.get("fixed", False)),
     )
 
 

@@ -1,37 +1,18 @@
-"""The initiation set of an option and the transitions of its own task, both from saved trajectories."""
+"""The initiation set of an option, from saved trajectories."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import breadth_first_order
 
 from sb3_options.density.regions import Region
-from sb3_options.experience import observations as obs_batch
-from sb3_options.experience.observations import BoolArray, FloatArray, IntArray, Observations
+from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import LabelledTrajectory
+from sb3_options.options.proposals import Passage
 from sb3_options.options.settings import OptionLearningSettings
-
-
-class Transitions(NamedTuple):
-    """Primitive steps of the option's own task, each distinct observation stored once.
-
-    Attributes:
-        states: The distinct observations, or features where the policy acts on those, batch of m.
-        began: Row of ``states`` where each step began, shape (n,).
-        actions: Primitive actions, shape (n,).
-        rewards: Of the option's own task, shape (n,).
-        led: Row of ``states`` where each step led, shape (n,).
-        ends: Whether the step reached the subgoal, left I or ended the episode in a terminal state, shape (n,).
-    """
-
-    states: Observations
-    began: IntArray
-    actions: IntArray
-    rewards: FloatArray
-    led: IntArray
-    ends: BoolArray
 
 
 def initiation_set(
@@ -67,50 +48,30 @@ def initiation_set(
     return Region(outside, subgoal.scale, settings.initiation_radius, group=group)
 
 
-def option_transitions(
-    subgoal: Region,
-    initiation: Region,
-    trajectories: Iterable[LabelledTrajectory],
-    settings: OptionLearningSettings,
-) -> Transitions | None:
-    """Every saved primitive step that began in I, with the rewards of the option's own task.
+def leading(passage: Passage, trajectories: Iterable[LabelledTrajectory]) -> Region:
+    """The states of a passage's I from which saved steps lead to its subgoal without leaving I.
 
     Args:
-        subgoal: Reaching it ends the task with ``subgoal_reward``.
-        initiation: Leaving it ends the task with ``leave_reward``, and so does a terminal state.
-        trajectories: The saved ones.
-        settings: The rewards and ``policy_input`` are used; features are those that count for the subgoal.
+        passage: In concept space.
+        trajectories: All of them, successful or not.
 
     Returns:
-        The steps; None if there are none.
+        A region with one centre for every distinct state; empty if there is none.
     """
-    row_of: dict[bytes, int] = {}
-    states: list[Observations] = []
-    columns: list[tuple[IntArray, IntArray, FloatArray, IntArray, BoolArray]] = []
-    for labelled in trajectories:
-        trajectory = labelled.trajectory
-        reached = subgoal.contains(labelled.features)
-        inside = initiation.contains(labelled.features) & ~reached
-        began, led = trajectory.visits[:-1], trajectory.visits[1:]
-        keep = np.flatnonzero(inside[began])
-        goes_on = inside[led]
-        if trajectory.terminated:
-            goes_on[-1] = False
-        began, led, goes_on = began[keep], led[keep], goes_on[keep]
-        seen = subgoal.own(labelled.features) if settings.policy_input == "features" else trajectory.states
-        shared_row = np.zeros(len(inside), dtype=np.int64)
-        for local in np.unique(np.concatenate([began, led])):
-            state = obs_batch.take(seen, slice(local, local + 1))
-            row = shared_row[local] = row_of.setdefault(obs_batch.key_of(state), len(row_of))
-            if row == len(states):
-                states.append(state)
-        rewards = np.where(
-            reached[led],
-            settings.subgoal_reward,
-            np.where(goes_on, settings.step_reward, settings.leave_reward),
-        )
-        columns.append((shared_row[began], trajectory.actions[keep], rewards, shared_row[led], ~goes_on))
-    if not states:
-        return None
-    began, actions, rewards, led, ends = (np.concatenate(column) for column in zip(*columns, strict=True))
-    return Transitions(obs_batch.concatenate(states), began, actions, rewards, led, ends)
+    trajectories = list(trajectories)
+    features = np.concatenate([t.features for t in trajectories])
+    states, which = np.unique(features, axis=0, return_inverse=True)
+    starts = np.cumsum([0, *(len(t.features) for t in trajectories)])[:-1]
+    visits = [which.ravel()[start + t.trajectory.visits] for start, t in zip(starts, trajectories, strict=True)]
+    began, led = (np.concatenate([v[part] for v in visits]) for part in (slice(None, -1), slice(1, None)))
+    reached = passage.subgoal.contains(states)
+    inside = passage.initiation.contains(states) & ~reached
+    steps = inside[began] & (inside | reached)[led]
+    # Backwards from one more node, which stands for the subgoal.
+    n, goals = len(states), np.flatnonzero(reached)
+    rows, columns = np.append(led[steps], np.full(len(goals), n)), np.append(began[steps], goals)
+    backwards = csr_array((np.ones(len(rows)), (rows, columns)), shape=(n + 1, n + 1))
+    found = breadth_first_order(backwards, n, return_predecessors=False)
+    found = found[found < n]
+    found = np.sort(found[inside[found]])
+    return Region(states[found], passage.initiation.scale, passage.initiation.radius)

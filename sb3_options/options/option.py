@@ -161,7 +161,9 @@ class SubgoalOption(Option):
         feature_map: FeatureMap | None = None,
         max_duration: int = 100,
         name: str = "subgoal",
+        fixed: bool = False,
     ) -> None:
+        self.fixed = fixed
         self.subgoal = subgoal
         self.initiation_set = initiation_set
         self.option_policy = option_policy

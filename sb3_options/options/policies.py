@@ -20,6 +20,9 @@ class OptionPolicy(Protocol):
     def actions(self, observations: Observations) -> IntArray:
         """The greedy primitive action in each observation, shape (batch,)."""
 
+    def best_values(self, observations: Observations) -> FloatArray:
+        """The value of that action, shape (batch,)."""
+
     def arrays(self) -> dict[str, npt.NDArray[np.float64]]:
         """Everything the policy consists of, by name; `from_arrays` is the inverse."""
 
@@ -42,6 +45,15 @@ class TabularPolicy:
 
     def actions(self, observations: Observations) -> IntArray:
         """The greedy primitive action in each observation, shape (batch,)."""
+        return self._greedy[self._rows(observations)]
+
+    def best_values(self, observations: Observations) -> FloatArray:
+        """The value of that action, shape (batch,)."""
+        best: FloatArray = self.values.max(axis=1)[self._rows(observations)]
+        return best
+
+    def _rows(self, observations: Observations) -> IntArray:
+        """The row of each observation, or of the nearest one in the table, shape (batch,)."""
         rows = flatten(observations) + 0.0
         known = np.array([self._row_of.get(row.tobytes(), -1) for row in rows], dtype=np.int64)
         new = np.flatnonzero(known < 0)
@@ -52,7 +64,7 @@ class TabularPolicy:
             distinct, which = np.unique(rows[new], axis=0, return_inverse=True)
             nearest = np.array([self._nearest(row) for row in distinct])
             known[new] = nearest[which.ravel()]
-        return self._greedy[known]
+        return known
 
     def rows_for(self, observations: Observations) -> tuple[IntArray, FloatArray, FloatArray]:
         """The table extended by ``observations``.
@@ -95,11 +107,19 @@ class NetworkPolicy:
 
     def actions(self, observations: Observations) -> IntArray:
         """The greedy primitive action in each observation, shape (batch,)."""
+        actions: IntArray = self._values(observations).argmax(axis=1)
+        return actions
+
+    def best_values(self, observations: Observations) -> FloatArray:
+        """The value of that action, shape (batch,)."""
+        best: FloatArray = self._values(observations).max(axis=1)
+        return best
+
+    def _values(self, observations: Observations) -> FloatArray:
         hidden = (flatten(observations) - self.mean) / self.std
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             hidden = np.maximum(hidden @ weight + bias, 0.0)
-        actions: IntArray = (hidden @ self.weights[-1] + self.biases[-1]).argmax(axis=1)
-        return actions
+        return hidden @ self.weights[-1] + self.biases[-1]
 
     def arrays(self) -> dict[str, npt.NDArray[np.float64]]:
         """Everything the policy consists of, by name."""

@@ -8,8 +8,8 @@ import numpy as np
 
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import BoolArray, FloatArray, flatten
-from sb3_options.options.initiation import Transitions
 from sb3_options.options.policies import TabularPolicy
+from sb3_options.options.tasks import Transitions
 
 IMAGINED_FAILURES = 1.0
 """Steps that fail, imagined for each state and action beside those that were seen: few seen steps promise little."""

@@ -8,8 +8,8 @@ import numpy as np
 import torch
 
 from sb3_options.experience.observations import BoolArray, flatten
-from sb3_options.options.initiation import Transitions
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
+from sb3_options.options.tasks import Transitions
 
 HIDDEN = 64
 """Units of each of the network's two hidden layers."""
@@ -30,6 +30,7 @@ def replay_into_table(transitions: Transitions, n_primitive: int, *, gamma: floa
     Every sweep sets Q(s, a) to the mean of r + γ max_a' Q(s', a') over the transitions of (s, a), without the second
     term where the task ends: the fixed point of experience replay. An action that was never tried in a state keeps
     −∞. So does an action that only led to states in which no saved trajectory acted: what follows them is unknown.
+    Where the option may stop, no state is worth less than that.
 
     Args:
         transitions: Of the option's own task.
@@ -52,6 +53,7 @@ def replay_into_table(transitions: Transitions, n_primitive: int, *, gamma: floa
     values = np.where(tried, 0.0, -np.inf)
     for _ in range(sweeps):
         best = np.where(acted_in, values.reshape(n_states, n_primitive).max(axis=1), 0.0)
+        best = np.maximum(best, transitions.stop)
         target = rewards + gamma * goes_on * best[led]
         updated = values.copy()
         updated[tried] = np.bincount(pair, weights=target, minlength=len(count))[tried] / count[tried]
@@ -62,8 +64,13 @@ def replay_into_table(transitions: Transitions, n_primitive: int, *, gamma: floa
 
 
 def _known(transitions: Transitions, n_states: int) -> BoolArray:
-    """Which steps end the task or lead to a state where such steps begin, shape (n,)."""
+    """Which steps end the task or lead to a state where such steps begin, shape (n,).
+
+    All do in a task that may be stopped anywhere: the value of every state is known to be at least that of stopping.
+    """
     known = np.ones(len(transitions.began), dtype=bool)
+    if np.isfinite(transitions.stop):
+        return known
     while True:
         acted_in = np.zeros(n_states, dtype=bool)
         acted_in[transitions.began[known]] = True
@@ -112,7 +119,7 @@ def replay_into_network(
     for update in range(updates):
         if update > 0 and update % TARGET_SYNC == 0:
             with torch.no_grad():
-                state_value = online(inputs).max(dim=1).values
+                state_value = online(inputs).max(dim=1).values.clamp(min=transitions.stop)
         batch = torch.randint(len(began), (BATCH,), generator=generator)
         target = rewards[batch] + gamma * goes_on[batch] * state_value[led[batch]]
         predicted = online(inputs[began[batch]]).gather(1, actions[batch])[:, 0]

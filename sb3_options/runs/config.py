@@ -332,6 +332,7 @@ def made(values: Mapping[str, Any], where: str | Path) -> TrainConfig:
     Raises:
         ValueError: A setting is not known, has no effect, or is out of its range.
     """
+    values = _with_method(values, where)
     algo, env_id = str(values.get("algo", "dqn")), str(values.get("env"))
     known = {"": names_of(algo)} | {f"{name}.": [f.name for f in dataclasses.fields(of)] for name, of in GROUPS.items()}
 
@@ -355,6 +356,17 @@ def made(values: Mapping[str, Any], where: str | Path) -> TrainConfig:
         return TypeAdapter(CLASSES[algo]).validate_python(content)
     except ValidationError as error:
         raise ValueError(f"{where}: {readable(error)}") from None
+
+
+def _with_method(values: Mapping[str, Any], where: str | Path) -> Mapping[str, Any]:
+    """Values in which ``method``, if there is one, is a setting of discovery: ``--method`` for short."""
+    if "method" not in values:
+        return values
+    discovery = values.get("discovery", {})
+    if not isinstance(discovery, Mapping) or "method" in discovery:
+        raise ValueError(f"{where}: method is short for discovery.method: give one of them.")
+    rest = {name: value for name, value in values.items() if name != "method"}
+    return {**rest, "discovery": {**discovery, "method": values["method"]}}
 
 
 def names_of(algo: str) -> list[str]:

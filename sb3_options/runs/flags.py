@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import inspect
+import re
 import sys
 from collections.abc import Sequence
 from functools import partial
@@ -49,14 +50,18 @@ LAST = (
 )
 """What is rarely changed."""
 
+METHOD = "discovery.method"
+SHORT = re.compile(r"--method(=|$)")
+"""How `METHOD` may be spelt for short."""
+
 INTRODUCTION = """Train an agent that discovers its own options, or evaluate one.
   ALGORITHM         maskableppo (default), ppo, a2c, trpo, recurrentppo, dqn,
                     qrdqn, optiondqn. Its settings: `{prog} ppo --help`
   evaluate RUN      plays a run again; `resume RUN` goes on with one
   compare RUN ...   sets runs side by side; `options RUN` shows its options
   --config FILE     reads settings from YAML; flags win over it
-  --help discovery  shows how subgoals are found, `--help option` how options
-                    are learned, `--help all` every flag
+  --method NAME     finds subgoals otherwise (`--help discovery` shows how);
+                    `--help option`: how options are learned; `--help all`
 """
 
 
@@ -76,6 +81,7 @@ def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
     early.add_argument("-h", "--help", nargs="?", const=True, choices=(*GROUPS, "all"))
     first = [word for word in args[:1] if not word.startswith("-")]
     given, flags = early.parse_known_args(args[len(first) :])
+    flags = [f"--{METHOD}{word.removeprefix('--method')}" if SHORT.match(word) else word for word in flags]
     try:
         trusted = {name: value for name in IMPORTING if (value := getattr(given, name)) is not None}
         values = {} if given.config is None else configs.read(Path(given.config), trusted)

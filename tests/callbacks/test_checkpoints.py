@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,8 @@ from sb3_options.checkpoints.comparison import differing
 from sb3_options.checkpoints.file import read
 from sb3_options.checkpoints.tree import State
 from sb3_options.discovery.methods import DiscoveryMethod, Experience, Proposal
+from sb3_options.discovery.methods.covering import CoveringOptions
+from sb3_options.discovery.methods.eigenoptions import Eigenoptions
 from sb3_options.discovery.methods.graphs import Betweenness, LCut
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
 from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
@@ -221,6 +224,22 @@ def test_incremental_search(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("keep_all")
+def test_searches_that_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A schedule by the clock would be another one after a kill."""
+    monkeypatch.setattr("sb3_options.discovery.budget.ALLOWANCE", 0.01)
+
+    def others() -> Callbacks:
+        callback = discovering()
+        callback.settings = replace(callback.settings, threshold=0.99)
+        return [callback]
+
+    callbacks, _ = check_resumes(lambda: model_of("A2C", venv_of()), others, tmp_path, cuts=(0.4, 0.8))
+    budget = callbacks[0].discovery.budget  # type: ignore[attr-defined]  # of discovery
+    assert 0 < budget.skipped < callbacks[0].episodes  # type: ignore[attr-defined]  # likewise
+    assert budget.spent > 0
+
+
+@pytest.mark.usefixtures("keep_all")
 def test_evaluations(tmp_path: Path) -> None:
     def others() -> Callbacks:
         env = venv_of(1)
@@ -348,7 +367,9 @@ def test_refuses_a_method_that_does_not_tell(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("keep_all")
-@pytest.mark.parametrize("make", [VisitFrequency, RelativeNovelty, LCut, Betweenness, RandomPlaces])
+@pytest.mark.parametrize(
+    "make", [VisitFrequency, RelativeNovelty, LCut, Betweenness, RandomPlaces, Eigenoptions, CoveringOptions]
+)
 def test_methods_of_discovery(make: Callable[..., DiscoveryMethod], tmp_path: Path) -> None:
     """Settings with which each makes an option in these few steps."""
     soon: dict[Any, dict[str, Any]] = {
@@ -357,6 +378,8 @@ def test_methods_of_discovery(make: Callable[..., DiscoveryMethod], tmp_path: Pa
         LCut: {"min_seen": 2, "max_cut": 2.0},
         Betweenness: {"min_seen": 2, "min_share": 0.1},
         RandomPlaces: {"min_successes": 4},
+        Eigenoptions: {"min_trajectories": 4},
+        CoveringOptions: {"min_trajectories": 4},
     }
     callbacks, _ = check_resumes(
         lambda: model_of("A2C", venv_of()), lambda: [discovering(method=make(**soon[make]))], tmp_path, cuts=(0.2, 0.7)

@@ -491,6 +491,7 @@ RANGES: list[tuple[str, tuple[Any, ...], str]] = [
     ("leak", (-0.1, 1.0, math.nan), "should be (greater than or equal to 0|less than 1)"),
     ("search", ("random", None), "should be 'gradient', 'exhaustive' or 'incremental'"),
     ("max_bytes", (0, -1), "should be greater than or equal to 1"),
+    ("max_share", (0.0, -0.1, 1.1, math.nan), "should be (greater than 0|less than or equal to 1)"),
     ("method", ("hand", None), "should be 'diverse-density', 'first-visits',"),
     ("segmentation", ("lives", None), "should be 'episodes' or 'peaks'"),
     ("peak_reward", (math.nan, math.inf), "should be a finite number"),

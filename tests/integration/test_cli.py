@@ -94,8 +94,8 @@ class TestTrain:
         events = {name for name in names if "events.out.tfevents" in name}
         assert len(events) == 1
         assert names - events == {
-            "config.yml", "model.zip", "best_model.zip", "options.safetensors", "subgoals.png", "evaluations.npz", "README.md",
-            "monitor/0.monitor.csv", "checkpoints/000000000000.safetensors",
+            "config.yml", "model.zip", "best_model.zip", "options.safetensors", "subgoals.png", "evaluations.npz",
+            "README.md", "monitor/0.monitor.csv", "checkpoints/000000000000.safetensors",
         }  # fmt: skip
 
     def test_with_a_card_whose_program_loads_the_model(self, run: Run) -> None:

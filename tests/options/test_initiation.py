@@ -7,8 +7,9 @@ import pytest
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import flatten
 from sb3_options.experience.trajectories import LabelledTrajectory
-from sb3_options.options.initiation import initiation_set, option_transitions
+from sb3_options.options.initiation import initiation_set
 from sb3_options.options.settings import OptionLearningSettings
+from sb3_options.options.tasks import Reaching, transitions_of
 from tests.options.corridor import DOOR, LEFT, RIGHT, walk
 from tests.support.helpers import ball
 
@@ -77,14 +78,14 @@ class TestTransitions:
 
     def of(self, *trajectories: LabelledTrajectory) -> list[tuple[float, int, float, float, bool]]:
         initiation = Region(np.array([[3.0], [4.0], [5.0]]), np.ones(1), 0.0)
-        steps = option_transitions(DOOR, initiation, trajectories, self.settings)
+        steps = transitions_of(Reaching(DOOR, initiation, self.settings), trajectories, self.settings)
         if steps is None:
             return []
         places = flatten(steps.states).ravel()
         assert len(set(places.tolist())) == len(places)
         return [
             (places[began], int(action), reward, places[led], bool(ends))
-            for began, action, reward, led, ends in zip(*steps[1:], strict=True)
+            for began, action, reward, led, ends in zip(*steps[1:6], strict=True)
         ]
 
     def test_by_hand(self) -> None:
@@ -111,6 +112,6 @@ class TestTransitions:
     def test_rewards_are_those_of_the_settings(self) -> None:
         settings = OptionLearningSettings(step_reward=-2.0, subgoal_reward=7.0, leave_reward=-9.0)
         initiation = Region(np.array([[3.0], [4.0]]), np.ones(1), 0.0)
-        steps = option_transitions(DOOR, initiation, [walk([3, 4, 5]), walk([3, 2])], settings)
+        steps = transitions_of(Reaching(DOOR, initiation, settings), [walk([3, 4, 5]), walk([3, 2])], settings)
         assert steps is not None
         assert steps.rewards.tolist() == [-2.0, 7.0, -9.0]

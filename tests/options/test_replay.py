@@ -8,19 +8,21 @@ import torch
 from sb3_options.density.regions import Region
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.options.creation import learn_option
-from sb3_options.options.initiation import Transitions, option_transitions
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
 from sb3_options.options.replay import replay_into_network, replay_into_table
 from sb3_options.options.settings import OptionLearningSettings
+from sb3_options.options.tasks import Reaching, Transitions, transitions_of
 from tests.options.corridor import DOOR, LEFT, RIGHT, generator, known_values, walk
 from tests.support.helpers import ball, labelled, line, trajectory_of
+
+SETTINGS = OptionLearningSettings()
 
 
 class TestTable:
     def replay(self, *trajectories: LabelledTrajectory, gamma: float = 1.0, sweeps: int = 500) -> TabularPolicy:
         initiation = Region(np.array([[2.0], [3.0], [4.0]]), np.ones(1), 0.0)
-        steps = option_transitions(DOOR, initiation, trajectories, OptionLearningSettings())
+        steps = transitions_of(Reaching(DOOR, initiation, SETTINGS), trajectories, SETTINGS)
         assert steps is not None
         return replay_into_table(steps, 2, gamma=gamma, sweeps=sweeps)
 
@@ -50,7 +52,7 @@ class TestTable:
         """A truncated trajectory ends in a state that nobody acted in: what follows is unknown, not good."""
         dead_end = labelled(trajectory_of([np.array([p]) for p in (2.0, 2.4, 2.45)], [LEFT, LEFT]))
         initiation = Region(np.array([[2.0], [3.0], [4.0]]), np.ones(1), 0.5)
-        steps = option_transitions(DOOR, initiation, [walk([2, 3, 4, 5]), dead_end], OptionLearningSettings())
+        steps = transitions_of(Reaching(DOOR, initiation, SETTINGS), [walk([2, 3, 4, 5]), dead_end], SETTINGS)
         assert steps is not None
         policy = replay_into_table(steps, 2, gamma=1.0, sweeps=500)
         assert known_values(policy) == {2: [-math.inf, -2], 3: [-math.inf, -1], 4: [-math.inf, 0]}
@@ -97,7 +99,7 @@ class TestTable:
 
         settings = OptionLearningSettings(leave_reward=-50.0)
         initiation = Region(np.array(inside, dtype=np.float64)[:, None], np.ones(1), 0.0)
-        steps = option_transitions(ball(float(subgoal)), initiation, trajectories, settings)
+        steps = transitions_of(Reaching(ball(float(subgoal)), initiation, settings), trajectories, settings)
         assert steps is not None
         policy = replay_into_table(steps, 4, gamma=gamma, sweeps=2000)
         got = known_values(policy)
@@ -150,9 +152,8 @@ class TestNetwork:
         for name, array in arrays[0].items():
             np.testing.assert_array_equal(array, arrays[1][name])
         assert torch.equal(torch.get_rng_state(), global_state)
-        steps = option_transitions(
-            self.door, Region(np.array([[5.0]]), np.ones(1), 9.0), self.trajectories(1), OptionLearningSettings()
-        )
+        settings, everywhere = OptionLearningSettings(), Region(np.array([[5.0]]), np.ones(1), 9.0)
+        steps = transitions_of(Reaching(self.door, everywhere, settings), self.trajectories(1), settings)
         assert steps is not None
         first, second = (replay_into_network(steps, 2, gamma=0.9, updates=1, generator=generator(s)) for s in (0, 1))
         assert not np.array_equal(first.weights[0], second.weights[0])

@@ -163,6 +163,20 @@ def test_every_algorithm_has_valid_defaults_for_every_environment(algo: str) -> 
         assert config.discovery == configs.tuned(env_id).discovery
 
 
+@pytest.mark.parametrize("words", [["--method", "l-cut"], ["--method=l-cut"], ["--discovery.method", "l-cut"]])
+def test_the_method_of_discovery(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    expected = parse(words)
+    assert expected.discovery.method == "l-cut"
+    path = tmp_path / "config.yml"
+    for text in ("algo: maskableppo\nmethod: l-cut\n", "algo: maskableppo\ndiscovery:\n  method: l-cut\n"):
+        path.write_text(text)
+        assert parse(["--config", str(path)]) == expected
+        assert parse(["--config", str(path), "--method", "random"]).discovery.method == "random"
+    path.write_text("method: l-cut\ndiscovery:\n  method: random\n")
+    assert "method is short for discovery.method: give one of them" in refusal(capsys, ["--config", str(path)])
+    assert "random" in refusal(capsys, ["--method", "hand"])  # what there is
+
+
 class TestHelp:
     def text(self, capsys: pytest.CaptureFixture[str], *args: str) -> str:
         with pytest.raises(SystemExit) as stopped:

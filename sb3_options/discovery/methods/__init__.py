@@ -6,13 +6,30 @@ from collections.abc import Callable
 from functools import partial
 from typing import Literal
 
+from sb3_options.discovery.methods.covering import CoveringOptions
+from sb3_options.discovery.methods.eigenoptions import Eigenoptions
 from sb3_options.discovery.methods.graphs import Betweenness, LCut
-from sb3_options.discovery.methods.method import DiscoveryMethod, Experience, Proposal
+from sb3_options.discovery.methods.method import (
+    DiscoveryMethod,
+    Experience,
+    IntrinsicReward,
+    Passage,
+    Proposal,
+)
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
-from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
+from sb3_options.discovery.methods.visits import GivenPlaces, RandomPlaces, VisitFrequency
 
 MethodName = Literal[
-    "diverse-density", "first-visits", "every-visit", "relative-novelty", "l-cut", "betweenness", "random"
+    "diverse-density",
+    "em-dd",
+    "first-visits",
+    "every-visit",
+    "relative-novelty",
+    "l-cut",
+    "betweenness",
+    "eigenoptions",
+    "covering",
+    "random",
 ]
 
 METHODS: dict[MethodName, Callable[[], DiscoveryMethod]] = {
@@ -21,8 +38,19 @@ METHODS: dict[MethodName, Callable[[], DiscoveryMethod]] = {
     "relative-novelty": RelativeNovelty,
     "l-cut": LCut,
     "betweenness": Betweenness,
+    "eigenoptions": Eigenoptions,
+    "covering": CoveringOptions,
     "random": RandomPlaces,
 }
-"""Makes a method, by its name. Diverse density is `SubgoalDiscovery` itself."""
+"""Makes a method, by its name. Diverse density and EM-DD are `SubgoalDiscovery` itself."""
 
-__all__ = ["METHODS", "DiscoveryMethod", "Experience", "MethodName", "Proposal"]
+__all__ = [
+    "METHODS",
+    "DiscoveryMethod",
+    "Experience",
+    "GivenPlaces",
+    "IntrinsicReward",
+    "MethodName",
+    "Passage",
+    "Proposal",
+]

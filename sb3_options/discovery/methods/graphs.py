@@ -6,9 +6,14 @@ import networkx as nx
 import numpy as np
 from scipy.linalg import eigh
 
+from sb3_options.density.regions import Region
 from sb3_options.discovery.methods.candidates import CandidateMethod, check_counts, often_enough
-from sb3_options.discovery.methods.method import Experience, Proposal
+from sb3_options.discovery.methods.method import Experience
 from sb3_options.experience.observations import FloatArray, IntArray
+
+CUT_SECONDS = 1e-8
+PATH_SECONDS = 1.2e-6
+"""Nominal times: of a cut for the cube of the number of places, of betweenness for each place and transition."""
 
 TOLERANCE = 1e-9
 """Betweenness that differs by less, relative to the largest, is equal."""
@@ -39,7 +44,7 @@ class LCut(CandidateMethod):
         self.horizon, self.max_cut = horizon, max_cut
         super().__init__(often_enough(min_seen, min_share))
 
-    def update(self, experience: Experience) -> list[Proposal]:
+    def update(self, experience: Experience) -> list[Region]:
         """Take note of one more trajectory; as `DiscoveryMethod.update`."""
         places = experience.places
         k = len(places.points)
@@ -53,6 +58,10 @@ class LCut(CandidateMethod):
                 crosses = part[local[:-1]] != part[local[1:]]
                 hits[nodes[local[1:][crosses]]] = 1
         return self._counted(experience, seen, hits)
+
+    def seconds(self, experience: Experience) -> float:
+        """Nominal time of an update."""
+        return float(CUT_SECONDS * len(np.unique(experience.places.visits[-self.horizon - 1 :])) ** 3)
 
 
 class Betweenness(CandidateMethod):
@@ -76,7 +85,7 @@ class Betweenness(CandidateMethod):
         self.horizon = horizon
         super().__init__(often_enough(min_seen, min_share))
 
-    def update(self, experience: Experience) -> list[Proposal]:
+    def update(self, experience: Experience) -> list[Region]:
         """Take note of one more trajectory; as `DiscoveryMethod.update`."""
         places = experience.places
         visits = places.visits[-self.horizon - 1 :]
@@ -84,6 +93,13 @@ class Betweenness(CandidateMethod):
         seen[np.unique(visits)] = 1
         hits[local_maxima(visits)] = 1
         return self._counted(experience, seen, hits)
+
+    def seconds(self, experience: Experience) -> float:
+        """Nominal time of an update."""
+        visits = experience.places.visits[-self.horizon - 1 :]
+        pairs = np.sort(np.stack([visits[:-1], visits[1:]]), axis=0)
+        n_places, n_pairs = len(np.unique(visits)), len(np.unique(pairs, axis=1).T)
+        return PATH_SECONDS * n_places * (n_places + n_pairs)
 
 
 def weights_of(visits: IntArray, n: int) -> FloatArray:

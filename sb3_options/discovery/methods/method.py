@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
-from typing import NamedTuple, Protocol, TypeAlias
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
+from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal, bins_of
 
-Proposal: TypeAlias = Region
-"""What an option may be made for: a region to reach."""
+__all__ = ["DiscoveryMethod", "Experience", "IntrinsicReward", "Passage", "Places", "Proposal", "Region"]
 
 
 class Experience:
@@ -43,7 +44,7 @@ class Experience:
     def places(self) -> Places:
         """Its states, binned at one unit of concept space, so that states that differ by less are one."""
         bins, first, which = np.unique(
-            np.rint(self.features * self.scale), axis=0, return_index=True, return_inverse=True
+            bins_of(self.features, self.scale), axis=0, return_index=True, return_inverse=True
         )
         allowed = np.ones(len(bins), dtype=bool)
         np.logical_and.at(allowed, which.ravel(), self.allowed)
@@ -74,17 +75,20 @@ class DiscoveryMethod(Protocol):
     """Proposes subgoals from what the agent lived through, and from nothing else.
 
     Any object with this method may be passed as `SubgoalDiscoveryCallback(method=…)`. A checkpoint also needs
-    ``get_state()``, which gives a dictionary of arrays and plain values, and ``set_state(state)``.
+    ``get_state()``, which gives a dictionary of arrays and plain values, and ``set_state(state)``. The `Budget` also
+    needs ``seconds(experience)``: how long an update takes, estimated by sizes and not by the clock. Without it the
+    method is told of every trajectory, whatever it takes.
     """
 
-    def update(self, experience: Experience) -> list[Proposal]:
+    def update(self, experience: Experience) -> Sequence[Proposal]:
         """Take note of one more trajectory.
 
         Args:
             experience: The trajectory.
 
         Returns:
-            What to make options for, best first. Of these the first that lies far enough from other subgoals is taken.
+            What to make options for, best first: regions to reach, passages, or intrinsic rewards. Of these the first
+            that leads far enough from other subgoals is taken.
             What is proposed again after the next trajectory is considered again.
         """
         ...

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from sb3_options.density.regions import Region
 from sb3_options.discovery.methods.candidates import CandidateMethod, check_counts, more_likely
-from sb3_options.discovery.methods.method import Experience, Proposal
+from sb3_options.discovery.methods.method import Experience
 from sb3_options.experience.observations import FloatArray, IntArray
 
 
@@ -41,7 +42,7 @@ class RelativeNovelty(CandidateMethod):
         self.lag, self.threshold = lag, threshold
         super().__init__(more_likely(p_target, p_other, odds))
 
-    def update(self, experience: Experience) -> list[Proposal]:
+    def update(self, experience: Experience) -> list[Region]:
         """Take note of one more trajectory; as `DiscoveryMethod.update`."""
         places = experience.places
         times, relative = relative_novelty(places.visits, self.lag)

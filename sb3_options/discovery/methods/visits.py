@@ -1,13 +1,15 @@
-"""Visit frequencies, and a control: random places."""
+"""Visit frequencies, and two controls: random places, and given ones."""
 
 from __future__ import annotations
 
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from sb3_options.density.regions import Region
 from sb3_options.discovery.methods.candidates import Candidates, check_counts
-from sb3_options.discovery.methods.method import Experience, Proposal
+from sb3_options.discovery.methods.method import Experience
 from sb3_options.discovery.peaks import PeakTracker, plateau_centres
 from sb3_options.experience.observations import FloatArray
 
@@ -40,7 +42,7 @@ class VisitFrequency:
         self._tracker = PeakTracker(decay=decay, threshold=threshold, radius=radius)
         self._successes = 0
 
-    def update(self, experience: Experience) -> list[Proposal]:
+    def update(self, experience: Experience) -> list[Region]:
         """Take note of one more trajectory; as `DiscoveryMethod.update`."""
         if not experience.success:
             return []
@@ -91,7 +93,7 @@ class RandomPlaces:
         self._random = np.random.default_rng(seed)
         self._successes = 0
 
-    def update(self, experience: Experience) -> list[Proposal]:
+    def update(self, experience: Experience) -> list[Region]:
         """Take note of one more trajectory; as `DiscoveryMethod.update`."""
         self._successes += experience.success
         allowed = np.flatnonzero(experience.places.allowed)
@@ -107,3 +109,31 @@ class RandomPlaces:
         """Go on with what `get_state` gave."""
         self._successes = state["successes"]
         self._random.bit_generator.state = state["random"]
+
+
+class GivenPlaces:
+    """A control: places that somebody knows, doorways say. What is learned for them is learned as for any other.
+
+    Args:
+        points: φ of each, (n, d), the first one first.
+
+    Raises:
+        ValueError: ``points`` has another shape, or is not finite.
+    """
+
+    def __init__(self, points: ArrayLike) -> None:
+        self.points = np.asarray(points, dtype=np.float64)
+        if self.points.ndim != 2 or not np.isfinite(self.points).all():
+            raise ValueError(f"points must be finite, of shape (n, d), got {self.points.shape}.")
+
+    def update(self, experience: Experience) -> list[Region]:
+        """Propose those that the trajectory came to; as `DiscoveryMethod.update`."""
+        regions = [experience.region(point) for point in self.points]
+        return [region for region in regions if region.contains(experience.features).any()]
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint: there is nothing to remember."""
+        return {}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""

@@ -16,6 +16,7 @@ from sb3_options.discovery.methods.method import DiscoveryMethod, Experience
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty, relative_novelty
 from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
 from sb3_options.experience.observations import BoolArray, IntArray
+from sb3_options.options.proposals import goal_of
 
 
 def experience(
@@ -81,7 +82,7 @@ class TestRelativeNovelty:
         known = [0, 1, 2] * 20
         assert method.update(experience([*known, 3, *range(10, 20)])) == []  # once may be an accident
         best, *_ = method.update(experience([*known, 3, *range(10, 20)]))
-        assert best.points[0, 0] in (3.0, 10.0, 11.0)
+        assert goal_of(best).points[0, 0] in (3.0, 10.0, 11.0)
         assert RelativeNovelty(lag=3).update(experience([0, 1, 2] * 30)) == []
 
     def test_a_short_trajectory_says_nothing(self) -> None:
@@ -118,7 +119,7 @@ class TestGraphs:
         method = make(min_seen=5)
         proposed = [method.update(dumbbell(rng)) for _ in range(8)]
         assert proposed[:4] == [[]] * 4
-        near = {float(region.points[0, 0]) for region in proposed[-1]}
+        near = {float(goal_of(region).points[0, 0]) for region in proposed[-1]}
         assert near
         assert near <= {4.0, 5.0, 6.0}
 
@@ -141,7 +142,7 @@ class TestGraphs:
     def test_only_the_last_transitions_count(self) -> None:
         method = Betweenness(horizon=2, min_seen=1)
         (region,) = method.update(experience([9, 8, 7, 1, 2, 3]))
-        assert region.points[0].tolist() == [2.0]
+        assert goal_of(region).points[0].tolist() == [2.0]
 
 
 class TestVisits:
@@ -150,7 +151,7 @@ class TestVisits:
         proposed: list[list[float]] = []
         for i in range(40):
             way = [10 * (i % 7) + 200, 5, 10 * (i % 5) + 400]
-            proposed.append([float(r.points[0, 0]) for r in method.update(experience(way))])
+            proposed.append([float(goal_of(r).points[0, 0]) for r in method.update(experience(way))])
             assert method.update(experience([77, 78, 79], success=False)) == []
         assert proposed[0] == []
         assert proposed[-1] == [5.0]
@@ -163,7 +164,7 @@ class TestVisits:
             for i in range(30):
                 others = [100 + i, *back_and_forth, 500 + i]
                 last = method.update(experience([*others, 5] if count == "first" else others))
-            found[count] = [float(region.points[0, 0]) for region in last]
+            found[count] = [float(goal_of(region).points[0, 0]) for region in last]
         assert set(found["every"]) <= {300.0, 400.0}
         assert 5.0 in found["first"] or len(found["first"]) > 1
 
@@ -188,7 +189,7 @@ class TestRules:
             lived = experience(visits)
             once = np.ones(len(visits), dtype=np.int64)
             candidates.add(lived, once, once)
-        assert sorted(float(r.points[0, 0]) for r in candidates.proposals(lived)) == [0.0, 2.0, 3.0]
+        assert sorted(float(goal_of(r).points[0, 0]) for r in candidates.proposals(lived)) == [0.0, 2.0, 3.0]
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -197,9 +198,9 @@ def test_every_method_proposes_regions_around_what_was_seen(name: MethodName, rn
     for _ in range(12):
         lived = dumbbell(rng)
         for region in method.update(lived):
-            assert region.points.shape == (1, 1)
-            assert region.radius == 0.5
-            assert region.points[0, 0] in lived.features
+            assert goal_of(region).points.shape == (1, 1)
+            assert goal_of(region).radius == 0.5
+            assert goal_of(region).points[0, 0] in lived.features
 
 
 @pytest.mark.parametrize("name", ["l-cut", "betweenness"])

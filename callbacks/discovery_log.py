@@ -1,0 +1,67 @@
+"""What a run logs of discovery, and how much of its time discovery takes."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from sb3_options.discovery.subgoals import SubgoalDiscovery
+
+logger = logging.getLogger("sb3_options")
+
+LONG_ENOUGH = 60.0
+"""Seconds of training after which a share of time is one to speak of."""
+
+FAR_BEYOND = 3.0
+"""Times `DiscoverySettings.max_share`: there is a warning when discovery takes more."""
+
+
+class DiscoveryClock:
+    """Measures by the clock what share of training goes into discovery. It decides nothing.
+
+    Args:
+        before: Seconds that discovery took in an earlier training.
+        clock: Seconds.
+    """
+
+    def __init__(self, before: float = 0.0, clock: Callable[[], float] = time.perf_counter) -> None:
+        self._clock, self._began, self._before, self._told = clock, clock(), before, False
+
+    def share(self, search: SubgoalDiscovery) -> float:
+        """The share of the time since training started; warns once where it is far beyond what was asked for."""
+        trained = self._clock() - self._began
+        share = (search.seconds - self._before) / trained if trained > 0 else 0.0
+        most = search.budget.max_share
+        if most is not None and not self._told and trained > LONG_ENOUGH and share > FAR_BEYOND * most:
+            self._told = True
+            logger.warning(
+                "Discovery takes %.0f %% of the time, %.0f %% were asked for: that share is counted in work, and here "
+                "training is faster, or searches slower, than is assumed. DiscoverySettings(max_share=...) of less, a "
+                "smaller capacity or fewer features make searches rarer or cheaper.",
+                100 * share,
+                100 * most,
+            )
+        return share
+
+
+def log_discovery(
+    record: Callable[[str, Any], None], search: SubgoalDiscovery, share: float, others: Mapping[str, float]
+) -> None:
+    """Log how discovery goes.
+
+    Args:
+        record: Of SB3's logger.
+        search: Discovery.
+        share: Of the time.
+        others: By tag.
+    """
+    record("discovery/seconds", search.seconds)
+    record("discovery/share", share)
+    record("discovery/searches_left_out", search.budget.skipped)
+    record("discovery/leading_average", search.leading_average())
+    if search.last.peaks:
+        record("discovery/best_log_density", search.last.peaks[0].log_density)
+    for tag, value in others.items():
+        record(tag, value)

@@ -1,0 +1,1 @@
+"""What the papers report of their methods, measured with the methods of this library."""

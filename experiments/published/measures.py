@@ -1,0 +1,124 @@
+"""What is measured, a function for every claim."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import networkx as nx
+import numpy as np
+
+from experiments.common.gridworlds import cell_of, distance_to_doorway, world_of
+from experiments.published.graphs import climbed, cover_time, diffusion_time, grid, joined, taxi
+from experiments.random_walks.conditions import run, walk
+from sb3_options.discovery.methods.covering import farthest_pairs
+from sb3_options.discovery.methods.graphs import TOLERANCE
+from sb3_options.discovery.methods.place_graph import smoothest
+from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
+from sb3_options.discovery.proposed import discovery_with
+from sb3_options.discovery.settings import DiscoverySettings
+
+N_OPTIONS = (0, 2, 4, 8, 16, 32)
+
+
+def eigenoptions(env_id: str = "sb3_options/FourRooms-v0") -> dict[str, Any]:
+    """Diffusion time by the number of eigenoptions, and where the first four lead."""
+    world, cells, adjacency = grid(env_id)
+    vectors = smoothest(adjacency, max(N_OPTIONS) // 2).T
+    options = [climbed(adjacency, sign * vector) for vector in vectors for sign in (1, -1)]
+    ends = [cells[(sign * vector).argmax()].tolist() for vector in vectors[:2] for sign in (1, -1)]
+    times = {n: diffusion_time(adjacency, options[:n]) for n in N_OPTIONS}
+    return {"diffusion_time": times, "ends_of_the_first_four": ends, "rooms": rooms_of(world, ends)}
+
+
+def rooms_of(world: Any, cells: list[list[int]]) -> int:
+    """How many rooms these cells are in: parts of the map without its doorways."""
+    free = ~np.asarray(world.walls, dtype=bool)
+    for x, y in world.doorways:
+        free[y, x] = False
+    graph = nx.grid_2d_graph(*free.shape)
+    graph.remove_nodes_from([node for node in list(graph) if not free[node]])
+    parts = list(nx.connected_components(graph))
+    return len({next(i for i, part in enumerate(parts) if (y, x) in part) for x, y in cells})
+
+
+def covering(runs: int, first_seed: int, env_id: str = "sb3_options/FourRooms-v0") -> dict[str, Any]:
+    """Cover time by the number of options: covering options, and eigenoptions between the same kinds of places."""
+    _, _, adjacency = grid(env_id)
+    vectors = smoothest(adjacency, max(N_OPTIONS) // 2).T
+    pairs = {
+        "covering": farthest_pairs(adjacency, max(N_OPTIONS) // 2),
+        "eigenoptions": [(int(v.argmax()), int(v.argmin())) for v in vectors],
+    }
+    return {
+        name: {
+            n: cover_time(joined(adjacency, ends[: n // 2]), np.random.default_rng(first_seed), runs) for n in N_OPTIONS
+        }
+        for name, ends in pairs.items()
+    }
+
+
+def l_cut(seeds: range) -> dict[str, Any]:
+    """How far the first subgoals of random walks in two rooms lie from the doorway."""
+    world = world_of("sb3_options/TwoRooms-v0", observation="xy")
+    found = [run("TwoRooms", {"method": "l-cut"}, seed)["found"] for seed in seeds]
+    steps = [distance_to_doorway(world, cell_of(first[0]["point"])) for first in found if first]
+    return {"runs": len(seeds), "at_the_doorway": steps.count(0), "within_one_step": sum(s <= 1 for s in steps)}
+
+
+def relative_novelty(seeds: range, n_episodes: int = 10) -> dict[str, Any]:
+    """How many places of two rooms the rule accepts in a trial of random walks, before any filter, and where."""
+    counts, steps = [], []
+    for seed in seeds:
+        world, random = world_of("sb3_options/TwoRooms-v0", observation="xy"), np.random.default_rng(seed)
+        settings = DiscoverySettings(start_radius=0.0, goal_radius=0.0, spacing=0.0, max_share=None)
+        method = _Accepting()
+        discovery = discovery_with(settings, method=method, kind="environment")
+        world.reset(seed=seed)
+        for _ in range(n_episodes):
+            trajectory = walk(world, random)
+            discovery.add(trajectory, world.concept_features(np.asarray(trajectory.states)))
+            discovery.search()
+        counts.append(len(method.accepted))
+        steps += [distance_to_doorway(world, cell_of(point)) for point in method.accepted]
+    return {
+        "runs": len(seeds),
+        "episodes": n_episodes,
+        "accepted": float(np.mean(counts)),
+        "within_one_step": float(np.mean([s <= 1 for s in steps])) if steps else None,
+    }
+
+
+class _Accepting(RelativeNovelty):
+    """Remembers all that it ever proposed in a trial."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.accepted: set[tuple[float, ...]] = set()
+
+    def update(self, experience: Any) -> Any:
+        proposals = super().update(experience)
+        self.accepted |= {tuple(region.points[0].tolist()) for region in proposals}
+        return proposals
+
+
+def betweenness() -> dict[str, Any]:
+    """Which states of Taxi are local maxima of betweenness in the graph of all transitions.
+
+    ``stops``: with the passenger aboard, at a stop other than the destination, where the passenger has got in or may
+    get out. ``navigation``: elsewhere. The cells of the last are counted.
+    """
+    states, steps = taxi()
+    graph = nx.Graph(steps.tolist())
+    values = nx.betweenness_centrality(graph)
+    slack = TOLERANCE * max(values.values())
+    maxima = [s for s, value in values.items() if all(value > values[other] + slack for other in graph[s])]
+    stops = [(0, 0), (0, 4), (4, 0), (4, 3)]
+    n_stops, cells = 0, Counter[str]()
+    for row, column, passenger, _ in (states[number] for number in maxima):
+        if passenger == len(stops) and (row, column) in stops:
+            n_stops += 1
+        else:
+            cells[f"{row},{column}"] += 1
+    found = {"stops": n_stops, "navigation": cells.total(), "navigation_cells": dict(cells)}
+    return {"states": len(graph), "maxima": len(maxima), **found}

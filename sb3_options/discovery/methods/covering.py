@@ -1,0 +1,79 @@
+"""Covering options: join the two places that are farthest apart in the Fiedler vector, again and again."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from scipy.sparse import csr_array
+
+from sb3_options.density.regions import Region
+from sb3_options.discovery.methods.candidates import check_counts
+from sb3_options.discovery.methods.method import Experience, Passage, Proposal
+from sb3_options.discovery.methods.place_graph import MAX_PLACES, PlaceGraph, seconds_of, smoothest
+
+
+class CoveringOptions:
+    """Jinnai, Park, Abel & Konidaris (2019), *Discovering Options for Exploration by Minimizing Cover Time*.
+
+    The time in which a random walk visits all places falls with λ₂, the second smallest eigenvalue of the Laplacian.
+    So the places where its eigenvector, the Fiedler vector, is largest and smallest are joined by options both ways,
+    which makes an edge of the graph; then the Fiedler vector is taken anew (their algorithm 1).
+
+    The paper's options start in one place alone. Options of this library may only go on where they may start, so these
+    start wherever saved steps lead to the place that they are bound for.
+
+    Args:
+        n_pairs: Of places, each of which makes two options.
+        min_trajectories: Before the first proposals, so that the graph is that of the task, and not of a few ways.
+        max_places: Most places in the graph.
+
+    Raises:
+        ValueError: An argument is out of its range.
+    """
+
+    def __init__(self, *, n_pairs: int = 4, min_trajectories: int = 10, max_places: int = MAX_PLACES) -> None:
+        check_counts(n_pairs=n_pairs, min_trajectories=min_trajectories, max_places=max_places)
+        self.n_pairs, self.min_trajectories = n_pairs, min_trajectories
+        self._graph = PlaceGraph(max_places)
+        self._n = 0
+
+    def update(self, experience: Experience) -> list[Proposal]:
+        """Take note of one more trajectory; as `DiscoveryMethod.update`."""
+        self._n += 1
+        self._graph.add(experience)
+        if self._n < self.min_trajectories or len(self._graph) < 3:
+            return []
+        part = self._graph.largest_component()
+        everywhere = Region(part.points, experience.scale, experience.radius)
+        ends = [end for pair in farthest_pairs(part.adjacency, self.n_pairs) for end in pair if part.allowed[end]]
+        return [Passage(experience.region(part.points[end]), everywhere) for end in dict.fromkeys(ends)]
+
+    def seconds(self, experience: Experience) -> float:
+        """Nominal time of an update."""
+        del experience
+        return self.n_pairs * seconds_of(len(self._graph)) if self._n >= self.min_trajectories else 0.0
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {"graph": self._graph.get_state(), "n": self._n}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self._graph.set_state(state["graph"])
+        self._n = state["n"]
+
+
+def farthest_pairs(adjacency: csr_array, n_pairs: int) -> list[tuple[int, int]]:
+    """The places with the largest and the smallest entry of the Fiedler vector, joined each time before the next.
+
+    Args:
+        adjacency: Of a connected graph, symmetric, (n, n).
+        n_pairs: How many pairs.
+    """
+    joined, pairs = adjacency.tolil(), []
+    for _ in range(n_pairs):
+        fiedler = smoothest(csr_array(joined), 1)[:, 0]
+        one, other = int(fiedler.argmax()), int(fiedler.argmin())
+        pairs.append((one, other))
+        joined[one, other] = joined[other, one] = 1.0
+    return pairs

@@ -1,0 +1,94 @@
+"""Whether anything recurs: whether two successes ever came near the same place, apart from start and goal."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import Any
+
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
+
+from sb3_options.experience.observations import FloatArray
+
+logger = logging.getLogger("sb3_options")
+
+TREE_FEATURES = 16
+"""With more features than this, a k-d tree is slower than all distances."""
+
+
+class Recurrence:
+    """Says once that nothing recurs, in words that name the remedy.
+
+    What no two trajectories have in common is no concept, and a search for it finds accidents or nothing. It is looked
+    at when ``least`` trajectories have succeeded, and each time they are twice as many, until something recurs.
+
+    Args:
+        least: Successful trajectories before the first look.
+        radius: Two states within this distance are one place, in scaled units.
+
+    Attributes:
+        found: Whether something recurs.
+    """
+
+    def __init__(self, least: int, radius: float) -> None:
+        self.least, self.radius = max(least, 2), radius
+        self.found = False
+        self._looked = 0
+
+    @property
+    def nothing(self) -> bool:
+        """Whether nothing has recurred so far."""
+        return self._looked > 0 and not self.found
+
+    def is_due(self, n: int) -> bool:
+        """Whether to look, after ``n`` successful trajectories."""
+        return not self.found and n >= max(self.least, 2 * self._looked)
+
+    def look(self, ways: Sequence[FloatArray], n: int, what: str) -> None:
+        """Look whether two ways come near the same place.
+
+        Args:
+            ways: States that may be subgoals, each (k_i, d), in scaled units.
+            n: How many trajectories have succeeded.
+            what: They are, for the text.
+        """
+        if len(ways) < self.least:  # the others were forgotten
+            return
+        first = self._looked == 0
+        self._looked, self.found = n, recurs(ways, self.radius)
+        if first and not self.found:
+            logger.warning("Nothing can be discovered so far: %s", self.why(n, what, ways[0].shape[1]))
+
+    def why(self, n: int, what: str, n_features: int | None = None) -> str:
+        """What was seen, and what to do."""
+        of = "" if n_features is None else f" of {n_features} features"
+        return (
+            f"nothing recurs. No two of {n} {what} came within {self.radius:g} units of the same place, apart from "
+            f"where they began and ended, in a concept space{of}. Where observations hardly ever repeat, pass a "
+            "feature map that says where the agent is, OptionsWrapper(feature_map=...). Features of your own that "
+            "are finer than a step want a smaller scale, DiscoverySettings(scale=...). If these have little in "
+            "common, choose another rule, SubgoalDiscoveryCallback(success=...)."
+        )
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {"found": self.found, "looked": self._looked}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self.found, self._looked = state["found"], state["looked"]
+
+
+def recurs(ways: Sequence[FloatArray], radius: float) -> bool:
+    """Whether any two of these ways, each (k_i, d), have states within ``radius`` of each other."""
+    ways = [way for way in ways if len(way)]
+    for i, way in enumerate(ways[1:], 1):
+        for other in ways[:i]:
+            if way.shape[1] > TREE_FEATURES:
+                near = bool((cdist(way, other) <= radius).any())
+            else:
+                near = bool(cKDTree(other).count_neighbors(cKDTree(way), radius) > 0)
+            if near:
+                return True
+    return False

@@ -1,0 +1,172 @@
+"""The share of training that discovery may take: counted in work, so that no clock decides what is found."""
+
+import itertools
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from experiments.random_walks.conditions import run
+from sb3_options.density.groups import FeatureGroup
+from sb3_options.discovery.budget import (
+    ALLOWANCE,
+    STEP_SECONDS,
+    Budget,
+    seconds_of_bags,
+    seconds_of_contrast,
+    seconds_of_search,
+)
+from sb3_options.discovery.methods import Experience, Proposal
+from sb3_options.discovery.proposed import discovery_with
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.subgoals import SubgoalDiscovery
+from sb3_options.experience.trajectories import Trajectory
+
+
+def wide(n: int = 40, d: int = 300, seed: int = 0) -> tuple[Trajectory, np.ndarray]:
+    """A success whose states are all other than those of another seed, but for the one in the middle."""
+    states = 100.0 * np.random.default_rng(seed).standard_normal((n, d))
+    states[n // 2] = 0.0
+    visits, none = np.arange(n), np.zeros(n - 1)
+    return Trajectory(states, visits, none.astype(np.int64), none, True, False, True), states
+
+
+def costly(**settings: Any) -> SubgoalDiscovery:
+    settings = {"min_positive": 2, "min_passing": 0.0, "threshold": 0.999, "search": "exhaustive", **settings}
+    return discovery_with(DiscoverySettings(**settings), kind="environment")
+
+
+def searches_of(discovery: SubgoalDiscovery, n: int = 60) -> list[bool]:
+    """Whether there was a search after each of so many trajectories."""
+    made = []
+    for seed in range(n):
+        discovery.add(*wide(seed=seed))
+        skipped = discovery.budget.skipped
+        discovery.search()
+        made.append(discovery.budget.skipped == skipped)
+    return made
+
+
+class TestBudget:
+    def test_a_share_of_the_steps_and_an_allowance(self) -> None:
+        budget = Budget(0.1)
+        budget.spent = ALLOWANCE
+        assert budget.affords()
+        budget.spent += 100 * STEP_SECONDS
+        assert not budget.affords()
+        assert not budget.affords()
+        assert budget.skipped == 2
+        budget.steps = 1000
+        assert budget.affords()
+        budget.spent *= 1.01
+        assert not budget.affords()
+
+    def test_none_sets_no_limit(self) -> None:
+        budget = Budget(None)
+        budget.spent = 1e9
+        assert budget.affords()
+        assert budget.skipped == 0
+
+    def test_its_state(self) -> None:
+        budget, other = Budget(0.1, 7, 3.0, 2), Budget(0.1)
+        other.set_state(budget.get_state())
+        assert other == budget
+
+    def test_estimates_grow_with_what_is_searched(self) -> None:
+        for estimate, n in ((seconds_of_bags, 4), (seconds_of_search, 3), (seconds_of_contrast, 2)):
+            smaller = estimate(*[100] * n)
+            for i in range(n):
+                assert estimate(*[200 if i == j else 100 for j in range(n)]) > smaller
+
+    @pytest.mark.parametrize(
+        ("n", "points", "d", "measured"), [(98, 108, 2, 0.0025), (1200, 100, 147, 0.02), (1700, 106, 2352, 0.32)]
+    )
+    def test_a_search_takes_about_what_was_measured(self, n: int, points: int, d: int, measured: float) -> None:
+        assert measured / 2 < seconds_of_search(n, points, d) < 2 * measured
+
+
+class TestSchedule:
+    def test_costly_searches_become_rarer(self) -> None:
+        discovery = costly()
+        made = searches_of(discovery)
+        assert all(made[:5])  # of the allowance
+        assert 0 < sum(made[-20:]) < 10
+        allowed = ALLOWANCE + 0.05 * STEP_SECONDS * discovery.budget.steps
+        assert discovery.budget.spent < allowed + discovery.cost
+
+    def test_who_finds_nothing_is_told(self) -> None:
+        discovery = costly()
+        searches_of(discovery)
+        left_out = f" {discovery.budget.skipped} searches were left out, because max_share=0.05 affords no more: "
+        assert left_out in discovery.why_nothing()
+        assert "left out" not in costly().why_nothing()
+
+    def test_a_larger_share_affords_more(self) -> None:
+        assert all(searches_of(costly(max_share=None), 30))
+        few, more = (sum(searches_of(costly(max_share=share))) for share in (0.05, 1.0))
+        assert few < more
+
+    def test_the_clock_decides_nothing(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        made = searches_of(costly())
+        seconds = itertools.count(0.0, 1000.0)
+        monkeypatch.setattr(time, "perf_counter", lambda: next(seconds))
+        slow = costly()
+        assert searches_of(slow) == made
+        assert slow.seconds > 1000.0
+
+    def test_a_state_goes_on_with_the_same_schedule(self) -> None:
+        whole, cut, resumed = costly(), costly(), costly()
+        made = searches_of(whole, 40)
+        for seed in range(40):
+            discovery = cut if seed < 25 else resumed
+            if seed == 25:
+                resumed.set_state(cut.get_state())
+                cut.bags()  # a picture may be drawn at any time
+                resumed.bags()
+            discovery.add(*wide(seed=seed))
+            skipped = discovery.budget.skipped
+            discovery.search()
+            assert (discovery.budget.skipped == skipped) == made[seed]
+        assert resumed.budget == whole.budget
+
+    def test_groups_keep_to_it_too(self) -> None:
+        groups = [FeatureGroup(str(i), (i,)) for i in range(30)]
+        settings = DiscoverySettings(min_positive=2, min_contrast=0.99, max_share=0.05)
+        discovery = discovery_with(settings, groups)
+        for seed in range(150):
+            discovery.add(*wide(n=8, d=30, seed=seed))
+            discovery.search()
+        assert discovery.budget.skipped > 0
+        assert discovery.budget.spent < 2 * ALLOWANCE
+
+    @pytest.mark.parametrize("method", ["diverse-density", "l-cut"])
+    def test_where_searches_are_cheap_none_is_left_out(self, method: str) -> None:
+        assert run("FourRooms", {"method": method}, 0) | {"seconds": 0} == run(
+            "FourRooms", {"method": method, "max_share": None}, 0
+        ) | {"seconds": 0}
+
+
+class Slow:
+    """A method that says what it takes."""
+
+    def __init__(self, seconds: float) -> None:
+        self.n, self._seconds = 0, seconds
+
+    def update(self, experience: Experience) -> list[Proposal]:
+        self.n += 1
+        return []
+
+    def seconds(self, experience: Experience) -> float:
+        return self._seconds
+
+
+class TestMethods:
+    @pytest.mark.parametrize(("seconds", "told"), [(0.0, 30), (0.2, 3)])
+    def test_a_method_is_not_told_what_would_cost_too_much(self, seconds: float, told: int) -> None:
+        method = Slow(seconds)
+        discovery = discovery_with(DiscoverySettings(), method=method, kind="environment")
+        for seed in range(30):
+            discovery.add(*wide(n=8, d=2, seed=seed))
+            discovery.search()
+        assert method.n == told

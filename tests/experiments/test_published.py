@@ -1,0 +1,59 @@
+"""The study of what papers report: graphs, walks on them, and its parts in short."""
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+
+from experiments.published import measures
+from experiments.published.graphs import climbed, cover_time, diffusion_time, grid, joined
+
+LINE = csr_array(np.diag(np.ones(2), 1) + np.diag(np.ones(2), -1))
+"""Three cells in a row."""
+
+
+def test_diffusion_time_by_hand() -> None:
+    """The mean over the three goals of what a chain of three states takes."""
+    chance = np.array([[0.75, 0.25, 0], [0.25, 0.5, 0.25], [0, 0.25, 0.75]])
+    times = []
+    for goal in range(3):
+        others = [i for i in range(3) if i != goal]
+        times += np.linalg.solve(np.eye(2) - chance[np.ix_(others, others)], np.ones(2)).tolist()
+    assert diffusion_time(LINE, []) == pytest.approx(np.mean(times))
+
+
+def test_an_option_that_passes_the_goal_reaches_it() -> None:
+    right = np.array([1, 2, 2])
+    left = np.array([0, 0, 1])
+    assert diffusion_time(LINE, [right, left]) < diffusion_time(LINE, [])
+
+
+def test_climbing() -> None:
+    assert climbed(LINE, np.array([0.0, 1.0, 2.0])).tolist() == [1, 2, 2]
+    assert climbed(LINE, np.array([2.0, 0.0, 2.1])).tolist() == [0, 2, 2]  # −2.1 + 0.9 · 2 is no gain
+
+
+def test_cover_time_of_a_line() -> None:
+    """4 decisions from an end, 5 from the middle: one to an end, and from there 4 to the other."""
+    assert cover_time(LINE, np.random.default_rng(0), 4000) == pytest.approx((4 + 5 + 4) / 3, rel=0.05)
+    assert joined(LINE, [(0, 2)]).toarray().sum() == 6
+
+
+def test_four_eigenoptions_lead_to_four_rooms() -> None:
+    _, cells, adjacency = grid("sb3_options/FourRooms-v0")
+    assert adjacency.shape == (len(cells), len(cells))
+    found = measures.eigenoptions()
+    assert found["rooms"] == 4
+    assert found["diffusion_time"][16] < found["diffusion_time"][0]
+
+
+def test_covering_options_cover_sooner() -> None:
+    found = measures.covering(60, 0)
+    assert found["covering"][32] < found["eigenoptions"][32] < found["eigenoptions"][0]
+
+
+def test_taxi_and_walks() -> None:
+    assert measures.betweenness() == {
+        "states": 400, "maxima": 18, "stops": 8, "navigation": 10, "navigation_cells": {"2,1": 5, "2,2": 5},
+    }  # fmt: skip
+    assert measures.l_cut(range(1))["within_one_step"] == 1
+    assert measures.relative_novelty(range(1), 1)["runs"] == 1

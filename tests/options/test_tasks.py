@@ -1,0 +1,143 @@
+"""The three kinds of proposals: what options are learned for them."""
+
+import numpy as np
+import pytest
+
+from sb3_options.density.regions import Region
+from sb3_options.experience.observations import flatten
+from sb3_options.experience.trajectories import LabelledTrajectory
+from sb3_options.options.bank import OptionBank
+from sb3_options.options.creation import learn_further, learn_option
+from sb3_options.options.initiation import leading
+from sb3_options.options.option import SubgoalOption
+from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal, goal_of
+from sb3_options.options.settings import OptionLearningSettings
+from sb3_options.options.tasks import Climbing, Reaching, transitions_of
+from tests.options.corridor import DOOR, LEFT, RIGHT, generator, walk
+from tests.support.helpers import ball
+
+PLACES = np.arange(8.0)[:, None]
+BOTH_WAYS = [walk([1, 2, 3, 4, 5, 6]), walk([6, 5, 4, 3, 2, 1])]
+
+
+def hill(*potentials: float) -> IntrinsicReward:
+    """f of places 0, 1, 2 …"""
+    places = np.arange(float(len(potentials)))[:, None]
+    return IntrinsicReward(places, np.array(potentials), np.ones(1), 0.5)
+
+
+def option_for(
+    proposal: Proposal, trajectories: list[LabelledTrajectory] | None = None, **settings: object
+) -> SubgoalOption | None:
+    how = OptionLearningSettings(**{"value_function": "table", **settings})  # type: ignore[arg-type]  # of any setting
+    option = learn_option(proposal, trajectories or BOTH_WAYS, 2, how, generator())
+    return option and option.bind(flatten)
+
+
+def inside(option: SubgoalOption) -> list[int]:
+    return np.flatnonzero(option.initiation(PLACES)).tolist()
+
+
+class TestIntrinsicReward:
+    def test_it_climbs_and_stops_at_the_top(self) -> None:
+        option = option_for(hill(0, 1, 2, 3, 4, 3, 2))
+        assert option is not None
+        assert inside(option) == [1, 2, 3, 5, 6]
+        assert option.policy(PLACES[[1, 2, 3, 5, 6]]).tolist() == [RIGHT, RIGHT, RIGHT, LEFT, LEFT]
+        assert np.flatnonzero(option.termination(PLACES)).tolist() == [4]
+        assert option.subgoal.points[0, 0] == 4.0
+
+    def test_gamma_says_whether_a_dip_is_crossed(self) -> None:
+        dip = hill(0, 1, 2, 1, 1, 3, 3.5)
+        far, near = option_for(dip, gamma=0.99), option_for(dip, gamma=0.3)
+        assert far is not None
+        assert near is not None
+        assert inside(far) == [1, 2, 3, 4, 5]
+        assert inside(near) == [1, 3, 4, 5]  # 2 is a top: what comes after the dip is worth too little
+        assert option_for(hill(3, 2, 2, 2, 2, 2, 2), gamma=0.5) is None  # 0 was never visited
+
+    def test_rewards_are_differences_and_stopping_is_worth_nothing(self) -> None:
+        settings = OptionLearningSettings()
+        steps = transitions_of(Climbing(hill(0, 5, 7, 7)), [walk([1, 2, 3, 2, 9])], settings)
+        assert steps is not None
+        assert steps.rewards.tolist() == [2.0, 0.0, 0.0]  # f is not known at 9
+        assert steps.stop == 0.0
+
+    def test_a_network_learns_it_too(self) -> None:
+        option = option_for(hill(0, 1, 2, 3, 4, 5, 6), value_function="network", network_updates=600, gamma=0.9)
+        assert option is not None
+        assert set(inside(option)) >= {1, 2, 3, 4}
+        assert option.policy(PLACES[1:5]).tolist() == [RIGHT] * 4
+
+    def test_a_flat_reward_makes_no_option(self) -> None:
+        assert option_for(hill(1, 1, 1, 1, 1, 1, 1)) is None
+
+    @pytest.mark.parametrize(("points", "potentials"), [((3, 1), (2,)), ((3,), (3,)), ((3, 2), (3,))])
+    def test_arrays_must_fit(self, points: tuple[int, ...], potentials: tuple[int, ...]) -> None:
+        with pytest.raises(ValueError, match=r"^points, potentials and scale must be \(n, d\), \(n,\) and \(d,\)"):
+            IntrinsicReward(np.zeros(points), np.zeros(potentials), np.ones(1), 0.5)
+
+    def test_potentials_must_be_finite(self) -> None:
+        with pytest.raises(ValueError, match=r"^potentials must be finite$"):
+            hill(0.0, np.nan)
+
+
+class TestPassage:
+    everywhere = Region(PLACES, np.ones(1), 0.5)
+
+    def test_it_leads_from_wherever_saved_steps_do(self) -> None:
+        one_way = [walk([1, 2, 3, 4, 5]), walk([5, 6, 7])]
+        option = option_for(Passage(DOOR, self.everywhere), one_way)
+        assert option is not None
+        assert inside(option) == [1, 2, 3, 4]  # no step leads back from 6 and 7
+        assert option.policy(PLACES[1:5]).tolist() == [RIGHT] * 4
+
+    def test_it_stays_in_its_set(self) -> None:
+        passage = Passage(DOOR, Region(PLACES[[1, 3, 4]], np.ones(1), 0.5))
+        assert leading(passage, BOTH_WAYS).points.ravel().tolist() == [3.0, 4.0]  # 2 would have to be crossed
+
+    def test_none_where_no_step_leads_there(self) -> None:
+        assert option_for(Passage(ball(30.0), self.everywhere)) is None
+
+    def test_a_region_is_a_passage_from_the_states_before_it(self) -> None:
+        reached = option_for(DOOR, BOTH_WAYS, initiation_steps=3)
+        assert reached is not None
+        passage = option_for(Passage(DOOR, reached.initiation_set))
+        assert passage is not None
+        assert inside(passage) == inside(reached)
+        for name, array in reached.option_policy.arrays().items():
+            np.testing.assert_array_equal(array, passage.option_policy.arrays()[name])
+
+
+def test_goals() -> None:
+    assert goal_of(DOOR) is DOOR
+    assert goal_of(Passage(DOOR, ball(1.0))) is DOOR
+    assert goal_of(hill(0, 3, 1)).points.tolist() == [[1.0]]
+
+
+def test_only_options_that_reach_a_region_learn_further() -> None:
+    settings = OptionLearningSettings()
+    reaching, climbing = option_for(DOOR), option_for(hill(0, 1, 2, 3, 4, 5, 6))
+    assert reaching is not None
+    assert climbing is not None
+    assert learn_further(reaching, BOTH_WAYS[0], settings) is not reaching
+    assert learn_further(climbing, BOTH_WAYS[0], settings) is climbing
+
+
+def test_a_file_says_which_options_stay_as_they_are(tmp_path: object) -> None:
+    bank = OptionBank(2, 2)
+    for proposal in (DOOR, hill(0, 1, 2, 3, 4, 5, 6)):
+        option = option_for(proposal)
+        assert option is not None
+        bank.add(option)
+    bank.save(f"{tmp_path}/options")
+    other = OptionBank(2, 2)
+    other.load(f"{tmp_path}/options")
+    assert [option.fixed for option in other.slots if isinstance(option, SubgoalOption)] == [False, True]
+
+
+def test_values_of_reaching_are_not_those_of_stopping() -> None:
+    settings = OptionLearningSettings()
+    steps = transitions_of(Reaching(DOOR, ball(4.0), settings), [walk([4, 5])], settings)
+    assert steps is not None
+    assert steps.stop == -np.inf
