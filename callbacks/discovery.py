@@ -82,8 +82,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         trial: How options are tried, and closed where they prove harmful (`execution.trials`); by default they are not.
         min_reached: An option is closed when less than this share of its last runs reached the subgoal, in [0, 1]; 0
             closes none. Runs that the end of the episode cut off do not count.
-        primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps, not decisions
-            (`PrimitiveStepsCallback`).
+        primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps, not decisions.
         save_path: File for the options, written each time one is made; None writes nothing.
         seed: Of option policies that are networks, and of trials.
         verbose: 1 prints each new option.
