@@ -72,8 +72,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         groups: The features that make a concept together, each a `FeatureGroup` or a mapping of its fields; by default
             those that the environment or φ names. Without any, all features do.
         max_new_options: Most options to make, not counting closed ones; by default as many as there are slots.
-        max_option_exploration: Largest share of all options together among the exploratory choices of DQN, QRDQN and
-            OptionDQN.
+        max_option_exploration: Largest share of all options among the random choices of DQN, QRDQN and OptionDQN.
         opening_share: MaskablePPO: share of the probability that the first option opens with where primitives are
             equally likely. The odds of the k-th against the primitives are 1/k of those. It is no cap on all options
             together: three at 0.5 open with 0.65. By default ``max_option_exploration``.

@@ -5,9 +5,9 @@ import pytest
 
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import FloatArray
-from sb3_options.options.initiation import Transitions
 from sb3_options.options.policies import TabularPolicy
 from sb3_options.options.reach import reach_probabilities, reliable_part
+from sb3_options.options.tasks import Transitions
 
 STAY, GO = 0, 1
 AWAY, FAR, NEAR, THERE = range(4)
