@@ -72,8 +72,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         groups: The features that make a concept together, each a `FeatureGroup` or a mapping of its fields; by default
             those that the environment or φ names. Without any, all features do.
         max_new_options: Most options to make, not counting closed ones; by default as many as there are slots.
-        max_option_exploration: Largest share of all options together among the exploratory choices of DQN, QRDQN and
-            OptionDQN.
+        max_option_exploration: Largest share of all options among the random choices of DQN, QRDQN and OptionDQN.
         opening_share: MaskablePPO: share of the probability that the first option opens with where primitives are
             equally likely. The odds of the k-th against the primitives are 1/k of those. It is no cap on all options
             together: three at 0.5 open with 0.65. By default ``max_option_exploration``.
@@ -82,8 +81,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         trial: How options are tried, and closed where they prove harmful (`execution.trials`); by default they are not.
         min_reached: An option is closed when less than this share of its last runs reached the subgoal, in [0, 1]; 0
             closes none. Runs that the end of the episode cut off do not count.
-        primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps, not decisions
-            (`PrimitiveStepsCallback`).
+        primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps, not decisions.
         save_path: File for the options, written each time one is made; None writes nothing.
         seed: Of option policies that are networks, and of trials.
         verbose: 1 prints each new option.

@@ -87,11 +87,12 @@ def growing(model: BaseAlgorithm) -> list[Growing]:
 
 def prepare(model: BaseAlgorithm, state: State) -> None:
     """Let the first rollout of an on-policy algorithm be as long as the one that began with what `get_state` gave."""
-    for name, value in state["rollout"].items():
+    there = state.get("rollout", {})  # checkpoints of before have none
+    for name, value in there.items():
         setattr(model, name, value)
     buffer = getattr(model, "rollout_buffer", None)
-    if buffer is not None:
-        buffer.buffer_size = state["rollout"]["n_steps"]
+    if buffer is not None and "n_steps" in there:
+        buffer.buffer_size = there["n_steps"]
 
 
 def set_state(model: BaseAlgorithm, state: State) -> None:
