@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, TypeAlias
 
@@ -87,7 +88,7 @@ class _Encoder:
         kind = type(value)
         if kind in PLAIN:
             return value if kind is not float or math.isfinite(value) else {MARK: "float", "value": repr(value)}
-        if kind is dict:
+        if kind in (dict, OrderedDict):  # vectorised environments give the latter
             return self._dictionary(value, where)
         if kind is list:
             return [self.encoded(each, f"{where}[{i}]") for i, each in enumerate(value)]

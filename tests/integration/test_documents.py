@@ -123,7 +123,7 @@ def test_commands_of_train_are_understood(page: Path) -> None:
             continue
         if words[:1] == ["train"]:
             words = words[1:]
-        if words[0] in COMMANDS:
+        if words and words[0] in COMMANDS:
             tyro.cli(COMMANDS[words[0]][0], args=words[1:])
         elif "--help" in words:
             with pytest.raises(SystemExit, match=r"^0$"):
