@@ -60,8 +60,7 @@ INTRODUCTION = """Train an agent that discovers its own options, or evaluate one
   evaluate RUN      plays a run again; `resume RUN` goes on with one
   compare RUN ...   sets runs side by side; `options RUN` shows its options
   --config FILE     reads settings from YAML; flags win over it
-  --method NAME     finds subgoals otherwise (`--help discovery` shows how);
-                    `--help option`: how options are learned; `--help all`
+  --help discovery  how --method NAME finds subgoals; --help option; --help all
 """
 
 
