@@ -52,7 +52,7 @@ def summarise(runs: dict[str, Sequence[Result]], n_timesteps: int) -> dict[str, 
     """All numbers of one task and algorithm.
 
     Args:
-        runs: By arm; ``stock`` is what the others are compared with.
+        runs: By arm; ``stock`` is what the others are compared with, or ``n-step`` where only that was run.
         n_timesteps: Longest training.
 
     Returns:
@@ -61,7 +61,8 @@ def summarise(runs: dict[str, Sequence[Result]], n_timesteps: int) -> dict[str, 
         ``steps_to_90_of_stock``, ``area_difference``, ``probability_of_improvement``, ``final_steps_of_stock``.
     """
     measured = {arm: _measures(results, n_timesteps) for arm, results in runs.items() if results}
-    stock = measured.get("stock")
+    of_stock = next((arm for arm in ("stock", "n-step") if arm in measured), "")
+    stock = measured.get(of_stock)
     summary: dict[str, Any] = {}
     for arm, of in measured.items():
         numbers: dict[str, Any] = {
@@ -74,7 +75,7 @@ def summarise(runs: dict[str, Sequence[Result]], n_timesteps: int) -> dict[str, 
             "final_success": float(of["final_success"].mean()),
             "with_option": sum(bool(r["options"] or r.get("brought")) for r in runs[arm]),
         }
-        if stock is not None and arm != "stock":
+        if stock is not None and arm != of_stock:
             paired = min(len(of["final"]), len(stock["final"]))
             numbers |= {
                 "steps_to_90_of_stock": iqm_ratio(of["steps"], stock["steps"])._asdict(),
