@@ -12,7 +12,17 @@ from sb3_options import cli
 from tests.support import processes
 
 ROOT = Path(__file__).parents[2]
-SHORT = ["--n-timesteps", "600", "--no-progress", "--max-options", "2", "--checkpoint-freq", "0"]
+SHORT = [
+    "--n-timesteps",
+    "600",
+    "--env-kwargs",
+    "max_steps:50",
+    "--no-progress",
+    "--max-options",
+    "2",
+    "--checkpoint-freq",
+    "0",
+]
 
 
 @pytest.fixture(scope="module")
