@@ -138,7 +138,7 @@ def test_fuzzed_bags_and_settings() -> None:
 
 @pytest.mark.slow
 def test_workers_that_are_killed(tmp_path: Path) -> None:
-    found = workers.run(tmp_path / "out", 16_384, 2.0, seed=0, n_workers=2)
+    found = workers.run(tmp_path / "out", 8_192, 2.0, seed=0, n_workers=2)
     assert found["ended"] == {"one line": found["times_killed"], "otherwise": 0, "hanging": 0}
     assert found["times_killed"] > 0
     assert found["orphans"] == found["checkpoints_lost"] == 0
