@@ -56,7 +56,9 @@ def test_from_a_wheel_in_an_empty_folder(installed: Path, tmp_path: Path) -> Non
     first, second = sorted((tmp_path / "runs" / "ppo").iterdir())
     assert "success rate" in run("evaluate", str(first), "--episodes", "2")
     assert "0 of 2 slots are taken" in run("options", str(first))
-    assert "2" in run("compare", str(first), str(second), "--reach", "return=0.5")
+    compared = run("compare", str(first), str(second), "--reach", "return=0.5")
+    assert "primitive steps to return ≥ 0.5" in compared
+    assert [cell.strip() for cell in compared.splitlines()[3].split("│")[1:-1]] == ["runs", "2"]  # one group
     assert (tmp_path / "compare.png").stat().st_size > 10_000
     assert (first / "README.md").read_text().count("one run, and no study") == 1
 
