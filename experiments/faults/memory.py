@@ -49,12 +49,12 @@ class NeverAgain(gym.ObservationWrapper[Any, Any, Any]):
         self.observation_space = gym.spaces.Box(low, high)
 
     def observation(self, observation: Any) -> Any:
-        """x / `CELLS`, y / `CELLS` and a number in [0, 1)."""
+        """X / `CELLS`, y / `CELLS` and a number in [0, 1)."""
         x_y = self.env.get_wrapper_attr("concept_features")(np.asarray(observation)[None])[0]
         return np.append(x_y / CELLS, self.np_random.random()).astype(np.float32)
 
     def concept_features(self, observations: Any) -> Any:
-        """x and y, cells."""
+        """X and y, cells."""
         return np.asarray(observations)[:, :2] * CELLS
 
 
