@@ -2,6 +2,7 @@ import io
 import json
 import math
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -13,6 +14,8 @@ import numpy as np
 import optuna
 import pytest
 import yaml
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 from rich.console import Console
 
@@ -57,7 +60,7 @@ def trained(monkeypatch: pytest.MonkeyPatch) -> list[TrainConfig]:
 
 
 def study_in(folder: Path) -> optuna.Study:
-    storage = tune.JournalStorage(tune.JournalFileBackend(str(folder / tune.JOURNAL)))
+    storage = JournalStorage(JournalFileBackend(str(folder / tune.JOURNAL)))
     return optuna.load_study(study_name=tune.NAME, storage=storage)
 
 
@@ -149,7 +152,7 @@ def test_a_trial_that_was_killed_is_tried_again_where_it_was(tmp_path: Path, tra
     killed = study.ask()
     process = subprocess.Popen([sys.executable, "-c", ""])
     process.wait()
-    killed.set_user_attr("by", [tune.socket.gethostname(), process.pid])
+    killed.set_user_attr("by", [socket.gethostname(), process.pid])
     space = read_space(config.space, {})
     params = {name: tune._suggested(killed, name, of) for name, of in space.search.items()}
     tune.tune(TuneConfig(config.space, config.out, trials=3, seeds=1), console=quiet())
