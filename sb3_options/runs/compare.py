@@ -107,7 +107,8 @@ class Goal(NamedTuple):
 
     def __str__(self) -> str:
         sign = "≤" if self.measure == "length" else "≥"
-        return f"{UNITS[self.measure]} {sign} {self.value:g}"
+        what = "episode length" if self.measure == "length" else UNITS[self.measure]
+        return f"{what} {sign} {self.value:g}"
 
 
 class Compared(NamedTuple):
