@@ -313,6 +313,7 @@ class SubgoalDiscovery:
         ]
         self.last = Search([], None, self.last.seconds)
         self._incremental = None
+        self.recurrence.forget()
         self._n_new = sum(len(labelled.features) for labelled in self.database)  # bags are made anew of all
 
     def get_state(self) -> dict[str, Any]:
