@@ -117,7 +117,8 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         if self.features is None:
             raise ValueError(
                 f"There is no default feature map for {self.observation_space}: pass "
-                "OptionsWrapper(env, feature_map=...) a function from a batch of observations to features (batch, d)."
+                "OptionsWrapper(env, feature_map=...) a function from a batch of observations to features (batch, d), "
+                "or the name of one that is learned, 'temporal-distance' or 'laplacian'."
             )
         return self.features.map(observations)
 
