@@ -71,10 +71,11 @@ def run(task: str, arm: MapName | None, seed: int, n_episodes: int | None = None
             observation = discovery.found[-1].observation
             cell = world.concept_features(np.asarray(observation))[0].tolist()
             found.append({"episode": episode, "point": cell, "bottleneck": is_bottleneck(world, cell)})
+    is_learned = learner is not None and learner.map.learned > 0
     return {
         "seed": seed,
         "found": found,
-        "rank_correlation": None if learner is None else rank_correlation(world, learner.map),
+        "rank_correlation": rank_correlation(world, learner.map) if learner is not None and is_learned else None,
         "n_learned": 0 if learner is None else learner.map.learned,
         "n_successes": sum(t.success for t in discovery.database),
         "seconds": {"learning": learning, "searches": discovery.seconds, "all": time.process_time() - began},
