@@ -19,7 +19,7 @@ from rich.table import Table
 from experiments.common.documents import number
 from experiments.common.seeds import Part, run_parts
 from experiments.common.study import Flags, show, write
-from experiments.methods.conditions import LENGTHS, MACROQ, SETTINGS, length_of, run
+from experiments.methods.conditions import LENGTHS, MACROQ, SETTINGS, Entry, length_of, run
 from experiments.methods.entrants import ENTRANTS, chosen_settings
 from experiments.methods.plots import draw
 from experiments.methods.summary import summarise
@@ -57,12 +57,13 @@ class Study(Flags):
 
     def command(self) -> str:
         """What was called."""
-        words = ["--methods", *self.methods, "--tasks", *self.tasks, "--learners", *self.learners]
-        words += ["--settings", self.settings]
+        words = ["--runs", str(self.runs), "--first-seed", str(self.first_seed), "--settings", self.settings]
+        for name, usual in (("methods", ENTRANTS), ("tasks", TASKS), ("learners", tuple(LENGTHS))):
+            chosen = getattr(self, name)
+            words += [] if chosen == usual else [f"--{name}", *chosen]
         if self.n_timesteps is not None:
             words += ["--n-timesteps", str(self.n_timesteps)]
-        told = f"--runs {self.runs} --first-seed {self.first_seed} {shlex.join(words)}"
-        return f"python -m experiments.methods {told}"
+        return f"python -m experiments.methods {shlex.join(words)}"
 
 
 def main(study: Study) -> None:
@@ -73,7 +74,7 @@ def main(study: Study) -> None:
     parts = [
         Part(
             f"{task}, {learner}, {entrant}",
-            partial(run, task, learner, entrant, chosen[entrant], lengths[task, learner]),
+            partial(run, Entry(task, learner, entrant, chosen[entrant], lengths[task, learner])),
             study.out / learner / task.replace(" ", "-") / f"{entrant}-{study.settings}",
             {"method": chosen[entrant], "n_timesteps": lengths[task, learner], **_learner(learner)},
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, ParamSpec, TypeVar, cast
 
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -93,83 +94,80 @@ class TimedEvaluations(Evaluations):
         self._on_step = self.watch.timed(self._on_step)  # type: ignore[method-assign]  # of this one
 
 
-def run(task_name: str, learner: str, entrant: str, changed: Mapping[str, Any], n_timesteps: int, seed: int) -> Result:
+@dataclass(frozen=True)
+class Entry:
+    """Who learns what, with whose options, for how long.
+
+    Attributes:
+        task: Of `TASKS`.
+        learner: Of `LENGTHS`.
+        entrant: Of `ENTRANTS`.
+        changed: Settings of the entrant other than its defaults.
+        n_timesteps: Primitive steps of each training, at most.
+    """
+
+    task: str
+    learner: str
+    entrant: str
+    changed: Mapping[str, Any]
+    n_timesteps: int
+
+
+def run(entry: Entry, seed: int) -> Result:
     """One run.
 
     Args:
-        task_name: Of `TASKS`.
-        learner: Of `LENGTHS`.
-        entrant: Of `ENTRANTS`.
-        changed: Its settings other than the defaults.
-        n_timesteps: Primitive steps of each training, at most.
+        entry: Of what.
         seed: Of everything random; where the goal has moved there is one of its own.
 
     Returns:
-        ``same`` and ``moved``, as of `train`, the first with what was ``found``.
+        ``same`` and ``moved``, as of `train`, and the subgoals that were ``found`` in the first.
     """
-    task = task_for(task_name, seed)
-    options = None
-    result: Result = {"seed": seed}
-    for phase, kwargs, of_phase in (("same", task.same, seed), ("moved", task.moved, MOVED_SEED + seed)):
-        callback, result[phase] = train(task, kwargs, learner, entrant, changed, n_timesteps, of_phase, options)
-        if phase == "same":
-            options = callback.bank.content()
-            result["found"] = [
-                {
-                    "episode": found.episode,
-                    "timestep": found.timestep,
-                    "where": found.where,
-                    "near": None if entrant == "random-repeats" else at_bottleneck(task, found.subgoal.tolist()),
-                }
-                for found in callback.discoveries
-            ]
-    return result
+    task = task_for(entry.task, seed)
+    callback, same = train(entry, task, task.same, seed)
+    _, moved = train(entry, task, task.moved, MOVED_SEED + seed, callback.bank.content())
+    found = [
+        {
+            "episode": each.episode,
+            "timestep": each.timestep,
+            "where": each.where,
+            "near": None if entry.entrant == "random-repeats" else at_bottleneck(task, each.subgoal.tolist()),
+        }
+        for each in callback.discoveries
+    ]
+    return {"seed": seed, "same": same, "moved": moved, "found": found}
 
 
 def train(
-    task: RaceTask,
-    kwargs: Mapping[str, Any],
-    learner: str,
-    entrant: str,
-    changed: Mapping[str, Any],
-    n_timesteps: int,
-    seed: int,
-    options: bytes | None,
+    entry: Entry, task: RaceTask, kwargs: Mapping[str, Any], seed: int, options: bytes | None = None
 ) -> tuple[TimedDiscovery, Result]:
-    """Train until 90 % of the episodes of two evaluations in a row are successes, or for ``n_timesteps``.
+    """Train until 90 % of the episodes of two evaluations in a row are successes, or to the end.
+
+    Args:
+        entry: Of what.
+        task: The task that it names.
+        kwargs: Of the environment.
+        seed: Of everything random.
+        options: To begin with, in which case none are discovered.
 
     Returns:
         The callback, and ``steps`` of the first of these evaluations, None if there was none; how many runs of options
         were ``decided`` and ``reached`` their subgoal; ``seconds`` of training, without evaluations, and ``discovery``,
         what of them was discovery, in processor time.
     """
-    envs = [
-        make_envs(task, {**kwargs, **more}, learner, of_seed, n, options)
-        for more, of_seed, n in (
-            ({}, seed, 1 if learner == "macroq" else SETTINGS.n_envs),
-            ({"max_steps": step_limit(task, kwargs)}, EVAL_SEED + seed, task.evaluation_episodes),
-        )
-    ]
-    venv, evaluated = envs
-    settings, method = discovery_of(entrant, changed, task, seed)
-    discovery = TimedDiscovery(
-        settings,
-        {**SETTINGS.option, **task.option},
-        method=method,
-        static_filter=task.static_filter,
-        max_new_options=0 if entrant == NONE or options is not None else SETTINGS.max_new_options,
-        max_option_exploration=SETTINGS.max_option_exploration[family(learner)],
-        seed=seed,
-        **SETTINGS.callback,
-    )
+    n_envs = 1 if entry.learner == "macroq" else SETTINGS.n_envs
+    venv = make_envs(entry, task, kwargs, seed, n_envs, options)
+    limited = {**kwargs, "max_steps": step_limit(task, kwargs)}
+    evaluated = make_envs(entry, task, limited, EVAL_SEED + seed, task.evaluation_episodes, options)
+    discovery = make_discovery(entry, task, seed, discovers=options is None)
     evaluations = TimedEvaluations(evaluated, task.evaluate_every, 0, EVAL_SEED + seed)
     use = OptionUse()
-    model = make_learner(task, learner, venv, seed)
+    model = make_learner(entry, venv, seed)
     began = time.process_time()
-    model.learn(n_timesteps, callback=CallbackList([discovery, use, evaluations, Served(evaluated)]))
+    model.learn(entry.n_timesteps, callback=CallbackList([discovery, use, evaluations, Served(evaluated)]))
     seconds = time.process_time() - began - evaluations.watch.seconds
-    for each in envs:
-        each.close()
+    venv.close()
+    evaluated.close()
     ends = Counter({end: use.endings[end] for end in DECIDED})
     return discovery, {
         "steps": reached_at([at for at, _, _ in evaluations.points], [good for _, good, _ in evaluations.points]),
@@ -181,20 +179,35 @@ def train(
     }
 
 
+def make_discovery(entry: Entry, task: RaceTask, seed: int, *, discovers: bool) -> TimedDiscovery:
+    """The callback; the option learner is the same for all."""
+    settings, method = discovery_of(entry.entrant, entry.changed, task, seed)
+    return TimedDiscovery(
+        settings,
+        {**SETTINGS.option, **task.option},
+        method=method,
+        static_filter=task.static_filter,
+        max_new_options=SETTINGS.max_new_options if discovers and entry.entrant != NONE else 0,
+        max_option_exploration=SETTINGS.max_option_exploration[family(entry.learner)],
+        seed=seed,
+        **SETTINGS.callback,
+    )
+
+
 def make_envs(
-    task: RaceTask, kwargs: Mapping[str, Any], learner: str, seed: int, n: int, options: bytes | None
+    entry: Entry, task: RaceTask, kwargs: Mapping[str, Any], seed: int, n: int, options: bytes | None
 ) -> VecEnv:
     """Environments with slots, filled with the options that there are."""
-    venv = make_env(Task(task.env, dict(kwargs)), learner, "options", SETTINGS, seed, n)
+    venv = make_env(Task(task.env, dict(kwargs)), entry.learner, "options", SETTINGS, seed, n)
     for wrapper in cast("DummyVecEnv", venv).envs:
         if options is not None:
             cast("Any", wrapper).bank.load(options)
     return venv
 
 
-def make_learner(task: RaceTask, learner: str, venv: VecEnv, seed: int) -> BaseAlgorithm:
+def make_learner(entry: Entry, venv: VecEnv, seed: int) -> BaseAlgorithm:
     """The untrained agent."""
-    if learner != "macroq":
-        return make_model(learner, venv, "options", SETTINGS, seed)
-    tiles = features(PioneerSettings()) if "Pioneer" in task.env else None
+    if entry.learner != "macroq":
+        return make_model(entry.learner, venv, "options", SETTINGS, seed)
+    tiles = features(PioneerSettings()) if entry.task == "Pioneer" else None
     return MacroQ(venv, features=tiles, gamma=GAMMA, seed=seed, **MACROQ)

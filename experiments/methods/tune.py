@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,7 +25,7 @@ from rich.json import JSON
 
 from experiments.common.seeds import Part, run_parts, write_json
 from experiments.common.study import show
-from experiments.methods.conditions import SETTINGS, length_of, run
+from experiments.methods.conditions import SETTINGS, Entry, length_of, run
 from experiments.methods.entrants import TUNED
 from experiments.methods.spaces import SPACES, defaults_of
 from experiments.methods.summary import PHASES, steps_of
@@ -64,7 +65,7 @@ class Tuning:
     def command(self) -> str:
         """What was called."""
         told = f"--method {self.method} --trials {self.trials} --seeds {self.seeds} --learner {self.learner}"
-        return f"python -m experiments.methods.tune {told} --tasks {' '.join(map(repr, self.tasks))}"
+        return f"python -m experiments.methods.tune {told} --tasks {shlex.join(self.tasks)}"
 
 
 def main(tuning: Tuning) -> None:
@@ -103,7 +104,7 @@ def score(tuning: Tuning, settings: dict[str, Any], folder: Path) -> float:
     """Mean log of the steps to the criterion, over tasks, seeds, and both places of the goal; lower is better."""
     lengths = {task: tuning.n_timesteps or length_of(task, tuning.learner) for task in tuning.tasks}
     parts = [
-        Part(task, partial(run, task, tuning.learner, tuning.method, settings, n), folder / task)
+        Part(task, partial(run, Entry(task, tuning.learner, tuning.method, settings, n)), folder / task)
         for task, n in lengths.items()
     ]
     told = {"settings": settings, "lengths": lengths}

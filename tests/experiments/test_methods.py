@@ -12,7 +12,7 @@ import pytest
 from experiments.common.gridworlds import rooms_of
 from experiments.methods import conditions, tune
 from experiments.methods.__main__ import Study, main, table
-from experiments.methods.conditions import LENGTHS, length_of, run
+from experiments.methods.conditions import LENGTHS, Entry, length_of, run
 from experiments.methods.entrants import ENTRANTS, HAND_MADE, NONE, TUNABLE, chosen_settings, discovery_of
 from experiments.methods.report import parts_of
 from experiments.methods.spaces import SPACES, defaults_of
@@ -158,7 +158,7 @@ class TestSummary:
 
 
 def test_a_run_of_a_control_carries_its_options_over() -> None:
-    found = run("FourRooms", "macroq", "random-repeats", {}, 2 * SHORT, 0)
+    found = run(Entry("FourRooms", "macroq", "random-repeats", {}, 2 * SHORT), 0)
     assert found["found"]
     assert all(each["near"] is None for each in found["found"])
     assert found["moved"]["decided"] > 0  # runs of options that were found in the same task
@@ -175,8 +175,8 @@ def test_the_race_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.Monke
     main(Study(**told, **small, methods=("random-repeats", NONE)))
     written = json.loads((tmp_path / "results.json").read_text())
     assert written["command"] == (
-        "python -m experiments.methods --runs 1 --first-seed 0 --methods random-repeats none --tasks FourRooms "
-        "--learners macroq --settings defaults --n-timesteps 2000"
+        "python -m experiments.methods --runs 1 --first-seed 0 --settings defaults --methods random-repeats none "
+        "--tasks FourRooms --learners macroq --n-timesteps 2000"
     )
     assert set(written["summary"]["FourRooms"]["macroq"]) == {"random-repeats", NONE}
     assert set(written["runs"]) == {"FourRooms, macroq, random-repeats", "FourRooms, macroq, none"}
