@@ -183,6 +183,12 @@ def test_the_race_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.Monke
     assert (tmp_path / "race.png").stat().st_size > 5_000
 
 
+def test_the_tables_of_the_page() -> None:
+    results = json.loads(Path("docs/results/methods.json").read_text())
+    page = Path("docs/studies/methods.md").read_text()
+    assert all(part in page for part in parts_of(results).values())
+
+
 def refuse(*args: object) -> None:
     raise AssertionError("it was there already")
 
