@@ -374,7 +374,8 @@ class SubgoalDiscovery:
             assert self.last.evidence is not None
             point = _nearest(np.concatenate(self.last.evidence.positive), concept.point, self.scale)
             subgoal = Region(point[None], self.scale, self.settings.subgoal_radius, group=self.group)
-            there = nearest_observations(point[None], self.database)
+            # Where φ is learned there are no groups, whose points have features of their own.
+            there = None if self.group is not None else nearest_observations(point[None], self.database)
             density = self.last.peaks[0].log_density
             self.found.append(FoundSubgoal(subgoal, self.last.evidence.bags, density, observation=there))
             self.tracker = PeakTracker(
