@@ -24,7 +24,7 @@ from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.methods import DiscoveryMethod, MethodName
 from sb3_options.discovery.proposed import discovery_with
-from sb3_options.discovery.settings import DiscoverySettings, described
+from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.static_filter import StaticFilter
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.embedding.settings import EmbeddingSettings
@@ -183,6 +183,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                 self.settings,
                 groups,
                 self.method,
+                seed=self.seed,
                 success=self.success,
                 static_filter=self.static_filter,
                 kind=venv.env_method("feature_kind", indices=[0])[0],
@@ -291,14 +292,11 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         return len(self.bank) < self.bank.max_options
 
     def _make_option(self, subgoal: Region) -> None:
-        centre = subgoal.points[0]
-        where = described(centre, self._search.kind)
-        if subgoal.group is not None:
-            where = f"{subgoal.group.name} at {where}"
-        proposal = self._search.found[-1].proposal or subgoal
-        option = self._learn(proposal, f"reach {where}", self.option_settings.policy_input)
+        found = self._search.found[-1]
+        where = found.where(self._search.kind)
+        option = self._learn(found.proposal or subgoal, f"reach {where}", self.option_settings.policy_input)
         if option is None:
-            logger.warning("No option for the subgoal at %s: no saved trajectory leads to it.", centre)
+            logger.warning("No option for the subgoal at %s: no saved trajectory leads to it.", found.centre)
             return
         slot = self.bank.slots.index(None)
         self._options.install(slot, option)
@@ -307,8 +305,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._made_here.add(slot)
         if not option.fixed:
             self._growth.made(slot, subgoal, self._search.database)
-        density, n = self._search.found[-1].log_density, len(option.initiation_set.points)
-        self.discoveries.append(DiscoveredOption(slot, self.episodes, self.num_timesteps, centre, where, density, n))
+        density, n = found.log_density, len(option.initiation_set.points)
+        at = (self.episodes, self.num_timesteps, found.centre, where if len(subgoal.points) else option.name)
+        self.discoveries.append(DiscoveredOption(slot, *at, density, n))
         if self.verbose:
             print(f"Option {slot}: {option.name}, after {self.episodes} episodes and {self.num_timesteps:,} steps")
         self._save()
@@ -325,7 +324,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         """Close options whose runs too often end elsewhere than at the subgoal."""
         for slot in self._options.installed() if self.min_reached else ():
             reached = self._statistics.reached(slot)
-            if reached is not None and reached < self.min_reached and isinstance(self.bank[slot], SubgoalOption):
+            option = self.bank[slot]
+            bound = isinstance(option, SubgoalOption) and len(option.subgoal.points) > 0
+            if reached is not None and reached < self.min_reached and bound:
                 self._close_option(slot, "unreliable")
 
     def _close_option(self, slot: int, why: Verdict) -> None:

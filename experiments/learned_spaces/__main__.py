@@ -37,7 +37,7 @@ def main(study: Study) -> None:
         for arm in ARMS
     ]
     settings = {
-        "embedding": dataclasses.asdict(EmbeddingSettings()),  # type: ignore[call-overload]  # pydantic's, a dataclass
+        "embedding": dataclasses.asdict(EmbeddingSettings()),
         "n_episodes": N_EPISODES,
         "max_options": MAX_OPTIONS,
     }

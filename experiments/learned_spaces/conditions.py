@@ -27,7 +27,7 @@ TASKS = ("TwoRooms", "FourRooms")
 ARMS: tuple[MapName | None, ...] = ("temporal-distance", "laplacian", None)
 """How the space is learned; None takes the coordinates, which is the bound."""
 
-NAMES = {None: "coordinates"}
+NAMES: dict[MapName | None, str] = {None: "coordinates"}
 
 N_EPISODES = 60
 MAX_OPTIONS = 4

@@ -20,7 +20,7 @@ from sb3_options.discovery.budget import ASCENTS, Budget, seconds_of_bags, secon
 from sb3_options.discovery.outcomes import Outcomes
 from sb3_options.discovery.peaks import PeakTracker, plateau_centres
 from sb3_options.discovery.recurrence import Recurrence
-from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.settings import DiscoverySettings, described
 from sb3_options.discovery.static_filter import StaticFilter
 from sb3_options.discovery.ways import loop_erased
 from sb3_options.experience.observations import FeatureMap, FloatArray, Observations, batch_size
@@ -72,6 +72,19 @@ class FoundSubgoal(NamedTuple):
     log_density: float
     proposal: Proposal | None = None
     observation: Observations | None = None
+
+    @property
+    def centre(self) -> FloatArray:
+        """The middle of the subgoal in its own features, (d,); NaN if the option is bound for no place."""
+        points = self.subgoal.points
+        return points[0] if len(points) else np.full(points.shape[1], np.nan)
+
+    def where(self, kind: str | None) -> str:
+        """The subgoal for people; ``kind`` says where φ comes from."""
+        if not len(self.subgoal.points):
+            return "no place"
+        place = described(self.centre, kind)
+        return place if self.subgoal.group is None else f"{self.subgoal.group.name} at {place}"
 
 
 @dataclass
