@@ -5,7 +5,7 @@ follows what, the smallest eigenvalues and their eigenvectors are the one stable
 
     max over β, min over u of  Σᵢ ⟨uᵢ, L uᵢ⟩ + Σ_{k ≤ j} β_jk (⟨uⱼ, ⟦u_k⟧⟩ − δ_jk) + b Σ_{k ≤ j} (⟨uⱼ, ⟦u_k⟧⟩ − δ_jk)²
 
-where ⟦·⟧ stops the gradient (their eq. 6): each vector makes way for those before it, and for no later one. So they
+where ⟦·⟧ stops the gradient: each vector makes way for those before it, and for no later one. So they
 come in order, each by itself and not as any rotation, without a hyperparameter that breaks the symmetry. β_jj is −2
 times the j-th eigenvalue then.
 
@@ -17,7 +17,7 @@ from __future__ import annotations
 import torch
 
 BARRIER = 2.0
-"""b (their table 2 has 2.0 to begin with)."""
+"""b; the authors' program begins with it, too."""
 
 DUAL_RATE = 0.05
 """Step size of β, which follows the gradient upwards. β comes near its end within 2 b / DUAL_RATE = 80 steps or a few

@@ -34,7 +34,7 @@ def energies(began: torch.Tensor, led: torch.Tensor) -> torch.Tensor:
 
 
 def contrastive_loss(began: torch.Tensor, led: torch.Tensor) -> torch.Tensor:
-    """Symmetric InfoNCE: which y followed which x, and the other way round (ETD, eq. 7).
+    """Symmetric InfoNCE: which y followed which x, and the other way round (Jiang et al. 2025).
 
     Args:
         began: What the encoder makes of x, (n, d + 1).

@@ -106,10 +106,16 @@ def cosines(features: FloatArray, vectors: FloatArray, values: FloatArray, gap: 
     """How much of each learned vector lies where the true one is, up to its sign, (size,) in [0, 1].
 
     True eigenvalues nearer than ``gap`` of themselves leave any rotation within the span of their vectors.
+
+    Args:
+        features: Learned vectors, (n, size).
+        vectors: True ones, (n, k), k ≥ size; enough that those of an eigenvalue near the last are among them.
+        values: Their eigenvalues, (k,), ascending.
+        gap: Share of an eigenvalue.
     """
     centred = features - features.mean(axis=0)
     centred /= np.linalg.norm(centred, axis=0)
     new_group = np.diff(values, prepend=-np.inf) > gap * values
     groups: IntArray = np.cumsum(new_group)
     projections = (vectors.T @ centred) ** 2
-    return np.sqrt([projections[groups == groups[i], i].sum() for i in range(len(values))])
+    return np.sqrt([projections[groups == groups[i], i].sum() for i in range(centred.shape[1])])
