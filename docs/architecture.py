@@ -29,13 +29,13 @@ KEY = "Description"
 """Name of the picture's text chunk that holds its content."""
 
 DPI = 110
-WIDTH, HEIGHT = 120.0, 107.0
+WIDTH, HEIGHT = 120.0, 114.0
 """Of the picture, tenths of an inch. All places are given in this unit."""
 
 COLUMNS = (20.5, 60.0, 99.5)
 """Middles of the boxes, from the left."""
 
-FLOORS = (100.5, 87.0, 66.0, 46.5, 29.5, 11.5)
+FLOORS = (107.5, 93.5, 68.0, 46.5, 29.5, 11.5)
 """Middles of the boxes, from the top."""
 
 BOX = 35.0
