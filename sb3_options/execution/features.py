@@ -22,6 +22,7 @@ LONGEST_DESCRIPTION = 200
 """Most characters of the description of an observation space, so that an error stays readable."""
 
 FeatureKind = Literal["given", "environment", "categorical", "identity"]
+"""Where a feature map comes from: the user, the environment, one-hot codes, or flat observations."""
 
 
 class Features(NamedTuple):

@@ -31,6 +31,7 @@ MethodName = Literal[
     "covering",
     "random",
 ]
+"""Names of the methods of discovery."""
 
 METHODS: dict[MethodName, Callable[[], DiscoveryMethod]] = {
     "first-visits": VisitFrequency,
