@@ -19,8 +19,8 @@ test: $(READY)  ## The fast tests
 test-slow: $(READY)  ## Those that train or simulate for minutes
 	$(BIN)/python -m pytest -n 2 --dist load -m slow $(ARGS)
 
-docs: $(READY)  ## The site, with the API reference and the notebooks run anew, into out/docs
-	$(BIN)/python -m sphinx --fresh-env --fail-on-warning --keep-going -b html --conf-dir docs . out/docs $(ARGS)
+docs: $(READY)  ## The site, with the API reference and the notebooks run anew, into out/docs/html
+	$(BIN)/python -m sphinx --fresh-env --fail-on-warning --keep-going -b html --conf-dir docs . out/docs/html $(ARGS)
 
 lint: $(READY)  ## Style, types, and which folder may import which
 	$(BIN)/ruff check .

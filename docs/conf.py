@@ -1,4 +1,4 @@
-"""Settings of the documentation's site: ``make docs`` builds it into ``out/docs``.
+"""Settings of the documentation's site: ``make docs`` builds it into ``out/docs/html``.
 
 The source folder is the root of the repository, so that README, changelog and docs are one site from the files that a
 code host shows, and a relative link means the same in both.
@@ -40,7 +40,7 @@ highlight_language = "none"
 nb_custom_formats = {".nb.md": ["jupytext.reads", {"fmt": "md"}]}
 nb_execution_mode = "force"
 nb_execution_in_temp = True
-nb_execution_raise_on_error = True
+nb_execution_show_tb = True
 nb_execution_timeout = 600  # s, for a loaded machine
 
 # API reference
