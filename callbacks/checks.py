@@ -50,7 +50,8 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
     if venv.env_method("feature_kind", indices=[0])[0] is None:
         raise ValueError(
             f"There is no default feature map for {venv.observation_space}: pass OptionsWrapper(env, "
-            "feature_map=...) a function from a batch of observations to features of shape (batch, d)."
+            "feature_map=...) a function from a batch of observations to features of shape (batch, d), or the name of "
+            "one that is learned, 'temporal-distance' or 'laplacian'."
         )
 
 

@@ -10,24 +10,24 @@ from typing import Any
 
 import numpy as np
 import torch
-from stable_baselines3.common.logger import Figure, TensorBoardOutputFormat
 
 from sb3_options.callbacks.checks import check_model
 from sb3_options.callbacks.counting import monitor_primitive_steps
-from sb3_options.callbacks.discovery_log import DiscoveryClock, log_discovery
+from sb3_options.callbacks.discovery_log import DiscoveryClock, draw_discovery, log_discovery
 from sb3_options.callbacks.installer import OptionInstaller
+from sb3_options.callbacks.learned_features import GivenFeatures, check_learned, features_for
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
 from sb3_options.callbacks.records import ClosedOption, DiscoveredOption, OptionStatistics
 from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.checked import given_as, is_number, whole
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
-from sb3_options.discovery.figures import discovery_figures
 from sb3_options.discovery.methods import DiscoveryMethod, MethodName
 from sb3_options.discovery.proposed import discovery_with
-from sb3_options.discovery.settings import DiscoverySettings, described
+from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.static_filter import StaticFilter
 from sb3_options.discovery.subgoals import SubgoalDiscovery
+from sb3_options.embedding.settings import EmbeddingSettings
 from sb3_options.execution.exploration import checked_share
 from sb3_options.execution.trials import TrialReport, TrialSettings, Verdict
 from sb3_options.experience.option_run import OptionRun
@@ -76,6 +76,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         opening_share: MaskablePPO: share of the probability that the first option opens with where primitives are
             equally likely. The odds of the k-th against the primitives are 1/k of those. It is no cap on all options
             together: three at 0.5 open with 0.65. By default ``max_option_exploration``.
+        embedding: How a feature map is learned: an `EmbeddingSettings`, or a mapping of its fields. For environments in
+            ``OptionsWrapper(feature_map="temporal-distance")`` or ``"laplacian"``.
         interruption: Whether options of DQN, QRDQN and OptionDQN end where going on is worth less than the best
             alternative (`execution.interruption`).
         trial: How options are tried, and closed where they prove harmful (`execution.trials`); by default they are not.
@@ -103,6 +105,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         max_new_options: int | None = None,
         max_option_exploration: float = 0.5,
         opening_share: float | None = None,
+        embedding: EmbeddingSettings | Mapping[str, Any] | None = None,
         interruption: bool = True,
         trial: TrialSettings | Mapping[str, Any] | None = None,
         min_reached: float = 0.0,
@@ -148,6 +151,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._generator = torch.Generator().manual_seed(seed)
         self._statistics = OptionStatistics()
         self._growth = OptionGrowth()
+        self.embedding = given_as(EmbeddingSettings, {} if embedding is None else embedding)
+        self._features = GivenFeatures()
         self._installer: OptionInstaller | None = None
         self._clock: DiscoveryClock | None = None
 
@@ -169,12 +174,16 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             opening_share=self.opening_share,
             interruption=self.interruption,
         )
+        self._features = features_for(self._features, self._installer, self.embedding, self.seed)
+        own = self.method is not None or bool(self.groups)
+        check_learned(self._features, self.settings, self.option_settings, own=own)
         if self.discovery is None:
             groups = venv.env_method("feature_groups", indices=[0])[0] if self.groups is None else self.groups
             self.discovery = discovery_with(
                 self.settings,
                 groups,
                 self.method,
+                seed=self.seed,
                 success=self.success,
                 static_filter=self.static_filter,
                 kind=venv.env_method("feature_kind", indices=[0])[0],
@@ -243,9 +252,11 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         if not (discovers or (self.option_settings.goes_on and len(self.bank))):
             return
         labelled = self._search.add(trajectory, self._options.features_of(trajectory.states), success=success)
+        if self._features.learn_if_due(self._search, self._options):
+            *_, labelled = self._search.database
         if self.option_settings.goes_on:
             self._learn_further(labelled)
-        tells = labelled.success or self.settings.negative_bags
+        tells = self._features.ready and (labelled.success or self.settings.negative_bags)
         if discovers and tells and (subgoal := self._search.search()) is not None:
             self._make_option(subgoal)
 
@@ -263,6 +274,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                 later = learn_further(option, labelled, self.option_settings)
             if later is not None and later is not option:
                 self._options.replace(slot, later)
+                self._features.remember(slot, later, self._search)
 
     def _learn(self, proposal: Proposal, name: str, policy_input: PolicyInput) -> SubgoalOption | None:
         return learn_option(
@@ -280,32 +292,22 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         return len(self.bank) < self.bank.max_options
 
     def _make_option(self, subgoal: Region) -> None:
-        centre = subgoal.points[0]
-        where = described(centre, self._search.kind)
-        if subgoal.group is not None:
-            where = f"{subgoal.group.name} at {where}"
-        proposal = self._search.found[-1].proposal or subgoal
-        option = self._learn(proposal, f"reach {where}", self.option_settings.policy_input)
+        found = self._search.found[-1]
+        where = found.where(self._search.kind)
+        option = self._learn(found.proposal or subgoal, f"reach {where}", self.option_settings.policy_input)
         if option is None:
-            logger.warning("No option for the subgoal at %s: no saved trajectory leads to it.", centre)
+            logger.warning("No option for the subgoal at %s: no saved trajectory leads to it.", found.centre)
             return
         slot = self.bank.slots.index(None)
         self._options.install(slot, option)
+        self._features.remember(slot, option, self._search)
         self._statistics.forget(slot)  # a closed option went on to the end of its rollout, after it was forgotten
         self._made_here.add(slot)
         if not option.fixed:
             self._growth.made(slot, subgoal, self._search.database)
-        self.discoveries.append(
-            DiscoveredOption(
-                slot,
-                self.episodes,
-                self.num_timesteps,
-                centre,
-                where,
-                self._search.found[-1].log_density,
-                len(option.initiation_set.points),
-            )
-        )
+        density, n = found.log_density, len(option.initiation_set.points)
+        at = (self.episodes, self.num_timesteps, found.centre, where if len(subgoal.points) else option.name)
+        self.discoveries.append(DiscoveredOption(slot, *at, density, n))
         if self.verbose:
             print(f"Option {slot}: {option.name}, after {self.episodes} episodes and {self.num_timesteps:,} steps")
         self._save()
@@ -322,11 +324,14 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         """Close options whose runs too often end elsewhere than at the subgoal."""
         for slot in self._options.installed() if self.min_reached else ():
             reached = self._statistics.reached(slot)
-            if reached is not None and reached < self.min_reached and isinstance(self.bank[slot], SubgoalOption):
+            option = self.bank[slot]
+            bound = isinstance(option, SubgoalOption) and len(option.subgoal.points) > 0
+            if reached is not None and reached < self.min_reached and bound:
                 self._close_option(slot, "unreliable")
 
     def _close_option(self, slot: int, why: Verdict) -> None:
         self._options.uninstall(slot)
+        self._features.forget(slot)
         self._made_here.discard(slot)
         self._statistics.forget(slot)
         self.closed.append(ClosedOption(slot, self.episodes, self.num_timesteps, why))
@@ -344,12 +349,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     def draw(self) -> None:
         """Draw the pictures of discovery for TensorBoard, with the next dump of the log."""
-        if not any(isinstance(output, TensorBoardOutputFormat) for output in self.logger.output_formats):
-            return
-        for name, figure in discovery_figures(self._search, self.bank).items():
-            self.logger.record(
-                f"discovery/{name}", Figure(figure, close=True), exclude=("stdout", "log", "json", "csv")
-            )
+        draw_discovery(self.logger, self._search, self.bank)
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint, at the start of a rollout."""
@@ -365,6 +365,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             "statistics": self._statistics.get_state(),
             "growth": self._growth.get_state(),
             "trials": None if self._trials is None else self._trials.get_state(),
+            "features": self._features.get_state(),
             "options": self._options.get_state(),
         }
 
@@ -384,6 +385,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._growth.set_state(state["growth"])
         if self._trials is not None:
             self._trials.set_state(state["trials"])
+        self._features.set_state(state.get("features"), self._options)  # those of before have none
         self._options.set_state(state["options"])
 
     def _on_training_end(self) -> None:

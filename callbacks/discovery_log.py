@@ -7,7 +7,11 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from stable_baselines3.common.logger import Figure, Logger, TensorBoardOutputFormat
+
+from sb3_options.discovery.figures import discovery_figures
 from sb3_options.discovery.subgoals import SubgoalDiscovery
+from sb3_options.options.bank import OptionBank
 
 logger = logging.getLogger("sb3_options")
 
@@ -65,3 +69,17 @@ def log_discovery(
         record("discovery/best_log_density", search.last.peaks[0].log_density)
     for tag, value in others.items():
         record(tag, value)
+
+
+def draw_discovery(log: Logger, search: SubgoalDiscovery, bank: OptionBank) -> None:
+    """Draw the pictures of discovery for TensorBoard, with the next dump of the log; without TensorBoard, none.
+
+    Args:
+        log: SB3's.
+        search: Discovery.
+        bank: The present options.
+    """
+    if not any(isinstance(output, TensorBoardOutputFormat) for output in log.output_formats):
+        return
+    for name, figure in discovery_figures(search, bank).items():
+        log.record(f"discovery/{name}", Figure(figure, close=True), exclude=("stdout", "log", "json", "csv"))

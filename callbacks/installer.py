@@ -13,6 +13,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from sb3_options.callbacks.checks import check_same_slots
 from sb3_options.callbacks.counting import all_callbacks, monitor_primitive_steps
 from sb3_options.callbacks.intra_option import IntraOptionUpdater
+from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.execution.exploration import cap_option_exploration
 from sb3_options.execution.workers import watch_workers
 from sb3_options.experience.observations import FloatArray, Observations
@@ -76,6 +77,7 @@ class OptionInstaller:
         put_back(model, venv)
         present: OptionBank = venv.get_attr("bank", [0])[0]
         self.n_primitive = present.n_primitive
+        self.learned_map: LearnedMap | None = None
         self.bank = OptionBank(
             present.n_primitive, present.max_options, feature_map=self.features_of, signature=present.signature
         )
@@ -99,8 +101,15 @@ class OptionInstaller:
 
     def features_of(self, observations: Observations) -> FloatArray:
         """φ of a batch of observations, (batch, d); φ may exist in a worker process only."""
+        if self.learned_map is not None:
+            return self.learned_map(observations)
         features: FloatArray = self.venv.env_method("concept_features", observations, indices=[0])[0]
         return features
+
+    def send_learned_map(self) -> None:
+        """Let the feature map of every environment be the one that is learned here."""
+        assert self.learned_map is not None  # `LearnedFeatures.begin` has set it
+        self._call_environments("set_learned_map", self.learned_map.arrays())
 
     def install(self, slot: int, option: Option) -> None:
         """Install an option in an empty slot, at once or when the next rollout starts."""

@@ -74,6 +74,7 @@ PLACES = {
     "discovery": Place(2, 3, GREEN),
     "options": Place(1, 4, GREEN),
     "experience": Place(0, 5, GREEN),
+    "embedding": Place(1, 5, GREEN),
     "density": Place(2, 5, GREEN),
 }
 """What acts in an environment stands on the left, what is computed from trajectories on the right."""

@@ -11,7 +11,7 @@ author = "The sb3-options developers"
 copyright = author
 version = release = __version__
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "docs.site"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "docs.site"]
 root_doc = "docs/index"
 include_patterns = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs/**"]
 exclude_patterns = [".*", "benchmarks", "build", "envs", "callbacks", "examples", "experiments", "mutants", "out"]
@@ -37,7 +37,7 @@ highlight_language = "none"
 
 # Notebooks are Markdown as jupytext reads it: a block of Python is a cell. They hold no outputs. A build runs them, and
 # keeps no cache, which would not notice that the library has changed.
-nb_custom_formats = {".nb.md": ["jupytext.reads", {"fmt": "md"}]}
+nb_custom_formats = {".nb.md": "docs.site.read_notebook"}
 nb_execution_mode = "force"
 nb_execution_in_temp = True
 nb_execution_show_tb = True
@@ -54,6 +54,7 @@ autodoc_typehints_description_target = "documented_params"
 autodoc_typehints_format = "short"
 python_display_short_literal_types = True
 maximum_signature_line_length = 100
+toc_object_entries_show_parents = "hide"
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 

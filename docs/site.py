@@ -13,8 +13,10 @@ import re
 from collections import defaultdict
 from typing import Any
 
+import jupytext
 import numpy.typing as npt
 from docutils import nodes
+from nbformat import NotebookNode
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
 from sphinx.util.nodes import make_refnode
@@ -71,6 +73,24 @@ def add_menu(app: Sphinx, docname: str, source: list[str]) -> None:
     for caption in dict.fromkeys(CAPTIONS.values()):
         entries = "\n".join(f"/{app.project.path2doc(page)}" for page in pages if pages[page] == caption)
         source[0] += f"\n```{{toctree}}\n:hidden:\n:caption: {caption}\n\n{entries}\n```\n"
+
+
+def read_notebook(text: str) -> NotebookNode:
+    """A notebook that is Markdown: every block of Python is a cell.
+
+    Raises:
+        ValueError: A block is in another language; jupytext makes it a cell with a magic, which would run it.
+    """
+    notebook: NotebookNode = jupytext.reads(text, fmt="md")
+    languages = {notebook.metadata["jupytext"]["main_language"]}
+    languages |= {cell.source.split()[0] for cell in notebook.cells if cell.source.startswith("%%")}
+    if languages != {"python"}:
+        raise ValueError(
+            f"A notebook has blocks of Python only, got {sorted(languages)}: what is not to be run belongs on "
+            "another page."
+        )
+    notebook.metadata["language_info"] = {"name": "python", "pygments_lexer": "python"}
+    return notebook
 
 
 def adapt_docstring(app: Sphinx, what: str, name: str, value: Any, options: Any, lines: list[str]) -> None:

@@ -48,6 +48,7 @@ from sb3_options.runs.interrupts import Interrupts, StopWhenNoted
 from sb3_options.runs.logs import KeepTraining, without
 from sb3_options.runs.resume import ResumeConfig, config_of
 from sb3_options.runs.series import StopWhenLearned
+from sb3_options.runs.tune_config import TuneConfig
 from sb3_options.runs.users_code import IMPORTING
 
 console = Console(highlight=False, soft_wrap=True)
@@ -361,10 +362,25 @@ def evaluate(config: evaluation.EvaluateConfig) -> evaluation.Evaluation:
     return result
 
 
+def tune(config: TuneConfig) -> None:
+    """Search for settings.
+
+    Raises:
+        ModuleNotFoundError: Optuna is not installed.
+        Otherwise as `sb3_options.runs.tune.tune`.
+    """
+    try:
+        from sb3_options.runs import tune as tuning  # Optuna is in an extra
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(f"{error}. Searching takes Optuna: pip install 'sb3-options[tune]'.") from error
+    tuning.tune(config, console=console)
+
+
 COMMANDS: dict[str, tuple[type[Any], Callable[[Any], object]]] = {
     "evaluate": (evaluation.EvaluateConfig, evaluate),
     "resume": (ResumeConfig, resume),
     "compare": (CompareConfig, partial(show_comparison, console=console)),
+    "tune": (TuneConfig, tune),
     "options": (InspectConfig, partial(show_options, console=console)),
 }
 """What a command takes, and what it does."""

@@ -18,6 +18,7 @@ from typing import Any
 import gymnasium as gym
 from stable_baselines3.common.monitor import Monitor
 
+from sb3_options.embedding.settings import MapName
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.observations import FeatureMap
 from sb3_options.options.archive import NAME
@@ -53,7 +54,7 @@ class ZooOptionsWrapper(OptionsWrapper):
         max_options: int = 4,
         *,
         gamma: float = 0.99,
-        feature_map: FeatureMap | None = None,
+        feature_map: FeatureMap | MapName | None = None,
         options_file: str | os.PathLike[str] | None = None,
         max_runs: int | None = None,
         check_finite: bool = False,

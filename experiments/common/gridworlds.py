@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any, cast
 
 import gymnasium as gym
+import networkx as nx
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -41,6 +42,14 @@ def counts_of(world: GridWorld, cells: Iterable[Sequence[int] | None]) -> FloatA
         if cell is not None:
             counts[cell[1], cell[0]] += 1
     return counts
+
+
+def rooms_of(world: GridWorld) -> list[set[Cell]]:
+    """The cells (x, y) of each room: the parts of the map without its doorways and doors."""
+    graph = nx.grid_2d_graph(world.width, world.height)
+    rows, columns = np.nonzero(world.walls)
+    graph.remove_nodes_from([*zip(columns.tolist(), rows.tolist(), strict=True), *world.doorways, *world.doors])
+    return [set(part) for part in nx.connected_components(graph)]
 
 
 def frame_doorways(axes: Axes, world: GridWorld) -> None:

@@ -27,26 +27,35 @@ WARM_UP = 200_000
 
 GAMMA = 0.97
 MAX_STEPS = 200
+LONG = 500
+"""Steps of an episode where a success comes by chance often enough for an option."""
+
+CELLS = 10
+"""Cells for which an observation of `NeverAgain` counts 1."""
+
 N_KEPT = 20
 """Trajectories that discovery keeps, so that it keeps as many as it may when the warm-up is over."""
 
 
 class NeverAgain(gym.ObservationWrapper[Any, Any, Any]):
-    """A random number beside x and y, so that no observation comes twice."""
+    """A random number beside x and y, so that no observation comes twice.
+
+    Both lie near 1, which networks need: with cells PPO soon takes one action only, and nothing succeeds.
+    """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         super().__init__(env)
-        low, high = np.zeros(3, np.float32), np.full(3, 100, np.float32)
+        low, high = np.zeros(3, np.float32), np.full(3, 10, np.float32)
         self.observation_space = gym.spaces.Box(low, high)
 
     def observation(self, observation: Any) -> Any:
-        """x, y and a number in [0, 1)."""
-        x_y = self.get_wrapper_attr("concept_features")(np.asarray(observation)[None])[0]
-        return np.append(x_y, self.np_random.random()).astype(np.float32)
+        """X / `CELLS`, y / `CELLS` and a number in [0, 1)."""
+        x_y = self.env.get_wrapper_attr("concept_features")(np.asarray(observation)[None])[0]
+        return np.append(x_y / CELLS, self.np_random.random()).astype(np.float32)
 
     def concept_features(self, observations: Any) -> Any:
-        """The first two numbers, x and y."""
-        return np.asarray(observations)[:, :2]
+        """X and y, cells."""
+        return np.asarray(observations)[:, :2] * CELLS
 
 
 class Endless(gym.Wrapper[Any, Any, Any, Any]):
@@ -69,7 +78,7 @@ def _room() -> gym.Env[Any, Any]:
 
 
 def _never_again() -> gym.Env[Any, Any]:
-    inner = NeverAgain(gym.make("sb3_options/TwoRooms-v0", max_steps=MAX_STEPS))
+    inner = NeverAgain(gym.make("sb3_options/TwoRooms-v0", max_steps=LONG))
     return OptionsWrapper(Monitor(inner), 4, gamma=GAMMA, feature_map=inner.concept_features)
 
 

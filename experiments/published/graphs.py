@@ -28,9 +28,14 @@ def grid(env_id: str) -> tuple[GridWorld, IntArray, csr_array]:
     return world, cells, csr_array(near.astype(np.float64))
 
 
+def taxi_env() -> Any:
+    """Taxi itself, of the newest version that there is."""
+    return next(gym.make(name).unwrapped for name in ("Taxi-v4", "Taxi-v3") if name in gym.registry)
+
+
 def taxi() -> tuple[list[tuple[int, int, int, int]], IntArray]:
     """The states of Taxi that are not terminal, as row, column, passenger and destination; transitions between them."""
-    env: Any = next(gym.make(name).unwrapped for name in ("Taxi-v4", "Taxi-v3") if name in gym.registry)
+    env = taxi_env()
     states = [tuple(map(int, env.decode(number))) for number in range(len(env.P))]
     running = [i for i, (_, _, passenger, destination) in enumerate(states) if passenger != destination]
     steps = {

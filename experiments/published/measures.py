@@ -8,7 +8,7 @@ from typing import Any
 import networkx as nx
 import numpy as np
 
-from experiments.common.gridworlds import cell_of, distance_to_doorway, world_of
+from experiments.common.gridworlds import cell_of, distance_to_doorway, rooms_of, world_of
 from experiments.published.graphs import climbed, cover_time, diffusion_time, grid, joined, taxi
 from experiments.random_walks.conditions import run, walk
 from sb3_options.discovery.methods.covering import farthest_pairs
@@ -28,18 +28,8 @@ def eigenoptions(env_id: str = "sb3_options/FourRooms-v0") -> dict[str, Any]:
     options = [climbed(adjacency, sign * vector) for vector in vectors for sign in (1, -1)]
     ends = [cells[(sign * vector).argmax()].tolist() for vector in vectors[:2] for sign in (1, -1)]
     times = {n: diffusion_time(adjacency, options[:n]) for n in N_OPTIONS}
-    return {"diffusion_time": times, "ends_of_the_first_four": ends, "rooms": rooms_of(world, ends)}
-
-
-def rooms_of(world: Any, cells: list[list[int]]) -> int:
-    """How many rooms these cells are in: parts of the map without its doorways."""
-    free = ~np.asarray(world.walls, dtype=bool)
-    for x, y in world.doorways:
-        free[y, x] = False
-    graph = nx.grid_2d_graph(*free.shape)
-    graph.remove_nodes_from([node for node in list(graph) if not free[node]])
-    parts = list(nx.connected_components(graph))
-    return len({next(i for i, part in enumerate(parts) if (y, x) in part) for x, y in cells})
+    rooms = {i for i, room in enumerate(rooms_of(world)) for x, y in ends if (x, y) in room}
+    return {"diffusion_time": times, "ends_of_the_first_four": ends, "rooms": len(rooms)}
 
 
 def covering(runs: int, first_seed: int, env_id: str = "sb3_options/FourRooms-v0") -> dict[str, Any]:

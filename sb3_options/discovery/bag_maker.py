@@ -229,6 +229,8 @@ class BagMaker:
         if self._counts_steps:
             there = np.flatnonzero(subgoal.contains(known.labelled.features))
             return steps_from(there, known.labelled.trajectory.visits)[known.rows].astype(np.float64)
+        if not len(subgoal.points):
+            return np.full(len(known.scaled), np.inf)
         assert self.scale is not None  # set before any bag is made
         distance: FloatArray = np.linalg.norm(known.scaled - subgoal.points[0] * self.scale, axis=1)
         return distance

@@ -14,7 +14,6 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from sb3_options.density.regions import Region
-from sb3_options.discovery.settings import described
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray, IntArray, batch_size
 from sb3_options.options.bank import OptionBank
@@ -80,9 +79,8 @@ def subgoals_figure(discovery: SubgoalDiscovery, bank: OptionBank, text: str | N
         text = discovery.why_nothing()
     panels, height = _panels(discovery, bank)
     if not (text or panels):
-        names = [f"{f.subgoal.group.name} at " if f.subgoal.group else "" for f in discovery.found]
-        where = [described(f.subgoal.points[0], discovery.kind) for f in discovery.found]
-        text = f"Subgoals: {'; '.join(map(str.__add__, names, where))}. Groups of features have no map to draw them in."
+        where = [found.where(discovery.kind) for found in discovery.found]
+        text = f"Subgoals: {'; '.join(where)}. Groups of features have no map to draw them in."
     text = textwrap.fill(text or "", TEXT_WIDTH)
     columns = min(2, max(1, len(panels)))
     rows = max(1, -(-len(panels) // columns))
@@ -144,7 +142,7 @@ def _panels(discovery: SubgoalDiscovery, bank: OptionBank) -> tuple[dict[str, Ca
     marks = _Marks(
         np.unique([t.features[t.trajectory.visits[0]] for t in runs], axis=0),
         np.unique(np.reshape([t.features[t.trajectory.visits[-1]] for t in runs if t.success], (-1, d)), axis=0),
-        np.reshape([finding.subgoal.points[0] for finding in discovery.found], (-1, d)),
+        np.reshape([finding.centre for finding in discovery.found if len(finding.subgoal.points)], (-1, d)),
     )
     density = None if bags is None else np.asarray(discovery.engine().log_density(seen, bags))
     panels: dict[str, Callable[[Axes], None]] = {}

@@ -13,7 +13,7 @@ import numpy as np
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.grouped import GroupedDiscovery
-from sb3_options.discovery.methods import METHODS, DiscoveryMethod, Experience, Proposal
+from sb3_options.discovery.methods import METHODS, DiscoveryMethod, Experience, Proposal, method_named
 from sb3_options.discovery.most_likely import MostLikelyDiscovery
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.subgoals import FoundSubgoal, Search, SubgoalDiscovery
@@ -101,16 +101,20 @@ class ProposedDiscovery(SubgoalDiscovery):
         )
 
     def _new_subgoal(self) -> Region | None:
-        assert self.scale is not None or not self._proposals
         known = [*self.taken, *(found.subgoal for found in self.found)]
         for proposal in self._proposals:
             goal = goal_of(proposal)
-            point = goal.points[0] * self.scale
-            if all(np.linalg.norm(point - other.points[0] * self.scale) > self.settings.spacing for other in known):
+            if all(self._apart(goal, other) for other in known):
                 self.found.append(FoundSubgoal(goal, None, math.nan, None if goal is proposal else proposal))
                 self._proposals = []
                 return goal
         return None
+
+    def _apart(self, one: Region, other: Region) -> bool:
+        """Whether subgoals are farther than `spacing` from each other; what is bound for no place always is."""
+        assert self.scale is not None  # known before anything is proposed
+        away = (one.points[:1] - other.points[:1]) * self.scale
+        return bool((np.linalg.norm(away, axis=1) > self.settings.spacing).all())
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint.
@@ -150,6 +154,8 @@ def discovery_with(
     settings: DiscoverySettings,
     groups: Iterable[FeatureGroup] = (),
     method: DiscoveryMethod | None = None,
+    *,
+    seed: int = 0,
     **how: Any,
 ) -> SubgoalDiscovery:
     """Discovery as the settings have it: on groups of features, by a method, or by diverse density on all features.
@@ -158,6 +164,7 @@ def discovery_with(
         settings: Of discovery.
         groups: Of features; empty where all count.
         method: A user's own; by default the one that the settings name.
+        seed: Of a method that draws at random and is made here.
         **how: Other arguments of `SubgoalDiscovery`.
 
     Raises:
@@ -165,7 +172,7 @@ def discovery_with(
     """
     groups, name = tuple(groups), settings.method
     if method is None and name in METHODS:
-        method = METHODS[name]()
+        method = method_named(name, seed)
     if groups and (method is not None or name != "diverse-density"):
         what = name if method is None else type(method).__name__
         raise ValueError(

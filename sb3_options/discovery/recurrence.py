@@ -35,6 +35,11 @@ class Recurrence:
         self.least, self.radius = max(least, 2), radius
         self.found = False
         self._looked = 0
+        self._told = False
+
+    def forget(self) -> None:
+        """Look anew: distances have become others."""
+        self.found, self._looked = False, 0
 
     @property
     def nothing(self) -> bool:
@@ -55,9 +60,9 @@ class Recurrence:
         """
         if len(ways) < self.least:  # the others were forgotten
             return
-        first = self._looked == 0
         self._looked, self.found = n, recurs(ways, self.radius)
-        if first and not self.found:
+        if not (self._told or self.found):
+            self._told = True
             logger.warning("Nothing can be discovered so far: %s", self.why(n, what, ways[0].shape[1]))
 
     def why(self, n: int, what: str, n_features: int | None = None) -> str:
@@ -73,11 +78,12 @@ class Recurrence:
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint."""
-        return {"found": self.found, "looked": self._looked}
+        return {"found": self.found, "looked": self._looked, "told": self._told}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave."""
         self.found, self._looked = state["found"], state["looked"]
+        self._told = state.get("told", self._looked > 0)
 
 
 def recurs(ways: Sequence[FloatArray], radius: float) -> bool:

@@ -14,15 +14,16 @@ from sb3_options.density.diverse_density import DiverseDensity, Peak
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.incremental import IncrementalSearch
 from sb3_options.density.regions import Region
+from sb3_options.discovery.anchors import moved, nearest_observations
 from sb3_options.discovery.bag_maker import BagMaker, FilteredBags
 from sb3_options.discovery.budget import ASCENTS, Budget, seconds_of_bags, seconds_of_search
 from sb3_options.discovery.outcomes import Outcomes
 from sb3_options.discovery.peaks import PeakTracker, plateau_centres
 from sb3_options.discovery.recurrence import Recurrence
-from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.settings import DiscoverySettings, described
 from sb3_options.discovery.static_filter import StaticFilter
 from sb3_options.discovery.ways import loop_erased
-from sb3_options.experience.observations import FloatArray, batch_size
+from sb3_options.experience.observations import FeatureMap, FloatArray, Observations, batch_size
 from sb3_options.experience.success import SuccessRule, reported_success
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory, TrajectoryDatabase
 from sb3_options.options.proposals import Proposal
@@ -63,12 +64,27 @@ class FoundSubgoal(NamedTuple):
         bags: Of the search that completed it; None where another method found it.
         log_density: Best log diverse density of that search; NaN likewise.
         proposal: What the option is to be made for, if not to reach it.
+        observation: Where it was found, a batch of one; None where another method found it.
     """
 
     subgoal: Region
     bags: Bags | None
     log_density: float
     proposal: Proposal | None = None
+    observation: Observations | None = None
+
+    @property
+    def centre(self) -> FloatArray:
+        """The middle of the subgoal in its own features, (d,); NaN if the option is bound for no place."""
+        points = self.subgoal.points
+        return points[0] if len(points) else np.full(points.shape[1], np.nan)
+
+    def where(self, kind: str | None) -> str:
+        """The subgoal for people; ``kind`` says where φ comes from."""
+        if not len(self.subgoal.points):
+            return "no place"
+        place = described(self.centre, kind)
+        return place if self.subgoal.group is None else f"{self.subgoal.group.name} at {place}"
 
 
 @dataclass
@@ -287,6 +303,32 @@ class SubgoalDiscovery:
             method="exhaustive" if self.settings.search == "exhaustive" or self.kind == "categorical" else "gradient",
         )
 
+    def embed_again(self, feature_map: FeatureMap) -> None:
+        """Go on in the space of another feature map, with everything where its observation is.
+
+        Subgoals stay at the observations where they were found, running averages at those nearest to their peaks. What
+        was searched before is forgotten, for its distances are others.
+
+        Args:
+            feature_map: φ of the observations of all trajectories in the database. It must make as many features.
+        """
+        if self.tracker.concepts:
+            points = np.stack([concept.point for concept in self.tracker.concepts])
+            places = feature_map(nearest_observations(points, self.database))
+            for concept, place in zip(self.tracker.concepts, places, strict=True):
+                concept.point = place
+        self.database.embed_again(feature_map)
+        self.found = [
+            found
+            if found.observation is None
+            else found._replace(subgoal=moved(found.subgoal, found.observation, feature_map), bags=None)
+            for found in self.found
+        ]
+        self.last = Search([], None, self.last.seconds)
+        self._incremental = None
+        self.recurrence.forget()
+        self._n_new = sum(len(labelled.features) for labelled in self.database)  # bags are made anew of all
+
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint."""
         last = self.last
@@ -332,7 +374,9 @@ class SubgoalDiscovery:
             assert self.last.evidence is not None
             point = _nearest(np.concatenate(self.last.evidence.positive), concept.point, self.scale)
             subgoal = Region(point[None], self.scale, self.settings.subgoal_radius, group=self.group)
-            self.found.append(FoundSubgoal(subgoal, self.last.evidence.bags, self.last.peaks[0].log_density))
+            there = nearest_observations(point[None], self.database)
+            density = self.last.peaks[0].log_density
+            self.found.append(FoundSubgoal(subgoal, self.last.evidence.bags, density, observation=there))
             self.tracker = PeakTracker(
                 decay=self.settings.decay, threshold=self.settings.threshold, radius=self.settings.peak_radius
             )

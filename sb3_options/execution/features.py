@@ -12,6 +12,9 @@ import numpy as np
 from gymnasium import spaces
 
 from sb3_options.density.groups import FeatureGroup, checked_groups
+from sb3_options.embedding.encoders import ObservationForm, form_of_array
+from sb3_options.embedding.learned_map import LearnedMap
+from sb3_options.embedding.settings import SIZES, MapName
 from sb3_options.experience.observations import FeatureMap, FloatArray, Observations, batch_of_one, flatten
 from sb3_options.options.file import SpaceSignature
 
@@ -21,8 +24,8 @@ MAX_FEATURES = 4096
 LONGEST_DESCRIPTION = 200
 """Most characters of the description of an observation space, so that an error stays readable."""
 
-FeatureKind = Literal["given", "environment", "categorical", "identity"]
-"""Where a feature map comes from: the user, the environment, one-hot codes, or flat observations."""
+FeatureKind = Literal["given", "environment", "categorical", "identity", "temporal-distance", "laplacian"]
+"""Where a feature map comes from: the user, the environment, one-hot codes, flat observations, or learning."""
 
 
 class Features(NamedTuple):
@@ -32,7 +35,8 @@ class Features(NamedTuple):
         map: φ.
         size: Dimensions d of concept space; None where φ refuses a made-up observation, until there is a real one.
         kind: ``given`` by the user, ``environment`` (its ``concept_features``), ``categorical`` (one-hot code of a
-            ``Discrete`` space, in which all states are equally far apart) or ``identity`` (the flat observation).
+            ``Discrete`` space, in which all states are equally far apart), ``identity`` (the flat observation), or the
+            name of a map that is learned.
         groups: The features that make a concept together: ``concept_groups()`` of the environment, or of a given map
             that is an object with such a method. Empty where all features do.
     """
@@ -54,26 +58,31 @@ class _OneHot:
         return features
 
 
-def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | None) -> Features | None:
+def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | MapName | None) -> Features | None:
     """The feature map to use for ``env``: the given one, else the environment's own, else one that fits its space.
 
     Args:
         env: Any environment.
-        feature_map: A user's φ, or None.
+        feature_map: A user's φ, the name of one that is to be learned, or None.
 
     Returns:
         The map, or None where there is no sensible default (``Dict`` and other composite spaces, images).
 
     Raises:
         TypeError: ``feature_map`` is not callable.
-        ValueError: A given map or the environment's own does not return shape (batch, d), or its groups do not fit.
+        ValueError: A given map or the environment's own does not return shape (batch, d), its groups do not fit, or
+            no map of that name can be learned.
     """
     space = env.observation_space
+    if isinstance(feature_map, str):
+        feature_map = LearnedMap(learned_name(feature_map), form_of(space))
+    if isinstance(feature_map, LearnedMap):
+        return Features(feature_map, feature_map.size, feature_map.name)
     if feature_map is not None:
         if not callable(feature_map):
             raise TypeError(
-                "feature_map must be a function from a batch of observations to features (batch, d), "
-                f"got {type(feature_map).__name__}."
+                "feature_map must be a function from a batch of observations to features (batch, d), or one of "
+                f"{', '.join(map(repr, SIZES))}, got {type(feature_map).__name__}."
             )
         size = _size_of(feature_map, space, "feature_map")
         return Features(feature_map, size, "given", _groups(getattr(feature_map, "concept_groups", None), size))
@@ -90,6 +99,33 @@ def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | None) -> Features 
         if size <= MAX_FEATURES:
             return Features(flatten, size, "identity")
     return None
+
+
+def learned_name(name: str) -> MapName:
+    """The name itself, if it is that of a map that can be learned.
+
+    Raises:
+        ValueError: It is not.
+    """
+    for known in SIZES:
+        if name == known:
+            return known
+    raise ValueError(
+        f"feature_map must be a function, or one of {', '.join(map(repr, SIZES))}, which are learned; got {name!r}."
+    )
+
+
+def form_of(space: gym.Space[Any]) -> ObservationForm:
+    """What the network of a learned map has to know of a space of observations.
+
+    Raises:
+        ValueError: Some of an observation is text.
+    """
+    if isinstance(space, spaces.Discrete):
+        return ObservationForm("table", (int(space.n),), int(space.start))
+    if isinstance(space, spaces.Box):
+        return form_of_array(space.shape, space.dtype)
+    return ObservationForm("vector", (flat_size(space),))
 
 
 def _groups(named: Callable[[], Iterable[Mapping[str, Any]]] | None, size: int | None) -> tuple[FeatureGroup, ...]:

@@ -9,12 +9,15 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 from stable_baselines3.common.monitor import Monitor
 
 from sb3_options.checked import is_number
 from sb3_options.density.groups import FeatureGroup
+from sb3_options.embedding.learned_map import LearnedMap
+from sb3_options.embedding.settings import MapName
 from sb3_options.execution import features as feature_maps
 from sb3_options.execution import layers
 from sb3_options.execution.interruption import Interruption
@@ -44,7 +47,7 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         env: gym.Env[Any, Any],
         max_options: int,
         gamma: float,
-        feature_map: FeatureMap | None,
+        feature_map: FeatureMap | MapName | None,
         options_file: str | os.PathLike[str] | None,
         max_runs: int | None,
         check_finite: bool,
@@ -114,9 +117,22 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         if self.features is None:
             raise ValueError(
                 f"There is no default feature map for {self.observation_space}: pass "
-                "OptionsWrapper(env, feature_map=...) a function from a batch of observations to features (batch, d)."
+                "OptionsWrapper(env, feature_map=...) a function from a batch of observations to features (batch, d), "
+                "or the name of one that is learned, 'temporal-distance' or 'laplacian'."
             )
         return self.features.map(observations)
+
+    def learned_map(self) -> LearnedMap | None:
+        """The feature map, if it is one that is learned."""
+        learned = self.features.map if self.features else None
+        return learned if isinstance(learned, LearnedMap) else None
+
+    def set_learned_map(self, arrays: dict[str, npt.NDArray[Any]]) -> None:
+        """Let the learned feature map be what `LearnedMap.arrays` gave."""
+        learned = self.learned_map()
+        if learned is None:
+            raise ValueError(f"The feature map of {self} is not learned: there is nothing to set.")
+        learned.load(arrays)
 
     def feature_kind(self) -> feature_maps.FeatureKind | None:
         """Where the feature map comes from; None where there is none."""

@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from sb3_options.embedding.settings import MapName
 from sb3_options.execution.features import checked_size
 from sb3_options.execution.finite import check_finite
 from sb3_options.execution.option_step import StepReturn, run_option
@@ -44,7 +45,8 @@ class OptionsWrapper(OptionSlots):
         gamma: Discount γ per primitive step, in (0, 1]; must equal the algorithm's.
         feature_map: φ from a batch of observations to concept space, shape (batch, d). By default the environment's
             own ``concept_features``; else a one-hot code for ``Discrete`` observations and the flat observation for
-            ``Box``. A ``Dict`` space has no default.
+            ``Box``. A ``Dict`` space has no default. ``"temporal-distance"`` and ``"laplacian"`` are learned by
+            `SubgoalDiscoveryCallback` while the model trains, from images too.
         options_file: Start with the options of this file, which `OptionBank.save` wrote, or of this ``model.zip``.
         max_runs: How often one option may run in an episode, at least 1; None for any number. Runs that were
             interrupted count; single steps, where an option was chosen outside its initiation set, do not.
@@ -63,7 +65,7 @@ class OptionsWrapper(OptionSlots):
         max_options: int = 4,
         *,
         gamma: float = 0.99,
-        feature_map: FeatureMap | None = None,
+        feature_map: FeatureMap | MapName | None = None,
         options_file: str | os.PathLike[str] | None = None,
         max_runs: int | None = None,
         check_finite: bool = False,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
-from sb3_options.experience.observations import FloatArray, IntArray, Observations
+from sb3_options.experience.observations import FeatureMap, FloatArray, IntArray, Observations
 
 logger = logging.getLogger("sb3_options")
 
@@ -124,6 +124,12 @@ class TrajectoryDatabase:
                     f"{self.max_bytes:,}",
                     self.capacity,
                 )
+
+    def embed_again(self, feature_map: FeatureMap) -> None:
+        """Give every trajectory the features of another φ; what held the old ones holds them still."""
+        for i, old in enumerate(self._trajectories):
+            features = feature_map(old.trajectory.states)
+            self._trajectories[i] = LabelledTrajectory(old.trajectory, features, old.success)
 
     def __len__(self) -> int:
         return len(self._trajectories)

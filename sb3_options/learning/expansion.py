@@ -17,6 +17,7 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper
 
+from sb3_options.embedding.settings import MapName
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.observations import FeatureMap
 from sb3_options.learning import heads
@@ -36,7 +37,7 @@ KEPT_KWARGS = frozenset({"handle_timeout_termination", "n_steps", "gamma"})
 
 
 def expand_action_space(
-    model: Model, max_options: int = 4, *, env: GymEnv | None = None, feature_map: FeatureMap | None = None
+    model: Model, max_options: int = 4, *, env: GymEnv | None = None, feature_map: FeatureMap | MapName | None = None
 ) -> Model:
     """Add option slots to a trained model, in place, and keep everything that it has learned.
 
@@ -130,7 +131,11 @@ def _n_actions(model: BaseAlgorithm) -> int:
 
 
 def _fitting(
-    model: BaseAlgorithm, env: GymEnv | None, n_primitive: int, max_options: int, feature_map: FeatureMap | None
+    model: BaseAlgorithm,
+    env: GymEnv | None,
+    n_primitive: int,
+    max_options: int,
+    feature_map: FeatureMap | MapName | None,
 ) -> VecEnv:
     """The environment the model goes on with, checked."""
     gamma: float = model.gamma  # type: ignore[attr-defined]  # every algorithm whose heads are known has it
@@ -173,7 +178,7 @@ def _check_fit(model: BaseAlgorithm, venv: VecEnv, n_primitive: int, max_options
 
 
 def _wrap(
-    venv: VecEnv, max_options: int, gamma: float, feature_map: FeatureMap | None, random: np.random.Generator
+    venv: VecEnv, max_options: int, gamma: float, feature_map: FeatureMap | MapName | None, random: np.random.Generator
 ) -> VecEnv:
     """Put `OptionsWrapper` around each environment of a ``DummyVecEnv``, whatever stands above it."""
     inner = venv.unwrapped

@@ -9,9 +9,10 @@ import numpy as np
 
 from sb3_options.atomic import atomic_write
 from sb3_options.checked import whole
+from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.experience.observations import BoolArray, FeatureMap, Observations, batch_size
 from sb3_options.options import file as option_file
-from sb3_options.options.archive import Source
+from sb3_options.options.archive import Source, name_of
 from sb3_options.options.file import SpaceSignature
 from sb3_options.options.option import Option, SubgoalOption
 
@@ -151,7 +152,10 @@ class OptionBank:
 
     def content(self) -> bytes:
         """What `save` writes."""
-        return option_file.content_of(self.slots, n_primitive=self.n_primitive, signature=self.signature)
+        learned = self.feature_map.arrays() if isinstance(self.feature_map, LearnedMap) else None
+        return option_file.content_of(
+            self.slots, n_primitive=self.n_primitive, signature=self.signature, feature_map=learned
+        )
 
     def load(self, source: Source) -> None:
         """Fill the slots with the options of a file that `save` wrote, in the slots they were in.
@@ -174,6 +178,11 @@ class OptionBank:
             feature_size=self.feature_size,
             signature=self.signature,
         )
+        if isinstance(self.feature_map, LearnedMap) and loaded:
+            try:
+                self.feature_map.load(option_file.feature_map_of(source))
+            except ValueError as error:
+                raise ValueError(f"{name_of(source)} does not fit: {error}.") from error
         for slot, option in loaded.items():
             self._put(slot, self._bound(option))
 
@@ -187,8 +196,10 @@ class OptionBank:
         self.filled = tuple(i for i, present in enumerate(self._slots) if present is not None)
 
     def __getstate__(self) -> dict[str, Any]:
-        # Functions may not travel between processes; whoever receives the bank has a feature map of its own.
-        return {**self.__dict__, "feature_map": None}
+        # Functions may not travel between processes; whoever receives the bank has a feature map of its own. A learned
+        # one is data, and belongs to what `content` gives.
+        learned = self.feature_map if isinstance(self.feature_map, LearnedMap) else None
+        return {**self.__dict__, "feature_map": learned}
 
     def _check_slot(self, slot: int) -> None:
         if not 0 <= slot < self.max_options:

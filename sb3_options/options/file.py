@@ -29,6 +29,9 @@ FILE_FORMAT_HALF_SPACE = "sb3-options 2"
 FILE_FORMAT_GROUP = "sb3-options 3"
 """Format of a file with an option on a group of features, whose points have fewer numbers than φ."""
 
+MAP = "feature_map"
+"""Before the names of arrays of a learned feature map. Slots have numbers."""
+
 FORMATS = (FILE_FORMAT, FILE_FORMAT_HALF_SPACE, FILE_FORMAT_GROUP)
 
 Arrays = dict[str, np.ndarray[Any, Any]]
@@ -81,6 +84,8 @@ _OF_KIND: dict[str | None, str] = {
     "environment": "the environment's own concept_features",
     "categorical": "one-hot codes of the observations",
     "identity": "the flat observations",
+    "temporal-distance": "a learned space of temporal distances",
+    "laplacian": "a learned space of eigenvectors",
     None: "no features at all",
 }
 
@@ -90,9 +95,17 @@ def content_of(
     *,
     n_primitive: int,
     signature: SpaceSignature | None,
+    feature_map: Arrays | None = None,
 ) -> bytes:
-    """What a file says: the arrays of the discovered options and the names of the hand-made ones."""
-    tensors: Arrays = {}
+    """What a file says: the arrays of the discovered options and the names of the hand-made ones.
+
+    Args:
+        slots: Of the bank.
+        n_primitive: Number of primitive actions.
+        signature: Of the bank's observations.
+        feature_map: What a learned feature map consists of, without which its options are of no use.
+    """
+    tensors: Arrays = {f"{MAP}.{name}": array for name, array in (feature_map or {}).items()}
     entries: dict[str, Any] = {}
     for slot, option in enumerate(slots):
         if isinstance(option, SubgoalOption):
@@ -175,6 +188,18 @@ def _arrays_of(slot: int, tensors: Arrays) -> Arrays:
     """The arrays of one slot by their names without the slot's number."""
     first = f"{slot}."
     return {n.removeprefix(first): np.asarray(t, dtype=np.float64) for n, t in tensors.items() if n.startswith(first)}
+
+
+def feature_map_of(source: Source) -> Arrays:
+    """What the learned feature map of a file consists of; nothing if it has none.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is damaged, or something else.
+    """
+    _, tensors = read(source)
+    first = f"{MAP}."
+    return {name.removeprefix(first): array for name, array in tensors.items() if name.startswith(first)}
 
 
 def slots_of(source: Source) -> list[int]:

@@ -189,6 +189,12 @@ class SubgoalOption(Option):
         other.option_policy = option_policy
         return other
 
+    def with_regions(self, subgoal: Region, initiation_set: Region) -> SubgoalOption:
+        """The same option with subgoal and I elsewhere in concept space, not yet bound to φ."""
+        other = copy.copy(self)
+        other.subgoal, other.initiation_set = subgoal, initiation_set
+        return other
+
     def initiation(self, observations: Observations) -> BoolArray:
         """Whether each observation lies in I, shape (batch,)."""
         return self._membership(self._computed_membership, observations)[0].copy()

@@ -12,6 +12,7 @@ import yaml
 from pydantic import TypeAdapter
 
 from sb3_options.atomic import atomic_write
+from sb3_options.embedding.settings import SIZES
 from sb3_options.experience.trajectories import EpisodeRecord
 from sb3_options.options.option import SubgoalOption
 from sb3_options.runs import config as configs
@@ -104,7 +105,9 @@ def _program(config: TrainConfig) -> str:
         module, _, of = wrapper.partition(":")
         imports.append(f"from {module} import {of}")
         made.append(f"env = {of}(env)")
-    if config.feature_map is not None:
+    if config.feature_map in SIZES:
+        arguments += f", feature_map={config.feature_map!r}"
+    elif config.feature_map is not None:
         module, _, of = config.feature_map.partition(":")
         imports.append(f"from {module} import {of}")
         arguments += f", feature_map={of}"

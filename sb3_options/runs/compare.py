@@ -107,7 +107,8 @@ class Goal(NamedTuple):
 
     def __str__(self) -> str:
         sign = "≤" if self.measure == "length" else "≥"
-        return f"{UNITS[self.measure]} {sign} {self.value:g}"
+        what = "episode length" if self.measure == "length" else UNITS[self.measure]
+        return f"{what} {sign} {self.value:g}"
 
 
 class Compared(NamedTuple):
@@ -171,7 +172,7 @@ def compared(groups: Mapping[str, Sequence[Run]], goal: Goal, source: str) -> di
         at = [goal.reached(curve) for curve in curves]
         steps = np.array([limit if i is None else c.steps[i] for i, c in zip(at, curves, strict=True)])
         seconds = np.array([c.seconds[-1 if i is None else i] for i, c in zip(at, curves, strict=True)])
-        ends = {m: np.array([_end(cut(run.curves[source][m], limit), limit) for run in runs]) for m in measures}
+        ends = {m: np.array([at_the_end(cut(run.curves[source][m], limit), limit) for run in runs]) for m in measures}
         numbers[name] = Compared(
             len(runs),
             sum(i is None for i in at),
@@ -202,7 +203,8 @@ def cut(curve: Curve, limit: float) -> Curve:
     return Curve(*(column[:n] for column in curve))
 
 
-def _end(curve: Curve, limit: float) -> float:
+def at_the_end(curve: Curve, limit: float) -> float:
+    """The mean over the last tenth of ``limit`` primitive steps."""
     last = curve.values[curve.steps >= (1.0 - END) * limit]
     return float(last.mean() if len(last) else curve.values[-1])
 

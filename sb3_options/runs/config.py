@@ -56,7 +56,7 @@ class TrainConfig:
         env_kwargs: Keyword arguments of the environment.
         series: Env kwargs of tasks in turn; options stay.
         env_wrapper: Wrapper for it, module:Class.
-        feature_map: Feature map φ, module:function.
+        feature_map: φ: module:function, or one to learn.
         n_timesteps: Primitive steps of all environments.
         seed: Of everything random.
         tensorboard_log: Folder for run folders.

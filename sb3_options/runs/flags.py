@@ -59,7 +59,7 @@ INTRODUCTION = """Train an agent that discovers its own options, or evaluate one
                     qrdqn, optiondqn. Its settings: `{prog} ppo --help`
   evaluate RUN      plays a run again; `resume RUN` goes on with one
   compare RUN ...   sets runs side by side; `options RUN` shows its options
-  --config FILE     reads settings from YAML; flags win over it
+  --config FILE     reads settings, flags win over it; `tune FILE` searches them
   --help discovery  how --method NAME finds subgoals; --help option; --help all
 """
 

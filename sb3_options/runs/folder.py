@@ -25,7 +25,7 @@ from sb3_options.runs.config import MaskablePPOConfig, TrainConfig
 from sb3_options.runs.eval_callback import BEST as BEST
 from sb3_options.runs.interrupts import ignore_interrupts
 from sb3_options.runs.logs import keep_monitor
-from sb3_options.runs.users_code import named
+from sb3_options.runs.users_code import feature_map_of, named
 
 CONFIG = "config.yml"
 MODEL = "model.zip"
@@ -220,7 +220,7 @@ def make_env(
             env,
             config.max_options,
             gamma=config.gamma,
-            feature_map=None if config.feature_map is None else named(config.feature_map, "--feature-map"),
+            feature_map=feature_map_of(config.feature_map),
             options_file=options,
             max_runs=max_runs,
             check_finite=True,

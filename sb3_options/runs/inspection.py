@@ -128,6 +128,8 @@ def _placeholder(name: str) -> Option:
 
 def subgoal_of(option: SubgoalOption, features: str | None) -> str:
     """Its subgoal for people."""
+    if not len(option.subgoal.points):
+        return "none"
     point = described(option.subgoal.points[0], features if option.subgoal.group is None else None)
     if isinstance(option.subgoal, HalfSpace):
         return f"beyond the plane through {point}"

@@ -42,11 +42,12 @@ def config_of(resumed: ResumeConfig) -> TrainConfig:
 
     Raises:
         FileNotFoundError: There is no run, or no checkpoint in it.
-        ValueError: Its configuration names what would import a module.
+        ValueError: Its configuration names what would import a module, or something in it is a link or no file.
     """
     file = resumed.run / runs.CONFIG
     if not file.is_file():
         raise FileNotFoundError(f"{resumed.run} is no run folder: there is no {runs.CONFIG} in it.")
+    _refuse_links(resumed.run)
     if not any(CheckpointFolder(resumed.run / runs.CHECKPOINTS)):
         raise FileNotFoundError(
             f"There is no checkpoint in {resumed.run} to go on from: it was cut off before its first one, or trained "
@@ -54,3 +55,17 @@ def config_of(resumed: ResumeConfig) -> TrainConfig:
         )
     config = configs.load(file, {name: getattr(resumed, name) for name in IMPORTING})
     return dataclasses.replace(config, options=None, compare=False, progress=resumed.progress)
+
+
+def _refuse_links(run: Path) -> None:
+    """Keep what training cuts, appends to and removes inside the run folder, which a stranger may have made.
+
+    Raises:
+        ValueError: Something in it is a link, or neither a file nor a folder.
+    """
+    for path in run.rglob("*"):
+        if path.is_symlink() or not (path.is_file() or path.is_dir()):
+            raise ValueError(
+                f"{path} is a link, or neither a file nor a folder. Training would write to what it leads to. Put a "
+                "copy in its place to go on with this run."
+            )

@@ -1,10 +1,14 @@
 """The study of what papers report: graphs, walks on them, and its parts in short."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
 from experiments.published import measures
+from experiments.published.__main__ import ROWS, Study, main
 from experiments.published.graphs import climbed, cover_time, diffusion_time, grid, joined
 
 LINE = csr_array(np.diag(np.ones(2), 1) + np.diag(np.ones(2), -1))
@@ -57,3 +61,25 @@ def test_taxi_and_walks() -> None:
     }  # fmt: skip
     assert measures.l_cut(range(1))["within_one_step"] == 1
     assert measures.relative_novelty(range(1), 1)["runs"] == 1
+
+
+def test_a_row_alone_leaves_the_others(tmp_path: Path) -> None:
+    main(Study(out=tmp_path, rows=("l_cut",), runs=1, first_seed=3))
+    main(Study(out=tmp_path, rows=("covering",), walks=2, first_seed=4))
+    rows = json.loads((tmp_path / "results.json").read_text())["rows"]
+    assert {name: row["command"] for name, row in rows.items()} == {
+        "covering": "python -m experiments.published --rows covering --first-seed 4 --walks 2",
+        "l_cut": "python -m experiments.published --rows l_cut --runs 1 --first-seed 3",
+    }
+    assert rows["l_cut"]["within_one_step"] == 1
+
+
+def test_a_row_that_there_is_not(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match=r"^--rows: there is no 'lcut', choose from eigenoptions, covering, l_cut,"):
+        Study(out=tmp_path, rows=("lcut",))
+
+
+def test_the_committed_rows_say_what_measured_them() -> None:
+    rows = json.loads(Path("docs/results/published.json").read_text())["rows"]
+    study = Study(out=Path(), runs=50)
+    assert {name: row["command"] for name, row in rows.items()} == {name: study.command(name) for name in ROWS}

@@ -75,7 +75,7 @@ def test_python_runs_as_pasted_but_shorter(page: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_taxi_discovers_its_passenger(tmp_path: Path) -> None:
-    first, taxi = python_of(ROOT / "docs/guide/concept-features.md")
+    first, taxi, *_ = python_of(ROOT / "docs/guide/concept-features.md")
     imports_and_settings = first.partition("env =")[0]
     check = "assert 'passenger at 1, 0, 0' in [found.where for found in callback.discoveries]"
     result = processes.python("-c", f"{imports_and_settings}{taxi}\n{check}", cwd=tmp_path)

@@ -14,7 +14,7 @@ import sb3_options
 from docs import site
 from sb3_options import callbacks, discovery, envs
 from tests.support import processes
-from tests.support.documents import FENCE, PAGES, ROOT, name_of, text_of
+from tests.support.documents import PAGES, ROOT, name_of, python_of, text_of
 
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.md"))
 
@@ -117,18 +117,25 @@ def test_a_short_name_of_a_docstring_is_a_link(built: Built) -> None:
 def test_a_notebook_shows_what_it_printed_and_drew(page: Path, built: Built) -> None:
     name = name_of(page).removesuffix(".nb.md")
     text = built.text(name)
-    cells = [code for language, code in FENCE.findall(text_of(page)) if language == "python"]
+    cells = python_of(page)
     assert text.count('class="cell_input') == len(cells)
     drawn = sum("subplots" in code or "draw(" in code or "fig\n" in code for code in cells)
     assert text.count('src="../../_images/') >= drawn - 1  # one cell may only define how to draw
     assert "the subgoal; " in built.words(name)  # printed of the option's runs
 
 
-def test_notebooks_have_no_other_cells_than_python() -> None:
+def test_every_block_of_python_is_a_cell() -> None:
     assert len(NOTEBOOKS) == 2
     for page in NOTEBOOKS:
         assert page.name.endswith(".nb.md"), "other names are no notebooks for docs/conf.py"
-        assert {language for language, _ in FENCE.findall(text_of(page))} <= {"python", ""}, "jupytext would run it"
+        cells = [cell.source for cell in site.read_notebook(text_of(page)).cells if cell.cell_type == "code"]
+        assert cells == [code.strip() for code in python_of(page)]
+
+
+@pytest.mark.parametrize(("python", "got"), [("```python\n1\n```\n\n", "'%%bash', 'python'"), ("", "'bash'")])
+def test_a_notebook_with_commands_is_refused(python: str, got: str) -> None:
+    with pytest.raises(ValueError, match=rf"blocks of Python only, got \[{got}\]: what is not to be run belongs"):
+        site.read_notebook(f"# Title\n\n{python}```bash\nrm file\n```\n")
 
 
 def menu_of(text: str) -> str:

@@ -4,6 +4,7 @@ Each is written with the right digest, by somebody who knows the format, unless 
 """
 
 import json
+import os
 import pickle
 import shutil
 import sys
@@ -222,3 +223,31 @@ def test_a_monitor_file_is_cut_and_never_made_longer(whole: Path, tmp_path: Path
     cli.main(["resume", str(run), "--no-progress"])
     (monitor,) = (run / runs.MONITOR).iterdir()
     assert monitor.stat().st_size < 10_000
+
+
+@pytest.mark.parametrize("where", [runs.MONITOR, f"{runs.MONITOR}/0.monitor.csv", "tensorboard_1/x.tfevents", "pipe"])
+def test_nothing_is_written_through_links(
+    where: str, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    users = tmp_path / "users"
+    users.mkdir()
+    (users / "0.monitor.csv").write_text("the user's own " * 1000)
+    run = tmp_path / "run"
+    shutil.copytree(whole, run)
+    place = run / where
+    place.parent.mkdir(exist_ok=True)
+    if where == runs.MONITOR:
+        shutil.rmtree(place)
+        place.symlink_to(users)
+    elif where == "pipe":
+        os.mkfifo(place)
+    else:
+        place.unlink(missing_ok=True)
+        place.symlink_to(users / "0.monitor.csv")
+    capsys.readouterr()
+    with pytest.raises(SystemExit):
+        cli.main(["resume", str(run), "--no-progress"])
+    said = capsys.readouterr().err
+    assert "is a link, or neither a file nor a folder" in said
+    assert len(said.strip().splitlines()) == 1
+    assert (users / "0.monitor.csv").read_text() == "the user's own " * 1000

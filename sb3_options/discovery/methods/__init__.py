@@ -15,8 +15,10 @@ from sb3_options.discovery.methods.method import (
     IntrinsicReward,
     Passage,
     Proposal,
+    Repeat,
 )
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
+from sb3_options.discovery.methods.repeats import RandomRepeats
 from sb3_options.discovery.methods.visits import GivenPlaces, RandomPlaces, VisitFrequency
 
 MethodName = Literal[
@@ -30,10 +32,11 @@ MethodName = Literal[
     "eigenoptions",
     "covering",
     "random",
+    "random-repeats",
 ]
 """Names of the methods of discovery."""
 
-METHODS: dict[MethodName, Callable[[], DiscoveryMethod]] = {
+METHODS: dict[MethodName, Callable[..., DiscoveryMethod]] = {
     "first-visits": VisitFrequency,
     "every-visit": partial(VisitFrequency, "every"),
     "relative-novelty": RelativeNovelty,
@@ -42,10 +45,21 @@ METHODS: dict[MethodName, Callable[[], DiscoveryMethod]] = {
     "eigenoptions": Eigenoptions,
     "covering": CoveringOptions,
     "random": RandomPlaces,
+    "random-repeats": RandomRepeats,
 }
 """Makes a method, by its name. Diverse density and EM-DD are `SubgoalDiscovery` itself."""
 
+CONTROLS: frozenset[MethodName] = frozenset({"random", "random-repeats"})
+"""Those that draw at random."""
+
+
+def method_named(name: MethodName, seed: int = 0) -> DiscoveryMethod:
+    """A method of `METHODS` with its defaults; ``seed`` is for the controls."""
+    return METHODS[name](seed=seed) if name in CONTROLS else METHODS[name]()
+
+
 __all__ = [
+    "CONTROLS",
     "METHODS",
     "DiscoveryMethod",
     "Experience",
@@ -54,4 +68,6 @@ __all__ = [
     "MethodName",
     "Passage",
     "Proposal",
+    "Repeat",
+    "method_named",
 ]

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from scipy.sparse import csr_array
 
 from sb3_options.density.regions import Region
 from sb3_options.discovery.methods.candidates import check_counts
 from sb3_options.discovery.methods.method import Experience, Passage, Proposal
-from sb3_options.discovery.methods.place_graph import MAX_PLACES, PlaceGraph, seconds_of, smoothest
+from sb3_options.discovery.methods.place_graph import MAX_PLACES, LaplacianMethod, smoothest
 
 
-class CoveringOptions:
+class CoveringOptions(LaplacianMethod):
     """Jinnai, Park, Abel & Konidaris (2019), *Discovering Options for Exploration by Minimizing Cover Time*.
 
     The time in which a random walk visits all places falls with λ₂, the second smallest eigenvalue of the Laplacian.
@@ -32,35 +30,18 @@ class CoveringOptions:
     """
 
     def __init__(self, *, n_pairs: int = 4, min_trajectories: int = 10, max_places: int = MAX_PLACES) -> None:
-        check_counts(n_pairs=n_pairs, min_trajectories=min_trajectories, max_places=max_places)
-        self.n_pairs, self.min_trajectories = n_pairs, min_trajectories
-        self._graph = PlaceGraph(max_places)
-        self._n = 0
+        check_counts(n_pairs=n_pairs)
+        super().__init__(n_solved=n_pairs, min_trajectories=min_trajectories, max_places=max_places)
+        self.n_pairs = n_pairs
 
     def update(self, experience: Experience) -> list[Proposal]:
         """Take note of one more trajectory; as `DiscoveryMethod.update`."""
-        self._n += 1
-        self._graph.add(experience)
-        if self._n < self.min_trajectories or len(self._graph) < 3:
+        part = self._grown(experience)
+        if part is None:
             return []
-        part = self._graph.largest_component()
         everywhere = Region(part.points, experience.scale, experience.radius)
         ends = [end for pair in farthest_pairs(part.adjacency, self.n_pairs) for end in pair if part.allowed[end]]
         return [Passage(experience.region(part.points[end]), everywhere) for end in dict.fromkeys(ends)]
-
-    def seconds(self, experience: Experience) -> float:
-        """Nominal time of an update."""
-        del experience
-        return self.n_pairs * seconds_of(len(self._graph)) if self._n >= self.min_trajectories else 0.0
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        return {"graph": self._graph.get_state(), "n": self._n}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        self._graph.set_state(state["graph"])
-        self._n = state["n"]
 
 
 def farthest_pairs(adjacency: csr_array, n_pairs: int) -> list[tuple[int, int]]:

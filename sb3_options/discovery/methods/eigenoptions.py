@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from sb3_options.discovery.methods.candidates import check_counts
 from sb3_options.discovery.methods.method import Experience, IntrinsicReward, Proposal
-from sb3_options.discovery.methods.place_graph import MAX_PLACES, PlaceGraph, seconds_of, smoothest
+from sb3_options.discovery.methods.place_graph import MAX_PLACES, LaplacianMethod, smoothest
 from sb3_options.experience.observations import FloatArray
 
 
-class Eigenoptions:
+class Eigenoptions(LaplacianMethod):
     """Machado, Bellemare & Bowling (2017), *A Laplacian Framework for Option Discovery in RL*.
 
     With e an eigenvector of the Laplacian L = D − A of the graph of places, an option gains the intrinsic reward
@@ -31,38 +29,21 @@ class Eigenoptions:
     """
 
     def __init__(self, *, n_vectors: int = 4, min_trajectories: int = 10, max_places: int = MAX_PLACES) -> None:
-        check_counts(n_vectors=n_vectors, min_trajectories=min_trajectories, max_places=max_places)
-        self.n_vectors, self.min_trajectories = n_vectors, min_trajectories
-        self._graph = PlaceGraph(max_places)
-        self._n = 0
+        check_counts(n_vectors=n_vectors)
+        super().__init__(n_solved=1, min_trajectories=min_trajectories, max_places=max_places)
+        self.n_vectors = n_vectors
 
     def update(self, experience: Experience) -> list[Proposal]:
         """Take note of one more trajectory; as `DiscoveryMethod.update`."""
-        self._n += 1
-        self._graph.add(experience)
-        if self._n < self.min_trajectories or len(self._graph) < 3:
+        part = self._grown(experience)
+        if part is None:
             return []
-        part = self._graph.largest_component()
         proposals: list[Proposal] = []
         for vector in smoothest(part.adjacency, self.n_vectors).T:
             for signed in (vector, -vector):
                 if part.allowed[signed.argmax()]:
                     proposals.append(IntrinsicReward(part.points, _spread(signed), experience.scale, experience.radius))
         return proposals
-
-    def seconds(self, experience: Experience) -> float:
-        """Nominal time of an update."""
-        del experience
-        return seconds_of(len(self._graph)) if self._n >= self.min_trajectories else 0.0
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        return {"graph": self._graph.get_state(), "n": self._n}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        self._graph.set_state(state["graph"])
-        self._n = state["n"]
 
 
 def _spread(vector: FloatArray) -> FloatArray:

@@ -10,9 +10,9 @@ import numpy as np
 
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
-from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal, bins_of
+from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal, Repeat, bins_of
 
-__all__ = ["DiscoveryMethod", "Experience", "IntrinsicReward", "Passage", "Places", "Proposal", "Region"]
+__all__ = ["DiscoveryMethod", "Experience", "IntrinsicReward", "Passage", "Places", "Proposal", "Region", "Repeat"]
 
 
 class Experience:
@@ -87,7 +87,7 @@ class DiscoveryMethod(Protocol):
             experience: The trajectory.
 
         Returns:
-            Regions to reach, passages, or intrinsic rewards to make options for, best first. Of these the first that
+            Regions to reach, passages, intrinsic rewards, or repeats to make options for, best first. The first that
             leads far enough from other subgoals is taken. What is proposed again after the next trajectory is
             considered again.
         """

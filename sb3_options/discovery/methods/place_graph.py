@@ -10,6 +10,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, laplacian
 from scipy.sparse.linalg import eigsh
 
+from sb3_options.discovery.methods.candidates import check_counts
 from sb3_options.discovery.methods.method import Experience
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 
@@ -18,6 +19,9 @@ MAX_PLACES = 2_000
 
 DENSE = 300
 """Up to so many places all eigenvectors at once take less time than Lanczos iterations."""
+
+LEAST_PLACES = 3
+"""Fewer have no place that is not an end."""
 
 SHIFT = -1e-4
 """Eigenvalues are searched near this one: a Laplacian is singular at 0."""
@@ -100,6 +104,48 @@ class PlaceGraph:
         self._number = {of.tobytes(): number for number, of in enumerate(state["bins"])}
         self._points, self._allowed = list(state["points"]), state["allowed"].tolist()
         self._edges = dict.fromkeys((int(i), int(j)) for i, j in state["edges"])
+
+
+class LaplacianMethod:
+    """A method of discovery on the Laplacian of the graph of all places, which it takes anew after each trajectory.
+
+    Args:
+        n_solved: How many times an update solves for eigenvectors.
+        min_trajectories: Before the first proposals, so that the graph is that of the task, and not of a few ways.
+        max_places: Most places in the graph.
+
+    Raises:
+        ValueError: An argument is out of its range.
+    """
+
+    def __init__(self, *, n_solved: int, min_trajectories: int, max_places: int) -> None:
+        check_counts(min_trajectories=min_trajectories, max_places=max_places)
+        self.min_trajectories = min_trajectories
+        self._n_solved = n_solved
+        self._graph = PlaceGraph(max_places)
+        self._n = 0
+
+    def _grown(self, experience: Experience) -> Component | None:
+        """Count a trajectory, and give the largest part of the graph; None as long as it says too little."""
+        self._n += 1
+        self._graph.add(experience)
+        if self._n < self.min_trajectories or len(self._graph) < LEAST_PLACES:
+            return None
+        return self._graph.largest_component()
+
+    def seconds(self, experience: Experience) -> float:
+        """Nominal time of an update."""
+        del experience
+        return self._n_solved * seconds_of(len(self._graph)) if self._n >= self.min_trajectories else 0.0
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {"graph": self._graph.get_state(), "n": self._n}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self._graph.set_state(state["graph"])
+        self._n = state["n"]
 
 
 def smoothest(adjacency: csr_array, k: int) -> FloatArray:

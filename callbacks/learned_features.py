@@ -1,0 +1,169 @@
+"""`LearnedFeatures`: a feature map that is learned while a model trains, and options that move along with it."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+
+from sb3_options.callbacks.installer import OptionInstaller
+from sb3_options.discovery.anchors import moved, nearest_observations
+from sb3_options.discovery.learned import learn_if_due
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.subgoals import SubgoalDiscovery
+from sb3_options.embedding.learned_map import LearnedMap
+from sb3_options.embedding.learner import FeatureLearner
+from sb3_options.embedding.settings import EmbeddingSettings
+from sb3_options.experience.observations import FloatArray, Observations
+from sb3_options.options.option import SubgoalOption
+from sb3_options.options.settings import OptionLearningSettings
+
+BY_DENSITY = ("diverse-density", "em-dd")
+"""Methods of discovery that keep trajectories and subgoals only. Others remember places of a space that stays."""
+
+
+class GivenFeatures:
+    """A feature map that is as it is: nothing is to be done."""
+
+    ready = True
+
+    def begin(self, options: OptionInstaller) -> None:
+        """Training starts."""
+
+    def learn_if_due(self, search: SubgoalDiscovery, options: OptionInstaller) -> bool:
+        """Whether the map has changed."""
+        del search, options
+        return False
+
+    def remember(self, slot: int, option: SubgoalOption, search: SubgoalDiscovery) -> None:
+        """An option was made."""
+
+    def forget(self, slot: int) -> None:
+        """An option is closed."""
+
+    def get_state(self) -> dict[str, Any] | None:
+        """For a checkpoint."""
+        return None
+
+    def set_state(self, state: Any, options: OptionInstaller) -> None:
+        """Go on with what `get_state` gave."""
+
+
+class LearnedFeatures(GivenFeatures):
+    """Learns the feature map of all environments, and keeps subgoals and initiation sets at their observations.
+
+    The map is learned here, from the trajectories of discovery. Each time it has changed, every environment gets it,
+    and the options that were made here get the regions around the same observations in the new space. Their policies
+    act on observations, and stay as they are. A map that came with options stays as it is: of those the observations
+    are not known.
+
+    Args:
+        feature_map: Of the environments, before it is learned.
+        settings: How it is learned.
+        seed: Of the learner.
+    """
+
+    def __init__(self, feature_map: LearnedMap, settings: EmbeddingSettings, seed: int) -> None:
+        self.map = feature_map
+        self.learner = FeatureLearner(feature_map, settings, seed)
+        # By slot the observations of subgoal and initiation set, and the points of that set that they have now.
+        self._anchors: dict[int, tuple[Observations, Observations, FloatArray]] = {}
+
+    @property
+    def ready(self) -> bool:  # type: ignore[override]  # which may change, and is not set from outside
+        """Whether distances mean anything yet."""
+        return self.map.learned > 0
+
+    def begin(self, options: OptionInstaller) -> None:
+        """Take note of the options that are there when training starts."""
+        options.learned_map = options.bank.feature_map = self.map
+        others = [s for s in options.bank.filled if isinstance(options.bank[s], SubgoalOption)]
+        self.map.fixed = any(slot not in self._anchors for slot in others)
+        if self.ready:
+            options.send_learned_map()
+
+    def learn_if_due(self, search: SubgoalDiscovery, options: OptionInstaller) -> bool:
+        """Learn the map when there are enough new trajectories, and move everything along.
+
+        Returns:
+            Whether the map has changed, and with it the features of all trajectories.
+        """
+        if not learn_if_due(self.learner, search):
+            return False
+        options.send_learned_map()
+        for slot, (subgoal, initiation, _) in list(self._anchors.items()):
+            option = options.bank[slot]
+            if isinstance(option, SubgoalOption):
+                region = moved(option.initiation_set, initiation, self.map)
+                options.replace(slot, option.with_regions(moved(option.subgoal, subgoal, self.map), region))
+                self._anchors[slot] = subgoal, initiation, region.points
+        return True
+
+    def remember(self, slot: int, option: SubgoalOption, search: SubgoalDiscovery) -> None:
+        """Take note of the observations behind an option's regions, which were made of features in the database."""
+        known, points = self._anchors.get(slot), option.initiation_set.points
+        if known is not None and np.array_equal(known[2], points):
+            return  # an option that has learned further
+        subgoal = nearest_observations(option.subgoal.points, search.database) if known is None else known[0]
+        self._anchors[slot] = subgoal, nearest_observations(points, search.database), points
+
+    def forget(self, slot: int) -> None:
+        """An option is closed."""
+        self._anchors.pop(slot, None)
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {"learner": self.learner.get_state(), "anchors": dict(self._anchors), "fixed": self.map.fixed}
+
+    def set_state(self, state: Any, options: OptionInstaller) -> None:
+        """Go on with what `get_state` gave: every environment has the map then."""
+        self.learner.set_state(state["learner"])
+        self._anchors, self.map.fixed = state["anchors"], state["fixed"]
+        options.send_learned_map()
+
+
+def features_for(
+    present: GivenFeatures, options: OptionInstaller, settings: EmbeddingSettings, seed: int
+) -> GivenFeatures:
+    """What looks after the feature map of the environments, when training starts.
+
+    Args:
+        present: What did so in an earlier training.
+        options: Of the environments.
+        settings: How a map is learned.
+        seed: Likewise.
+    """
+    there: LearnedMap | None = options.venv.env_method("learned_map", indices=[0])[0]
+    if there is not None and not isinstance(present, LearnedFeatures):
+        present = LearnedFeatures(copy.deepcopy(there), settings, seed)
+    present.begin(options)
+    return present
+
+
+def check_learned(
+    features: GivenFeatures, discovery: DiscoverySettings, option: OptionLearningSettings, *, own: bool
+) -> None:
+    """Refuse what does not go together with a space that moves.
+
+    Args:
+        features: Of the environments.
+        discovery: Settings.
+        option: Settings.
+        own: Whether there is a method of the user's own, or groups of features.
+
+    Raises:
+        ValueError: Policies act on features, or discovery remembers places or groups of features.
+    """
+    if not isinstance(features, LearnedFeatures):
+        return
+    if option.policy_input == "features":
+        raise ValueError(
+            "A learned feature map moves while it is learned on, and policies on features would not move along: leave "
+            "policy_input at 'observation'."
+        )
+    if own or discovery.method not in BY_DENSITY:
+        raise ValueError(
+            "A learned feature map moves while it is learned on. Diverse density and EM-DD move along; other methods "
+            "and groups of features need features that stay: pass OptionsWrapper(feature_map=...) a function."
+        )

@@ -1,0 +1,1 @@
+"""Learned spaces: are the subgoals of random walks seen as pictures bottlenecks, without coordinates?"""

@@ -1,0 +1,78 @@
+"""Who races: methods of discovery, two controls, places that somebody knows, and no options at all."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from experiments.methods.tasks import RaceTask, places
+from sb3_options.discovery.methods import CONTROLS, METHODS, DiscoveryMethod, GivenPlaces
+from sb3_options.discovery.settings import DiscoverySettings
+
+NONE = "none"
+HAND_MADE = "hand-made"
+
+ENTRANTS = (
+    "diverse-density",
+    "em-dd",
+    "first-visits",
+    "every-visit",
+    "relative-novelty",
+    "l-cut",
+    "betweenness",
+    "eigenoptions",
+    "covering",
+    "random",
+    "random-repeats",
+    HAND_MADE,
+    NONE,
+)
+"""Of `MethodName`; ``hand-made``: the bottlenecks themselves; ``none``: primitives."""
+
+TUNED = Path(__file__).with_name("tuned.json")
+"""What `experiments.methods.tune` chose, by method."""
+
+
+def chosen_settings(entrants: tuple[str, ...], which: str) -> dict[str, dict[str, Any]]:
+    """The settings of each entrant other than its defaults.
+
+    Raises:
+        SystemExit: They are to be the tuned ones, and some method was not tuned.
+    """
+    if which == "defaults":
+        return {entrant: {} for entrant in entrants}
+    tuned = json.loads(TUNED.read_text(encoding="utf-8")) if TUNED.is_file() else {}
+    missing = [entrant for entrant in entrants if entrant in TUNABLE and entrant not in tuned]
+    if missing:
+        raise SystemExit(
+            f"--settings tuned: {', '.join(missing)} not tuned yet, see python -m experiments.methods.tune --help, or "
+            "take --settings defaults."
+        )
+    return {entrant: tuned[entrant]["settings"] if entrant in tuned else {} for entrant in entrants}
+
+
+TUNABLE = frozenset(ENTRANTS) - CONTROLS - {HAND_MADE, NONE}
+"""Methods that have something to tune."""
+
+
+def discovery_of(
+    entrant: str, changed: Mapping[str, Any], task: RaceTask, seed: int
+) -> tuple[DiscoverySettings, DiscoveryMethod | None]:
+    """How an entrant discovers: settings, and the method itself where it is none of diverse density.
+
+    Args:
+        entrant: Of `ENTRANTS`.
+        changed: Its settings other than the defaults.
+        task: Whose concept space is used.
+        seed: Of the controls' draws.
+    """
+    if entrant in METHODS:
+        drawn = {"seed": seed} if entrant in CONTROLS else {}
+        return DiscoverySettings(**task.discovery), METHODS[entrant](**changed, **drawn)
+    if entrant == HAND_MADE:
+        return DiscoverySettings(**task.discovery), GivenPlaces(places(task))
+    if entrant == NONE:
+        return DiscoverySettings(**task.discovery), None
+    return DiscoverySettings(**{**task.discovery, "method": entrant, **changed}), None

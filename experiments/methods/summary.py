@@ -1,0 +1,80 @@
+"""The numbers of the race, for results.json."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from experiments.common.seeds import Result
+from experiments.methods.entrants import NONE
+from sb3_options.experience.observations import FloatArray
+from sb3_options.runs.intervals import iqm_interval, iqm_ratio, mean_interval, ratio_interval
+
+PHASES = ("same", "moved")
+
+
+def summarise(runs: Mapping[str, Sequence[Result]], n_timesteps: int) -> dict[str, dict[str, Any]]:
+    """All numbers of one task and learner.
+
+    Args:
+        runs: By entrant, the same seeds in the same order; `NONE` is what the others are compared with, if it is there.
+        n_timesteps: Longest training, which counts where the criterion was never met.
+
+    Returns:
+        By entrant: ``n_runs``; ``found``, subgoals a run; ``near``, the share of them at a bottleneck; ``reached``, the
+        share of option runs that reach their subgoal; ``same`` and ``moved``, each with ``steps`` to the criterion
+        (interquartile mean), ``never``, how many runs did not meet it, and ``of_primitives``, the ratio to the steps of
+        `NONE`; ``discovery_seconds`` and ``discovery_share`` of training in the same task, in processor time. Each with
+        its 95 % interval; None where there is nothing to estimate.
+    """
+    steps = {
+        entrant: {phase: np.array([steps_of(run[phase], n_timesteps) for run in of]) for phase in PHASES}
+        for entrant, of in runs.items()
+    }
+    summary: dict[str, dict[str, Any]] = {}
+    for entrant, of in runs.items():
+        found = _column(of, lambda run: len(run["found"]))
+        judged = _column(of, lambda run: sum(each["near"] is not None for each in run["found"]))
+        summary[entrant] = {
+            "n_runs": len(of),
+            "found": mean_interval(found)._asdict(),
+            "near": _share(_column(of, lambda run: sum(bool(each["near"]) for each in run["found"])), judged),
+            "reached": None
+            if entrant == "random-repeats"  # they are bound for no place
+            else _share(_column(of, lambda run: _both(run, "reached")), _column(of, lambda run: _both(run, "decided"))),
+            "discovery_seconds": mean_interval(_column(of, lambda run: run["same"]["discovery"]))._asdict(),
+            "discovery_share": _share(
+                _column(of, lambda run: run["same"]["discovery"]), _column(of, lambda run: run["same"]["seconds"])
+            ),
+        }
+        for phase in PHASES:
+            taken = steps[entrant][phase]
+            summary[entrant][phase] = {
+                "steps": iqm_interval(taken)._asdict(),
+                "never": sum(run[phase]["steps"] is None for run in of),
+                "of_primitives": iqm_ratio(taken, steps[NONE][phase])._asdict()
+                if NONE in steps and entrant != NONE
+                else None,
+            }
+    return summary
+
+
+def steps_of(trained: Result, n_timesteps: int) -> float:
+    """Primitive steps to the criterion; the length of training where it was not met."""
+    return float(n_timesteps if trained["steps"] is None else trained["steps"])
+
+
+def _both(run: Result, what: str) -> float:
+    return float(sum(run[phase][what] for phase in PHASES))
+
+
+def _column(runs: Sequence[Result], value: Callable[[Result], float]) -> FloatArray:
+    return np.array([value(run) for run in runs], dtype=np.float64)
+
+
+def _share(part: FloatArray, whole: FloatArray) -> dict[str, float] | None:
+    """Σ part / Σ whole with its interval over runs; None where there is nothing to share."""
+    there = whole > 0
+    return ratio_interval(part[there], whole[there])._asdict() if there.any() else None

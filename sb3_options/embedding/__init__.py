@@ -1,0 +1,1 @@
+"""Feature maps that are learned from trajectories: nobody has to hand in coordinates."""

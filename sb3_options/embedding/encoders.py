@@ -1,0 +1,141 @@
+"""The networks of learned feature maps: a table for numbered states, convolutions for images, else two layers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal, NamedTuple
+
+import numpy as np
+import torch
+from torch import nn
+
+from sb3_options.experience.observations import Observations, flatten
+
+CLIP = 5.0
+"""Standardised observations are clipped to ± this (Burda et al. 2018, §2.4)."""
+
+SMALLEST = 1e-3
+"""Least standard deviation of a number of an observation, as a share of the largest: what does not move is 0."""
+
+MIN_IMAGE = 36
+"""Least side of an image in pixels, that of the smallest that the convolutions of Mnih et al. (2015) accept."""
+
+HIDDEN = 64
+"""Units of hidden layers."""
+
+CHANNELS = (8, 16)
+"""Channels of the two convolutions, half of those of Mnih et al. (2013): a map has little to tell apart."""
+
+
+class ObservationForm(NamedTuple):
+    """What an encoder has to know of observations.
+
+    Attributes:
+        kind: ``table`` of numbered states, ``image``, or ``vector`` for everything else, laid flat.
+        shape: (n,) states; (channels, height, width); (numbers,).
+        first: Number of the first state, or whether the channels of an image come last, as 0 or 1.
+    """
+
+    kind: Literal["table", "image", "vector"]
+    shape: tuple[int, ...]
+    first: int = 0
+
+
+def form_of_array(shape: tuple[int, ...], dtype: np.dtype[np.generic]) -> ObservationForm:
+    """The form of observations that are one array: an image, if that is what it looks like.
+
+    Args:
+        shape: Of one observation.
+        dtype: Of one observation; images are whole numbers of one byte.
+    """
+    for first, channels, sides in ((1, shape[-1:], shape[:2]), (0, shape[:1], shape[1:])):
+        if dtype == np.uint8 and len(shape) == 3 and channels[0] in (1, 3, 4, 12) and min(sides) >= MIN_IMAGE:
+            return ObservationForm("image", (*channels, *sides), first)
+    return ObservationForm("vector", (int(np.prod(shape, dtype=np.int64)),))
+
+
+def as_tensor(observations: Observations, form: ObservationForm) -> torch.Tensor:
+    """A batch in the layout that the encoder takes, not yet standardised; bytes stay bytes.
+
+    Args:
+        observations: Batch of n.
+        form: Of one.
+
+    Returns:
+        Numbers of states (n,), images (n, channels, height, width), or rows (n, numbers).
+    """
+    if form.kind == "table":
+        return torch.from_numpy(np.asarray(observations).reshape(len(observations)).astype(np.int64) - form.first)
+    if form.kind == "image":
+        assert not isinstance(observations, Mapping)  # the form is that of an array
+        images = np.moveaxis(observations, -1, 1) if form.first else observations
+        return torch.from_numpy(np.ascontiguousarray(images))
+    return torch.from_numpy(flatten(observations).astype(np.float32))
+
+
+class Encoder(nn.Module):
+    """A network from observations to ``size`` numbers.
+
+    Each number of an observation is standardised by what was seen before the first gradient step. What never moves,
+    as the walls in a picture, is 0 then, and the agent stands out however small it is.
+
+    Args:
+        form: Of an observation.
+        size: Of the output.
+    """
+
+    shift: torch.Tensor
+    factor: torch.Tensor
+
+    def __init__(self, form: ObservationForm, size: int) -> None:
+        super().__init__()
+        self.form = form
+        shape = () if form.kind == "table" else form.shape
+        self.register_buffer("shift", torch.zeros(shape))
+        self.register_buffer("factor", torch.ones(shape))
+        self.layers: nn.Module
+        if form.kind == "table":
+            # Not straight to the output: rows that share nothing take several times as many gradient steps.
+            self.layers = nn.Sequential(
+                nn.Embedding(form.shape[0], HIDDEN), nn.Linear(HIDDEN, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, size)
+            )
+        elif form.kind == "image":
+            self.layers = _convolutions(form.shape, size)
+        else:
+            self.layers = nn.Sequential(
+                nn.Linear(form.shape[0], HIDDEN),
+                nn.ReLU(),
+                nn.Linear(HIDDEN, HIDDEN),
+                nn.ReLU(),
+                nn.Linear(HIDDEN, size),
+            )
+
+    def standardise_by(self, batch: torch.Tensor) -> None:
+        """Take mean and standard deviation of each number from a batch, in the layout of `as_tensor`."""
+        if self.form.kind == "table":
+            return
+        std, mean = torch.std_mean(batch.float(), dim=0, correction=0)
+        self.shift.copy_(mean)
+        self.factor.copy_(1.0 / torch.clamp(std, min=max(SMALLEST * float(std.max()), 1e-8)))
+
+    def forward(self, batch: torch.Tensor) -> torch.Tensor:
+        """From the layout of `as_tensor` to (n, size)."""
+        if self.form.kind != "table":
+            batch = ((batch.float() - self.shift) * self.factor).clamp(-CLIP, CLIP)
+        made: torch.Tensor = self.layers(batch)
+        return made
+
+
+def _convolutions(shape: tuple[int, ...], size: int) -> nn.Sequential:
+    """Two convolutions and a hidden layer (Mnih et al. 2013), padded, so that no pixel at an edge goes unseen."""
+    first, second = CHANNELS
+    convolutions = nn.Sequential(
+        nn.Conv2d(shape[0], first, 8, stride=4, padding=4),
+        nn.ReLU(),
+        nn.Conv2d(first, second, 4, stride=2, padding=2),
+        nn.ReLU(),
+        nn.Flatten(),
+    )
+    with torch.no_grad():
+        n = convolutions(torch.zeros(1, *shape)).shape[1]
+    return nn.Sequential(convolutions, nn.Linear(n, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, size))

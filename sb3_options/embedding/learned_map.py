@@ -1,0 +1,91 @@
+"""`LearnedMap`: a feature map that is data, and can be learned on while others use it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from sb3_options.embedding.encoders import Encoder, ObservationForm, as_tensor
+from sb3_options.embedding.settings import SIZES, MapName
+from sb3_options.experience.observations import FloatArray, Observations, batch_size
+
+BATCH = 512
+"""Observations that are encoded at once, so that many images take little memory."""
+
+DECIMALS = 3
+"""Features are rounded to thousandths of a step. One observation has the same features in every batch then, though
+products of matrices differ in their last bits with the size of the batch."""
+
+
+class LearnedMap:
+    """φ(x) = scale · encoder(x), with the scale that makes one unit about one step.
+
+    Before it is learned it is a random network, and no distance in it means anything.
+
+    Args:
+        name: How it is learned.
+        form: Of observations.
+        seed: Of the first weights.
+
+    Attributes:
+        learned: How many times it was learned, or learned on.
+        fixed: Whether it stays as it is, because options came with it that live in its space.
+    """
+
+    def __init__(self, name: MapName, form: ObservationForm, seed: int = 0) -> None:
+        self.name, self.size = name, SIZES[name]
+        with torch.random.fork_rng(devices=[]):  # whatever else is drawn stays as it is without a learned map
+            torch.manual_seed(seed)
+            # Temporal distances have a potential c beside φ, which is needed for learning alone.
+            self.encoder = Encoder(form, self.size + (name == "temporal-distance"))
+        self.scale = np.ones(self.size)
+        self.learned = 0
+        self.fixed = False
+
+    def __call__(self, observations: Observations) -> FloatArray:
+        """φ of a batch of observations, (batch, d)."""
+        if batch_size(observations) == 0:
+            return np.zeros((0, self.size))
+        return self.of_tensor(as_tensor(observations, self.encoder.form))
+
+    def of_tensor(self, rows: torch.Tensor) -> FloatArray:
+        """φ of observations in the layout of `as_tensor`, (n, d)."""
+        with torch.no_grad():
+            made = torch.cat([self.encoder(part) for part in torch.split(rows, BATCH)])[:, : self.size]
+        features: FloatArray = np.round(made.numpy().astype(np.float64) * self.scale, DECIMALS) + 0.0
+        return features
+
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Everything it consists of, by name."""
+        weights = {f"encoder.{key}": value.detach().numpy().copy() for key, value in self.encoder.state_dict().items()}
+        return {**weights, "scale": self.scale.copy(), "learned": np.array(self.learned)}
+
+    def load(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+        """Become what `arrays` gave.
+
+        Raises:
+            ValueError: They are of a map of another kind, or for other observations.
+        """
+        expected = {name: array.shape for name, array in self.arrays().items()}
+        found = {name: np.shape(array) for name, array in arrays.items()}
+        if found != expected:
+            differ = sorted(name for name in {*expected, *found} if expected.get(name) != found.get(name))
+            raise ValueError(
+                f"the learned feature map does not fit: {differ[0]} has shape {found.get(differ[0])}, expected "
+                f"{expected.get(differ[0])}. Observations and name of the map must be those that it was learned for, "
+                f"here {self.name!r} for {self.encoder.form.kind} observations of shape {self.encoder.form.shape}"
+            )
+        if not all(np.isfinite(array).all() for array in arrays.values()):
+            raise ValueError("the learned feature map holds numbers that are not finite")
+        weights = {key.removeprefix("encoder."): value for key, value in arrays.items() if key.startswith("encoder.")}
+        self.encoder.load_state_dict(
+            {
+                key: torch.as_tensor(np.array(value)).to(self.encoder.state_dict()[key].dtype)
+                for key, value in weights.items()
+            }
+        )
+        self.scale, self.learned = np.array(arrays["scale"], dtype=np.float64), int(arrays["learned"])

@@ -1,0 +1,142 @@
+"""`FeatureLearner`: learns a feature map from saved trajectories, again and again while they become more."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import torch
+
+from sb3_options.embedding.laplacian import AugmentedLagrangian
+from sb3_options.embedding.learned_map import LearnedMap
+from sb3_options.embedding.pairs import Replay
+from sb3_options.embedding.settings import EmbeddingSettings
+from sb3_options.embedding.temporal_distance import contrastive_loss
+from sb3_options.experience.observations import FloatArray
+from sb3_options.experience.trajectories import Trajectory
+
+LEAST_EIGENVALUE = 1e-3
+"""A smaller estimate is noise: an eigenvector is divided by the root of its eigenvalue."""
+
+MOST_STEPS = 20_000
+"""Steps whose median length becomes the unit."""
+
+
+class FeatureLearner:
+    """Learns a `LearnedMap`, and scales it so that a primitive step that moves has a median length of 1.
+
+    Radii, static filters and peaks of discovery are in units of one step, and so the learned space has to be. Before
+    that, the eigenvectors of ``laplacian`` are each divided by the root of their eigenvalue. Distances are then the
+    roots of commute times (Fouss et al. 2007), the mean time of a random walk from one place to another and back: the
+    eigenvectors of one room, with their large eigenvalues, count less than those that tell rooms apart.
+
+    Args:
+        feature_map: What is learned.
+        settings: How.
+        seed: Of the draws.
+
+    Attributes:
+        loss: Of the last gradient steps, the mean; NaN before the first.
+        n_trajectories: How many there had been when the map was last learned; 0 before.
+    """
+
+    def __init__(self, feature_map: LearnedMap, settings: EmbeddingSettings, seed: int = 0) -> None:
+        self.map, self.settings = feature_map, settings
+        self._generator = torch.Generator().manual_seed(seed)
+        self._optimizer = torch.optim.Adam(feature_map.encoder.parameters(), lr=settings.learning_rate)
+        self._lagrangian = AugmentedLagrangian(feature_map.size)
+        self.loss = math.nan
+        self.n_trajectories = 0
+
+    def is_due(self, n_trajectories: int) -> bool:
+        """Whether to learn, after so many trajectories: first at ``first_trajectories``, then at every doubling."""
+        return n_trajectories >= max(self.settings.first_trajectories, 2 * self.n_trajectories)
+
+    def can_learn(self, trajectories: Iterable[Trajectory]) -> bool:
+        """Whether any step of these leads to another observation."""
+        return any((t.visits[1:] != t.visits[:-1]).any() for t in trajectories)
+
+    def learn(self, trajectories: Iterable[Trajectory], n_trajectories: int) -> None:
+        """Take gradient steps on pairs of the saved trajectories, and find the scale.
+
+        Args:
+            trajectories: The saved ones, oldest first, with one step at least that moves.
+            n_trajectories: How many there have been, those included that are no longer saved.
+
+        Raises:
+            ValueError: No step moves.
+        """
+        replay = Replay(trajectories, self.map.encoder.form)
+        before, after = replay.steps()
+        if len(before) == 0:
+            raise ValueError("a feature map can be learned only where a step leads to another observation")
+        updates = self.settings.updates
+        if self.n_trajectories == 0:
+            self.map.encoder.standardise_by(replay.observations)
+        else:
+            updates = math.ceil(updates / 2)
+        losses = []
+        for i in range(updates):
+            for group in self._optimizer.param_groups:
+                group["lr"] = self.settings.learning_rate * (1.0 - i / updates)
+            losses.append(self._update(replay))
+        self.loss = float(np.mean(losses[-100:]))
+        self.n_trajectories = n_trajectories
+        self.map.scale = np.ones(self.map.size)
+        if self.map.name == "laplacian":
+            self.map.scale = 1.0 / np.sqrt(np.maximum(self.eigenvalues(), LEAST_EIGENVALUE))
+        self.map.scale /= self._step_length(replay, before, after)
+        self.map.learned += 1
+
+    def eigenvalues(self) -> FloatArray:
+        """Of the Laplacian of single steps, (d,), for ``laplacian``.
+
+        With λ an eigenvalue of I − P, that of the pairs is λ / (1 − γ + γ λ), with the same eigenvector.
+        """
+        gamma = 1.0 - 1.0 / self.settings.horizon
+        of_pairs = np.clip(self._lagrangian.eigenvalues.numpy().astype(np.float64), 0.0, 1.0)
+        values: FloatArray = (1.0 - gamma) * of_pairs / (1.0 - gamma * of_pairs)
+        return values
+
+    def _update(self, replay: Replay) -> float:
+        s = self.settings
+        rows = [*replay.sample(s.batch_size, s.horizon, self._generator)]
+        if self.map.name == "laplacian":
+            rows.append(torch.cat(replay.sample(s.batch_size, s.horizon, self._generator)))
+            loss = self._lagrangian.loss(*replay.encoded(self.map.encoder, *rows))
+        else:
+            loss = contrastive_loss(*replay.encoded(self.map.encoder, *rows))
+        self._optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]  # torch ships no annotation for it
+        self._optimizer.step()
+        return loss.item()
+
+    def _step_length(self, replay: Replay, before: torch.Tensor, after: torch.Tensor) -> float:
+        """The median distance between the observations of steps that move."""
+        chosen = torch.randint(len(before), (min(len(before), MOST_STEPS),), generator=self._generator)
+        rows, which = torch.unique(torch.cat([before[chosen], after[chosen]]), return_inverse=True)
+        one, other = np.split(self.map.of_tensor(replay.observations[rows])[which.numpy()], 2)
+        median = float(np.median(np.linalg.norm(one - other, axis=1)))
+        return median if median > 0.0 else 1.0
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint: the map, optimizer, dual variables and generator. The data are in discovery's state."""
+        return {
+            "map": self.map.arrays(),
+            "optimizer": self._optimizer.state_dict(),
+            "duals": self._lagrangian.duals,
+            "generator": self._generator.get_state(),
+            "loss": self.loss,
+            "n_trajectories": self.n_trajectories,
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self.map.load(state["map"])
+        self._optimizer.load_state_dict(copy.deepcopy(state["optimizer"]))  # torch takes the arrays themselves
+        self._lagrangian.duals = state["duals"]
+        self._generator.set_state(state["generator"])
+        self.loss, self.n_trajectories = state["loss"], state["n_trajectories"]

@@ -1,0 +1,102 @@
+"""Pairs of observations that lie some steps apart, drawn from saved trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import torch
+
+from sb3_options.embedding.encoders import Encoder, ObservationForm, as_tensor
+from sb3_options.experience.observations import batch_size, concatenate, key_of, one_of, take
+from sb3_options.experience.trajectories import Trajectory
+
+MOST_BYTES = 256 << 20
+"""Of trajectories that a map is learned from: the newest ones."""
+
+
+class Replay:
+    """The distinct observations of trajectories, and in which order they were visited.
+
+    An observation that is in a batch many times is encoded once: in a gridworld this is what learning from images
+    takes most of its time for.
+
+    Args:
+        trajectories: Oldest first, at least one of at least one step.
+        form: Of their observations.
+    """
+
+    def __init__(self, trajectories: Iterable[Trajectory], form: ObservationForm) -> None:
+        chosen: list[Trajectory] = []
+        n_bytes = 0
+        for trajectory in reversed([t for t in trajectories if len(t)]):
+            n_bytes += trajectory.n_bytes
+            if chosen and n_bytes > MOST_BYTES:
+                break
+            chosen.append(trajectory)
+        row_of: dict[bytes, int] = {}
+        new, paths = [], []
+        for trajectory in reversed(chosen):
+            n = batch_size(trajectory.states)
+            rows = np.empty(n, dtype=np.int64)
+            fresh = []
+            for i in range(n):
+                before = len(row_of)
+                rows[i] = row_of.setdefault(key_of(one_of(trajectory.states, i)), before)
+                if rows[i] == before:
+                    fresh.append(i)
+            new.append(take(trajectory.states, np.array(fresh, dtype=np.int64)))
+            paths.append(rows[trajectory.visits])
+        self.observations = as_tensor(concatenate(new), form)
+        self._visits = torch.from_numpy(np.concatenate(paths))
+        lengths = [len(path) for path in paths]
+        ends = np.repeat(np.cumsum(lengths), lengths)
+        # How many steps follow each visit in its trajectory.
+        self._left = torch.from_numpy(ends - np.arange(len(ends)) - 1)
+        self._starts = torch.nonzero(self._left).ravel()
+        # The same visits, those of one observation together, of which there are so many from ``first`` on.
+        self._sorted = self._starts[torch.argsort(self._visits[self._starts], stable=True)]
+        _, self._counts = torch.unique_consecutive(self._visits[self._sorted], return_counts=True)
+        self._first = torch.cumsum(self._counts, dim=0) - self._counts
+
+    def __len__(self) -> int:
+        """Number of distinct observations."""
+        return len(self.observations)
+
+    def steps(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Rows of the observations before and after every primitive step that moved, (n,) each."""
+        before, after = self._visits[self._starts], self._visits[self._starts + 1]
+        moved = before != after
+        return before[moved], after[moved]
+
+    def sample(self, n: int, horizon: float, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
+        """Pairs k steps apart, P(k) ∝ γᵏ⁻¹ for k up to the end of the trajectory, γ = 1 − 1/horizon.
+
+        Each distinct observation begins a pair equally often. A walk visits some places a hundred times as often as
+        others; drawn by visits, the seldom ones would lie far away from everything, however near they are.
+
+        Args:
+            n: Pairs.
+            horizon: Mean of k where the trajectory is long, above 1.
+            generator: Of the draws.
+
+        Returns:
+            Rows of the earlier and of the later observations, (n,) each.
+        """
+        which = torch.randint(len(self._counts), (n,), generator=generator)
+        visit = torch.rand(n, dtype=torch.float64, generator=generator) * self._counts[which]
+        at = self._sorted[self._first[which] + visit.long()]
+        left = self._left[at].double()
+        log_gamma = np.log1p(-1.0 / horizon)
+        uniform = torch.rand(n, dtype=torch.float64, generator=generator)
+        # The inverse of the truncated distribution function, 1 − γᵏ over 1 − γˡᵉᶠᵗ.
+        mass = -torch.expm1(left * log_gamma)
+        steps = torch.ceil(torch.log1p(-uniform * mass) / log_gamma).clamp(min=1.0)
+        steps = torch.minimum(steps, left).long()
+        return self._visits[at], self._visits[at + steps]
+
+    def encoded(self, encoder: Encoder, *rows: torch.Tensor) -> list[torch.Tensor]:
+        """What the encoder makes of the observations in these rows, (n, size) for each."""
+        distinct, which = torch.unique(torch.cat(rows), return_inverse=True)
+        made = encoder(self.observations[distinct])[which]
+        return list(made.split([len(each) for each in rows]))

@@ -1,0 +1,35 @@
+"""How a feature map is learned."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, TypeAlias
+
+from sb3_options.checked import Field, settings
+
+MapName: TypeAlias = Literal["temporal-distance", "laplacian"]
+"""Feature maps that can be learned."""
+
+SIZES: dict[MapName, int] = {"temporal-distance": 8, "laplacian": 16}
+"""Dimensions d of their concept spaces. Eight hold the distances of rooms; a doorway between two rooms shows in the
+first eigenvectors, and a step inside a room in the later ones."""
+
+
+@settings
+class EmbeddingSettings:
+    """How a feature map is learned (`learner.FeatureLearner`).
+
+    Attributes:
+        first_trajectories: Trajectories before the map is learned first. It is learned on each time there have been
+            twice as many.
+        updates: Gradient steps the first time; half as many each time it is learned on.
+        batch_size: Pairs of observations in a gradient step.
+        learning_rate: Of Adam, when it begins to learn; it falls to 0 in a straight line.
+        horizon: Mean number of primitive steps between the observations of a pair; they are geometrically
+            distributed, with γ = 1 − 1/horizon.
+    """
+
+    first_trajectories: Annotated[int, Field(ge=1)] = 8
+    updates: Annotated[int, Field(ge=1)] = 500
+    batch_size: Annotated[int, Field(ge=2)] = 256
+    learning_rate: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 5e-3
+    horizon: Annotated[float, Field(gt=1, allow_inf_nan=False)] = 10.0

@@ -1,0 +1,202 @@
+"""A feature map that is learned while a model trains: options are found, move along, are saved, and go on."""
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from stable_baselines3 import DQN
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
+
+from sb3_options import OptionReplayBuffer, OptionsWrapper, load_model
+from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.embedding.learned_map import LearnedMap
+from sb3_options.embedding.settings import MapName
+from sb3_options.envs import GridWorld
+from sb3_options.learning.macro_q import MacroQ
+from sb3_options.options.option import SubgoalOption
+from tests.callbacks.test_checkpoints import check_resumes, keep_all
+from tests.support.helpers import equal
+from tests.support.sb3_helpers import DOORWAY, FAST_DISCOVERY, RANDOM, TINY, small_rooms
+
+__all__ = ["keep_all"]
+
+LEARNING = {"first_trajectories": 4, "updates": 200, "batch_size": 128}
+"""Enough for the distances of two small rooms."""
+
+NEARER = {**FAST_DISCOVERY, "goal_radius": 1.5}
+
+
+def rooms_with(name: MapName, **kwargs: Any) -> OptionsWrapper:
+    return OptionsWrapper(small_rooms(**kwargs), 2, gamma=0.9, feature_map=name)
+
+
+def temporal_rooms() -> OptionsWrapper:
+    return rooms_with("temporal-distance")
+
+
+def callback_with(**kwargs: Any) -> SubgoalDiscoveryCallback:
+    return SubgoalDiscoveryCallback(NEARER, **{"embedding": LEARNING, **kwargs})
+
+
+def dqn(env: Any, **kwargs: Any) -> DQN:
+    return DQN("MlpPolicy", env, gamma=0.9, replay_buffer_class=OptionReplayBuffer, **{**TINY, **RANDOM, **kwargs})
+
+
+def places(env: OptionsWrapper, observations: Any) -> Any:
+    world = env.unwrapped
+    assert isinstance(world, GridWorld)
+    return world.concept_features(np.asarray(observations))
+
+
+@pytest.mark.parametrize(
+    ("name", "observation"),
+    [
+        ("temporal-distance", "onehot"),
+        ("laplacian", "onehot"),
+        pytest.param("temporal-distance", "image", marks=pytest.mark.slow),
+        pytest.param("laplacian", "image", marks=pytest.mark.slow),
+    ],
+)
+def test_the_doorway_is_found_without_coordinates(name: MapName, observation: str) -> None:
+    env = rooms_with(name, observation=observation)
+    callback = callback_with(max_new_options=1, option_settings={"initiation_steps": 8, "keep_learning": True})
+    dqn(env, learning_starts=10_000, buffer_size=200).learn(2_500, callback)
+    (found,) = callback.discoveries
+    search = callback.discovery
+    assert search is not None
+    place = places(env, search.found[0].observation)[0]
+    assert np.abs(place - DOORWAY).sum() <= 1
+    # It was learned on since, and everything moved along.
+    phi = env.learned_map()
+    assert phi is not None
+    assert phi.learned > 1
+    option = env.bank[found.slot]
+    assert isinstance(option, SubgoalOption)
+    assert option.termination(search.found[0].observation) == [1.0]  # type: ignore[arg-type]  # it has one
+    for labelled in search.database:
+        np.testing.assert_allclose(labelled.features, phi(labelled.trajectory.states), atol=0.002)
+    inside = option.initiation(np.concatenate([np.asarray(t.trajectory.states) for t in search.database]))
+    assert 0.0 < inside.mean() < 0.9
+
+
+def test_options_move_along() -> None:
+    """Subgoal and initiation set hold the same observations before and after the map was learned on."""
+    env = rooms_with("temporal-distance")
+    callback = callback_with(max_new_options=1)
+    model = MacroQ(env, gamma=0.9, seed=0)
+    model.learn(1_500, callback)
+    (found,) = callback.discoveries
+    before = env.bank[found.slot]
+    assert isinstance(before, SubgoalOption)
+    search, features = callback.discovery, callback._features
+    assert search is not None
+    states = np.unique(np.concatenate([np.asarray(t.trajectory.states) for t in search.database]), axis=0)
+    centres = before.initiation_set.points
+    own = [any((row == centres).all(axis=1)) for row in env.concept_features(states)]
+    was_inside = before.initiation(states)
+    features.learner.n_trajectories = 0  # type: ignore[attr-defined]  # so that it is due
+    assert features.learn_if_due(search, callback._options)
+    after = env.bank[found.slot]
+    assert isinstance(after, SubgoalOption)
+    assert np.abs(after.subgoal.points - before.subgoal.points).max() > 0.01
+    assert len(after.initiation_set.points) == len(centres)
+    inside = after.initiation(states)
+    assert (was_inside & inside)[own].sum() >= 0.9 * np.sum(own)
+    assert after.option_policy is before.option_policy
+
+
+def test_a_file_holds_the_map(tmp_path: Path) -> None:
+    env = rooms_with("laplacian")
+    callback = callback_with(max_new_options=1, save_path=tmp_path / "options.safetensors")
+    model = dqn(env, learning_starts=10_000, buffer_size=200)
+    model.learn(1_500, callback)
+    assert callback.discoveries
+    model.save(tmp_path / "model.zip")
+    states = np.eye(45, dtype=np.float32)
+    for file in ("options.safetensors", "model.zip"):
+        fresh = OptionsWrapper(small_rooms(), 2, gamma=0.9, feature_map="laplacian", options_file=tmp_path / file)
+        assert len(fresh.bank) == 1
+    assert equal(fresh.concept_features(states), env.concept_features(states))
+    np.testing.assert_array_equal(fresh.available(states), env.available(states))
+    loaded = load_model(DQN, tmp_path / "model.zip", rooms_with("laplacian"))
+    again = callback_with()
+    loaded.learn(600, again)
+    assert again._features.map.fixed  # type: ignore[attr-defined]  # a learned one
+    np.testing.assert_array_equal(again.bank.available(states), env.available(states))
+    with pytest.raises(
+        ValueError, match=r"its subgoals lie in a learned space of eigenvectors, this task's in a learn"
+    ):
+        OptionsWrapper(
+            small_rooms(), 2, gamma=0.9, feature_map="temporal-distance", options_file=tmp_path / "model.zip"
+        )
+
+
+def test_worker_processes_and_this_one_learn_the_same() -> None:
+    states = np.eye(45, dtype=np.float32)
+    learned = []
+    for venv in (DummyVecEnv([temporal_rooms] * 2), SubprocVecEnv([temporal_rooms] * 2, start_method="fork")):
+        model = dqn(venv, learning_starts=10_000, buffer_size=200)
+        callback = callback_with(max_new_options=1)
+        model.learn(1_200, callback)
+        learned.append(venv.env_method("concept_features", states))
+        assert callback._features.map.learned  # type: ignore[attr-defined]  # a learned one
+        venv.close()
+    for each in learned[1:]:
+        np.testing.assert_array_equal(learned[0], each)
+    np.testing.assert_array_equal(learned[0][0], learned[0][1])
+
+
+@pytest.mark.usefixtures("keep_all")
+@pytest.mark.parametrize("name", ["temporal-distance", pytest.param("laplacian", marks=pytest.mark.slow)])
+def test_cut_and_resumed_is_never_interrupted(name: MapName, tmp_path: Path) -> None:
+    brief = {**LEARNING, "updates": 40}
+    callbacks, _ = check_resumes(
+        lambda: dqn(DummyVecEnv([lambda: rooms_with(name)])),
+        lambda: [callback_with(embedding=brief, option_settings={"keep_learning": True, "grow": True})],
+        tmp_path,
+        cuts=(0.3, 0.6),
+        steps=1_500,
+    )
+    callback = callbacks[0]
+    assert isinstance(callback, SubgoalDiscoveryCallback)
+    assert callback.discoveries
+    assert callback._features.map.learned > 1  # type: ignore[attr-defined]  # a learned one
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        (
+            {"option_settings": {"policy_input": "features"}},
+            r"^A learned feature map moves .*leave policy_input at 'ob",
+        ),
+        (
+            {"method": "betweenness"},
+            r"^A learned feature map moves .* pass OptionsWrapper\(feature_map=\.\.\.\) a funct",
+        ),
+        ({"groups": [{"name": "one", "features": [0]}]}, r"^A learned feature map moves .* need features that stay: "),
+    ],
+)
+def test_what_does_not_go_together(kwargs: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        dqn(temporal_rooms()).learn(10, callback_with(**kwargs))
+
+
+class TestNames:
+    def test_unknown(self) -> None:
+        with pytest.raises(ValueError, match=r"^feature_map must be a function, or one of 'temporal-distance', 'lapl"):
+            rooms_with("lapalcian")  # type: ignore[arg-type]  # no such name
+
+    def test_kinds_of_observations(self) -> None:
+        kinds = {}
+        for env_id in ("FrozenLake-v1", "CartPole-v1", "Blackjack-v1"):
+            env = gym.make(env_id)
+            phi = OptionsWrapper(env, 1, feature_map="laplacian").learned_map() if env_id != "Blackjack-v1" else None
+            kinds[env_id] = phi.encoder.form.kind if isinstance(phi, LearnedMap) else None
+        assert kinds == {"FrozenLake-v1": "table", "CartPole-v1": "vector", "Blackjack-v1": None}
+
+    def test_a_map_that_is_not_learned_cannot_be_set(self) -> None:
+        with pytest.raises(ValueError, match=r"is not learned: there is nothing to set\.$"):
+            OptionsWrapper(small_rooms(), 2).set_learned_map({})

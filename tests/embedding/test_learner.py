@@ -1,0 +1,125 @@
+"""Learned spaces against the truth: shortest paths, and the eigenvectors of the Laplacian."""
+
+import functools
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sb3_options.embedding.encoders import ObservationForm
+from sb3_options.embedding.learned_map import LearnedMap
+from sb3_options.embedding.learner import FeatureLearner
+from sb3_options.embedding.settings import EmbeddingSettings, MapName
+from sb3_options.envs.gridworld.maps import FOUR_ROOMS, TWO_ROOMS
+from tests.embedding.truth import cosines, distances, learned, path_graph, path_through, rank_correlation, rooms
+from tests.support.helpers import equal
+
+NAMES: tuple[MapName, ...] = ("temporal-distance", "laplacian")
+N = 20
+LINE = path_graph(N)
+EVERY = np.arange(N)
+
+
+@functools.cache
+def on_the_line(name: MapName) -> FeatureLearner:
+    return learned(name, LINE, updates=300)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_distances_on_a_line_are_in_steps(name: MapName) -> None:
+    learner = on_the_line(name)
+    away = distances(learner.map(EVERY))
+    assert rank_correlation(away, LINE.steps) > 0.97
+    assert np.median(np.diagonal(away, 1)) == pytest.approx(1.0, abs=0.1)
+
+
+def test_temporal_distances_grow_with_the_steps_between() -> None:
+    away = distances(on_the_line("temporal-distance").map(EVERY))
+    means = [np.diagonal(away, k).mean() for k in range(1, N)]
+    assert means == sorted(means)
+    assert means[-1] > N / 2
+
+
+def test_each_eigenvector_by_itself_and_in_order() -> None:
+    learner = on_the_line("laplacian")
+    values, vectors = LINE.eigen(4)
+    assert cosines(learner.map(EVERY)[:, :4], vectors, values).min() > 0.95
+    np.testing.assert_allclose(learner.eigenvalues()[:2], values[:2], rtol=0.3)
+    assert (np.diff(learner.eigenvalues()[:4]) > 0).all()
+
+
+def test_before_it_is_learned_no_distance_means_anything() -> None:
+    learner = learned("temporal-distance", LINE, updates=1, learning_rate=1e-9)
+    assert rank_correlation(distances(learner.map(EVERY)), LINE.steps) < 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "least"), [("temporal-distance", 0.92), ("laplacian", 0.8)])
+@pytest.mark.parametrize("text", [TWO_ROOMS, FOUR_ROOMS], ids=["TwoRooms", "FourRooms"])
+def test_rooms(name: MapName, least: float, text: str) -> None:
+    walk, _ = rooms(text)
+    learner = learned(name, walk, updates=1500)
+    features = learner.map(np.arange(len(walk.graph)))
+    assert rank_correlation(distances(features), walk.steps) > least
+    if name == "laplacian":
+        values, vectors = walk.eigen(5)
+        assert cosines(features[:, :5], vectors, values, gap=0.3).min() > 0.9
+        np.testing.assert_allclose(learner.eigenvalues()[1:5], values[1:], rtol=0.35)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_one_seed_one_map(name: MapName) -> None:
+    one, same, other = (learned(name, LINE, seed, updates=5).map(EVERY) for seed in (0, 0, 1))
+    np.testing.assert_array_equal(one, same)
+    assert np.abs(one - other).max() > 0.1
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_state_goes_on(name: MapName) -> None:
+    def new(seed: int) -> FeatureLearner:
+        form = ObservationForm("table", (N,))
+        return FeatureLearner(LearnedMap(name, form, seed), EmbeddingSettings(updates=6), seed)
+
+    one, other = new(0), new(1)
+    one.learn(LINE.trajectories, 8)
+    other.set_state(one.get_state())
+    for each in (one, other):
+        each.learn(LINE.trajectories, 16)
+    assert equal(one.map.arrays(), other.map.arrays())
+    assert one.loss == other.loss
+    assert one.n_trajectories == other.n_trajectories == 16
+    assert one.map.learned == 2
+
+
+def test_due_at_first_and_at_every_doubling() -> None:
+    learner = FeatureLearner(
+        LearnedMap("laplacian", ObservationForm("table", (N,))), EmbeddingSettings(first_trajectories=8, updates=1)
+    )
+    assert not learner.is_due(7)
+    assert learner.is_due(8)
+    learner.learn(LINE.trajectories, 9)
+    assert not learner.is_due(17)
+    assert learner.is_due(18)
+
+
+def test_where_nothing_moves_nothing_can_be_learned() -> None:
+    learner = FeatureLearner(LearnedMap("laplacian", ObservationForm("table", (N,))), EmbeddingSettings())
+    still = [path_through([3, 3, 3])]
+    assert not learner.can_learn(still)
+    assert learner.can_learn([path_through([3, 3, 4])])
+    with pytest.raises(ValueError, match=r"^a feature map can be learned only where a step leads to another observ"):
+        learner.learn(still, 1)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"horizon": 1.0}, r"^EmbeddingSettings: horizon should be greater than 1, got 1.0$"),
+        ({"updates": 0}, r"^EmbeddingSettings: updates should be greater than or equal to 1, got 0$"),
+        ({"batch_size": 1}, r"^EmbeddingSettings: batch_size should be greater than or equal to 2, got 1$"),
+        ({"learning_rate": np.inf}, r"^EmbeddingSettings: learning_rate should be a finite number, got inf$"),
+    ],
+)
+def test_settings(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        EmbeddingSettings(**wrong)

@@ -1,0 +1,115 @@
+"""What learned spaces are measured against: shortest paths, and the eigenvectors of the Laplacian."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import networkx as nx
+import numpy as np
+from scipy.stats import spearmanr
+
+from sb3_options.embedding.encoders import ObservationForm
+from sb3_options.embedding.learned_map import LearnedMap
+from sb3_options.embedding.learner import FeatureLearner
+from sb3_options.embedding.settings import EmbeddingSettings, MapName
+from sb3_options.envs.gridworld.grid_map import Cell, GridMap
+from sb3_options.experience.observations import FloatArray, IntArray
+from sb3_options.experience.trajectories import Trajectory
+
+
+class Walked(NamedTuple):
+    """A graph, and a random walk in it.
+
+    Attributes:
+        graph: Its nodes are numbered; a node with fewer than ``degree`` edges is stayed in instead.
+        trajectories: Of the walk; observations are the nodes' numbers.
+        degree: Of a node where no wall is.
+    """
+
+    graph: nx.Graph
+    trajectories: list[Trajectory]
+    degree: int
+
+    @property
+    def steps(self) -> FloatArray:
+        """Shortest paths between all nodes, (n, n)."""
+        return np.array(nx.floyd_warshall_numpy(self.graph))
+
+    def eigen(self, size: int) -> tuple[FloatArray, FloatArray]:
+        """The smallest eigenvalues above 0 of I − P, and their eigenvectors, (size,) and (n, size)."""
+        values, vectors = np.linalg.eigh(nx.laplacian_matrix(self.graph).toarray() / self.degree)
+        return values[1 : size + 1], vectors[:, 1 : size + 1]
+
+
+def walked(graph: nx.Graph, degree: int, n_steps: int, seed: int, n_trajectories: int = 8) -> Walked:
+    """Random walks that begin anywhere and end after so many steps together."""
+    rng = np.random.default_rng(seed)
+    neighbours = [[*graph[node], *[node] * (degree - len(graph[node]))] for node in range(len(graph))]
+    trajectories = []
+    for _ in range(n_trajectories):
+        at = [int(rng.integers(len(graph)))]
+        for choice in rng.integers(degree, size=n_steps // n_trajectories):
+            at.append(neighbours[at[-1]][choice])
+        trajectories.append(path_through(at))
+    return Walked(graph, trajectories, degree)
+
+
+def path_through(nodes: Sequence[int]) -> Trajectory:
+    """The trajectory that visits these, each observed as its number."""
+    states, first, visits = np.unique(nodes, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    n = len(nodes) - 1
+    return Trajectory(
+        states[order], np.argsort(order)[visits], np.zeros(n, dtype=np.int64), np.zeros(n), False, True, None
+    )
+
+
+def path_graph(n: int, n_steps: int = 6000, seed: int = 0) -> Walked:
+    """A walk on a line of n nodes."""
+    return walked(nx.path_graph(n), 2, n_steps, seed)
+
+
+def rooms(text: str, n_steps: int = 30_000, seed: int = 0) -> tuple[Walked, dict[Cell, int]]:
+    """A walk in a gridworld, and the node of each of its cells."""
+    grid = GridMap.parse(text, None, None)
+    cells = [(x, y) for y in range(grid.height) for x in range(grid.width) if not grid.walls[y, x]]
+    number = {cell: i for i, cell in enumerate(cells)}
+    graph = nx.Graph()
+    graph.add_nodes_from(range(len(cells)))
+    for x, y in cells:
+        graph.add_edges_from((number[x, y], number[c]) for c in ((x + 1, y), (x, y + 1)) if c in number)
+    return walked(graph, 4, n_steps, seed), number
+
+
+def learned(name: MapName, walk: Walked, seed: int = 0, **settings: float) -> FeatureLearner:
+    """A learner that has learned from a walk, in which every node was visited."""
+    form = ObservationForm("table", (len(walk.graph),))
+    learner = FeatureLearner(LearnedMap(name, form, seed), EmbeddingSettings(**settings), seed)  # type: ignore[arg-type]  # each of its type
+    learner.learn(walk.trajectories, len(walk.trajectories))
+    return learner
+
+
+def distances(features: FloatArray) -> FloatArray:
+    """Between all rows, (n, n)."""
+    made: FloatArray = np.linalg.norm(features[:, None] - features[None], axis=2)
+    return made
+
+
+def rank_correlation(one: FloatArray, other: FloatArray) -> float:
+    """Spearman's, of the distances above the diagonal."""
+    above = np.triu_indices(len(one), 1)
+    return float(spearmanr(one[above], other[above]).statistic)
+
+
+def cosines(features: FloatArray, vectors: FloatArray, values: FloatArray, gap: float = 0.1) -> FloatArray:
+    """How much of each learned vector lies where the true one is, up to its sign, (size,) in [0, 1].
+
+    True eigenvalues nearer than ``gap`` of themselves leave any rotation within the span of their vectors.
+    """
+    centred = features - features.mean(axis=0)
+    centred /= np.linalg.norm(centred, axis=0)
+    new_group = np.diff(values, prepend=-np.inf) > gap * values
+    groups: IntArray = np.cumsum(new_group)
+    projections = (vectors.T @ centred) ** 2
+    return np.sqrt([projections[groups == groups[i], i].sum() for i in range(len(values))])

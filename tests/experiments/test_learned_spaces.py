@@ -1,0 +1,41 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.common.gridworlds import world_of
+from experiments.learned_spaces.__main__ import Study, main
+from experiments.learned_spaces.conditions import ARMS, NAMES, TASKS, free_cells, pictures_of, run
+
+BRIEF = {"updates": 2, "batch_size": 16, "first_trajectories": 2}
+
+
+def test_cells_and_their_pictures() -> None:
+    world = world_of("sb3_options/FourRooms-v0", observation="image")
+    positions = world.concept_features(pictures_of(world))
+    assert [tuple(cell) for cell in positions.tolist()] == free_cells(world)
+    assert len(free_cells(world)) == np.sum(~world.walls) - 1
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_a_run_is_of_its_seed(arm: str) -> None:
+    """Too few episodes for a subgoal, so that it is quick."""
+    first, again, other = (run("FourRooms", arm, seed, n_episodes=3, **BRIEF) for seed in (0, 0, 1))  # type: ignore[arg-type]  # of ARMS
+    for result in (first, again, other):
+        del result["seconds"]
+    assert first == again
+    assert first["found"] == []
+    assert (first["n_learned"] > 0) == (arm is not None)
+    assert first["rank_correlation"] is None or first["rank_correlation"] != other["rank_correlation"]
+
+
+def test_study_writes_results_and_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("experiments.learned_spaces.conditions.N_EPISODES", 2)
+    main(Study(out=tmp_path, runs=1, first_seed=0, jobs=1))
+    written = json.loads((tmp_path / "results.json").read_text())
+    names = {f"{task}: {NAMES.get(arm, arm)}" for task in TASKS for arm in ARMS}
+    assert set(written["summary"]) == set(written["runs"]) == names
+    assert written["embedding"]["updates"] > 0
+    assert written["summary"]["TwoRooms: coordinates"]["rank_correlation"] is None
+    assert (tmp_path / "learned_spaces.png").stat().st_size > 5_000

@@ -1,0 +1,258 @@
+import io
+import json
+import math
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optuna
+import pytest
+import yaml
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
+from optuna.trial import TrialState
+from rich.console import Console
+
+from sb3_options.runs import config as configs
+from sb3_options.runs import scored, tune
+from sb3_options.runs.compare import Goal
+from sb3_options.runs.config import TrainConfig
+from sb3_options.runs.logged import Curve, Run
+from sb3_options.runs.search_space import Choices, Range, read_space
+from sb3_options.runs.tune_config import TuneConfig
+
+BASE = {"algo": "ppo", "env": "CartPole-v1", "n_timesteps": 300, "n_envs": 1, "discover": False}
+SEARCH: dict[str, Any] = {
+    "learning_rate": {"low": 1e-4, "high": 1e-2, "log": True},
+    "n_steps": [32, 64],
+    "net_arch": [[8], [16, 16]],
+    "discovery.decay": {"low": 0.5, "high": 0.9},
+}
+
+
+def written(folder: Path, search: Any = None, **base: Any) -> Path:
+    path = folder / "space.yml"
+    path.write_text(yaml.safe_dump({"base": BASE | base, "search": SEARCH if search is None else search}))
+    return path
+
+
+def quiet() -> Console:
+    return Console(file=io.StringIO(), width=160)
+
+
+@pytest.fixture
+def trained(monkeypatch: pytest.MonkeyPatch) -> list[TrainConfig]:
+    """The runs that were made, of which the learning rate alone says how good they are."""
+    runs: list[TrainConfig] = []
+
+    def score(run: TrainConfig, *_: object) -> float:
+        runs.append(run)
+        return abs(math.log(run.learning_rate / 1e-3)) + 0.01 * run.seed
+
+    monkeypatch.setattr(tune, "score", score)
+    return runs
+
+
+def study_in(folder: Path) -> optuna.Study:
+    storage = JournalStorage(JournalFileBackend(str(folder / tune.JOURNAL)))
+    return optuna.load_study(study_name=tune.NAME, storage=storage)
+
+
+def test_a_space_is_read(tmp_path: Path) -> None:
+    space = read_space(written(tmp_path), {})
+    assert space.search == {
+        "learning_rate": Range(1e-4, 1e-2, log=True),
+        "n_steps": Choices((32, 64)),
+        "net_arch": Choices(([8], [16, 16])),
+        "discovery.decay": Range(0.5, 0.9),
+    }
+    run = space.config({"n_steps": 64, "net_arch": [16, 16], "discovery.decay": 0.6}, 7, tmp_path)
+    assert (run.seed, run.net_arch, run.discovery.decay, run.tensorboard_log) == (7, (16, 16), 0.6, tmp_path)
+    assert vars(run)["n_steps"] == 64
+
+
+@pytest.mark.parametrize(
+    ("search", "text"),
+    [
+        ({}, "`search:` names nothing"),
+        ({"learning_rat": [1, 2]}, "there is no setting 'learning_rat'. Did you mean 'learning_rate'"),
+        ({"learning_rate": [1e-3]}, "learning_rate has 1 value to choose from; two are the fewest"),
+        ({"learning_rate": 1e-3}, r"learning_rate takes \{low: 0.0001, high: 0.01, log: true\} or a list"),
+        ({"learning_rate": {"low": 0.1}}, "learning_rate takes"),
+        ({"learning_rate": {"low": "a", "high": 1}}, "learning_rate takes"),
+        ({"learning_rate": {"low": 1.0, "high": 0.1}}, "needs low < high"),
+        ({"learning_rate": {"low": 0, "high": 0.1, "log": True}}, "low > 0 where log is true"),
+        ({"learning_rate": {"low": 0.01, "high": 0.1, "log": True, "step": 0.01}}, "a step > 0, and none where log"),
+        ({"gamma": {"low": 0.9, "high": 1.1}}, "gamma"),
+        ({"seed": [0, 1]}, "seed cannot be varied"),
+        ({"env": ["CartPole-v1", "Acrobot-v1"]}, "env cannot be varied"),
+        ({"buffer_size": [10, 20]}, "--buffer-size has no effect on ppo"),
+    ],
+)
+def test_a_space_that_is_wrong_is_refused(search: Any, text: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=text):
+        read_space(written(tmp_path, search), {})
+
+
+def test_a_file_imports_no_module(tmp_path: Path) -> None:
+    path = written(tmp_path, env="evil:Env-v0")
+    with pytest.raises(ValueError, match=r"would import a module\. If you trust it, pass --env evil:Env-v0"):
+        read_space(path, {})
+    assert read_space(path, {"env": "CartPole-v1"}).base["env"] == "CartPole-v1"
+
+
+def test_the_best_is_found_and_kept(tmp_path: Path, trained: list[TrainConfig]) -> None:
+    console = quiet()
+    best = tune.tune(TuneConfig(written(tmp_path), tmp_path / "out", trials=20, seeds=2), console=console)
+    assert len(trained) <= 40
+    assert {run.seed for run in trained} == {0, 1}
+    rates = [run.learning_rate for run in trained]
+    assert best.learning_rate == min(rates, key=lambda rate: abs(math.log(rate / 1e-3)))
+    assert configs.load(tmp_path / "out" / tune.BEST) == best
+    for name in tune.PICTURES:
+        assert (tmp_path / "out" / name).stat().st_size > 5_000
+    said = console.file.getvalue()  # type: ignore[attr-defined]  # a StringIO
+    assert "Trial 20 of 20" in said
+    assert f"sb3-options train --config {tmp_path / 'out' / tune.BEST} --seed 2" in said
+
+
+def test_one_seed_one_search(tmp_path: Path, trained: list[TrainConfig]) -> None:
+    for out in "ab":
+        tune.tune(TuneConfig(written(tmp_path), tmp_path / out, trials=10, seeds=1), console=quiet())
+    rates = [run.learning_rate for run in trained]
+    assert rates[:10] == rates[10:]
+    tune.tune(TuneConfig(written(tmp_path), tmp_path / "c", trials=10, seeds=1, worker=1), console=quiet())
+    assert not set(rates) & {run.learning_rate for run in trained[20:]}
+
+
+def test_a_search_goes_on(tmp_path: Path, trained: list[TrainConfig]) -> None:
+    config = TuneConfig(written(tmp_path), tmp_path / "out", trials=3, seeds=1)
+    tune.tune(config, console=quiet())
+    tune.tune(config, console=quiet())
+    assert len(trained) == 3, "there are three already"
+    tune.tune(TuneConfig(config.space, config.out, trials=5, seeds=1), console=quiet())
+    assert len({run.learning_rate for run in trained}) == 5, "and none is drawn again"
+    with pytest.raises(ValueError, match=r"holds a search with seeds 1, not 2\. Give another --out"):
+        tune.tune(TuneConfig(config.space, config.out, trials=5, seeds=2), console=quiet())
+    written(tmp_path, gamma=0.5)
+    with pytest.raises(ValueError, match="holds a search with file "):
+        tune.tune(config, console=quiet())
+
+
+def test_a_trial_that_was_killed_is_tried_again_where_it_was(tmp_path: Path, trained: list[TrainConfig]) -> None:
+    config = TuneConfig(written(tmp_path), tmp_path / "out", trials=2, seeds=1)
+    tune.tune(config, console=quiet())
+    study = study_in(config.out)
+    killed = study.ask()
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    killed.set_user_attr("by", [socket.gethostname(), process.pid])
+    space = read_space(config.space, {})
+    params = {name: tune._suggested(killed, name, of) for name, of in space.search.items()}
+    tune.tune(TuneConfig(config.space, config.out, trials=3, seeds=1), console=quiet())
+    assert trained[-1].learning_rate == params["learning_rate"]
+    assert trained[-1].tensorboard_log == config.out / "runs" / f"{killed.number:04}" / "0"
+    states = [trial.state for trial in study_in(config.out).trials]
+    assert states == [TrialState.COMPLETE, TrialState.COMPLETE, TrialState.FAIL, TrialState.COMPLETE]
+
+
+def test_what_is_worse_ends_early(tmp_path: Path, trained: list[TrainConfig]) -> None:
+    tune.tune(TuneConfig(written(tmp_path), tmp_path / "out", trials=12, seeds=12), console=quiet())
+    states = [trial.state for trial in study_in(tmp_path / "out").trials]
+    assert TrialState.PRUNED in states
+    assert len(trained) < 12 * 12
+
+
+def test_trials_that_fail_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def score(*_: object) -> float:
+        raise scored.RunFailedError("Error: no such thing.")
+
+    monkeypatch.setattr(tune, "score", score)
+    with pytest.raises(ValueError, match=r"8 trials failed. The last one: Error: no such thing\."):
+        tune.tune(TuneConfig(written(tmp_path), tmp_path / "out", trials=2, seeds=1), console=quiet())
+
+
+@pytest.mark.parametrize("name", ["trials", "seeds", "jobs"])
+def test_numbers_are_checked(name: str) -> None:
+    with pytest.raises(ValueError, match=f"--{name} must be at least 1, got 0"):
+        TuneConfig(Path("a"), Path("b"), **{name: 0})  # type: ignore[arg-type]  # of that name
+
+
+def run_with(values: list[float], source: str = "eval") -> Run:
+    curve = Curve(np.arange(1.0, len(values) + 1) * 100, np.zeros(len(values)), np.array(values))
+    return Run(Path("run"), {}, {"eval": {}, "rollout": {}} | {source: {"success": curve}})
+
+
+def test_scores() -> None:
+    goal = Goal("success", 0.9)
+    learned = run_with([0.0, 0.95, 0.5, 0.9, 1.0, 1.0, 1.0, 1.0, 0.8, 0.6])
+    assert scored.score_of(learned, goal, "steps", 1000) == pytest.approx(math.log(400))
+    assert scored.score_of(learned, goal, "end", 1000) == pytest.approx(0.7)
+    assert scored.score_of(run_with([0.0, 0.1], "rollout"), goal, "steps", 1000) == pytest.approx(math.log(1000))
+    with pytest.raises(ValueError, match="run did not log return: choose --reach success"):
+        scored.score_of(learned, Goal("return", 1.0), "steps", 1000)
+
+
+def test_processes_are_ended(tmp_path: Path) -> None:
+    processes = scored.Processes()
+    ended: list[type[BaseException]] = []
+
+    def sleep() -> None:
+        try:
+            processes.run([sys.executable, "-c", "import time; print('on', flush=True); time.sleep(600)"], log)
+        except KeyboardInterrupt as interrupt:
+            ended.append(type(interrupt))
+
+    log = tmp_path / "log"
+    thread = threading.Thread(target=sleep)
+    thread.start()
+    while not (log.exists() and log.read_text()):
+        time.sleep(0.05)
+    processes.end()
+    thread.join()
+    assert ended == [KeyboardInterrupt]
+    with pytest.raises(KeyboardInterrupt):
+        processes.run([sys.executable, "-c", ""], log)
+
+
+def test_the_search_needs_optuna(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from sb3_options import cli
+
+    monkeypatch.delitem(sys.modules, "sb3_options.runs.tune", raising=False)
+    monkeypatch.delattr("sb3_options.runs.tune", raising=False)
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    with pytest.raises(SystemExit):
+        cli.main(["tune", "space.yml", "--out", "out"])
+    assert "pip install 'sb3-options[tune]'" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_search_from_the_command_line(tmp_path: Path) -> None:
+    """Two trials at a time, an interrupt in the middle, and the same command again."""
+    space = written(tmp_path, {"learning_rate": [1e-3, 1e-2], "n_steps": [32, 64]})
+    command = [sys.executable, "-m", "sb3_options", "tune", str(space), "--out", str(tmp_path / "out")]
+    command += ["--trials", "3", "--seeds", "2", "--reach", "return=15", "--jobs", "2"]
+    first = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while not list((tmp_path / "out").glob(f"runs/*/*/{scored.SCORE}")):
+        assert first.poll() is None
+        time.sleep(0.1)
+    first.send_signal(signal.SIGINT)
+    _, said = first.communicate()
+    assert first.returncode == 130, said
+    assert "Interrupted" in said
+    done = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").glob(f"runs/*/*/{scored.SCORE}")}
+    second = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert second.returncode == 0, second.stderr
+    assert "stopped early" in second.stdout
+    assert {path: path.stat().st_mtime_ns for path in done} == done, "what was done is not done again"
+    states = [trial.state for trial in study_in(tmp_path / "out").trials]
+    assert sum(state in (TrialState.COMPLETE, TrialState.PRUNED) for state in states) == 3
+    assert TrialState.RUNNING not in states
+    score = json.loads(next(iter(done)).read_text())["score"]
+    assert 0 < score <= math.log(300) + 1e-9
