@@ -5,7 +5,7 @@ READY := .venv/.ready
 TRAINS := .venv/.trains
 ARGS ?=
 
-.PHONY: train paper test test-slow lint check format architecture upgrade clean
+.PHONY: train paper test test-slow docs lint check format architecture upgrade clean
 
 train: $(TRAINS)  ## Train in two rooms, with discovery and without; pass flags as ARGS="dqn --seed 1"
 	$(BIN)/python train.py $(ARGS) --compare
@@ -18,6 +18,9 @@ test: $(READY)  ## The fast tests
 
 test-slow: $(READY)  ## Those that train or simulate for minutes
 	$(BIN)/python -m pytest -n 2 --dist load -m slow $(ARGS)
+
+docs: $(READY)  ## The site, with the API reference and the notebooks run anew, into out/docs/html
+	$(BIN)/python -m sphinx --fresh-env --fail-on-warning --keep-going -b html --conf-dir docs . out/docs/html $(ARGS)
 
 lint: $(READY)  ## Style, types, and which folder may import which
 	$(BIN)/ruff check .

@@ -36,7 +36,7 @@ _VIEWS: dict[str, type[View]] = {"onehot": OneHotView, "xy": XYView, "image": Im
 class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
     """An agent in a walled grid walks to a goal; on some maps it needs a key to get there.
 
-    Actions 0..3 are the `Direction`s up, down, left, right. The agent moves in the chosen direction with
+    Actions 0..3 are the directions up, down, left, right (`Direction`). The agent moves in the chosen direction with
     probability ``success_probability``, else in a uniformly random one of the four. Where a wall, the border
     or a locked door is in the way it stays. An episode terminates on entering the goal, and truncates after
     ``max_steps`` steps; the ``info`` of each step says ``is_success``, whether the goal was reached with it.
@@ -224,11 +224,11 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         """Where the agent is in each observation: the space in which subgoals are looked for.
 
         Args:
-            observations: A batch of observations of this environment, shape (batch, *observation shape), of
+            observations: A batch of observations of this environment, shape ``(batch, *observation shape)``, of
                 any integer or floating dtype.
 
         Returns:
-            Column and row in cells, shape (batch, 2). With a key on the map (batch, 3): the last is
+            Column and row in cells, of shape (batch, 2). With a key on the map the shape is (batch, 3), and the last is
             `KEY_FEATURE_SCALE` where the agent has the key and 0 where it has not.
 
         Raises:

@@ -59,7 +59,7 @@ def retina(images: npt.NDArray[np.integer[Any]]) -> npt.NDArray[np.float64]:
         images: The ``image`` of each observation, (batch, v, v, 3), column, row and channel.
 
     Returns:
-        Features in the order of `FEATURES`, (batch, 27).
+        Features in the order of ``FEATURES``, (batch, 27).
 
     Raises:
         ValueError: The images have another shape.

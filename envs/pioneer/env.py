@@ -115,7 +115,7 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
     The task, actions, senses and rewards are those of McGovern & Barto (2001), §7.
 
     Args:
-        arena_size: Side of the square arena, m, at most `MAX_ARENA_SIZE`.
+        arena_size: Side of the square arena, m, at most ``MAX_ARENA_SIZE``.
         n_obstacles: Round obstacles in it.
         n_balls: Balls in it.
         deposit: Where a ball may be deposited: close to any wall, or in the marked corner only, the one of largest x
@@ -276,7 +276,7 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
         """Where the ball is on the retina: the space in which the paper looks for subgoals.
 
         Args:
-            observations: A batch of observations of this environment, shape (batch, *observation shape).
+            observations: A batch of observations of this environment, shape ``(batch, *observation shape)``.
 
         Returns:
             Displacement and width, rad, shape (batch, 2); both are 0 where no ball is to be seen.

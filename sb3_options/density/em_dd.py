@@ -50,7 +50,7 @@ class ExpectationMaximisation:
     def fit(self, bags: Bags) -> list[Solution]:
         """Peaks of the likelihood of the most likely instances, most probable first.
 
-        `Solution.log_density` is that likelihood in logarithm; `converged` says whether the selection came to rest.
+        ``Solution.log_density`` is that likelihood in logarithm; `converged` says whether the selection came to rest.
 
         Raises:
             ValueError: As `ConceptSearch.search`.

@@ -47,7 +47,7 @@ class Columns(NamedTuple):
         centre: (d, S), if the energy is Σ_k c_kk (x_k − centre_k)², so that small energies can be measured without
             cancellation; a column that is not finite is not. (0, S) if the energy is no such sum.
         exact: Whether small energies are measured so for every start, in double precision, and their part of the
-            gradient comes in `Evaluation.near`; else only for starts that are done carefully.
+            gradient comes in ``Evaluation.near``; else only for starts that are done carefully.
     """
 
     coefficients: Tensor
@@ -114,7 +114,7 @@ def measure_close_pairs(log2_p: Tensor, columns: Columns, segment: Segment, like
 
 
 def take_near(weights: Tensor, close: ClosePairs, columns: Columns, segment: Segment) -> Tensor:
-    """`Evaluation.near` of these pairs, whose weights in ``weights`` (N, S) are set to 0."""
+    """``Evaluation.near`` of these pairs, whose weights in ``weights`` (N, S) are set to 0."""
     d = len(columns.centre)
     near = weights.new_zeros(2 * d, weights.shape[1])
     for part in _parts(close.place, columns):

@@ -49,7 +49,7 @@ class BatchedLBFGS:
         curvature: What to take for the curvature of the objective before a step has shown it; without it the first
             step has length 1 at most, which from near a minimum is too far.
         tolerance: A start has converged when two accepted steps running decrease its value by less than this times
-            max(1, |value|), or no component of its gradient that is free exceeds this. In single precision, where a
+            ``max(1, |value|)``, or no component of its gradient that is free exceeds this. In single precision, where a
             smaller decrease is rounding, at least `FINEST` times its precision.
 
     Attributes:

@@ -21,7 +21,7 @@ class DiscoverySettings:
         method: How: by ``diverse-density``, or by another of `methods.METHODS`, for which of the settings below only
             the static filter, `spacing`, `subgoal_radius`, `scale`, `capacity` and the segmentation count.
         segmentation: What a trajectory is: one of the ``episodes``, or, for continuing tasks, a segment between two
-            ``peaks`` of reward (`continuing.RewardPeaks`).
+            ``peaks`` of reward (`recording.RewardPeaks`).
         peak_reward: The least reward of a peak; None takes any that is positive.
         max_segment: Primitive steps without a peak that make an unsuccessful segment; more than random exploration
             takes from peak to peak.
@@ -124,7 +124,7 @@ def default_scale(kind: str | None, features: FloatArray) -> FloatArray:
         features: All that was seen so far, shape (m, d).
 
     Returns:
-        Factors, shape (d,): 1, or `CATEGORICAL_SCALE`, or `UNITS_PER_RANGE` over the range of each feature.
+        Factors of shape (d,), each 1, or `CATEGORICAL_SCALE`, or `UNITS_PER_RANGE` over the range of each feature.
     """
     d = features.shape[1]
     if kind == "categorical":

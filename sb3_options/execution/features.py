@@ -25,6 +25,7 @@ LONGEST_DESCRIPTION = 200
 """Most characters of the description of an observation space, so that an error stays readable."""
 
 FeatureKind = Literal["given", "environment", "categorical", "identity", "temporal-distance", "laplacian"]
+"""Where a feature map comes from: the user, the environment, one-hot codes, flat observations, or learning."""
 
 
 class Features(NamedTuple):

@@ -27,8 +27,8 @@ def option_outputs(policy: Any) -> list[tuple[torch.nn.Linear, int]]:
         policy: Of an SB3 model.
 
     Returns:
-        Pairs of a layer and its outputs per action: the online and the target network of DQN and QRDQN, the logits of
-        an actor-critic policy (PPO, A2C, TRPO, MaskablePPO, RecurrentPPO).
+        A layer and its outputs per action, for each of the heads. They are the online and the target network of DQN and
+        QRDQN, the logits of an actor-critic policy (PPO, A2C, TRPO, MaskablePPO, RecurrentPPO).
 
     Raises:
         TypeError: The policy is none whose heads are known.

@@ -22,6 +22,7 @@ Keys: TypeAlias = Callable[[Observations], list[bytes]]
 """A batch of observations → what each of them is counted as."""
 
 NoveltyKind: TypeAlias = Literal["counts", "rnd"]
+"""How novelty is measured: by `StateCounts` or by `RandomNetworkDistillation`."""
 
 LONGEST_KEY = 64
 """Bytes; an observation of more, an image say, is counted under its hash."""

@@ -124,8 +124,8 @@ class OptionBank:
         """Which augmented actions may start in each observation.
 
         Returns:
-            Shape (batch, n_primitive + max_options): primitives always, options within their initiation sets, empty
-            slots never.
+            Of shape (batch, n_primitive + max_options). Primitives are always available, options within their
+            initiation sets, empty slots never.
         """
         mask = np.ones((batch_size(observations), self.n_primitive + self.max_options), dtype=bool)
         mask[:, self.n_primitive :] = self.available_slots(observations)

@@ -35,8 +35,8 @@ RESULTS = ROOT / "docs" / "results"
 GUIDING = [page for page in PAGES if page.name != "CHANGELOG.md"]
 """Pages of the present; the changelog also names what was."""
 
-PYTHON = [page for page in PAGES if python_of(page)]
-"""Pages that show Python."""
+PYTHON = [page for page in PAGES if python_of(page) and not page.name.endswith(".nb.md")]
+"""Pages that show Python. Notebooks are run whole, by test_site.py."""
 
 CHECKS = {
     "README.md": "from pathlib import Path; assert list(Path('runs/DQN_1').glob('events*'))",
@@ -149,7 +149,7 @@ def test_commands_of_studies_are_understood(page: Path) -> None:
 def test_make_targets_are_there() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     targets = {command.split()[1] for page in PAGES for command in commands_of(page) if command.startswith("make ")}
-    assert targets >= {"train", "test", "check", "paper", "architecture"}
+    assert targets >= {"train", "test", "check", "paper", "docs", "architecture"}
     for target in targets:
         assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE), target
 

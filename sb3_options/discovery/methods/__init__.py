@@ -34,6 +34,7 @@ MethodName = Literal[
     "random",
     "random-repeats",
 ]
+"""Names of the methods of discovery."""
 
 METHODS: dict[MethodName, Callable[..., DiscoveryMethod]] = {
     "first-visits": VisitFrequency,

@@ -74,7 +74,7 @@ class Places(NamedTuple):
 class DiscoveryMethod(Protocol):
     """Proposes subgoals from what the agent lived through, and from nothing else.
 
-    Any object with this method may be passed as `SubgoalDiscoveryCallback(method=…)`. A checkpoint also needs
+    Any object with this method may be passed as ``SubgoalDiscoveryCallback(method=…)``. A checkpoint also needs
     ``get_state()``, which gives a dictionary of arrays and plain values, and ``set_state(state)``. The `Budget` also
     needs ``seconds(experience)``: how long an update takes, estimated by sizes and not by the clock. Without it the
     method is told of every trajectory, whatever it takes.
@@ -87,8 +87,8 @@ class DiscoveryMethod(Protocol):
             experience: The trajectory.
 
         Returns:
-            What to make options for, best first: regions to reach, passages, intrinsic rewards, or repeats. The first
-            that leads far enough from other subgoals is taken.
-            What is proposed again after the next trajectory is considered again.
+            Regions to reach, passages, intrinsic rewards, or repeats to make options for, best first. The first that
+            leads far enough from other subgoals is taken. What is proposed again after the next trajectory is
+            considered again.
         """
         ...
