@@ -427,7 +427,7 @@ class TestTensorBoard:
 
 
 def test_without_tensorboard_no_picture_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sb3_options.callbacks.discovery.discovery_figures", lambda *_: pytest.fail("drew a picture"))
+    monkeypatch.setattr("sb3_options.callbacks.discovery_log.discovery_figures", lambda *_: pytest.fail("drew a picture"))
     callback = fast_callback()
     model_of().learn(STEPS, callback=callback)
     assert callback.discoveries
