@@ -11,6 +11,7 @@ import contextlib
 import os
 import signal
 import threading
+from collections.abc import Iterator
 from types import FrameType
 from typing import Any
 
@@ -74,6 +75,25 @@ class StopWhenNoted(BaseCallback):
 
     def _on_step(self) -> bool:
         return not self.interrupts.noted
+
+
+@contextlib.contextmanager
+def raised() -> Iterator[None]:
+    """Have SIGINT, SIGTERM and SIGHUP raise `KeyboardInterrupt`, for work that may end anywhere but has to clean up.
+
+    They are taken as by `Interrupts`: SIGINT even where it was ignored, and nothing outside the main thread.
+    """
+    before: dict[signal.Signals, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {number: signal.getsignal(number) for number in (*TERMINAL, signal.SIGTERM)}
+    taken = {number: old for number, old in before.items() if number == signal.SIGINT or old != signal.SIG_IGN}
+    for number in taken:
+        signal.signal(number, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        for number, old in taken.items():
+            signal.signal(number, signal.SIG_DFL if old is None else old)
 
 
 def ignore_interrupts() -> None:

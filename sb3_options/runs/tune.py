@@ -33,6 +33,7 @@ from sb3_options.atomic import atomic_write
 from sb3_options.runs import config as configs
 from sb3_options.runs.compare import Goal
 from sb3_options.runs.config import TrainConfig
+from sb3_options.runs.interrupts import raised
 from sb3_options.runs.pictures import DPI
 from sb3_options.runs.scored import Processes, RunFailedError, score
 from sb3_options.runs.search_space import Choices, Range, SearchSpace, Value, read_space
@@ -89,7 +90,7 @@ def tune(config: TuneConfig, *, console: Console) -> TrainConfig:
     config.out.mkdir(parents=True, exist_ok=True)
     study, processes = _study(config, space, goal), Processes()
     _try_again(study)
-    with ThreadPoolExecutor(config.jobs) as threads:
+    with raised(), ThreadPoolExecutor(config.jobs) as threads:
         jobs = [threads.submit(_work, study, config, space, goal, processes, console) for _ in range(config.jobs)]
         try:
             for job in jobs:

@@ -427,7 +427,8 @@ class TestTensorBoard:
 
 
 def test_without_tensorboard_no_picture_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sb3_options.callbacks.discovery_log.discovery_figures", lambda *_: pytest.fail("drew a picture"))
+    drawing = "sb3_options.callbacks.discovery_log.discovery_figures"
+    monkeypatch.setattr(drawing, lambda *_: pytest.fail("drew a picture"))
     callback = fast_callback()
     model_of().learn(STEPS, callback=callback)
     assert callback.discoveries

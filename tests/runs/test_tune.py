@@ -233,16 +233,19 @@ def test_the_search_needs_optuna(monkeypatch: pytest.MonkeyPatch, capsys: pytest
 
 
 @pytest.mark.slow
-def test_a_search_from_the_command_line(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_search_from_the_command_line(number: signal.Signals, tmp_path: Path) -> None:
     """Two trials at a time, an interrupt in the middle, and the same command again."""
     space = written(tmp_path, {"learning_rate": [1e-3, 1e-2], "n_steps": [32, 64]})
     command = [sys.executable, "-m", "sb3_options", "tune", str(space), "--out", str(tmp_path / "out")]
     command += ["--trials", "3", "--seeds", "2", "--reach", "return=15", "--jobs", "2"]
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # as in the background of a script; children inherit it
     first = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    signal.signal(signal.SIGINT, before)
     while not list((tmp_path / "out").glob(f"runs/*/*/{scored.SCORE}")):
         assert first.poll() is None
         time.sleep(0.1)
-    first.send_signal(signal.SIGINT)
+    first.send_signal(number)
     _, said = first.communicate()
     assert first.returncode == 130, said
     assert "Interrupted" in said
