@@ -9,6 +9,7 @@ import gymnasium as gym
 import networkx as nx
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.image import AxesImage
 
 from sb3_options.envs import GridWorld
 from sb3_options.experience.observations import FloatArray
@@ -50,6 +51,26 @@ def rooms_of(world: GridWorld) -> list[set[Cell]]:
     rows, columns = np.nonzero(world.walls)
     graph.remove_nodes_from([*zip(columns.tolist(), rows.tolist(), strict=True), *world.doorways, *world.doors])
     return [set(part) for part in nx.connected_components(graph)]
+
+
+def draw_counts(axes: Axes, world: GridWorld, counts: FloatArray, most: int) -> AxesImage:
+    """Draw how often each cell was found, with walls and doorways and without ticks.
+
+    Args:
+        axes: To draw on.
+        world: Whose cells they are.
+        counts: Of each cell, (height, width), as `counts_of` gives them.
+        most: The count of the darkest colour; 1 at least is taken.
+
+    Returns:
+        The counts, for a colour bar.
+    """
+    shown = axes.imshow(counts, cmap="Blues", vmin=0, vmax=max(most, 1))
+    axes.imshow(world.walls, cmap="binary", alpha=0.6 * world.walls, vmin=0, vmax=1)
+    frame_doorways(axes, world)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    return shown
 
 
 def frame_doorways(axes: Axes, world: GridWorld) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from matplotlib.figure import Figure
 
-from experiments.common.gridworlds import counts_of, frame_doorways, world_of
+from experiments.common.gridworlds import counts_of, draw_counts, world_of
 from experiments.common.seeds import Result
 
 
@@ -20,11 +20,7 @@ def draw(results: Mapping[str, Sequence[Result]]) -> Figure:
         for axes, arm in zip(row, arms, strict=True):
             runs = results[f"{task}: {arm}"]
             counts = counts_of(world, [found["point"] for run in runs for found in _cells(run)])
-            shown = axes.imshow(counts, cmap="Blues", vmin=0, vmax=max(len(runs), 1))
-            axes.imshow(world.walls, cmap="binary", alpha=0.6 * world.walls, vmin=0, vmax=1)
-            frame_doorways(axes, world)
-            axes.set_xticks([])
-            axes.set_yticks([])
+            shown = draw_counts(axes, world, counts, len(runs))
             axes.set_title(f"{task}: {arm}", fontsize=8)
     figure.colorbar(shown, ax=grid, label="subgoals", shrink=0.5)
     return figure

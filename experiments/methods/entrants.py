@@ -5,30 +5,16 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from experiments.methods.tasks import RaceTask, places
-from sb3_options.discovery.methods import CONTROLS, METHODS, DiscoveryMethod, GivenPlaces
+from sb3_options.discovery.methods import CONTROLS, METHODS, DiscoveryMethod, GivenPlaces, MethodName
 from sb3_options.discovery.settings import DiscoverySettings
 
 NONE = "none"
 HAND_MADE = "hand-made"
 
-ENTRANTS = (
-    "diverse-density",
-    "em-dd",
-    "first-visits",
-    "every-visit",
-    "relative-novelty",
-    "l-cut",
-    "betweenness",
-    "eigenoptions",
-    "covering",
-    "random",
-    "random-repeats",
-    HAND_MADE,
-    NONE,
-)
+ENTRANTS = (*get_args(MethodName), HAND_MADE, NONE)
 """Of `MethodName`; ``hand-made``: the bottlenecks themselves; ``none``: primitives."""
 
 TUNED = Path(__file__).with_name("tuned.json")
