@@ -23,8 +23,8 @@ from rich.table import Table
 
 from benchmarks.turns import take_turns
 from experiments.common.study import show, write
+from sb3_options.envs.pioneer.body import CONTROL_RATE, PHYSICS_RATE
 from sb3_options.envs.pioneer.env import Pioneer
-from sb3_options.envs.pioneer.robot import CONTROL_RATE, PHYSICS_RATE
 from sb3_options.runs.intervals import mean_interval
 
 PEER = "PandaPush-v3"

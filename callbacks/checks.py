@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import Any, NoReturn
 
 import numpy as np
@@ -16,11 +17,54 @@ from stable_baselines3.common.vec_env import (
     is_vecenv_wrapped,
 )
 
+from sb3_options.checked import given_as, is_number, whole
+from sb3_options.density.groups import FeatureGroup
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.execution.trials import TrialSettings
 from sb3_options.execution.wrappers_above import ChangesSteps
 from sb3_options.learning import heads
 from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.macro_q import MacroQ
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
+
+
+def check_numbers(max_new_options: int | None, min_reached: float, seed: int) -> None:
+    """Refuse arguments of `SubgoalDiscoveryCallback` that are out of their range.
+
+    Raises:
+        ValueError: One is.
+    """
+    if max_new_options is not None and not whole(max_new_options, 0):
+        raise ValueError(f"max_new_options must be at least 0, got {max_new_options!r}.")
+    if not (is_number(min_reached) and 0.0 <= min_reached <= 1.0):
+        raise ValueError(f"min_reached must be a share, in [0, 1], got {min_reached!r}.")
+    if not whole(seed, 0):
+        raise ValueError(f"seed must be at least 0, a whole number, got {seed!r}.")
+
+
+def groups_given(groups: Iterable[FeatureGroup | Mapping[str, Any]] | None) -> tuple[FeatureGroup, ...] | None:
+    """The groups of features that a user gave; None where none were given.
+
+    Raises:
+        TypeError: They are something else, or a mapping has an unknown field.
+        ValueError: A field is out of its range.
+    """
+    if not isinstance(groups, Iterable | None):
+        raise TypeError(f"groups must be FeatureGroups, or mappings of their fields, got {groups!r}.")
+    return None if groups is None else tuple(given_as(FeatureGroup, group) for group in groups)
+
+
+def trial_given(trial: TrialSettings | Mapping[str, Any] | None, settings: DiscoverySettings) -> TrialSettings | None:
+    """The settings of trials that a user gave; None where none were given.
+
+    Raises:
+        TypeError: They have an unknown field.
+        ValueError: There are no episodes to compare, or a field is out of its range.
+    """
+    given = None if trial is None else given_as(TrialSettings, trial)
+    if given is not None and settings.segmentation == "peaks":
+        raise ValueError("A trial compares episodes, and a continuing task has none: pass trial=None with peaks.")
+    return given
 
 
 def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:

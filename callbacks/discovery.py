@@ -11,15 +11,16 @@ from typing import Any
 import numpy as np
 import torch
 
-from sb3_options.callbacks.checks import check_model
+from sb3_options.callbacks.checks import check_model, check_numbers, groups_given, trial_given
 from sb3_options.callbacks.counting import monitor_primitive_steps
 from sb3_options.callbacks.discovery_log import DiscoveryClock, draw_discovery, log_discovery
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.learned_features import GivenFeatures, check_learned, features_for
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
-from sb3_options.callbacks.records import ClosedOption, DiscoveredOption, OptionStatistics
+from sb3_options.callbacks.records import ClosedOption, DiscoveredOption, OptionStatistics, saved_for
+from sb3_options.callbacks.summaries import describe_options, log_results, settings_of
 from sb3_options.callbacks.trials import OptionTrials
-from sb3_options.checked import given_as, is_number, whole
+from sb3_options.checked import given_as
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.methods import DiscoveryMethod, MethodName
@@ -85,6 +86,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             closes none. Runs that the end of the episode cut off do not count.
         primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps, not decisions.
         save_path: File for the options, written each time one is made; None writes nothing.
+        hparams: Settings for TensorBoard's HParams tab; by default those of the algorithm and of discovery.
         seed: Of option policies that are networks, and of trials.
         verbose: 1 prints each new option.
 
@@ -111,6 +113,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         min_reached: float = 0.0,
         primitive_rollouts: bool = False,
         save_path: str | os.PathLike[str] | None = None,
+        hparams: Mapping[str, Any] | None = None,
         seed: int = 0,
         verbose: int = 0,
     ) -> None:
@@ -120,26 +123,16 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             self.settings = dataclasses.replace(self.settings, method=method)
         self.method = None if isinstance(method, str) else method
         self.option_settings = given_as(OptionLearningSettings, {} if option_settings is None else option_settings)
-        if max_new_options is not None and not whole(max_new_options, 0):
-            raise ValueError(f"max_new_options must be at least 0, got {max_new_options!r}.")
-        if not (is_number(min_reached) and 0.0 <= min_reached <= 1.0):
-            raise ValueError(f"min_reached must be a share, in [0, 1], got {min_reached!r}.")
-        if not whole(seed, 0):
-            raise ValueError(f"seed must be at least 0, a whole number, got {seed!r}.")
+        check_numbers(max_new_options, min_reached, seed)
         self.min_reached = min_reached
-        self.success = success
-        self.static_filter = static_filter
-        if not isinstance(groups, Iterable | None):
-            raise TypeError(f"groups must be FeatureGroups, or mappings of their fields, got {groups!r}.")
-        self.groups = None if groups is None else tuple(given_as(FeatureGroup, group) for group in groups)
+        self.success, self.static_filter = success, static_filter
+        self.groups = groups_given(groups)
         self.max_new_options = max_new_options
         self.interruption = interruption
-        self.trial = None if trial is None else given_as(TrialSettings, trial)
-        if self.trial is not None and self.settings.segmentation == "peaks":
-            raise ValueError("A trial compares episodes, and a continuing task has none: pass trial=None with peaks.")
+        self.trial = trial_given(trial, self.settings)
         self.max_option_exploration = checked_share(max_option_exploration)
         self.opening_share = checked_share(max_option_exploration if opening_share is None else opening_share)
-        self.save_path = save_path
+        self.save_path, self.hparams = save_path, hparams
         self.episodes = 0
         self.history: list[EpisodeRecord] = []
         self.discoveries: list[DiscoveredOption] = []
@@ -162,7 +155,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         return OptionBank(1, 0) if self._installer is None else self._installer.bank
 
     def _on_training_start(self) -> None:
-        venv = self.training_env
+        self._ended, venv = False, self.training_env
         check_model(self.model, venv)
         self._start_counting()
         monitor_primitive_steps(venv)
@@ -195,7 +188,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         if self.settings.segmentation == "peaks" and set(venv.get_attr("max_runs")) != {None}:
             raise ValueError("max_runs counts in an episode, and a continuing task has none: leave it out with peaks.")
         venv.env_method("record_trajectories", True, self.settings.reward_peaks())
-
         self._trials = None if self.trial is None else OptionTrials(venv, self.trial, self.seed)
         self._clock = DiscoveryClock(self._search.seconds)
 
@@ -287,9 +279,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         )
 
     def _may_discover(self) -> bool:
-        if self.max_new_options is not None and len(self._made_here) >= self.max_new_options:
-            return False
-        return len(self.bank) < self.bank.max_options
+        most = self.bank.max_options if self.max_new_options is None else self.max_new_options
+        return len(self._made_here) < most and len(self.bank) < self.bank.max_options
 
     def _make_option(self, subgoal: Region) -> None:
         found = self._search.found[-1]
@@ -305,13 +296,14 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._made_here.add(slot)
         if not option.fixed:
             self._growth.made(slot, subgoal, self._search.database)
-        density, n = found.log_density, len(option.initiation_set.points)
         at = (self.episodes, self.num_timesteps, found.centre, where if len(subgoal.points) else option.name)
-        self.discoveries.append(DiscoveredOption(slot, *at, density, n))
+        n, saved = len(option.initiation_set.points), saved_for(subgoal, self._search.database)
+        self.discoveries.append(DiscoveredOption(slot, *at, found.log_density, n, *saved))
         if self.verbose:
             print(f"Option {slot}: {option.name}, after {self.episodes} episodes and {self.num_timesteps:,} steps")
         self._save()
         self.draw()
+        self._describe()
 
     def _save(self) -> None:
         if self.save_path is not None:
@@ -340,16 +332,18 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             print(f"Option {slot} proved {why} and is closed, after {self.episodes} episodes")
 
     def _log(self) -> None:
-        record = self.logger.record
-        record("time/primitive_steps", self.num_timesteps)
-        record("options/count", len(self.bank))
-        record("options/closed", len(self.closed))
         assert self._clock is not None  # made when training started
-        log_discovery(record, self._search, self._clock.share(self._search), self._statistics.values())
+        counts = {"options/count": len(self.bank), "options/closed": len(self.closed)}
+        others = {"time/primitive_steps": self.num_timesteps, **counts, **self._statistics.values()}
+        log_discovery(self.logger.record, self._search, self._clock.share(self._search), others)
 
     def draw(self) -> None:
         """Draw the pictures of discovery for TensorBoard, with the next dump of the log."""
-        draw_discovery(self.logger, self._search, self.bank)
+        newest = self.discoveries[-1].slot if self.discoveries else None
+        draw_discovery(self.logger, self._search, self.bank, newest)
+
+    def _describe(self) -> None:
+        describe_options(self.logger, self.bank.slots, self.discoveries, self._statistics.values())
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint, at the start of a rollout."""
@@ -389,6 +383,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._options.set_state(state["options"])
 
     def _on_training_end(self) -> None:
+        if self._ended:  # rl-zoo3 ends training twice
+            return
+        self._ended = True
         super()._on_training_end()
         self._options.on_training_end()
         if self._trials is not None:
@@ -396,5 +393,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         if self.closed:
             self._save()  # without them
         self.draw()
-        if self.logger.name_to_value:  # rl-zoo3 ends training twice, and an empty dump warns
+        self._describe()
+        settings = self.hparams or settings_of(self.model, discovery=self.settings, option=self.option_settings)
+        log_results(self.logger, settings, self.history)
+        if self.logger.name_to_value:  # an empty dump warns
             self.logger.dump(self.num_timesteps)

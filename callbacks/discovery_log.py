@@ -7,9 +7,10 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from stable_baselines3.common.logger import Figure, Logger, TensorBoardOutputFormat
+from stable_baselines3.common.logger import Figure, Logger
 
-from sb3_options.discovery.figures import discovery_figures
+from sb3_options.callbacks.summaries import NUMBERS_ONLY, takes_more_than_numbers
+from sb3_options.discovery.figures import discovery_figures, options_figure
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.options.bank import OptionBank
 
@@ -71,15 +72,18 @@ def log_discovery(
         record(tag, value)
 
 
-def draw_discovery(log: Logger, search: SubgoalDiscovery, bank: OptionBank) -> None:
+def draw_discovery(log: Logger, search: SubgoalDiscovery, bank: OptionBank, newest: int | None) -> None:
     """Draw the pictures of discovery for TensorBoard, with the next dump of the log; without TensorBoard, none.
 
     Args:
         log: SB3's.
         search: Discovery.
         bank: The present options.
+        newest: Slot of the option that was discovered last.
     """
-    if not any(isinstance(output, TensorBoardOutputFormat) for output in log.output_formats):
+    if not takes_more_than_numbers(log):
         return
-    for name, figure in discovery_figures(search, bank).items():
-        log.record(f"discovery/{name}", Figure(figure, close=True), exclude=("stdout", "log", "json", "csv"))
+    figures = discovery_figures(search, bank)
+    options = options_figure(search, bank, newest)
+    for name, figure in (figures if options is None else {**figures, "options": options}).items():
+        log.record(f"discovery/{name}", Figure(figure, close=True), exclude=NUMBERS_ONLY)

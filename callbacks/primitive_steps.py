@@ -20,6 +20,7 @@ from sb3_options.callbacks.counting import (
     count_inner_steps,
     monitor_primitive_steps,
 )
+from sb3_options.execution.ray_vec_env import RayVecEnv
 from sb3_options.execution.workers import watch_workers
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.option_run import OptionRun
@@ -114,6 +115,8 @@ class PrimitiveStepsCallback(BaseCallback):
         """Count what one step of every environment ran; whether training goes on."""
         if self._counts:
             count_inner_steps(self, runs)
+            if isinstance(venv := self.training_env.unwrapped, RayVecEnv):
+                self.logger.record("time/lost_actors", venv.lost_actors)
         buffer = self._rollout_buffer
         if buffer is None:
             return True

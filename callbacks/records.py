@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from sb3_options.density.regions import Region
 from sb3_options.execution.trials import Verdict
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.option_run import OptionRun
+from sb3_options.experience.trajectories import TrajectoryDatabase
 
 MIN_RUNS = 50
 """Of so many last runs that ended by themselves is judged how many reached the subgoal, or nothing is."""
@@ -31,6 +33,8 @@ class DiscoveredOption:
         where: The same for people: ``state 57`` of a discrete space, else coordinates, or what the option repeats.
         log_density: Best log diverse density of the search that completed it; NaN where another method found it.
         initiation_states: Size of its initiation set.
+        saved: Trajectories that were saved, which it was learned from.
+        visiting: Of them, those that visit its subgoal.
     """
 
     slot: int
@@ -40,6 +44,13 @@ class DiscoveredOption:
     where: str
     log_density: float
     initiation_states: int
+    saved: int = 0
+    visiting: int = 0
+
+
+def saved_for(subgoal: Region, trajectories: TrajectoryDatabase) -> tuple[int, int]:
+    """How many trajectories are saved, and how many of them visit a subgoal."""
+    return len(trajectories), sum(bool(subgoal.contains(each.features).any()) for each in trajectories)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ author = "The sb3-options developers"
 copyright = author
 version = release = __version__
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "docs.site"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "docs.site"]
 root_doc = "docs/index"
 include_patterns = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs/**"]
 exclude_patterns = [".*", "benchmarks", "build", "envs", "callbacks", "examples", "experiments", "mutants", "out"]
@@ -22,10 +22,10 @@ nitpick_ignore_regex = [
     (
         "py:.*",
         r"(abc|collections|enum|gym|gymnasium|matplotlib|nn|np|npt|numpy|os|pathlib|pydantic|sb3_contrib|scipy"
-        r"|spaces|stable_baselines3|torch|typing)\..*",
+        r"|spaces|stable_baselines3|torch|types|typing)\..*",
     ),
-    ("py:.*", r"ArrayLike|BaseAlgorithm|BaseCallback|GymEnv|MaybeCallback|ReplayBufferSamples|Tensor|VecEnv"),
-    ("py:.*", r"(Float|Int|Bool)Array|sb3_options\..*\.(M|Model|Result)"),  # arrays of numbers, type variables
+    ("py:.*", r"ArrayLike|BaseAlgorithm|BaseCallback|EnvFns|GymEnv|MaybeCallback|ReplayBufferSamples|Tensor|VecEnv"),
+    ("py:.*", r"(Float|Int|Bool)Array|sb3_options\..*\.(Bullet|M|Model|Result)"),  # arrays, type variables
     ("py:class", r"'.*'|Deposit|ObservationKind|RenderMode"),  # the descriptions of the arguments name the choices
     ("py:obj", r"[a-z_]\w*"),  # an argument or an attribute, of which its class tells
 ]

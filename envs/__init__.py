@@ -7,9 +7,13 @@
 - ``sb3_options/PioneerCorner-v0``: it takes the ball to one marked corner.
 - ``sb3_options/PioneerClutter-v0``: there are obstacles in its way.
 - ``sb3_options/PioneerTwoBalls-v0``: there are two balls to take to the walls.
+- ``sb3_options/PioneerMuJoCo-v0``: the robot of ``Pioneer-v0`` in MuJoCo; ``deposit="corner"``, ``n_obstacles=4`` and
+  ``n_balls=2`` make it the other three.
 
-The first three are `GridWorld`, the others `sb3_options.envs.pioneer.Pioneer`, which needs PyBullet
-(``pip install "sb3-options[pioneer]"``). `gymnasium.make` passes all of their keyword arguments on. The step limit is
+The first three are `GridWorld`, the next four `sb3_options.envs.pioneer.Pioneer`, which needs PyBullet
+(``pip install "sb3-options[pioneer]"``, wheels up to CPython 3.11), the last
+`sb3_options.envs.pioneer.PioneerMuJoCo`, which needs MuJoCo (``pip install "sb3-options[mujoco]"``, wheels for every
+Python). `gymnasium.make` passes all of their keyword arguments on. The step limit is
 the environment's own ``max_steps``, so that ``gymnasium.make(..., max_steps=None)`` lifts it.
 """
 
@@ -47,13 +51,14 @@ _register("FourRooms", FOUR_ROOMS, FOUR_ROOMS_MAX_STEPS)
 _register("KeyDoor", KEY_DOOR, KEY_DOOR_MAX_STEPS)
 
 
-def _register_pioneer(name: str, **kwargs: Any) -> None:
+def _register_pioneer(name: str, cls: str = "Pioneer", **kwargs: Any) -> None:
     env_id = f"sb3_options/{name}-v0"
     if env_id not in gymnasium.registry:
-        gymnasium.register(env_id, entry_point="sb3_options.envs.pioneer:Pioneer", kwargs=kwargs)
+        gymnasium.register(env_id, entry_point=f"sb3_options.envs.pioneer:{cls}", kwargs=kwargs)
 
 
 _register_pioneer("Pioneer")
 _register_pioneer("PioneerCorner", deposit="corner")
 _register_pioneer("PioneerClutter", n_obstacles=4)
 _register_pioneer("PioneerTwoBalls", n_balls=2)
+_register_pioneer("PioneerMuJoCo", cls="PioneerMuJoCo")

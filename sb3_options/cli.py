@@ -41,12 +41,13 @@ from sb3_options.runs.compare import CompareConfig, show_comparison
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.eval_callback import eval_callback_class
 from sb3_options.runs.flags import parse
+from sb3_options.runs.hparams import hparams_of
 from sb3_options.runs.in_turn import Series, Trained, go_on, train_in_turn
 from sb3_options.runs.in_turn import read as read_series
 from sb3_options.runs.inspection import InspectConfig, show_options
 from sb3_options.runs.interrupts import Interrupts, StopWhenNoted
 from sb3_options.runs.logs import KeepTraining, without
-from sb3_options.runs.resume import ResumeConfig, config_of
+from sb3_options.runs.resume import ResumeConfig, config_of, options_of
 from sb3_options.runs.series import StopWhenLearned
 from sb3_options.runs.tune_config import TuneConfig
 from sb3_options.runs.users_code import IMPORTING
@@ -158,7 +159,7 @@ def _train(config: TrainConfig, *, series: Series | None = None, resumed: Path |
             runs.check_observations(env, config.env)
             bank: OptionBank = env.get_attr("bank")[0]
             started_with = [f"{slot} ({option.name})" for slot, option in enumerate(bank.slots) if option is not None]
-        discovery = _discovery(config)
+        discovery = _discovery(config, resumed)
         folder = runs.new_run_folder(config) if resumed is None else resumed
         _learn(config, discovery, folder, interrupts, series=series, resume=resumed is not None)
         if config.compare and config.discover and not interrupts.noted:
@@ -181,12 +182,14 @@ def _train(config: TrainConfig, *, series: Series | None = None, resumed: Path |
     return Trained(folder, discovery, interrupts.noted)
 
 
-def _discovery(config: TrainConfig) -> SubgoalDiscoveryCallback:
+def _discovery(config: TrainConfig, resumed: Path | None = None) -> SubgoalDiscoveryCallback:
+    options = config.options if resumed is None else options_of(resumed)
     return SubgoalDiscoveryCallback(
         config.discovery,
         config.option,
         max_new_options=config.max_new_options if config.discover else 0,
         trial=TrialSettings() if config.close_harmful else None,
+        hparams=hparams_of(config, options),
         seed=config.seed,
         verbose=1,
         **callback_settings(config),
@@ -203,7 +206,6 @@ def _learn(
     resume: bool = False,
 ) -> None:
     """Train, and save what was learned, however training ends; without a step taken, remove a new folder."""
-    subproc = config.vec_env == "subproc"
     interrupts.saving = False
     discovery.save_path = folder / runs.OPTIONS
     model: BaseAlgorithm | None = None
@@ -211,7 +213,7 @@ def _learn(
     finished = False
     try:
         monitors = folder / runs.MONITOR
-        envs.append(runs.make_env(config, config.n_envs, config.seed, monitor_dir=monitors, subproc=subproc))
+        envs.append(runs.make_env(config, config.n_envs, config.seed, monitor_dir=monitors, vec_env=config.vec_env))
         if not resume:
             configs.save(config, folder / runs.CONFIG)
             if series is not None:
@@ -223,7 +225,8 @@ def _learn(
             callbacks.append(IntrinsicRewardCallback(config.bonus, seed=config.seed))
         if config.eval_freq > 0:
             limit = config.eval_max_steps
-            envs.append(runs.make_env(config, 1, evaluation.EVAL_SEED + config.seed, subproc=subproc, max_steps=limit))
+            seed = evaluation.EVAL_SEED + config.seed
+            envs.append(runs.make_env(config, 1, seed, vec_env=config.vec_env, max_steps=limit))
             evaluation_callback = eval_callback_class(config.algo)(
                 interrupts, folder, envs[1], n_eval_episodes=config.eval_episodes, eval_freq=1, verbose=0
             )
@@ -332,7 +335,7 @@ def _report(
 
 def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path) -> None:
     assert discovery.discovery is not None  # training has started
-    if config.vec_env == "subproc":  # φ was in a process that has ended
+    if config.vec_env != "dummy":  # φ was in a process that has ended
         env = runs.make_env(config, 1, config.seed)
         discovery.bank.bind(lambda observations: env.env_method("concept_features", observations)[0])
     with without(folder / runs.SUBGOALS), atomic_write(folder / runs.SUBGOALS) as temporary:

@@ -8,13 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sb3_options.envs.pioneer.body import BODY_RADIUS
-from sb3_options.envs.pioneer.bullet import Box, Cylinder
+from sb3_options.envs.pioneer.body import BALL_RADIUS, BODY_RADIUS
 
-__all__ = ["BALL_RADIUS", "CORNER_SIZE", "OBSTACLE_RADIUS", "Arena", "Placement"]
-
-BALL_RADIUS = 0.08
-"""m; fits between the gripper's open paddles and is lower than the sonar ring."""
+__all__ = ["CORNER_SIZE", "OBSTACLE_RADIUS", "Arena", "Box", "Cylinder", "Placement", "Pose", "Position"]
 
 WALL_HEIGHT = 0.4
 """m; higher than the sonar ring."""
@@ -52,6 +48,21 @@ GRIPPER_AHEAD, GRIPPER_RADIUS = 0.28, 0.14
 Position = tuple[float, float]
 Distance = tuple[Sequence[Position], float]
 Pose = tuple[float, float, float]
+
+
+class Box(NamedTuple):
+    """An upright static box: its middle and its half sides, m."""
+
+    middle: tuple[float, float, float]
+    half_sides: tuple[float, float, float]
+
+
+class Cylinder(NamedTuple):
+    """An upright static cylinder: its middle, radius and height, m."""
+
+    middle: tuple[float, float, float]
+    radius: float
+    height: float
 
 
 class Placement(NamedTuple):

@@ -1,4 +1,4 @@
-"""The body of a Pioneer 2-DX with a gripper: its dimensions, and how it is built of Bullet's shapes.
+"""The body of a Pioneer 2-DX with a gripper, and the ball: dimensions, masses, friction, motors, for every simulator.
 
 Dimensions and masses are those that ActivMEDIA's "Pioneer 2 Mobile Robot Operation Manual" (1999) specifies for the
 2-DX, unless a constant says otherwise. In the robot's frame x points ahead, y to the left and z up, and the origin is
@@ -7,27 +7,41 @@ on the floor below the middle of the axle.
 
 from __future__ import annotations
 
-import math
-
-from sb3_options.envs.pioneer.bullet import Bullet
-
 __all__ = [
+    "ASIDE",
     "AXLE_TRACK",
-    "BALL",
-    "BODY",
+    "BALL_DAMPING",
+    "BALL_FRICTION",
+    "BALL_MASS",
+    "BALL_RADIUS",
+    "BALL_ROLLING_FRICTION",
+    "BALL_SPINNING_FRICTION",
     "BODY_BOTTOM",
+    "BODY_DAMPING",
+    "BODY_FRICTION",
+    "BODY_MASS",
     "BODY_RADIUS",
     "BODY_TOP",
-    "FLOOR",
+    "CASTER_BEHIND",
+    "CASTER_FRICTION",
+    "CASTER_RADIUS",
+    "CONTACT_GAP",
+    "CONTROL_RATE",
+    "GRAVITY",
+    "GRIP_AHEAD",
+    "GRIP_FORCE",
     "MIDDLE_HEIGHT",
+    "MOTOR_TORQUE",
     "PADDLE_HALF_SIDES",
+    "PADDLE_HEIGHT",
     "PADDLE_OPENING",
     "PADDLE_TIP",
-    "RAY",
-    "SOLID",
-    "WHEEL",
+    "PHYSICS_RATE",
+    "REAR_MASS",
+    "SOLID_FRICTION",
+    "TYRE_FRICTION",
+    "WHEEL_MASS",
     "WHEEL_RADIUS",
-    "add_body",
 ]
 
 BODY_RADIUS = 0.22
@@ -63,63 +77,49 @@ PADDLE_HEIGHT = 0.08
 """Of the paddles' middle above the floor, m."""
 
 MIDDLE_HEIGHT = (BODY_BOTTOM + BODY_TOP) / 2
-"""Of the body's middle, Bullet's origin of it, above the floor, m."""
+"""Of the body's middle above the floor, m. It is the body's origin in the simulators."""
 
 TYRE_FRICTION, CASTER_FRICTION, BODY_FRICTION = 1.0, 0.0, 0.2
 """Coefficients: rubber on carpet, a caster that follows, and painted metal that slides along a wall."""
 
-RAY, FLOOR, SOLID, BALL, BODY, WHEEL = 1, 2, 4, 8, 16, 32
-"""Collision groups.
+SOLID_FRICTION = 0.5
+"""Coefficient of walls and obstacles. That of two things which touch is the product; the floor's is 1."""
 
-Bullet's rays are in the first, and hit only what is ready to collide with it: walls and obstacles. Only wheels and
-caster meet the floor, and only body and paddles meet walls and balls: the wheels are balls here (one point of contact
-each, and no scrubbing), which stick out of the body.
-"""
+BODY_DAMPING = 0.04
+"""Of the robot's free motion, 1/s."""
 
+MOTOR_TORQUE = 2.0
+"""N m at each wheel."""
 
-def add_body(bullet: Bullet, x: float, y: float, heading: float) -> int:
-    """Builds the robot at a pose (m, rad), and returns its number; its joints 0 and 1 are the left and right wheel."""
-    p, client = bullet.p, bullet.client
-    paddle_x, paddle_y = PADDLE_TIP - PADDLE_HALF_SIDES[0], PADDLE_OPENING / 2 + PADDLE_HALF_SIDES[1]
-    paddle_z = PADDLE_HEIGHT - MIDDLE_HEIGHT
-    body = p.createCollisionShapeArray(
-        shapeTypes=[p.GEOM_CYLINDER, p.GEOM_BOX, p.GEOM_BOX],
-        radii=[BODY_RADIUS, 0, 0],
-        lengths=[BODY_TOP - BODY_BOTTOM, 0, 0],
-        halfExtents=[(0, 0, 0), PADDLE_HALF_SIDES, PADDLE_HALF_SIDES],
-        collisionFramePositions=[(0, 0, 0), (paddle_x, paddle_y, paddle_z), (paddle_x, -paddle_y, paddle_z)],
-        physicsClientId=client,
-    )
-    wheel = p.createCollisionShape(p.GEOM_SPHERE, radius=WHEEL_RADIUS, physicsClientId=client)
-    caster = p.createCollisionShape(p.GEOM_SPHERE, radius=CASTER_RADIUS, physicsClientId=client)
-    still = (0, 0, 0, 1)
-    robot = int(
-        p.createMultiBody(
-            BODY_MASS,
-            body,
-            bullet.looks,
-            basePosition=(x, y, MIDDLE_HEIGHT),
-            baseOrientation=(0, 0, math.sin(heading / 2), math.cos(heading / 2)),
-            linkMasses=[WHEEL_MASS, WHEEL_MASS, REAR_MASS],
-            linkCollisionShapeIndices=[wheel, wheel, caster],
-            linkVisualShapeIndices=[bullet.looks] * 3,
-            linkPositions=[
-                (0, AXLE_TRACK / 2, WHEEL_RADIUS - MIDDLE_HEIGHT),
-                (0, -AXLE_TRACK / 2, WHEEL_RADIUS - MIDDLE_HEIGHT),
-                (-CASTER_BEHIND, 0, CASTER_RADIUS - MIDDLE_HEIGHT),
-            ],
-            linkOrientations=[still] * 3,
-            linkInertialFramePositions=[(0, 0, 0)] * 3,
-            linkInertialFrameOrientations=[still] * 3,
-            linkParentIndices=[0, 0, 0],
-            linkJointTypes=[p.JOINT_REVOLUTE, p.JOINT_REVOLUTE, p.JOINT_FIXED],
-            linkJointAxis=[(0, 1, 0), (0, 1, 0), (0, 0, 1)],
-            physicsClientId=client,
-        )
-    )
-    for link, friction in ((0, TYRE_FRICTION), (1, TYRE_FRICTION), (2, CASTER_FRICTION)):
-        p.changeDynamics(robot, link, lateralFriction=friction, physicsClientId=client)
-        bullet.set_filter(robot, link, WHEEL, FLOOR)
-    p.changeDynamics(robot, -1, lateralFriction=BODY_FRICTION, physicsClientId=client)
-    bullet.set_filter(robot, -1, BODY, SOLID | BALL)
-    return robot
+GRIP_AHEAD = 0.31
+"""Where the closed gripper holds a ball's centre, m ahead of the axle: 1 cm before the body."""
+
+GRIP_FORCE = 40.0
+"""N; holds the ball while the robot accelerates, and gives way before it would lift the robot."""
+
+BALL_RADIUS = 0.08
+"""m; fits between the gripper's open paddles and is lower than the sonar ring."""
+
+BALL_MASS = 0.25
+"""kg."""
+
+BALL_FRICTION, BALL_ROLLING_FRICTION, BALL_SPINNING_FRICTION = 0.6, 0.004, 0.002
+"""Coefficient, and two lengths in m: a soft ball on carpet. One that was pushed rolls some decimetres."""
+
+BALL_DAMPING = 0.3
+"""Of a ball's motion and rotation, 1/s."""
+
+ASIDE = 100.0
+"""Where balls that were taken away lie, x and y in m: outside of any arena."""
+
+CONTACT_GAP = 0.002
+"""Things whose surfaces are nearer than this touch, m."""
+
+GRAVITY = 9.81
+"""m/s²."""
+
+PHYSICS_RATE = 60
+"""Physics steps per second."""
+
+CONTROL_RATE = 30
+"""Decisions of the controllers per second."""

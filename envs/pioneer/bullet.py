@@ -7,34 +7,16 @@ import sys
 import weakref
 from collections.abc import Sequence
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium
 
-__all__ = ["CONTACT_GAP", "Box", "Bullet", "Cylinder", "load_pybullet"]
+from sb3_options.envs.pioneer.arena import Box, Cylinder
+from sb3_options.envs.pioneer.body import GRAVITY
+
+__all__ = ["Bullet", "load_pybullet"]
 
 Point = Sequence[float]
-
-GRAVITY = 9.81
-"""m/s²."""
-
-CONTACT_GAP = 0.002
-"""Bodies whose surfaces are nearer than this touch, m; Bullet also reports neighbours that do not."""
-
-
-class Box(NamedTuple):
-    """An upright static box: its middle and its half sides, m."""
-
-    middle: tuple[float, float, float]
-    half_sides: tuple[float, float, float]
-
-
-class Cylinder(NamedTuple):
-    """An upright static cylinder: its middle, radius and height, m."""
-
-    middle: tuple[float, float, float]
-    radius: float
-    height: float
 
 
 def load_pybullet() -> ModuleType:
@@ -47,8 +29,11 @@ def load_pybullet() -> ModuleType:
         import pybullet
     except ImportError as error:
         raise gymnasium.error.DependencyNotInstalled(
-            "the Pioneer environments need PyBullet, which is not installed: "
-            'pip install "sb3-options[pioneer]" (it has wheels for CPython up to 3.11)'
+            "this environment needs PyBullet, which cannot be imported: install it with "
+            f'pip install "sb3-options[pioneer]" ({error}). '
+            "PyBullet has wheels up to CPython 3.11; on a later Python pip builds it from source, which takes a "
+            "compiler and many minutes. sb3_options/PioneerMuJoCo-v0 is the same robot in MuJoCo, which has wheels for "
+            'every Python: pip install "sb3-options[mujoco]"'
         ) from error
     module: ModuleType = pybullet
     return module

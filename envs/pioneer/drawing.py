@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from sb3_options.envs.pioneer.arena import BALL_RADIUS, CORNER_SIZE, OBSTACLE_RADIUS, Placement, Pose, Position
+from sb3_options.envs.pioneer.arena import CORNER_SIZE, OBSTACLE_RADIUS, Placement, Pose, Position
 from sb3_options.envs.pioneer.body import (
     AXLE_TRACK,
+    BALL_RADIUS,
     BODY_RADIUS,
     PADDLE_HALF_SIDES,
     PADDLE_OPENING,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from abc import ABC, abstractmethod
 from operator import index
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, SupportsIndex, get_args
 
@@ -14,9 +15,11 @@ from gymnasium.core import RenderFrame
 from numpy.typing import NDArray
 
 from sb3_options.envs.checks import count, number, one_of, step_limit
-from sb3_options.envs.pioneer.arena import BALL_RADIUS, Arena, Placement, Pose, Position
+from sb3_options.envs.pioneer.arena import Arena, Placement, Pose, Position
+from sb3_options.envs.pioneer.body import BALL_RADIUS, CONTROL_RATE
 from sb3_options.envs.pioneer.bullet import Bullet
-from sb3_options.envs.pioneer.robot import CONTROL_RATE, PHYSICS_RATE, SOLVER_ITERATIONS, PioneerRobot
+from sb3_options.envs.pioneer.bullet_simulator import BulletSimulator
+from sb3_options.envs.pioneer.robot import PioneerRobot
 from sb3_options.envs.pioneer.senses import (
     FIELD_OF_VIEW,
     MAX_WIDTH,
@@ -28,11 +31,12 @@ from sb3_options.envs.pioneer.senses import (
     Senses,
     retina,
 )
+from sb3_options.envs.pioneer.simulator import Simulator
 
 if TYPE_CHECKING:
     from sb3_options.envs.pioneer.drawing import Renderer
 
-__all__ = ["ACTIONS", "Deposit", "Motion", "ObservationKind", "Pioneer", "RenderMode"]
+__all__ = ["ACTIONS", "Deposit", "Motion", "ObservationKind", "Pioneer", "PioneerTask", "RenderMode"]
 
 Deposit = Literal["wall", "corner"]
 ObservationKind = Literal["sensors", "retina"]
@@ -82,7 +86,7 @@ VISIBLE, DISPLACEMENT, WIDTH, GRIPPING = range(N_SONARS, N_SONARS + 4)
 """Where the observation has them, after the sonars' ranges."""
 
 
-class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
+class PioneerTask(gymnasium.Env[NDArray[np.float32], np.int64], ABC):
     """A Pioneer 2-DX in a walled arena finds a ball, grips it, and leaves it close to a wall.
 
     Actions 0..6 are the `ACTIONS`: forward by three distances, left by two angles, right by two angles. The gripper
@@ -112,7 +116,8 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
 
     with ``observation="retina"`` the retina's 70 pixels follow, from left to right, 1 where a ball is.
 
-    The task, actions, senses and rewards are those of McGovern & Barto (2001), §7.
+    The task, actions, senses and rewards are those of McGovern & Barto (2001), §7. What simulates the robot is the
+    subclass's: PyBullet in `Pioneer`, MuJoCo in `sb3_options.envs.pioneer.twin.PioneerMuJoCo`.
 
     Args:
         arena_size: Side of the square arena, m, at most ``MAX_ARENA_SIZE``.
@@ -123,16 +128,16 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
         max_steps: Steps after which an episode truncates; None for never.
         observation: What the agent senses.
         render_mode: ``"rgb_array"`` for a picture at a time, ``"rgb_array_list"`` for all pictures since the last call,
-            ten for each second that the robot moves, ``"human"`` for Bullet's own window, in which it moves as fast as
-            it would in the world.
+            ten for each second that the robot moves, ``"human"`` for the simulator's own window, if it has one, in
+            which it moves as fast as it would in the world.
 
     Attributes:
-        bullet: The physics client.
+        simulator: In which the robot moves.
 
     Raises:
         TypeError: If an argument has the wrong type.
         ValueError: If an argument is out of its range, or the arena has no room for robot, balls and obstacles.
-        gymnasium.error.DependencyNotInstalled: If PyBullet is not installed.
+        gymnasium.error.DependencyNotInstalled: If the simulator is not installed.
     """
 
     # Gymnasium declares it as an instance attribute, so it cannot be a ClassVar.
@@ -149,9 +154,7 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
         observation: ObservationKind = "sensors",
         render_mode: RenderMode | None = None,
     ) -> None:
-        self.bullet = Bullet(
-            1 / CONTROL_RATE, PHYSICS_RATE // CONTROL_RATE, SOLVER_ITERATIONS, gui=render_mode == "human"
-        )
+        self.simulator = self._make_simulator(window=render_mode == "human")
         self._arena = Arena(
             number(arena_size, "arena_size", low=0, high=MAX_ARENA_SIZE),
             count(n_obstacles, "n_obstacles", low=0),
@@ -161,12 +164,14 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
         self._corner_only = self._deposit == "corner"
         self._max_steps = step_limit(max_steps)
         self._with_retina = one_of(observation, get_args(ObservationKind), "observation") == "retina"
-        self.render_mode = None if render_mode is None else one_of(render_mode, get_args(RenderMode), "render_mode")
+        self.render_mode = (
+            None if render_mode is None else one_of(render_mode, tuple(self.metadata["render_modes"]), "render_mode")
+        )
         self.action_space = spaces.Discrete(len(ACTIONS))
         self.observation_space = _observation_space(self._with_retina)
 
-        self._robot = PioneerRobot(self.bullet)
-        self._senses = Senses(self.bullet, can_hide=n_obstacles > 0)
+        self._robot = PioneerRobot(self.simulator)
+        self._senses = Senses(self.simulator, can_hide=n_obstacles > 0)
         self._renderer: Renderer | None = None
         self._pictures: list[RenderFrame] = []
         self._ticks = 0
@@ -198,7 +203,7 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
         Raises:
             ValueError: If ``options`` has another key, has the wrong shape, or puts things into each other.
             gymnasium.error.ClosedEnvironmentError: After `close`.
-            gymnasium.error.Error: If Bullet gives no physics client, or no window.
+            gymnasium.error.Error: If the simulator cannot start, or has no window.
         """
         self._refuse_if_closed("reset")
         super().reset(seed=seed)
@@ -293,7 +298,7 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
         return observations[:, [DISPLACEMENT, WIDTH]].astype(np.float64)
 
     def render(self) -> RenderFrame | list[RenderFrame] | None:
-        """Draws the arena from above; in render mode "human" Bullet's window shows itself.
+        """Draws the arena from above; in render mode "human" the simulator's window shows itself.
 
         Returns:
             For ``"rgb_array"`` a uint8 picture of shape (544, 480, 3), for ``"rgb_array_list"`` a list of them, else
@@ -315,9 +320,13 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
         return pictures if self.render_mode == "rgb_array_list" else None
 
     def close(self) -> None:
-        """Disconnects from Bullet; a second call does nothing."""
+        """Frees the simulator; a second call does nothing."""
         self._closed = True
-        self.bullet.close()
+        self.simulator.close()
+
+    @abstractmethod
+    def _make_simulator(self, *, window: bool) -> Simulator:
+        """The simulator of this environment alone, with or without a window."""
 
     def _observe(self) -> NDArray[np.float32]:
         robot = self._robot
@@ -351,6 +360,22 @@ class Pioneer(gymnasium.Env[NDArray[np.float32], np.int64]):
     def _refuse_if_closed(self, method: str) -> None:
         if self._closed:
             raise gymnasium.error.ClosedEnvironmentError(f"{method}() was called after close(): make a new environment")
+
+
+class Pioneer(PioneerTask):
+    """The robot in PyBullet, which has wheels up to CPython 3.11; arguments are those of `PioneerTask`.
+
+    Render mode ``"human"`` opens Bullet's own window.
+    """
+
+    @property
+    def bullet(self) -> Bullet:
+        """The physics client."""
+        assert isinstance(self.simulator, BulletSimulator)  # made below
+        return self.simulator.bullet
+
+    def _make_simulator(self, *, window: bool) -> Simulator:
+        return BulletSimulator(gui=window)
 
 
 def _wait() -> None:

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sb3_options.envs.pioneer.arena import BALL_RADIUS, Pose
-from sb3_options.envs.pioneer.body import BODY_RADIUS, SOLID
-from sb3_options.envs.pioneer.bullet import Bullet
+from sb3_options.envs.pioneer.arena import Pose
+from sb3_options.envs.pioneer.body import BALL_RADIUS, BODY_RADIUS
+from sb3_options.envs.pioneer.simulator import Simulator
 
 __all__ = ["CAMERA_AHEAD", "FIELD_OF_VIEW", "MAX_WIDTH", "N_PIXELS", "SONARS", "Sensed", "Senses", "Sighting"]
 
@@ -97,12 +97,12 @@ class Senses:
     """Looks into a scene, with one batch of rays.
 
     Args:
-        bullet: The physics client.
+        simulator: It casts the rays.
         can_hide: Whether there is anything behind which a ball can be: in a bare arena, which is convex, there is not.
     """
 
-    def __init__(self, bullet: Bullet, *, can_hide: bool) -> None:
-        self._bullet = bullet
+    def __init__(self, simulator: Simulator, *, can_hide: bool) -> None:
+        self._simulator = simulator
         self._can_hide = can_hide
 
     def look(self, pose: Pose, balls: Iterable[tuple[float, float]]) -> Sensed:
@@ -141,7 +141,7 @@ class Senses:
                         ends.append(
                             (eye_x + distance * math.cos(angle), eye_y + distance * math.sin(angle), BALL_RADIUS)
                         )
-        fractions = self._bullet.ray_fractions(starts, ends, SOLID)
+        fractions = self._simulator.ray_fractions(starts, ends)
         n = len(SONARS)
         ranges = [min(max(fraction * SONAR_MAX, SONAR_MIN), SONAR_MAX) for fraction in fractions[:n]]
         if self._can_hide:

@@ -1,21 +1,21 @@
-"""Running a function once per seed: in parallel, with progress, and resumable."""
+"""Running a function once per seed: in parallel, on one machine or many, with progress, and resumable."""
 
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from joblib import Parallel, delayed
 from rich.progress import track
 
-import sb3_options.envs  # noqa: F401  # registers them, in worker processes too
+from experiments.common.machines import Machines, finished
 from sb3_options.atomic import atomic_write
 
 Result = dict[str, Any]
+HERE = Machines()
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -46,7 +46,7 @@ def run_parts(
     seeds: Sequence[int],
     *,
     settings: Mapping[str, Any],
-    jobs: int | None = None,
+    on: Machines = HERE,
     description: str = "Seeds",
 ) -> dict[str, list[Result]]:
     """Results of every part for every seed, in their order.
@@ -58,7 +58,7 @@ def run_parts(
         parts: Which; the slowest first leaves no process idle at the end.
         seeds: Which.
         settings: What a result depends on beside the seed; a part may have more of them.
-        jobs: Processes; by default as many as there are cores.
+        on: Where they run; on a cluster, too, the files are written here.
         description: Beside the progress bar.
 
     Returns:
@@ -73,9 +73,9 @@ def run_parts(
             if kept.get("settings") == plain[part.name]:
                 results[part.name, seed] = kept["result"]
     missing = [(part, seed) for part in parts for seed in seeds if (part.name, seed) not in results]
-    parallel = Parallel(n_jobs=jobs or os.cpu_count(), return_as="generator_unordered", batch_size=1)
-    finished = parallel(delayed(_single_threaded)(part, seed) for part, seed in missing)
-    for part, seed, result in track(finished, description=description, total=len(missing), disable=not missing):
+    ended = finished([partial(part.function, seed) for part, seed in missing], on)
+    for i, result in track(ended, description=description, total=len(missing), disable=not missing):
+        part, seed = missing[i]
         results[part.name, seed] = result
         write_json(_path(part.out, seed), {"settings": plain[part.name], "result": result})
     return {part.name: [results[part.name, seed] for seed in seeds] for part in parts}
@@ -87,19 +87,12 @@ def run_seeds(
     out: Path,
     *,
     settings: Mapping[str, Any],
-    jobs: int | None = None,
+    on: Machines = HERE,
     description: str = "Seeds",
 ) -> list[Result]:
     """Results of one function for every seed, in their order: `run_parts` of a single part."""
     part = Part("", function, out)
-    return run_parts([part], seeds, settings=settings, jobs=jobs, description=description)[""]
-
-
-def _single_threaded(part: Part, seed: int) -> tuple[Part, int, Result]:
-    import torch
-
-    torch.set_num_threads(1)
-    return part, seed, part.function(seed)
+    return run_parts([part], seeds, settings=settings, on=on, description=description)[""]
 
 
 def _path(out: Path, seed: int) -> Path:

@@ -10,26 +10,25 @@ from typing import Any
 from matplotlib.figure import Figure
 from rich.console import Console, RenderableType
 
+from experiments.common.machines import Machines
 from experiments.common.seeds import write_json
 
 RESULTS = "results.json"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flags:
+class Flags(Machines):
     """What every study is told.
 
     Attributes:
         out: Folder for results.json, the pictures and one file per finished run.
         runs: Number of seeds.
         first_seed: Seeds count up from here. Settings were chosen on smaller ones.
-        jobs: Processes; by default one a core.
     """
 
     out: Path
     runs: int = 30
     first_seed: int = 1000
-    jobs: int | None = None
 
     def seeds(self, n: int | None = None) -> range:
         """The seeds, or the first ``n`` of them."""

@@ -129,7 +129,7 @@ def _run(study: Study, arm: Arm) -> dict[tuple[str, str], Any]:
             parts,
             study.seeds(n),
             settings={**study.settings.of(algo, arm), "task": study.task, "worlds": _worlds(study.task)},
-            jobs=study.jobs,
+            on=study,
             description=f"{study.task}, {algo}, {arm}",
         )
         found |= {(env, algo): of for env, of in results.items()}

@@ -19,14 +19,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 import optuna
-import torch
 import tyro
-from joblib import Parallel, delayed
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from rich.json import JSON
 
-import sb3_options.envs  # noqa: F401  # registers them, in worker processes too
+from experiments.common.machines import Machines, finished
 from experiments.common.seeds import Part, Result, run_parts, write_json
 from experiments.common.study import show
 from experiments.deep.agents import reached_at
@@ -62,7 +60,7 @@ def space(trial: optuna.Trial, algo: str) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Tuning:
+class Tuning(Machines):
     """Choose the hyper-parameters of one side of the study.
 
     Attributes:
@@ -71,7 +69,6 @@ class Tuning:
         arm: Of which side.
         trials: How many sets of hyper-parameters are tried.
         seeds: Each is run on this many seeds, from 0, in every task, until it proves worse than the best.
-        jobs: Processes; by default one a core.
     """
 
     out: Path
@@ -79,7 +76,6 @@ class Tuning:
     arm: Literal["stock", "options"] = "options"
     trials: int = 17
     seeds: int = 2
-    jobs: int | None = None
 
     @property
     def folder(self) -> Path:
@@ -94,10 +90,12 @@ def main(tuning: Tuning) -> None:
         _make_sources(tuning)
     study = _study(tuning)
     done = sum(trial.state.is_finished() for trial in study.trials)
-    jobs = tuning.jobs or os.cpu_count() or 1
     missing = max(0, tuning.trials - done)
-    shares = [missing // jobs + (i < missing % jobs) for i in range(jobs)]
-    Parallel(n_jobs=jobs)(delayed(_optimise)(tuning, n) for n in shares if n)
+    # On a cluster a lost share is run again, whatever it had done.
+    n_shares = (tuning.jobs or os.cpu_count() or 1) if tuning.cluster is None else max(1, missing)
+    shares = [missing // n_shares + (i < missing % n_shares) for i in range(n_shares)]
+    for _ in finished([partial(_optimise, tuning, n) for n in shares if n], tuning):
+        pass  # each leaves its trials in the journal
     best = study.best_trial
     content = {
         "command": f"python -m experiments.deep.tune --algo {tuning.algo} --arm {tuning.arm} --trials {tuning.trials} "
@@ -126,7 +124,6 @@ def _study(tuning: Tuning) -> optuna.Study:
 
 
 def _optimise(tuning: Tuning, n_trials: int) -> None:
-    torch.set_num_threads(1)
     study = _study(tuning)
     study.sampler.reseed_rng()  # or both processes would propose the same
     study.optimize(partial(_objective, tuning), n_trials=n_trials)
@@ -175,7 +172,7 @@ def _make_sources(tuning: Tuning) -> None:
         if kind == "transfer"
     ]
     settings = DeepSettings().of(tuning.algo, "options")
-    run_parts(parts, range(tuning.seeds), settings=settings, jobs=tuning.jobs, description="Options of the old task")
+    run_parts(parts, range(tuning.seeds), settings=settings, on=tuning, description="Options of the old task")
 
 
 def _source(task: Task, tuning: Tuning, env: str, seed: int) -> Result:

@@ -42,7 +42,7 @@ def main(study: Study) -> None:
         study.seeds(),
         study.out,
         settings=dataclasses.asdict(config),
-        jobs=study.jobs,
+        on=study,
         description="Training",
     )
     summary = summarise(results)

@@ -41,7 +41,7 @@ def main(study: Study) -> None:
         for algorithm in study.algorithms
     ]
     settings = {"tasks": TASKS, "n_timesteps": N_TIMESTEPS, "n_slots": N_SLOTS}
-    results = run_parts(parts, study.seeds(), settings=settings, jobs=study.jobs, description="Training")
+    results = run_parts(parts, study.seeds(), settings=settings, on=study, description="Training")
     summary = summarise(results)
     command = f"python -m experiments.empty_slots --runs {study.runs} --first-seed {study.first_seed} "
     command += f"--algorithms {' '.join(study.algorithms)} --arms {' '.join(study.arms)}"

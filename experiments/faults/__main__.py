@@ -18,6 +18,7 @@ import tyro
 from rich.progress import track
 from rich.table import Table
 
+from experiments.common.machines import Machines
 from experiments.common.seeds import Part, run_parts, write_json
 from experiments.common.study import show, write
 from experiments.faults import checkpoints, disk, files, fuzz, memory, workers
@@ -36,7 +37,7 @@ SETTINGS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Study:
+class Study(Machines):
     """Damage files, fill disks, kill workers, pass nonsense, and train for long.
 
     Attributes:
@@ -52,7 +53,6 @@ class Study:
         n_worker_steps: Of the run whose workers are killed, all workers together.
         kill_every: Seconds of training before a worker is killed.
         seed: Of the damages and the runs.
-        jobs: Processes of the long runs; by default one a core.
     """
 
     part: tyro.conf.Positional[Literal["all", "files", "checkpoints", "disk", "fuzz", "workers", "memory"]]
@@ -67,7 +67,6 @@ class Study:
     n_worker_steps: int = 1_600_000
     kill_every: float = 60.0
     seed: int = 1000
-    jobs: int | None = None
 
 
 def main(study: Study) -> None:
@@ -141,7 +140,7 @@ def _memory(study: Study) -> dict[str, Any]:
         for name in study.cases
     ]
     settings = {"n_timesteps": study.n_timesteps, "warm_up": study.warm_up}
-    results = run_parts(parts, [study.seed], settings=settings, jobs=study.jobs, description="Long runs")
+    results = run_parts(parts, [study.seed], settings=settings, on=study, description="Long runs")
     return before | {name: runs_[0] for name, runs_ in results.items()}
 
 

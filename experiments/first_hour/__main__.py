@@ -61,7 +61,7 @@ def main(study: Study) -> None:
         for name in study.conditions or BY_DEFAULT[study.task]
     ]
     settings = {"task": study.task, "n_timesteps": study.n_timesteps}
-    results = run_parts(parts, study.seeds(), settings=settings, jobs=study.jobs, description="Training")
+    results = run_parts(parts, study.seeds(), settings=settings, on=study, description="Training")
     summary = {name: summarise(those) for name, those in results.items()}
     command = f"python -m experiments.first_hour {study.task} --runs {study.runs} --first-seed {study.first_seed}"
     command += "" if study.n_timesteps is None else f" --n-timesteps {study.n_timesteps}"

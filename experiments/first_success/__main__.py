@@ -43,7 +43,7 @@ def main(study: Study) -> None:
         for arm in study.arms
     ]
     settings = {"n_timesteps": N_TIMESTEPS, "tasks": TASKS, **dataclasses.asdict(SETTINGS)}
-    results = run_parts(parts, study.seeds(), settings=settings, jobs=study.jobs, description="Training")
+    results = run_parts(parts, study.seeds(), settings=settings, on=study, description="Training")
     summary = {name: summarise(runs) for name, runs in results.items()}
     command = f"python -m experiments.first_success --runs {study.runs} --first-seed {study.first_seed}"
     command += f" --tasks {shlex.join(study.tasks)} --arms {shlex.join(study.arms)}"

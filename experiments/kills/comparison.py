@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import torch
 from stable_baselines3.common.save_util import load_from_zip_file
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
 from sb3_options.checkpoints.comparison import OF_THE_CLOCK, differing
 from sb3_options.checkpoints.file import CheckpointFolder
@@ -25,6 +27,7 @@ def differences(one: Path, other: Path) -> dict[str, list[str]]:
         "options": _of_options(one, other),
         "monitor files": _monitor_rows(one, other),
         "TensorBoard": _of_scalars(one, other),
+        "texts and settings": _of_texts(one, other),
         "evaluations": _of_evaluations(one, other),
         "last checkpoint": _of_checkpoints(one, other),
     }
@@ -81,6 +84,27 @@ def scalars(run: Path) -> dict[str, list[tuple[int, float]]]:
         for tag in set(events.Tags()["scalars"]) - OF_THE_CLOCK:
             points.setdefault(f"{folder.name}/{tag}", []).extend((e.step, e.value) for e in events.Scalars(tag))
     return points
+
+
+def _of_texts(one: Path, other: Path) -> list[str]:
+    a, b = texts(one), texts(other)
+    return sorted(tag for tag in a.keys() | b.keys() if a.get(tag) != b.get(tag))
+
+
+def texts(run: Path) -> dict[str, list[tuple[int, bytes]]]:
+    """Steps and contents of every TensorBoard text of a run, and its settings for the HParams tab."""
+    found: dict[str, list[tuple[int, bytes]]] = {}
+    for folder in sorted(run.glob("tensorboard_*")):
+        events = EventAccumulator(str(folder), size_guidance={"tensors": 0})
+        events.Reload()
+        for tag in events.Tags()["tensors"]:
+            told = [(event.step, b"".join(event.tensor_proto.string_val)) for event in events.Tensors(tag)]
+            found[f"{folder.name}/{tag}"] = told
+        with suppress(KeyError):  # there are none
+            for tag, content in events.PluginTagToContent("hparams").items():
+                settings = HParamsPluginData.FromString(content)  # a map's bytes have no order of their own
+                found[f"{folder.name}/{tag}"] = [(0, settings.SerializeToString(deterministic=True))]
+    return found
 
 
 def _of_evaluations(one: Path, other: Path) -> list[str]:

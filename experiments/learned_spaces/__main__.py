@@ -41,7 +41,7 @@ def main(study: Study) -> None:
         "n_episodes": N_EPISODES,
         "max_options": MAX_OPTIONS,
     }
-    results = run_parts(parts, study.seeds(), settings=settings, jobs=study.jobs, description="Walking")
+    results = run_parts(parts, study.seeds(), settings=settings, on=study, description="Walking")
     summary = summarise(results)
     command = f"python -m experiments.learned_spaces --runs {study.runs} --first-seed {study.first_seed}"
     content = {"command": command, **settings, "summary": summary, "runs": results}

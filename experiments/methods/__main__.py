@@ -81,7 +81,7 @@ def main(study: Study) -> None:
         for task, learner in cells
         for entrant in study.methods
     ]
-    results = run_parts(parts, study.seeds(), settings={}, jobs=study.jobs, description="Racing")
+    results = run_parts(parts, study.seeds(), settings={}, on=study, description="Racing")
     summaries: dict[str, dict[str, Any]] = {task: {} for task in study.tasks}
     for task, learner in cells:
         of = {entrant: results[f"{task}, {learner}, {entrant}"] for entrant in study.methods}

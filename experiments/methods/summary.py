@@ -54,7 +54,7 @@ def summarise(runs: Mapping[str, Sequence[Result]], n_timesteps: int) -> dict[st
             summary[entrant][phase] = {
                 "steps": iqm_interval(taken)._asdict(),
                 "never": sum(run[phase]["steps"] is None for run in of),
-                "of_primitives": iqm_ratio(taken, steps[NONE][phase])._asdict()
+                "of_primitives": iqm_ratio(taken, steps[NONE][phase], paired=True)._asdict()
                 if NONE in steps and entrant != NONE
                 else None,
             }

@@ -23,6 +23,7 @@ from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from rich.json import JSON
 
+from experiments.common.machines import Machines
 from experiments.common.seeds import Part, run_parts, write_json
 from experiments.common.study import show
 from experiments.methods.conditions import SETTINGS, Entry, length_of, run
@@ -32,7 +33,7 @@ from experiments.methods.summary import PHASES, steps_of
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tuning:
+class Tuning(Machines):
     """Choose the settings of one method.
 
     Attributes:
@@ -44,7 +45,6 @@ class Tuning:
         learner: Who learns.
         n_timesteps: Primitive steps of each training, at most; by default as the learner needs.
         chosen: File with the settings of all methods, of which this one's are replaced.
-        jobs: Processes; by default one a core.
     """
 
     out: Path
@@ -55,7 +55,6 @@ class Tuning:
     learner: str = "macroq"
     n_timesteps: int | None = None
     chosen: Path = TUNED
-    jobs: int | None = None
 
     def __post_init__(self) -> None:
         """Refuse a method that has nothing to tune."""
@@ -108,7 +107,7 @@ def score(tuning: Tuning, settings: dict[str, Any], folder: Path) -> float:
         for task, n in lengths.items()
     ]
     told = {"settings": settings, "lengths": lengths}
-    results = run_parts(parts, range(tuning.seeds), settings=told, jobs=tuning.jobs, description=folder.name)
+    results = run_parts(parts, range(tuning.seeds), settings=told, on=tuning, description=folder.name)
     taken = [steps_of(of[phase], lengths[task]) for task, runs in results.items() for of in runs for phase in PHASES]
     return float(np.mean([math.log(max(steps, SETTINGS.evaluate_every)) for steps in taken]))
 

@@ -63,7 +63,7 @@ def main(study: Study) -> None:
         "opening_share": settings.OPENING_SHARE,
         "episodes": settings.EPISODES,
     }
-    results = run_parts(parts, study.seeds(), settings=used, jobs=study.jobs, description="Training")
+    results = run_parts(parts, study.seeds(), settings=used, on=study, description="Training")
     summary = summarise(study.family, results)
     command = f"python -m experiments.minigrid --family {study.family} --runs {study.runs} "
     command += "" if study.learned is None else f"--learned {study.learned:g} "

@@ -108,9 +108,7 @@ def compare(seed: int, frames: int) -> Result:
 def main(study: Study) -> None:
     """Run the comparison, and write and print what it found."""
     used: dict[str, Any] = {"task": TASK, "frames": study.frames, "ppo": settings.PPO, "n_envs": settings.N_ENVS}
-    results = run_seeds(
-        lambda seed: compare(seed, study.frames), study.seeds(), study.out, settings=used, jobs=study.jobs
-    )
+    results = run_seeds(lambda seed: compare(seed, study.frames), study.seeds(), study.out, settings=used, on=study)
     table = Table("concept", "contrast, all time", "contrast, equal times")
     summary: dict[str, Any] = {}
     for what in CONCEPTS:

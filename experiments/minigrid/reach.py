@@ -142,7 +142,7 @@ def main(study: Study) -> None:
     }  # fmt: skip
     results = run_seeds(
         lambda seed: compare(study.family, study.frames, seed),
-        study.seeds(), study.out / study.family, settings=used, jobs=study.jobs,
+        study.seeds(), study.out / study.family, settings=used, on=study,
     )  # fmt: skip
     table, summary = Table("options begin in", "subgoals", "reached, first task", "last task"), {}
     for how in LEASTS:

@@ -59,6 +59,11 @@ FAMILIES: dict[str, tuple[Stage, ...]] = {
         Stage("MiniGrid-DoorKey-16x16-v0", 150_000),
     ),
     "MultiRoom-N6": (
+        Stage("MiniGrid-MultiRoom-N2-S4-v0", 60_000),
+        Stage("MiniGrid-MultiRoom-N4-S5-v1", 160_000),
+        Stage("MiniGrid-MultiRoom-N6-v0", 400_000),
+    ),
+    "MultiRoom-N2-N6": (
         Stage("MiniGrid-MultiRoom-N2-S4-v0", 40_000),
         Stage("MiniGrid-MultiRoom-N6-v0", 160_000),
     ),

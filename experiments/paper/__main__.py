@@ -93,7 +93,7 @@ def _run(study: Study, groups: list[str]) -> dict[str, list[Result]]:
         [Part(group, functions[group], study.out / "groups" / group) for group in groups],
         study.seeds(),
         settings=settings.described(),
-        jobs=study.jobs,
+        on=study,
         description=", ".join(groups).capitalize(),
     )
 

@@ -95,7 +95,7 @@ def _run(study: Study, name: str) -> list[Result]:
         study.seeds(runs),
         study.out / "groups" / name,
         settings=dataclasses.asdict(study.dqn) if name == "dqn" else settings.described(),
-        jobs=study.jobs,
+        on=study,
         description=name.capitalize(),
     )
 

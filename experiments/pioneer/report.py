@@ -1,4 +1,4 @@
-"""``python -m experiments.pioneer.report STUDY.json BENCHMARK.json docs/studies/pioneer.md``: fills in the numbers.
+"""``python -m experiments.pioneer.report STUDY BENCHMARK TWIN docs/studies/pioneer.md``: fills in the numbers.
 
 No number is copied by hand.
 """
@@ -15,6 +15,7 @@ import tyro
 
 from experiments.common.documents import fill, number, settings_table
 from experiments.pioneer.settings import TASKS
+from experiments.pioneer.twin import table as twin_table
 
 
 @dataclass(frozen=True)
@@ -24,17 +25,20 @@ class Report:
     Attributes:
         results: What the study wrote.
         benchmark: What `benchmarks.pioneer` wrote.
+        twin: What `experiments.pioneer.twin` wrote.
         document: Markdown with the markers.
     """
 
     results: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RESULTS")]
     benchmark: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="BENCHMARK")]
+    twin: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TWIN")]
     document: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DOCUMENT")]
 
 
 def main(report: Report) -> None:
     """Read, and fill in."""
     results = json.loads(report.results.read_text(encoding="utf-8"))
+    twin = json.loads(report.twin.read_text(encoding="utf-8"))
     figures = results["figures"]
     if not {"figure8", "learning", "transfer", "dqn"} <= set(figures):
         raise ValueError(f"{report.results} holds {', '.join(figures)} only: run `all` into that folder first.")
@@ -52,6 +56,8 @@ def main(report: Report) -> None:
         ),
         "cost": cost_table(json.loads(report.benchmark.read_text(encoding="utf-8"))),
         "settings": settings_table(results["settings"]),
+        "twin run": f"`{twin['command']}`",
+        "twin": twin_table(twin),
     }
     fill(report.document, parts)
 

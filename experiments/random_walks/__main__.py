@@ -43,7 +43,7 @@ def main(study: Study) -> None:
         for i, (arm, changed) in enumerate(arms.items())
     ]
     settings = {"arms": arms, "n_episodes": N_EPISODES, "max_options": MAX_OPTIONS}
-    results = run_parts(parts, study.seeds(), settings=settings, jobs=study.jobs, description="Walking")
+    results = run_parts(parts, study.seeds(), settings=settings, on=study, description="Walking")
     summary = summarise(results)
     command = f"python -m experiments.random_walks --runs {study.runs} --first-seed {study.first_seed} "
     command += f"--compare {study.compare}"

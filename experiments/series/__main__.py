@@ -41,7 +41,7 @@ def main(study: Study) -> None:
     """Run the study, and write and print what it found."""
     parts = [Part(arm, partial(run, arm, study.chain), study.out / arm.replace(" ", "-")) for arm in study.arms]
     settings = {"chain": dataclasses.asdict(study.chain), "pays": PAYS, **dataclasses.asdict(SETTINGS)}
-    results = run_parts(parts, study.seeds(), settings=settings, jobs=study.jobs, description="Training")
+    results = run_parts(parts, study.seeds(), settings=settings, on=study, description="Training")
     summary = {arm: summarise(runs) for arm, runs in results.items()}
     command = f"python -m experiments.series --runs {study.runs} --first-seed {study.first_seed}"
     command += f" --arms {shlex.join(study.arms)}"

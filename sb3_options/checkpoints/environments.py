@@ -23,6 +23,7 @@ from sb3_options.checkpoints import vec_monitor
 from sb3_options.checkpoints.records import RECORDS
 from sb3_options.checkpoints.tree import State, encode
 from sb3_options.execution import layers
+from sb3_options.execution.ray_vec_env import RayVecEnv
 from sb3_options.execution.slots import OptionSlots
 
 REMEMBER_NOTHING = (VecTransposeImage, VecCheckNan, VecExtractDictObs)
@@ -44,7 +45,7 @@ def prepare(venv: VecEnv, *, just_reset: bool = False) -> None:
     if isinstance(venv, DummyVecEnv):
         venv.envs = [layers.prepare(env, just_reset=just_reset) for env in venv.envs]
         return
-    if not isinstance(venv, SubprocVecEnv):
+    if not isinstance(venv, SubprocVecEnv | RayVecEnv):
         raise ValueError(f"Checkpoints of {type(venv).__name__} are not supported yet.")
     if not all(venv.env_is_wrapped(OptionSlots)):
         raise ValueError("Checkpoints of environments in worker processes need OptionsWrapper around each of them.")

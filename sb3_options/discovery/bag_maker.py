@@ -13,6 +13,7 @@ from sb3_options.density.bags import Bags
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.contrast import Contrast
+from sb3_options.discovery.local_cuts import LocalCuts
 from sb3_options.discovery.settings import DiscoverySettings, default_scale, is_one_hot
 from sb3_options.discovery.static_filter import (
     StaticFilter,
@@ -85,6 +86,7 @@ class BagMaker:
 
     Attributes:
         scale: Factor for every feature that counts, (d,); None before the first bags.
+        cuts: Of all that was visited; None where ``DiscoverySettings.min_cut`` does not count.
     """
 
     def __init__(
@@ -100,6 +102,8 @@ class BagMaker:
         self.scale: FloatArray | None = None
         self._passing = PassingShare(settings.subgoal_radius)
         self._known: dict[int, _Known] = {}
+        asked = settings.min_cut > 0.0 and settings.min_passing > 0.0 and group is None
+        self.cuts = LocalCuts() if asked else None
 
     def make(self, database: Iterable[LabelledTrajectory], taken: Sequence[Region]) -> FilteredBags | None:
         """The bags of a database; None while there are too few positive ones to search.
@@ -160,6 +164,16 @@ class BagMaker:
         """The states of each way that may be subgoals, in scaled units, as of the last bags, (k_i, d) each."""
         return [known.scaled[known.allowed] for known in self._known.values() if known.labelled.success]
 
+    def visited(self, trajectories: Iterable[LabelledTrajectory]) -> None:
+        """Add what trajectories visited to the `cuts`."""
+        if self.cuts is not None:
+            for labelled in trajectories:
+                self.cuts.add(labelled.features, labelled.trajectory.visits)
+
+    def forget_space(self) -> None:
+        """Features are others from now on."""
+        self.cuts = None if self.cuts is None else LocalCuts()
+
     def forget_bags(self) -> None:
         """Every bag changes: instances near a new subgoal are filtered out."""
         for known in self._known.values():
@@ -171,12 +185,15 @@ class BagMaker:
         Shares of passing ways are not: they are counts, which are the same when all ways are counted anew.
         """
         known = [{f.name: getattr(k, f.name) for f in fields(k)} for k in self._known.values()]
-        return {"scale": self.scale, "kind": self.kind, "known": known}
+        cuts = None if self.cuts is None else self.cuts.get_state()
+        return {"scale": self.scale, "kind": self.kind, "known": known, "cuts": cuts}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave."""
         self.scale, self.kind = state["scale"], state["kind"]
         self._known = {id(known["labelled"]): _Known(**known) for known in state["known"]}
+        if self.cuts is not None:
+            self.cuts.set_state(state["cuts"])
 
     def _know(self, labelled: LabelledTrajectory, scale: FloatArray) -> _Known:
         features, visits = self._own(labelled), labelled.trajectory.visits
@@ -207,14 +224,18 @@ class BagMaker:
         return self.kind == "categorical" and self.static_filter is None and self.group is None
 
     def _passages(self, known: Sequence[_Known]) -> list[BoolArray]:
-        """Which states the ways near them lead through, and which stand out: `DiscoverySettings.min_passing`."""
+        """Which states stand out: `min_contrast`; or what the ways near them lead through: `min_passing`, `min_cut`."""
         if self.contrast is not None:
             least = self.settings.min_contrast
             return [k.allowed & self.contrast.stands_out(k.labelled, least)[k.rows] for k in known]
         if self.settings.min_passing == 0.0:
             return [k.allowed for k in known]
         shares = self._passing.update([k.scaled for k in known])
-        return [k.allowed & (share >= self.settings.min_passing) for k, share in zip(known, shares, strict=True)]
+        passages = [k.allowed & (share >= self.settings.min_passing) for k, share in zip(known, shares, strict=True)]
+        if self.cuts is not None:
+            for k, passage in zip(known, passages, strict=True):
+                passage[passage] = self.cuts.shares(k.way[passage]) >= self.settings.min_cut
+        return passages
 
     def _bag(self, known: _Known, keep: BoolArray, taken: Sequence[Region]) -> FloatArray:
         if known.kept is None or not np.array_equal(known.kept, keep):

@@ -28,6 +28,9 @@ STATE_SECONDS = 3e-5
 WAY_PAIR_SECONDS = 1.5e-10
 """Nominal time of making bags: for each new state, and for each feature of each pair of a new state and an instance."""
 
+CUT_SECONDS = 1e-4
+"""Nominal time of computing what a state cuts off."""
+
 TRAJECTORY_SECONDS = 2e-5
 """Nominal time of looking at a trajectory again."""
 

@@ -4,26 +4,28 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from sb3_options.density.regions import Region
+from sb3_options.discovery.maps import (
+    HEIGHTS,
+    PANEL_WIDTH,
+    SUBGOAL,
+    SUBGOAL_COLOUR,
+    Cells,
+    Marks,
+    Title,
+    plane,
+    ticks_of,
+)
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray, IntArray, batch_size
 from sb3_options.options.bank import OptionBank
-from sb3_options.options.option import SubgoalOption
-
-PANEL_WIDTH = 6.4
-"""Of a panel, in inches."""
-
-HEIGHTS = (3.4, 6.0)
-"""Lowest and highest panel, in inches; between them a panel has the shape of its map."""
+from sb3_options.options.option import Option, SubgoalOption
 
 WORST_SHOWN = 60.0
 """Log densities this far below the best share the darkest colour, in nats, unless too few are above that."""
@@ -34,14 +36,15 @@ SHARE_SHOWN = 0.25
 TEXT_WIDTH = 80
 """Characters of a line of text."""
 
-SUBGOAL_COLOUR = "#d62728"
-START: dict[str, Any] = {"marker": "o", "markersize": 4, "color": "white", "markeredgecolor": "black"}
-GOAL: dict[str, Any] = {"marker": "D", "markersize": 8, "color": "white", "markeredgecolor": "black"}
-SUBGOAL: dict[str, Any] = {"marker": "*", "markersize": 15, "color": SUBGOAL_COLOUR, "markeredgecolor": "white"}
-MARGIN = 0.75
-"""Free space around the outermost centres, in sides of a rectangle."""
+OPTION_PANEL_WIDTH = 3.4
+"""Of a panel that shows one option, in inches."""
 
-INITIATION_COLOUR = "#9ecae1"
+OPTION_COLUMNS = 2
+MOST_OPTIONS = 8
+"""Panels of one picture; the oldest options are left out."""
+
+ROW_HEIGHT = 0.55
+"""Of an option's row where states are numbered, in inches."""
 
 
 def discovery_figures(discovery: SubgoalDiscovery, bank: OptionBank) -> dict[str, Figure]:
@@ -97,6 +100,84 @@ def subgoals_figure(discovery: SubgoalDiscovery, bank: OptionBank, text: str | N
     return figure
 
 
+def options_figure(discovery: SubgoalDiscovery, bank: OptionBank, newest: int | None = None) -> Figure | None:
+    """Every option by itself: where it may begin, where its policy leads, its subgoal.
+
+    Args:
+        discovery: After at least one search.
+        bank: The options made so far.
+        newest: Slot of the newest one, which stands last and in a frame; None marks none.
+
+    Returns:
+        A figure; None before any search, and where there is no option that can be drawn.
+    """
+    about = _seen(discovery)
+    slots = [slot for slot, option in enumerate(bank.slots) if _is_drawn(option)]
+    if about is None or not slots:
+        return None
+    if newest in slots:
+        slots = [slot for slot in slots if slot != newest] + [newest]
+    shown = slots[-MOST_OPTIONS:]
+    options = {slot: option for slot in shown if isinstance(option := bank[slot], SubgoalOption)}
+    titles = {slot: f"{slot}{', newest' * (slot == newest)}: {option.name}" for slot, option in options.items()}
+    if discovery.kind == "categorical":
+        figure = Figure(figsize=(1.5 * PANEL_WIDTH, 1.5 + ROW_HEIGHT * len(shown)), layout="compressed")
+        _draw_rows(figure.add_subplot(), about, options, titles, newest)
+    else:
+        assert discovery.scale is not None  # there was a search
+        columns = min(OPTION_COLUMNS, len(shown))
+        cells = Cells(about.seen, discovery.scale, about.marks)
+        rows, height = -(-len(shown) // columns), cells.height * OPTION_PANEL_WIDTH / PANEL_WIDTH
+        figure = Figure(figsize=(OPTION_PANEL_WIDTH * columns, (height + 0.6) * rows + 0.4), layout="constrained")
+        for i, (slot, option) in enumerate(options.items()):
+            axes = figure.add_subplot(rows, columns, i + 1)
+            subgoals = np.reshape(option.subgoal.points, (-1, about.seen.shape[1]))
+            own = about.marks._replace(starts=subgoals[:0], subgoals=subgoals)  # starts would hide arrows
+            cells.draw_option(axes, option.initiation_set, _moves_of(discovery, [option]), own, titles[slot])
+            if i + columns < len(shown):
+                axes.set_xlabel("")
+            if i % columns:
+                axes.set_ylabel("")
+            if slot == newest:
+                _frame(axes)
+    if len(slots) > len(shown):
+        figure.suptitle(f"the newest {len(shown)} of {len(slots)} options", fontsize="medium")
+    _add_legend(figure)
+    return figure
+
+
+def _is_drawn(option: Option | None) -> bool:
+    return isinstance(option, SubgoalOption) and option.subgoal.group is None
+
+
+def _frame(axes: Axes) -> None:
+    """Let a panel stand out."""
+    axes.title.set(color=SUBGOAL_COLOUR, fontweight="bold")
+    for spine in axes.spines.values():
+        spine.set(edgecolor=SUBGOAL_COLOUR, linewidth=2.5)
+
+
+def _draw_rows(
+    axes: Axes, about: _Seen, options: dict[int, SubgoalOption], titles: dict[int, str], newest: int | None
+) -> None:
+    """A row for each option over the numbers of the states."""
+    states = np.sort(about.seen.argmax(axis=1))
+    for row, option in enumerate(options.values()):
+        axes.plot(states, np.full(len(states), row), "|", markersize=7, color="0.85", zorder=1)
+        began = option.initiation_set.points.argmax(axis=1)
+        first, last = ("may begin here", "subgoal") if row == 0 else ("", "")  # once in the legend
+        axes.plot(began, np.full(len(began), row), "|", markersize=13, markeredgewidth=2, color="#3182bd", label=first)
+        ends = option.subgoal.points.argmax(axis=1)
+        axes.plot(ends, np.full(len(ends), row), linestyle="", label=last, **SUBGOAL)
+    labels = axes.set_yticks(range(len(options)), titles.values())
+    for slot, tick in zip(options, labels, strict=True):
+        if slot == newest:
+            tick.label1.set(color=SUBGOAL_COLOUR, fontweight="bold")
+    axes.set_ylim(len(options) - 0.4, -0.6)
+    axes.set(title="options over all states seen", xlabel="number of the state")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
 def _add_legend(figure: Figure) -> None:
     """Say once, below all panels, what the marks in them mean."""
     marks = {label: mark for axes in figure.axes for mark, label in zip(*axes.get_legend_handles_labels(), strict=True)}
@@ -104,46 +185,40 @@ def _add_legend(figure: Figure) -> None:
         figure.legend(marks.values(), marks.keys(), loc="outside lower center", ncols=len(marks), fontsize="large")
 
 
-class Title(NamedTuple):
-    """What a panel shows, and in which unit."""
-
-    name: str
-    unit: str
-
-
 DENSITY = Title("log diverse density", "nats")
 VISITS = Title("successful trajectories that visit", "trajectories")
 
 
-class _Marks(NamedTuple):
-    """Where trajectories began, where successful ones ended, and the subgoals; (n, d) each."""
+class _Seen(NamedTuple):
+    """Features of everything seen, each once, (n, d), and the marks."""
 
-    starts: FloatArray
-    goals: FloatArray
-    subgoals: FloatArray
+    seen: FloatArray
+    marks: Marks
 
-    def draw(self, axes: Axes, place: Callable[[FloatArray], tuple[FloatArray, FloatArray]]) -> None:
-        """Mark them where ``place`` has them, x and y."""
-        kinds = {"start": START, "goal: where a success ended": GOAL, "subgoal": SUBGOAL}
-        for points, (label, style) in zip(self, kinds.items(), strict=True):
-            if len(points):
-                axes.plot(*place(points), linestyle="", label=label, **style)
+
+def _seen(discovery: SubgoalDiscovery) -> _Seen | None:
+    """None before any search."""
+    if discovery.scale is None or not len(discovery.database):
+        return None
+    runs = list(discovery.database)
+    seen = np.unique(np.concatenate([t.features for t in runs]), axis=0)
+    d = seen.shape[1]
+    marks = Marks(
+        np.unique([t.features[t.trajectory.visits[0]] for t in runs], axis=0),
+        np.unique(np.reshape([t.features[t.trajectory.visits[-1]] for t in runs if t.success], (-1, d)), axis=0),
+        np.reshape([finding.centre for finding in discovery.found if len(finding.subgoal.points)], (-1, d)),
+    )
+    return _Seen(seen, marks)
 
 
 def _panels(discovery: SubgoalDiscovery, bank: OptionBank) -> tuple[dict[str, Callable[[Axes], None]], float]:
     """What draws each panel, by name, and the height of one in inches."""
     bags = discovery.found[-1].bags if discovery.found else discovery.last.bags
-    if discovery.scale is None or (bags is None and not discovery.found):
+    about = None if bags is None and not discovery.found else _seen(discovery)
+    if about is None:
         return {}, HEIGHTS[0]
-    seen = np.unique(np.concatenate([t.features for t in discovery.database]), axis=0)
+    seen, marks = about
     visits = _first_visits(discovery, seen)
-    d = seen.shape[1]
-    runs = list(discovery.database)
-    marks = _Marks(
-        np.unique([t.features[t.trajectory.visits[0]] for t in runs], axis=0),
-        np.unique(np.reshape([t.features[t.trajectory.visits[-1]] for t in runs if t.success], (-1, d)), axis=0),
-        np.reshape([finding.centre for finding in discovery.found if len(finding.subgoal.points)], (-1, d)),
-    )
     density = None if bags is None else np.asarray(discovery.engine().log_density(seen, bags))
     panels: dict[str, Callable[[Axes], None]] = {}
     if discovery.kind == "categorical":
@@ -151,7 +226,8 @@ def _panels(discovery: SubgoalDiscovery, bank: OptionBank) -> tuple[dict[str, Ca
             panels["diverse_density"] = lambda axes: _bars(axes, DENSITY, seen, density, marks)
         panels["first_visits"] = lambda axes: _bars(axes, VISITS, seen, visits, marks)
         return panels, HEIGHTS[0]
-    cells = _Cells(seen, discovery.scale, marks)
+    assert discovery.scale is not None  # there was a search
+    cells = Cells(seen, discovery.scale, marks)
     if density is not None:
         shown = np.maximum(density, min(density.max() - WORST_SHOWN, np.quantile(density, 1.0 - SHARE_SHOWN)))
         panels["diverse_density"] = lambda axes: cells.draw(axes, DENSITY, shown)
@@ -173,7 +249,7 @@ def _first_visits(discovery: SubgoalDiscovery, seen: FloatArray) -> IntArray:
     return counts
 
 
-def _bars(axes: Axes, title: Title, seen: FloatArray, values: FloatArray | IntArray, marks: _Marks) -> None:
+def _bars(axes: Axes, title: Title, seen: FloatArray, values: FloatArray | IntArray, marks: Marks) -> None:
     states = seen.argmax(axis=1)
     order = np.argsort(states)
     axes.plot(states[order], values[order], ".", markersize=5, color="0.4")
@@ -186,98 +262,15 @@ def _bars(axes: Axes, title: Title, seen: FloatArray, values: FloatArray | IntAr
     marks.draw(axes, place)
     axes.set(title=title.name, xlabel="number of the state", ylabel=title.unit)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.yaxis.set_major_locator(_ticks(values))
+    axes.yaxis.set_major_locator(ticks_of(values))
 
 
-def _ticks(values: FloatArray | IntArray) -> MaxNLocator:
-    """Ticks at whole numbers, where these are enough to tell values apart."""
-    whole = np.issubdtype(values.dtype, np.integer) or np.ptp(values) >= 2
-    return MaxNLocator(nbins=6, integer=bool(whole), min_n_ticks=1)
+def _moves_of(discovery: SubgoalDiscovery, options: list[SubgoalOption]) -> tuple[FloatArray, FloatArray] | None:
+    """Where the greedy actions of options led in the saved trajectories, from each state of the initiation sets.
 
-
-class _Cells:
-    """The first two features of everything seen, as a map: rectangles as wide as neighbours are apart.
-
-    Where features hardly repeat, neighbours are next to nothing apart, and the rectangles have sides of one unit.
+    Returns:
+        The first two features of these states and the mean moves, (n, 2) each; None if no such step was saved.
     """
-
-    def __init__(self, seen: FloatArray, scale: FloatArray, marks: _Marks) -> None:
-        flat = seen if seen.shape[1] > 1 else np.column_stack([seen, np.zeros(len(seen))])
-        sides = scale if len(scale) > 1 else np.array([scale[0], 1.0])
-        self.positions, self.row_of = np.unique(flat[:, :2], axis=0, return_inverse=True)
-        self.side = np.array([max(1.0 / s, _spacing(x)) for s, x in zip(sides, self.positions.T, strict=False)])
-        self.marks, self.n_features = marks, seen.shape[1]
-        extent = np.ptp(self.positions, axis=0) + 2 * MARGIN * self.side
-        self.is_map = self.n_features > 1 and bool(np.isclose(*self.side))
-        self.height = float(np.clip(PANEL_WIDTH * extent[1] / extent[0], *HEIGHTS)) if self.is_map else HEIGHTS[0]
-
-    def draw(self, axes: Axes, title: Title, values: FloatArray | IntArray) -> None:
-        """Colour every square by the largest value that falls into it."""
-        largest = np.full(len(self.positions), -np.inf)
-        np.maximum.at(largest, self.row_of.reshape(-1), values)
-        squares = PatchCollection(self._squares(self.positions), cmap="viridis")
-        squares.set_array(largest)
-        axes.add_collection(squares)
-        axes.figure.colorbar(squares, ax=axes, ticks=_ticks(values), label=title.unit)
-        self._finish(axes, title.name)
-
-    def draw_sets(self, axes: Axes, regions: list[Region]) -> None:
-        """Shade the initiation sets over everything seen."""
-        self._ground(axes)
-        for region in regions:
-            axes.add_collection(
-                PatchCollection(self._squares(region.points), facecolor=INITIATION_COLOUR, edgecolor="white")
-            )
-        self._finish(axes, "initiation set")
-
-    def draw_arrows(self, axes: Axes, starts: FloatArray, moves: FloatArray) -> None:
-        """Draw where the greedy action leads on average, from each state of the initiation sets."""
-        self._ground(axes)
-        length = np.linalg.norm(moves, axis=1, keepdims=True)
-        unit = np.divide(moves, length, out=np.zeros_like(moves), where=length > 0) * self.side * 0.8
-        axes.quiver(
-            *(starts - unit / 2).T,
-            *unit.T,
-            angles="xy",
-            scale_units="xy",
-            scale=1,
-            width=0.004,
-            color="#08519c",
-            zorder=3,  # above the marks
-        )
-        self._finish(axes, "option policy: where the greedy action leads")
-
-    def _ground(self, axes: Axes) -> None:
-        axes.add_collection(PatchCollection(self._squares(self.positions), facecolor="0.93", edgecolor="white"))
-
-    def _squares(self, positions: FloatArray) -> list[Rectangle]:
-        if positions.shape[1] == 1:
-            positions = np.column_stack([positions, np.zeros(len(positions))])
-        return [Rectangle(tuple(p - self.side / 2), *self.side) for p in positions[:, :2]]
-
-    def _finish(self, axes: Axes, title: str) -> None:
-        self.marks.draw(axes, lambda points: tuple(np.array([_plane(p) for p in points]).T))
-        margin = MARGIN * self.side
-        low, high = self.positions.min(axis=0) - margin, self.positions.max(axis=0) + margin
-        axes.set_xlim(low[0], high[0])
-        axes.set_ylim(high[1], low[1])  # rows are counted downwards, as in the map
-        if np.ptp(self.positions[:, 1]) == 0:
-            axes.set_yticks([])  # there is but one feature to show
-        elif self.is_map:
-            axes.set_aspect("equal")
-        if np.array_equal(self.positions, np.round(self.positions)):
-            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-            axes.yaxis.set_major_locator(MaxNLocator(integer=True))
-        names = [f"feature {i} of {self.n_features}" for i in (1, 2)]
-        axes.set(title=title, xlabel=names[0], ylabel=names[1] if self.n_features > 1 else "")
-
-
-def _spacing(values: FloatArray) -> float:
-    """The smallest distance between two different values; 0 where there is one value only."""
-    return float(np.diff(np.unique(values)).min(initial=np.inf)) if np.ptp(values) > 0 else 0.0
-
-
-def _draw_policies(axes: Axes, cells: _Cells, discovery: SubgoalDiscovery, options: list[SubgoalOption]) -> None:
     moves: dict[bytes, list[FloatArray]] = {}
     for option in options:
         for labelled in discovery.database:
@@ -289,14 +282,16 @@ def _draw_policies(axes: Axes, cells: _Cells, discovery: SubgoalDiscovery, optio
             began, led = trajectory.visits[:-1], trajectory.visits[1:]
             followed = inside[began] & (trajectory.actions == greedy[began])
             for a, b in zip(features[began[followed]], features[led[followed]], strict=True):
-                moves.setdefault(_plane(a).tobytes(), []).append(_plane(b) - _plane(a))
+                moves.setdefault(plane(a).tobytes(), []).append(plane(b) - plane(a))
     if not moves:
-        axes.set_axis_off()
-        return
+        return None
     starts = np.array([np.frombuffer(key, dtype=np.float64) for key in moves])
-    cells.draw_arrows(axes, starts, np.array([np.mean(m, axis=0) for m in moves.values()]))
+    return starts, np.array([np.mean(m, axis=0) for m in moves.values()])
 
 
-def _plane(feature: FloatArray) -> FloatArray:
-    """The first two features; a second 0 where there is only one."""
-    return np.array([feature[0], feature[1] if len(feature) > 1 else 0.0], dtype=np.float64)
+def _draw_policies(axes: Axes, cells: Cells, discovery: SubgoalDiscovery, options: list[SubgoalOption]) -> None:
+    moves = _moves_of(discovery, options)
+    if moves is None:
+        axes.set_axis_off()
+    else:
+        cells.draw_arrows(axes, *moves)

@@ -94,6 +94,7 @@ class GroupedDiscovery(SubgoalDiscovery):
             parts = [c for part, c in contrasts.items() if set(part.features) < set(group.features)]
             contrasts[group] = Contrast(group, own.subgoal_radius, parts, equal_time=own.equal_time)
         self._contrasts = contrasts
+        self._maker = BagMaker(own, self.static_filter, self.kind)  # it makes no bags: its members do
         self.members: dict[FeatureGroup, SubgoalDiscovery] = {}
         for group in self.groups:
             taken = [region for region in self.taken if region.group == group]

@@ -41,6 +41,7 @@ class ProposedDiscovery(SubgoalDiscovery):
     def __post_init__(self) -> None:
         """Set up what grows with experience."""
         super().__post_init__()
+        self._maker.cuts = None  # no bags are made
         self._untold: list[LabelledTrajectory] = []
         self._proposals: list[Proposal] = []
 

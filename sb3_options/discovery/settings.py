@@ -34,6 +34,9 @@ class DiscoverySettings:
             (`ways.loop_erased`); ``keep`` makes it of all it visited, as the paper does.
         min_passing: Of the successful ways that come near a state, the share that must lead through it, or it is no
             instance: nearly all that come near a doorway pass it (`ways.PassingShare`). 0 takes every state.
+        min_cut: Least share of what lies within a few steps of a state that it must cut off from the rest, or it is no
+            instance (`local_cuts.LocalCuts`). A doorway cuts off a third or more, a piece of floor nothing. Where no
+            state is visited twice, every state is taken; so it is with 0, and where ``min_passing`` is 0.
         min_contrast: Where φ has groups of features: by how much more of the successful trajectories than of the others
             must visit a state, or it is no instance (`contrast.Contrast`).
         equal_time: Whether that counts of unsuccessful trajectories what they visited in the time that a success takes.
@@ -71,6 +74,7 @@ class DiscoverySettings:
     min_positive: Annotated[int, Field(ge=1)] = 8
     loops: Literal["erase", "keep"] = "erase"
     min_passing: Annotated[float, Field(ge=0, lt=1)] = 0.7
+    min_cut: Annotated[float, Field(ge=0, lt=0.5)] = 0.1
     min_contrast: Annotated[float, Field(ge=-1, lt=1)] = 0.3
     equal_time: bool = True
     negative_bags: bool = True

@@ -16,7 +16,7 @@ from sb3_options.density.incremental import IncrementalSearch
 from sb3_options.density.regions import Region
 from sb3_options.discovery.anchors import moved, nearest_observations
 from sb3_options.discovery.bag_maker import BagMaker, FilteredBags
-from sb3_options.discovery.budget import ASCENTS, Budget, seconds_of_bags, seconds_of_search
+from sb3_options.discovery.budget import ASCENTS, CUT_SECONDS, Budget, seconds_of_bags, seconds_of_search
 from sb3_options.discovery.outcomes import Outcomes
 from sb3_options.discovery.peaks import PeakTracker, plateau_centres
 from sb3_options.discovery.recurrence import Recurrence
@@ -157,6 +157,7 @@ class SubgoalDiscovery:
         )
         self.outcomes.add(trajectory, success=labelled.success)
         self.database.add(labelled)
+        self._maker.visited([labelled])
         self.budget.steps += len(trajectory)
         self._n_new += n_states
         return labelled
@@ -193,12 +194,14 @@ class SubgoalDiscovery:
     def _recurring_evidence(self) -> FilteredBags | None:
         """The bags of the database; None where there are too few, or where nothing recurs."""
         self.cost, successes = 0.0, self.outcomes.successes
-        due = self.recurrence.is_due(successes)
+        due, cuts = self.recurrence.is_due(successes), self._maker.cuts
+        n_computed = 0 if cuts is None else cuts.n_computed
         if self.recurrence.nothing and not due:
             return None
         evidence = self._evidence()
         n, d = (0, 0) if evidence is None else (evidence.n_instances, evidence.positive[0].shape[1])
         self.cost += seconds_of_bags(len(self.database), self._n_new, n, d)
+        self.cost += 0.0 if cuts is None else CUT_SECONDS * (cuts.n_computed - n_computed)
         self._n_new = 0
         if due:
             self.recurrence.look(self._maker.ways(), successes, f"successful {self.outcomes.unit}s")
@@ -326,6 +329,8 @@ class SubgoalDiscovery:
         ]
         self.last = Search([], None, self.last.seconds)
         self._incremental = None
+        self._maker.forget_space()
+        self._maker.visited(self.database)
         self.recurrence.forget()
         self._n_new = sum(len(labelled.features) for labelled in self.database)  # bags are made anew of all
 

@@ -123,6 +123,17 @@ class OptionsWrapper(OptionSlots):
             return self._run_primitive(primitive, instead=True)
         return self._run_option(option, slot, observation)
 
+    def lost_step(self, observation: Any) -> dict[str, Any]:
+        """The info of a step whose outcome is lost, with its environment: one primitive step that was cut off.
+
+        Args:
+            observation: In which it was taken, and the last that is known.
+        """
+        option = {**self._primitive, "termination": "truncated"}
+        if self._reports_availability and self.bank.filled:
+            option["available"] = self._available_slots(batch_of_one(observation))
+        return {"option": option}
+
     def _run_primitive(self, action: int, *, instead: bool = False) -> StepReturn:
         """Run a primitive action that was chosen, or that runs ``instead`` of a slot."""
         result = self._primitive_step(action)

@@ -28,7 +28,7 @@ TUNED_FOLDER = Path(__file__).parent / "tuned"
 
 TUNED = {
     f"sb3_options/{name}-v0": "pioneer.yml"
-    for name in ("Pioneer", "PioneerCorner", "PioneerClutter", "PioneerTwoBalls")
+    for name in ("Pioneer", "PioneerCorner", "PioneerClutter", "PioneerTwoBalls", "PioneerMuJoCo")
 }
 """File of the settings that ship for an environment, by its id."""
 
@@ -61,7 +61,7 @@ class TrainConfig:
         seed: Of everything random.
         tensorboard_log: Folder for run folders.
         n_envs: Parallel environments.
-        vec_env: "dummy"; "subproc": a process each.
+        vec_env: "dummy", "subproc" or "ray".
         eval_freq: Primitive steps per evaluation; 0: none.
         checkpoint_freq: Steps per checkpoint; 0: none.
         eval_episodes: Episodes of an evaluation.
@@ -93,7 +93,7 @@ class TrainConfig:
     seed: Annotated[int, Field(ge=0, le=MAX_SEED)] = 0
     tensorboard_log: Path = Path("runs")
     n_envs: Count = 1
-    vec_env: Annotated[Literal["dummy", "subproc"], KIND] = "dummy"
+    vec_env: Annotated[Literal["dummy", "subproc", "ray"], KIND] = "dummy"
     eval_freq: Natural = 0
     checkpoint_freq: Natural = 10_000
     eval_episodes: Count = 10

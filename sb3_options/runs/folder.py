@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import gymnasium as gym
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -16,6 +16,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from sb3_options.atomic import remove_stale
 from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.envs import minigrid
+from sb3_options.execution.ray_vec_env import RayVecEnv
 from sb3_options.execution.workers import watched_workers
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.options import file as option_file
@@ -24,7 +25,7 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.runs.config import MaskablePPOConfig, TrainConfig
 from sb3_options.runs.eval_callback import BEST as BEST
 from sb3_options.runs.interrupts import ignore_interrupts
-from sb3_options.runs.logs import keep_monitor
+from sb3_options.runs.logs import begin_monitors, go_on_counting, keep_monitor
 from sb3_options.runs.users_code import feature_map_of, named
 
 CONFIG = "config.yml"
@@ -46,6 +47,9 @@ ALIKE = 0.6
 
 MINIGRID, MINIGRID_MODULE = "MiniGrid-", "minigrid:"
 """How the ids of MiniGrid begin, and how one names the module that registers it. They get a `MiniGridWrapper`."""
+
+VecEnvKind: TypeAlias = Literal["dummy", "subproc", "ray"]
+"""Where environments live."""
 
 OWN_NAMESPACE = "sb3_options/"
 """Of the environments that come with the library."""
@@ -175,7 +179,7 @@ def make_env(
     monitor_dir: Path | None = None,
     beneath: Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]] | None = None,
     render_mode: str | None = None,
-    subproc: bool = False,
+    vec_env: VecEnvKind = "dummy",
     max_steps: int = 0,
 ) -> VecEnv:
     """Environments with option slots, and a ``Monitor`` beneath these, so that it counts primitive steps.
@@ -190,15 +194,16 @@ def make_env(
         monitor_dir: Where each writes its episodes; None writes nothing. In a folder that there is they are added.
         beneath: A wrapper to put beneath the options as well.
         render_mode: For the environment.
-        subproc: Whether each lives in a process of its own.
+        vec_env: Where they live: here, each in a process of its own, or in Ray actors.
         max_steps: Primitive steps after which an episode is cut off, if the environment does not end it; 0 for never.
 
     Returns:
-        A ``DummyVecEnv``, or a ``SubprocVecEnv`` whose workers are watched.
+        A ``DummyVecEnv``, a ``SubprocVecEnv`` whose workers are watched, or a `RayVecEnv`.
 
     Raises:
         FileNotFoundError: ``--options`` names no file.
-        ModuleNotFoundError: ``--env-wrapper`` or ``--feature-map`` names a module that there is not.
+        ModuleNotFoundError: ``--env-wrapper`` or ``--feature-map`` names a module that there is not, or Ray is missing.
+        ConnectionError: ``RAY_ADDRESS`` names a cluster that there is not.
         ValueError: The options do not fit, or one of these two names nothing.
         WorkerLostError: A worker process has ended.
     """
@@ -210,10 +215,18 @@ def make_env(
     options = options_file(config)
     max_runs = config.max_runs if isinstance(config, MaskablePPOConfig) else None
 
+    elsewhere, classes = vec_env != "dummy", {"dummy": DummyVecEnv, "subproc": watched_workers, "ray": RayVecEnv}
+    override = monitor_dir is None or not monitor_dir.exists()
+    if vec_env == "ray" and monitor_dir is not None:
+        begin_monitors(monitor_dir, n_envs, config.env)
+        override = False  # an environment that starts anew goes on with its file
+
     def with_options(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-        if subproc:
+        if elsewhere:
             ignore_interrupts()
         keep_monitor(env)
+        if vec_env == "ray":
+            go_on_counting(env)
         if beneath is not None:
             env = beneath(env)
         return OptionsWrapper(
@@ -238,7 +251,7 @@ def make_env(
         wrapper = minigrid.MiniGridWrapper
     if is_minigrid(env_id):
         env_id = MINIGRID_MODULE + env_id.removeprefix(MINIGRID_MODULE)  # nobody has registered it in a worker
-    elif subproc and env_id.startswith(OWN_NAMESPACE):
+    elif elsewhere and env_id.startswith(OWN_NAMESPACE):
         env_id = f"sb3_options.envs:{env_id}"  # nobody has registered it there
 
     return make_vec_env(
@@ -248,6 +261,6 @@ def make_env(
         env_kwargs=keywords,
         wrapper_class=with_options,
         monitor_dir=None if monitor_dir is None else str(monitor_dir),
-        monitor_kwargs={"override_existing": monitor_dir is None or not monitor_dir.exists()},
-        vec_env_cls=watched_workers if subproc else DummyVecEnv,  # type: ignore[arg-type]  # it makes one, too
+        monitor_kwargs={"override_existing": override},
+        vec_env_cls=classes[vec_env],  # type: ignore[arg-type]  # it makes one, too
     )

@@ -20,7 +20,7 @@ from rich.table import Table
 
 from sb3_options.atomic import atomic_write
 from sb3_options.density.regions import HalfSpace
-from sb3_options.discovery.figures import INITIATION_COLOUR, SUBGOAL
+from sb3_options.discovery.maps import INITIATION_COLOUR, SUBGOAL
 from sb3_options.discovery.settings import described
 from sb3_options.experience.observations import FloatArray
 from sb3_options.options import file as option_file

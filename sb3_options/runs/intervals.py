@@ -86,9 +86,10 @@ def iqm_interval(values: FloatArray) -> Interval:
     return interval_of(iqm(values), iqm(resampled(values, 0)))
 
 
-def iqm_ratio(ours: FloatArray, theirs: FloatArray) -> Interval:
-    """Ratio of interquartile means; each side is resampled on its own (stratified bootstrap)."""
-    return interval_of(iqm(ours) / iqm(theirs), iqm(resampled(ours, 0)) / iqm(resampled(theirs, 1)))
+def iqm_ratio(ours: FloatArray, theirs: FloatArray, *, paired: bool = False) -> Interval:
+    """Ratio of interquartile means; each side is resampled on its own (stratified bootstrap), or both as pairs."""
+    drawn = resampled(ours, 0), resampled(theirs, 0 if paired else 1)  # equal seeds draw equal rows
+    return interval_of(iqm(ours) / iqm(theirs), iqm(drawn[0]) / iqm(drawn[1]))
 
 
 def iqm_difference(ours: FloatArray, theirs: FloatArray) -> Interval:

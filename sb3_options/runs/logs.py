@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -77,6 +80,35 @@ def keep_monitor(env: gym.Env[Any, Any]) -> None:
         tolerance = Tolerance(file.name)
         writer.write_row = tolerance.tolerant(writer.write_row)  # type: ignore[method-assign]  # it takes the same
         writer.close = tolerance.tolerant(close)  # type: ignore[method-assign]  # likewise
+
+
+def begin_monitors(folder: Path, n_envs: int, env_id: str) -> None:
+    """Write the heads of the files of ``Monitor`` that are not there yet, for monitors that only append to them.
+
+    Args:
+        folder: Of the files.
+        n_envs: How many.
+        env_id: For the heads.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    head = f"#{json.dumps({'t_start': time.time(), 'env_id': env_id})}\nr,l,t\n"
+    for i in range(n_envs):
+        path = folder / f"{i}.{Monitor.EXT}"
+        if not path.exists():
+            path.write_text(head, encoding="utf-8")
+
+
+def go_on_counting(env: gym.Env[Any, Any]) -> None:
+    """Let a ``Monitor`` that appends to a file count its seconds from where the head of the file says.
+
+    Args:
+        env: A ``Monitor``, or anything else, which is let be.
+    """
+    if isinstance(env, Monitor) and env.results_writer is not None:
+        with Path(env.results_writer.file_handler.name).open(encoding="utf-8") as file:
+            head = file.readline()
+        if head.startswith("#"):  # on a machine that shares no folder there is no head
+            env.t_start = float(json.loads(head[1:])["t_start"])
 
 
 class KeepTraining(BaseCallback):

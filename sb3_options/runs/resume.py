@@ -12,6 +12,7 @@ import tyro
 from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
+from sb3_options.runs import yaml_file
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.users_code import IMPORTING
 
@@ -55,6 +56,12 @@ def config_of(resumed: ResumeConfig) -> TrainConfig:
         )
     config = configs.load(file, {name: getattr(resumed, name) for name in IMPORTING})
     return dataclasses.replace(config, options=None, compare=False, progress=resumed.progress)
+
+
+def options_of(run: Path) -> Path | None:
+    """Where the options came from that a run started with."""
+    options = yaml_file.read_mapping(run / runs.CONFIG).get("options")
+    return None if options is None else Path(str(options))
 
 
 def _refuse_links(run: Path) -> None:

@@ -10,14 +10,18 @@ import sys
 import threading
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from sb3_options.atomic import atomic_write
+from sb3_options.execution.ray_cluster import connect
 from sb3_options.runs import config as configs
 from sb3_options.runs.compare import Goal, at_the_end
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.logged import Run, read_run
 from sb3_options.runs.users_code import flag
+
+RETRIES = 10
+"""How often a training begins again whose machine was lost."""
 
 Objective = Literal["steps", "end"]
 SETTINGS, SCORE, LOG = "settings.yml", "score.json", "output.txt"
@@ -68,6 +72,66 @@ class Processes:
                 process.kill()
 
 
+class ClusterProcesses(Processes):
+    """The same on the machines of a Ray cluster, each in a task that takes one core.
+
+    Where its machine is lost, a training begins again elsewhere. All machines share the folders that it names.
+
+    Args:
+        address: As `connect` takes it.
+
+    Raises:
+        ModuleNotFoundError: Ray is not installed.
+        ConnectionError: There is no such cluster.
+    """
+
+    def __init__(self, address: str) -> None:
+        super().__init__()
+        self._ray = connect(address)
+        self._tasks: set[Any] = set()
+        self._run = self._ray.remote(_run_there).options(num_cpus=1, max_retries=RETRIES, scheduling_strategy="SPREAD")
+
+    def run(self, command: list[str], log: Path) -> int:
+        """The exit status of a command, whose interpreter is that of the other machine.
+
+        Raises:
+            KeyboardInterrupt: `end` was called.
+            RunFailedError: It was lost time and again with its machine.
+        """
+        with self._lock:
+            if self.ended:
+                raise KeyboardInterrupt
+            task = self._run.remote(command[1:], log.absolute(), Path.cwd())
+            self._tasks.add(task)
+        try:
+            return int(self._ray.get(task))
+        except self._ray.exceptions.RayError as error:
+            if self.ended:
+                raise KeyboardInterrupt from None
+            raise RunFailedError(f"Ray could not run it: {str(error).strip().splitlines()[-1]}") from error
+        finally:
+            with self._lock:
+                self._tasks.discard(task)
+
+    def end(self) -> None:
+        """End what runs, and let nothing begin any more."""
+        super().end()
+        with self._lock:
+            for task in self._tasks:
+                self._ray.cancel(task)
+
+
+def _run_there(arguments: list[str], log: Path, folder: Path) -> int:
+    with log.open("wb") as output:
+        process = subprocess.Popen([sys.executable, *arguments], stdout=output, stderr=subprocess.STDOUT, cwd=folder)
+        try:
+            return process.wait()
+        finally:
+            if process.poll() is None:  # it is not waited for any more
+                process.kill()
+                process.wait()
+
+
 def score(
     run: TrainConfig, goal: Goal, objective: Objective, trusted: Mapping[str, str | None], processes: Processes
 ) -> float:
@@ -98,7 +162,8 @@ def score(
         said = (folder / LOG).read_text(encoding="utf-8", errors="replace").strip().splitlines()
         raise RunFailedError(" ".join([*said[-1:], f"Its output is in {folder / LOG}."]))
     try:
-        (made,) = set(folder.glob("*/*/")) - before
+        # Where a machine was lost there are two: the newest has the highest number.
+        made = max(set(folder.glob("*/*/")) - before, key=lambda path: int(path.name.rpartition("_")[2]))
         found = score_of(read_run(made), goal, objective, run.n_timesteps)
     except (ValueError, OSError) as error:
         raise RunFailedError(str(error)) from error

@@ -35,7 +35,7 @@ from sb3_options.runs.compare import Goal
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.interrupts import raised
 from sb3_options.runs.pictures import DPI
-from sb3_options.runs.scored import Processes, RunFailedError, score
+from sb3_options.runs.scored import ClusterProcesses, Processes, RunFailedError, score
 from sb3_options.runs.search_space import Choices, Range, SearchSpace, Value, read_space
 from sb3_options.runs.tune_config import TuneConfig
 from sb3_options.runs.users_code import IMPORTING
@@ -82,13 +82,15 @@ def tune(config: TuneConfig, *, console: Console) -> TrainConfig:
 
     Raises:
         ValueError: The file describes no search, or another one than that in the folder, or every trial failed.
-        OSError: A file cannot be read or written.
+        OSError: A file cannot be read or written, or there is no ``--cluster``.
+        ModuleNotFoundError: ``--cluster`` needs Ray, which is not installed.
         KeyboardInterrupt: The user ended it; the same command goes on.
     """
     goal = Goal.parsed(config.reach)
     space = read_space(config.space, {name: getattr(config, name) for name in IMPORTING})
     config.out.mkdir(parents=True, exist_ok=True)
-    study, processes = _study(config, space, goal), Processes()
+    study = _study(config, space, goal)
+    processes = Processes() if config.cluster is None else ClusterProcesses(config.cluster)
     _try_again(study)
     with raised(), ThreadPoolExecutor(config.jobs) as threads:
         jobs = [threads.submit(_work, study, config, space, goal, processes, console) for _ in range(config.jobs)]
@@ -104,7 +106,8 @@ def tune(config: TuneConfig, *, console: Console) -> TrainConfig:
         raise ValueError(" ".join(["No trial was completed.", *failed[-1:]]))
     best = space.config(_values(space, study.best_params), config.first_seed, Path("runs"))
     configs.save(best, config.out / BEST)
-    _draw(study, config, goal)
+    with pyplot.rc_context():  # Optuna changes the style of all later pictures
+        _draw(study, config, goal)
     console.print(_table(study, config, goal))
     fresh = config.first_seed + config.seeds
     console.print(

@@ -23,6 +23,8 @@ class TuneConfig:
             names over the last tenth of training.
         reach: As of ``compare``: success=0.9, return=1.5 or length=40.
         jobs: Trials at a time.
+        cluster: Train on the Ray cluster at HOST:PORT, or "auto": of this machine, or of the variable RAY_ADDRESS.
+            All machines share the folder.
         worker: Number of this command, where several work in one folder, so that they propose differently.
         env: Environment, module:Id, where the file names such a one.
         env_wrapper: Wrapper for it, module:Class; likewise.
@@ -37,6 +39,7 @@ class TuneConfig:
     objective: Literal["steps", "end"] = "steps"
     reach: str = "success=0.9"
     jobs: int = 1
+    cluster: str | None = None
     worker: int = 0
     env: str | None = None
     env_wrapper: str | None = None

@@ -20,6 +20,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
 from sb3_options import OptionBank, OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
@@ -415,7 +416,7 @@ class TestTensorBoard:
 
     def test_images(self, events: tuple[EventAccumulator, Any]) -> None:
         accumulator, _ = events
-        names = {"diverse_density", "first_visits", "initiation_set", "option_policy"}
+        names = {"diverse_density", "first_visits", "initiation_set", "option_policy", "options"}
         assert set(accumulator.Tags()["images"]) == {f"discovery/{name}" for name in names}
         for name in names:
             picture = iio.imread(accumulator.Images(f"discovery/{name}")[-1].encoded_image_string)
@@ -424,6 +425,20 @@ class TestTensorBoard:
             assert width >= 300
             inside = picture[height // 5 : -height // 5, width // 5 : -width // 5, :3]
             assert n_colours(inside) > 10, name
+
+    def test_text_and_settings(self, events: tuple[EventAccumulator, Any]) -> None:
+        accumulator, model = events
+        *_, last = accumulator.Tensors("options/slot_0/text_summary")
+        assert last.step == model.num_timesteps
+        (text,) = last.tensor_proto.string_val
+        assert b"| option | reach 5, 2 |" in text
+        assert b"of the last 21 runs: the subgoal was reached" in text
+        told = accumulator.PluginTagToContent("hparams")
+        assert "_hparams_/experiment" not in told, "TensorBoard would show the columns of one run for all"
+        settings = HParamsPluginData.FromString(told["_hparams_/session_start_info"]).session_start_info.hparams
+        assert settings["algo"].string_value == type(model).__name__
+        assert settings["discovery.decay"].number_value == 0.8
+        assert [each.step for each in accumulator.Scalars("at_end/success_rate")] == [model.num_timesteps]
 
 
 def test_without_tensorboard_no_picture_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:

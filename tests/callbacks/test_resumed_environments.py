@@ -56,6 +56,7 @@ def door_key() -> gym.Env[Any, Any]:
 
 
 def pioneer() -> gym.Env[Any, Any]:
+    pytest.importorskip("pybullet")
     return gym.make("sb3_options/Pioneer-v0", max_steps=30)
 
 

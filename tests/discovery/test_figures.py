@@ -14,12 +14,14 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
-from sb3_options.discovery.figures import INITIATION_COLOUR, discovery_figures, subgoals_figure
+from sb3_options.discovery.figures import discovery_figures, options_figure, subgoals_figure
+from sb3_options.discovery.maps import INITIATION_COLOUR, SUBGOAL_COLOUR
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.creation import learn_option
+from sb3_options.options.option import SubgoalOption
 from sb3_options.options.settings import OptionLearningSettings
 from tests.support.helpers import line, steady_option, trajectory_of
 from tests.support.sb3_helpers import n_colours, small_rooms
@@ -224,6 +226,54 @@ def test_spaces_of_other_sizes(kind: str, features: Callable[[Any], npt.NDArray[
     assert list(figures) == NAMES
     assert all(colours(figure) > 20 for figure in figures.values())
     assert colours(subgoals_figure(discovery, bank)) > 50
+
+
+class TestOptions:
+    def two(self, kind: str, features: Callable[[Any], npt.NDArray[np.float64]]) -> tuple[SubgoalDiscovery, OptionBank]:
+        """The discovered option, and the same with a smaller initiation set in the slot before it."""
+        discovery, found = discovered(kind, features)
+        option, bank = found[0], OptionBank(4, 3)
+        assert isinstance(option, SubgoalOption)
+        bank.add(option, 2)
+        fewer = dataclasses.replace(option.initiation_set, points=option.initiation_set.points[:3])
+        bank.add(option.with_regions(option.subgoal, fewer), 1)
+        return discovery, bank
+
+    def test_the_newest_is_the_last_and_framed(self) -> None:
+        discovery, bank = self.two("environment", xy)
+        figure = options_figure(discovery, bank, newest=1)
+        assert figure is not None
+        name = bank[1].name  # type: ignore[union-attr]  # it is filled
+        assert [axes.get_title() for axes in figure.axes] == [f"2: {name}", f"1, newest: {name}"]
+        edges = [to_hex(axes.spines["left"].get_edgecolor()) for axes in figure.axes]
+        assert edges == ["#000000", SUBGOAL_COLOUR]
+        assert colours(figure) > 20
+
+    def test_each_has_its_own_initiation_set_and_arrows_within_it(self) -> None:
+        discovery, bank = self.two("environment", xy)
+        figure = options_figure(discovery, bank)
+        assert figure is not None
+        for axes, slot in zip(figure.axes, (1, 2), strict=True):
+            points = bank[slot].initiation_set.points  # type: ignore[union-attr]  # it is filled
+            _, shaded = (c for c in axes.collections if isinstance(c, PatchCollection))
+            assert len(shaded.get_paths()) == len(points)
+            (arrows,) = [c for c in axes.collections if isinstance(c, Quiver)]
+            starts = np.asarray(arrows.get_offsets()) + np.column_stack([arrows.U, arrows.V]) / 2
+            assert {tuple(s) for s in starts.round(6)} <= {tuple(p) for p in points}
+
+    def test_numbered_states_have_a_row_for_each(self) -> None:
+        figure = options_figure(*self.two("categorical", one_hot), newest=2)
+        assert figure is not None
+        (axes,) = figure.axes
+        labels = [label.get_text() for label in axes.get_yticklabels()]
+        assert [label.partition(":")[0] for label in labels] == ["1", "2, newest"]
+        assert [t.get_text() for t in figure.legends[0].get_texts()] == ["may begin here", "subgoal"]
+        assert colours(figure) > 20
+
+    def test_without_an_option_or_a_search_there_is_none(self) -> None:
+        discovery, bank = discovered("environment", xy)
+        assert options_figure(discovery, OptionBank(4, 2)) is None
+        assert options_figure(SubgoalDiscovery(), bank) is None
 
 
 def test_numbered_states_are_bars() -> None:

@@ -495,6 +495,7 @@ RANGES: list[tuple[str, tuple[Any, ...], str]] = [
     ("method", ("hand", None), "should be 'diverse-density', 'em-dd', 'first-visits',"),
     ("segmentation", ("lives", None), "should be 'episodes' or 'peaks'"),
     ("peak_reward", (math.nan, math.inf), "should be a finite number"),
+    ("min_cut", (-0.1, 0.5, math.nan), "should be (greater than or equal to 0|less than 0.5)"),
     ("min_passing", (-0.1, 1.0, math.nan), "should be (greater than or equal to 0|less than 1)"),
     ("min_contrast", (-1.1, 1.0, math.nan), "should be (greater than or equal to -1|less than 1)"),
     ("loops", ("cut", 1), "should be 'erase' or 'keep'"),

@@ -1,6 +1,7 @@
 """Environments that do not tell their state go on in mid-episode, because the episode is repeated."""
 
 from collections.abc import Callable
+from importlib.util import find_spec
 from multiprocessing import get_context
 from typing import Any
 
@@ -69,6 +70,9 @@ def test_goes_on_in_mid_episode(name: str, steps: int) -> None:
     assert advanced(copy, 100, random) == there
 
 
+needs_pybullet = pytest.mark.skipif(find_spec("pybullet") is None, reason="PyBullet is not installed")
+
+
 def moment(seed: int, steps: int = 200) -> tuple[list[layers.State], list[Any]]:
     """A state of a Pioneer at a random moment, with even seeds one in which it holds a ball; and what comes then."""
     env = layers.prepare(gym.make(PIONEER, n_balls=2, n_obstacles=2, max_steps=None))
@@ -95,11 +99,13 @@ def continued(seed: int, states: list[layers.State], steps: int = 200) -> tuple[
     return failure, there
 
 
+@needs_pybullet
 def test_the_pioneer_goes_on() -> None:
     states, there = moment(6, steps=20)  # with a ball in its gripper
     assert continued(6, states, steps=20) == (None, there)
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_the_pioneer_goes_on_in_a_new_process() -> None:
     """Twenty random moments, in half of them with a ball in its gripper, and 200 random steps from each."""

@@ -70,8 +70,8 @@ def test_all_figures_with_their_numbers_and_again_from_what_was_kept(
 
     document = tmp_path / "pioneer.md"
     shutil.copy(Path(__file__).parents[2] / "docs" / "studies" / "pioneer.md", document)
-    benchmark = Path(__file__).parents[2] / "docs" / "results" / "pioneer_benchmark.json"
-    fill_in(Report(tmp_path / "results.json", benchmark, document))
+    files = Path(__file__).parents[2] / "docs" / "results"
+    fill_in(Report(tmp_path / "results.json", files / "pioneer_benchmark.json", files / "pioneer-twin.json", document))
     filled = document.read_text()
     assert "| `decay` | 0.8 | no |" in filled
     assert "of 2 runs made their option" in filled

@@ -41,6 +41,24 @@ PYTHON = [page for page in PAGES if python_of(page) and not page.name.endswith("
 CHECKS = {
     "README.md": "from pathlib import Path; assert list(Path('runs/DQN_1').glob('events*'))",
     "docs/guide/options-files.md": "assert slot == 0; assert info['option']['index'] == slot",
+    "docs/guide/tracking.md": """
+from pathlib import Path
+import numpy as np
+(kept,) = Path("wandb").glob("offline-run-*/*.wandb")
+assert b"discovery/leading_average" in kept.read_bytes()
+(of_mlflow,) = mlflow.search_runs(output_format="list")
+assert of_mlflow.data.metrics["at_end/return"] >= 0.0
+assert of_mlflow.data.params["algo"] == "DQN"
+from matplotlib.figure import Figure as Picture
+from stable_baselines3.common.logger import Figure
+with mlflow.start_run(of_mlflow.info.run_id):
+    logged = {"a/b": Figure(Picture(), True), "c": "text", "d": np.float32(2), "e": 1}
+    MLflowOutput().write(logged, {"e": ("mlflow",)}, 7)
+    assert mlflow.artifacts.load_text(f"{of_mlflow.info.artifact_uri}/c/000000000007.md") == "text"
+    assert mlflow.artifacts.list_artifacts(artifact_path="a/b", run_id=of_mlflow.info.run_id)[0].path.endswith("7.png")
+metrics = mlflow.get_run(of_mlflow.info.run_id).data.metrics
+assert metrics["d"] == 2.0 and "e" not in metrics
+""",
     "docs/guide/trained-models.md": "assert (model.num_timesteps, model.action_space.n) == (500, 8)",
     "docs/guide/your-environment.md": """
 buffer = model.replay_buffer
@@ -165,7 +183,12 @@ def test_numbers_of_studies_are_those_of_their_results(tmp_path: Path) -> None:
     pages = {name: Path(shutil.copy(STUDIES / f"{name}.md", tmp_path)) for name in ("paper", "pioneer", "deep")}
     paper_report.main(paper_report.Report(RESULTS / "paper.json", pages["paper"]))
     pioneer_report.main(
-        pioneer_report.Report(RESULTS / "pioneer.json", RESULTS / "pioneer_benchmark.json", pages["pioneer"])
+        pioneer_report.Report(
+            RESULTS / "pioneer.json",
+            RESULTS / "pioneer_benchmark.json",
+            RESULTS / "pioneer-twin.json",
+            pages["pioneer"],
+        )
     )
     deep = ("transfer-ppo", "transfer-dqn", "same-ppo", "same-dqn", "transfer-ppo-control", "same-ppo-control")
     deep_report.main(deep_report.Report(tuple(RESULTS / f"deep-{name}.json" for name in deep), pages["deep"]))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.kills.comparison import differences, scalars
+from experiments.kills.comparison import differences, scalars, texts
 from sb3_options import cli
 from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.runs import folder as runs
@@ -65,7 +65,13 @@ def test_a_resumed_run_is_the_run_that_was_not_cut_off(run: Path, before_the_las
     assert {what: those for what, those in differences(run, copy).items() if those} == {}
     points = scalars(copy)
     assert points
-    assert all(len({step for step, _ in of_tag}) == len(of_tag) for of_tag in points.values()), "doubled points"
+    told = texts(copy)
+    steps = [[step for step, _ in of_tag] for of_tag in points.values()]
+    steps += [[step for step, _ in of_tag] for of_tag in told.values()]
+    assert all(len(set(of_tag)) == len(of_tag) for of_tag in steps), "doubled points"
+    (results,) = (name.rpartition("/at_end")[0] for name in points if name.endswith("at_end/success_rate"))
+    assert f"{results}/_hparams_/session_start_info" in told
+    assert f"{results}/options/slot_0/text_summary" in told
     assert (copy / runs.SUBGOALS).is_file()
 
 

@@ -105,6 +105,13 @@ def test_an_entry_says_arguments_types_and_errors(built: Built) -> None:
 
 
 @pytest.mark.slow
+def test_an_entry_leads_to_its_source(built: Built) -> None:
+    link = r'href="../../(_modules/sb3_options/callbacks/discovery)\.html#SubgoalDiscoveryCallback"'
+    (page,) = set(re.findall(link, built.text("docs/api/callbacks")))
+    assert "class SubgoalDiscoveryCallback(PrimitiveStepsCallback):" in built.words(page)
+
+
+@pytest.mark.slow
 def test_a_short_name_of_a_docstring_is_a_link(built: Built) -> None:
     assert re.search(
         r'href="experience.html#sb3_options.experience.recording.RewardPeaks"[^>]*><code[^>]*><span[^>]*>recording.Re',

@@ -49,7 +49,7 @@ def test_minigrid_is_ready_for_training_and_its_workers_know_it() -> None:
     for env_id in ("MiniGrid-Empty-5x5-v0", "minigrid:MiniGrid-Empty-5x5-v0"):
         runs.check_env_id(env_id)
         config = MaskablePPOConfig(env=env_id, device="cpu")
-        env = runs.make_env(config, 1, 0, subproc=env_id.startswith("minigrid:"))
+        env = runs.make_env(config, 1, 0, vec_env="subproc" if env_id.startswith("minigrid:") else "dummy")
         runs.check_observations(env, env_id)
         assert env.env_method("feature_kind") == ["environment"]
         env.close()

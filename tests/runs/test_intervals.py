@@ -61,6 +61,13 @@ def test_ratio_of_interquartile_means() -> None:
     assert noisy.high < 0.6
 
 
+def test_pairs_of_unequal_difficulty_have_a_narrow_ratio() -> None:
+    theirs = np.array([1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0])
+    paired, apart = iqm_ratio(0.5 * theirs, theirs, paired=True), iqm_ratio(0.5 * theirs, theirs)
+    assert paired == pytest.approx((0.5, 0.5, 0.5))
+    assert apart.high - apart.low > 0.5
+
+
 def test_probability_of_improvement_counts_ties_half() -> None:
     assert probability_of_improvement(np.array([1.0, 2.0]), np.array([2.0, 3.0])).mean == pytest.approx(3.5 / 4)
 

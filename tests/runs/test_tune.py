@@ -14,6 +14,8 @@ import numpy as np
 import optuna
 import pytest
 import yaml
+from matplotlib import rcParams
+from matplotlib.colors import to_hex
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
@@ -120,6 +122,7 @@ def test_the_best_is_found_and_kept(tmp_path: Path, trained: list[TrainConfig]) 
     said = console.file.getvalue()  # type: ignore[attr-defined]  # a StringIO
     assert "Trial 20 of 20" in said
     assert f"sb3-options train --config {tmp_path / 'out' / tune.BEST} --seed 2" in said
+    assert to_hex(rcParams["axes.edgecolor"]) == "#000000", "the style of Optuna's pictures is that of no other"
 
 
 def test_one_seed_one_search(tmp_path: Path, trained: list[TrainConfig]) -> None:

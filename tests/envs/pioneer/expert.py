@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from sb3_options.envs.pioneer.arena import BALL_RADIUS
+from sb3_options.envs.pioneer.body import BALL_RADIUS
 from sb3_options.envs.pioneer.senses import CAMERA_AHEAD, SONARS
 
 SHORT, MIDDLE, LONG, LEFT_10, LEFT_45, RIGHT_10, RIGHT_45 = range(7)

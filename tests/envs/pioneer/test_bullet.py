@@ -4,7 +4,10 @@ import gc
 
 import pytest
 
-from sb3_options.envs.pioneer.bullet import Box, Bullet, Cylinder
+pytest.importorskip("pybullet")
+
+from sb3_options.envs.pioneer.arena import Box, Cylinder
+from sb3_options.envs.pioneer.bullet import Bullet
 
 
 def test_connects_late_and_closes_twice() -> None:

@@ -1,6 +1,7 @@
 """One seed, one trajectory: bit for bit, whatever was simulated before, in one process or several."""
 
 import hashlib
+from importlib.util import find_spec
 from typing import Any
 
 import gymnasium
@@ -8,10 +9,18 @@ import numpy as np
 import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
-from sb3_options.envs.pioneer.env import Pioneer
+from sb3_options.envs.pioneer.env import PioneerTask
 from tests.support import processes
 
-IDS = [f"sb3_options/{name}-v0" for name in ("Pioneer", "PioneerCorner", "PioneerClutter", "PioneerTwoBalls")]
+IDS = [
+    f"sb3_options/{name}-v0"
+    for module, names in {
+        "pybullet": ("Pioneer", "PioneerCorner", "PioneerClutter", "PioneerTwoBalls"),
+        "mujoco": ("PioneerMuJoCo",),
+    }.items()
+    for name in names
+    if find_spec(module) is not None
+]
 N_STEPS = 100
 SEED = 3
 
@@ -30,7 +39,7 @@ def digest(env: gymnasium.Env[Any, Any], seed: int) -> str:
     """Of all that a trajectory shows, and of the hidden positions."""
     actions = np.random.default_rng(seed).integers(7, size=N_STEPS)
     core = env.unwrapped
-    assert isinstance(core, Pioneer)
+    assert isinstance(core, PioneerTask)
     sha = hashlib.sha256(env.reset(seed=seed)[0].tobytes())
     for action in actions:
         observation, reward, terminated, truncated, info = env.step(action)
@@ -64,13 +73,13 @@ def test_fresh_process() -> None:
     assert result.stdout.split()[-len(IDS) :] == [digest(make(env_id), SEED) for env_id in IDS]
 
 
-def vector_trajectory(n: int, start_method: str | None = None) -> list[bytes]:
+def vector_trajectory(env_id: str, n: int, start_method: str | None = None) -> list[bytes]:
     """What each of ``n`` environments shows, in this process or in one each."""
 
     def make_one() -> gymnasium.Env[Any, Any]:
         import sb3_options.envs  # noqa: F401  # a fresh process has to register them
 
-        return gymnasium.make("sb3_options/PioneerClutter-v0", max_steps=20)
+        return gymnasium.make(env_id, n_obstacles=4, max_steps=20)
 
     vec = SubprocVecEnv([make_one] * n, start_method) if start_method else DummyVecEnv([make_one] * n)
     vec.seed(SEED)
@@ -88,11 +97,12 @@ def vector_trajectory(n: int, start_method: str | None = None) -> list[bytes]:
 
 
 # Forking is fast; SB3's own default is the fork server, each of whose processes imports everything anew.
+@pytest.mark.parametrize("env_id", [IDS[0], IDS[-1]])
 @pytest.mark.parametrize("start_method", ["fork", pytest.param("forkserver", marks=pytest.mark.slow)])
-def test_vectorised(start_method: str) -> None:
-    expected = vector_trajectory(4)
+def test_vectorised(env_id: str, start_method: str) -> None:
+    expected = vector_trajectory(env_id, 4)
     assert len(set(expected)) == 4
     for n in (1, 2):
-        assert vector_trajectory(n) == expected[:n]
+        assert vector_trajectory(env_id, n) == expected[:n]
     for n in (1, 2, 4):
-        assert vector_trajectory(n, start_method) == expected[:n]
+        assert vector_trajectory(env_id, n, start_method) == expected[:n]

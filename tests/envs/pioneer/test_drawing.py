@@ -5,6 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+pytest.importorskip("pybullet")
+
 from numpy.typing import NDArray
 
 from sb3_options.envs.pioneer.drawing import BALL, BODY, PICTURE_HEIGHT, PICTURE_WIDTH, Renderer

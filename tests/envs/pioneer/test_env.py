@@ -14,9 +14,10 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import sb3_options.envs
 from sb3_options import OptionsWrapper
-from sb3_options.envs.pioneer.env import ACTIONS, GRIPPING, VISIBLE, Pioneer
+from sb3_options.envs.pioneer.env import ACTIONS, GRIPPING, VISIBLE, Pioneer, PioneerTask
 from sb3_options.envs.pioneer.senses import MAX_WIDTH, N_PIXELS
 from tests.envs.pioneer.expert import Expert, play
+from tests.envs.pioneer.simulators import CLASSES, SIMULATORS, needs_pybullet
 from tests.support import processes
 
 NAMES = ["Pioneer", "PioneerCorner", "PioneerClutter", "PioneerTwoBalls"]
@@ -24,14 +25,15 @@ SHORT, MIDDLE, LONG, LEFT_10, LEFT_45, RIGHT_10, RIGHT_45 = range(7)
 
 
 def make(name: str, **kwargs: Any) -> Pioneer:
+    pytest.importorskip("pybullet")
     env = gymnasium.make(f"sb3_options/{name}-v0", **kwargs).unwrapped
     assert isinstance(env, Pioneer)
     return env
 
 
-@pytest.fixture
-def env() -> Iterator[Pioneer]:
-    env = make("Pioneer")
+@pytest.fixture(params=SIMULATORS)
+def env(request: pytest.FixtureRequest) -> Iterator[PioneerTask]:
+    env = CLASSES[request.param]()
     yield env
     env.close()
 
@@ -75,10 +77,11 @@ def test_reload_registers_nothing_twice() -> None:
     assert gymnasium.spec("sb3_options/Pioneer-v0") is before
 
 
-def test_environments_are_registered_without_pybullet() -> None:
+@pytest.mark.parametrize(("module", "name"), [("pybullet", "PioneerCorner"), ("mujoco", "PioneerMuJoCo")])
+def test_environments_are_registered_without_their_simulator(module: str, name: str) -> None:
     code = (
-        "import sys; sys.modules['pybullet'] = None; import gymnasium, sb3_options.envs; "
-        "assert 'sb3_options/PioneerCorner-v0' in gymnasium.registry"
+        f"import sys; sys.modules['{module}'] = None; import gymnasium, sb3_options.envs; "
+        f"assert 'sb3_options/{name}-v0' in gymnasium.registry"
     )
     result = processes.python("-c", code)
     assert result.returncode == 0, result.stderr
@@ -107,14 +110,14 @@ def test_the_step_that_deposits_still_shows_the_ball() -> None:
     env.close()
 
 
-def test_options_wrapper_finds_the_concept_features(env: Pioneer) -> None:
+def test_options_wrapper_finds_the_concept_features(env: PioneerTask) -> None:
     wrapped = OptionsWrapper(env, max_options=2, gamma=0.99)
     observation, _ = wrapped.reset(seed=0)
     features = wrapped.get_wrapper_attr("concept_features")(observation[None])
     assert features.tolist() == [[observation[8], observation[9]]]
 
 
-def test_rewards_from_start_to_success(env: Pioneer) -> None:
+def test_rewards_from_start_to_success(env: PioneerTask) -> None:
     """Find the ball, grip it, leave it at the wall: worked out by hand."""
     env.reset(options={"robot": (0, 0, 0), "balls": [(0.8, 0)]})
     idle = {"is_success": False, "deposited": False, "touched_wall": False, "cause": ""}
@@ -136,7 +139,7 @@ def test_rewards_from_start_to_success(env: Pioneer) -> None:
     assert observation[GRIPPING] == 0
 
 
-def test_a_ball_is_deposited_no_earlier_than_the_action_after_it_was_gripped(env: Pioneer) -> None:
+def test_a_ball_is_deposited_no_earlier_than_the_action_after_it_was_gripped(env: PioneerTask) -> None:
     """So that every successful trajectory shows the robot with the ball in its gripper."""
     env.reset(options={"robot": (1.2, 0, 0), "balls": [(1.75, 0)]})
     observation, reward, terminated, _, info = env.step(MIDDLE)
@@ -147,7 +150,7 @@ def test_a_ball_is_deposited_no_earlier_than_the_action_after_it_was_gripped(env
     assert env.step(LEFT_10)[2]
 
 
-def test_touching_with_the_ball_costs_and_still_deposits(env: Pioneer) -> None:
+def test_touching_with_the_ball_costs_and_still_deposits(env: PioneerTask) -> None:
     env.reset(options={"robot": (0.85, 0, 0), "balls": [(1.4, 0)]})
     assert env.step(MIDDLE)[4]["gripping"]
     _, reward, terminated, _, info = env.step(LONG)
@@ -156,7 +159,7 @@ def test_touching_with_the_ball_costs_and_still_deposits(env: Pioneer) -> None:
     assert reward == pytest.approx(10 - 1 - 0.1)
 
 
-def test_a_ball_without_grip_at_the_wall_is_nothing(env: Pioneer) -> None:
+def test_a_ball_without_grip_at_the_wall_is_nothing(env: PioneerTask) -> None:
     env.reset(options={"robot": (0, 0, 0), "balls": [(1.9, 1.9)]})
     assert env.step(LEFT_45)[2:] == (
         False,
@@ -179,6 +182,7 @@ def test_only_the_marked_corner_counts() -> None:
     env.close()
 
 
+@needs_pybullet
 def test_an_obstacle_is_no_wall_to_deposit_at() -> None:
     env = Pioneer(n_obstacles=1)
     env.reset(options={"robot": (-0.6, 0, 0), "balls": [(0, 0)], "obstacles": [(0.6, 0)]})
@@ -239,7 +243,7 @@ def test_success_on_the_last_step_is_no_truncation() -> None:
     env.close()
 
 
-def test_displacement_and_width(env: Pioneer) -> None:
+def test_displacement_and_width(env: PioneerTask) -> None:
     batch = np.stack([env.reset(seed=seed)[0] for seed in range(8)])
     features = env.concept_features(batch)
     assert features.shape == (8, 2)
@@ -258,11 +262,12 @@ def test_retina_observations_have_them_too() -> None:
     env.close()
 
 
-def test_unbatched_observation_is_refused(env: Pioneer) -> None:
+def test_unbatched_observation_is_refused(env: PioneerTask) -> None:
     with pytest.raises(ValueError, match=r"observations of shape \(11,\) each, got shape \(11,\)"):
         env.concept_features(env.reset(seed=0)[0])
 
 
+@needs_pybullet
 @pytest.mark.parametrize(
     ("kwargs", "error", "message"),
     [
@@ -304,20 +309,20 @@ def test_bad_arguments(kwargs: dict[str, Any], error: type[Exception], message: 
         ({"robot": (0, 0, 0), "balls": [(0.2, 0)]}, r"balls\[0\] at \(0\.20, 0\.00\) m overlaps the robot"),
     ],
 )
-def test_bad_reset_options(env: Pioneer, options: dict[str, Any], message: str) -> None:
+def test_bad_reset_options(env: PioneerTask, options: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         env.reset(seed=0, options=options)
 
 
 @pytest.mark.parametrize("action", [-1, 7, 1.0, math.nan, None, np.float32(1), np.array([1, 2]), "1"])
-def test_bad_actions(env: Pioneer, action: Any) -> None:
+def test_bad_actions(env: PioneerTask, action: Any) -> None:
     env.reset(seed=0)
     with pytest.raises(gymnasium.error.InvalidAction, match=r"action must be an integer in 0\.\.6, got "):
         env.step(action)
 
 
 @pytest.mark.parametrize("action", [3, np.int64(3), np.array(3), np.array([3])[0]])
-def test_integers_of_all_kinds_are_actions(env: Pioneer, action: Any) -> None:
+def test_integers_of_all_kinds_are_actions(env: PioneerTask, action: Any) -> None:
     env.reset(seed=0)
     env.step(action)
 
@@ -350,10 +355,19 @@ def test_close_before_reset() -> None:
 def test_without_pybullet(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pybullet", None)
     importlib.reload(sb3_options.envs)
-    with pytest.raises(gymnasium.error.DependencyNotInstalled, match=r'pip install "sb3-options\[pioneer\]"'):
+    with pytest.raises(gymnasium.error.DependencyNotInstalled, match=r'pip install "sb3-options\[pioneer\]"') as error:
         Pioneer()
+    for part in ("up to CPython 3.11", "sb3_options/PioneerMuJoCo-v0", 'pip install "sb3-options[mujoco]"'):
+        assert part in str(error.value)
 
 
+def test_without_mujoco(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(gymnasium.error.DependencyNotInstalled, match=r'pip install "sb3-options\[mujoco\]"'):
+        gymnasium.make("sb3_options/PioneerMuJoCo-v0")
+
+
+@needs_pybullet
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="X11 only")
 def test_window_without_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)

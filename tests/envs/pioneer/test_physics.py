@@ -9,25 +9,44 @@ import gymnasium
 import numpy as np
 import pytest
 
-from sb3_options.envs.pioneer.arena import BALL_RADIUS
-from sb3_options.envs.pioneer.body import BODY_RADIUS, MIDDLE_HEIGHT, PADDLE_TIP, WHEEL_RADIUS
-from sb3_options.envs.pioneer.bullet import GRAVITY
-from sb3_options.envs.pioneer.env import ACTIONS, Pioneer
-from sb3_options.envs.pioneer.robot import CONTROL_RATE, GRIP_AHEAD
+from sb3_options.envs.pioneer.body import (
+    BALL_RADIUS,
+    BODY_RADIUS,
+    CONTROL_RATE,
+    GRAVITY,
+    GRIP_AHEAD,
+    MIDDLE_HEIGHT,
+    PADDLE_TIP,
+    WHEEL_RADIUS,
+)
+from sb3_options.envs.pioneer.env import ACTIONS, Pioneer, PioneerTask
+from tests.envs.pioneer.simulators import CLASSES, SIMULATORS, needs_pybullet
 
 LONG, LEFT_45, RIGHT_45 = 2, 4, 6
 PAGE = 4096 / 2**20
 """MiB."""
 
 
+@pytest.fixture(params=SIMULATORS)
+def cls(request: pytest.FixtureRequest) -> type[PioneerTask]:
+    return CLASSES[request.param]
+
+
 @pytest.fixture
-def env() -> Iterator[Pioneer]:
+def env(cls: type[PioneerTask]) -> Iterator[PioneerTask]:
+    env = cls(max_steps=None)
+    yield env
+    env.close()
+
+
+@pytest.fixture
+def bullet_env() -> Iterator[Pioneer]:
     env = Pioneer(max_steps=None)
     yield env
     env.close()
 
 
-def start(env: Pioneer, x: float, y: float, heading: float, ball: tuple[float, float] = (-1.5, -1.5)) -> None:
+def start(env: PioneerTask, x: float, y: float, heading: float, ball: tuple[float, float] = (-1.5, -1.5)) -> None:
     env.reset(seed=0, options={"robot": (x, y, heading), "balls": [ball]})
 
 
@@ -45,7 +64,7 @@ def resident() -> float:
 
 
 @pytest.mark.parametrize("action", range(len(ACTIONS)))
-def test_distances_within_2_cm_and_angles_within_2_degrees(env: Pioneer, action: int) -> None:
+def test_distances_within_2_cm_and_angles_within_2_degrees(env: PioneerTask, action: int) -> None:
     """From many headings, and twice in a row: what the first action leaves behind must not spoil the second."""
     distance, turn = ACTIONS[action]
     for heading in np.linspace(-math.pi, math.pi, 9):
@@ -60,7 +79,7 @@ def test_distances_within_2_cm_and_angles_within_2_degrees(env: Pioneer, action:
 
 
 @pytest.mark.parametrize("heading", np.linspace(0, math.tau, 12, endpoint=False).tolist())
-def test_no_action_passes_through_a_wall(env: Pioneer, heading: float) -> None:
+def test_no_action_passes_through_a_wall(env: PioneerTask, heading: float) -> None:
     start(env, 0.5, 0.5, heading)
     touches = 0
     for _ in range(10):
@@ -73,7 +92,7 @@ def test_no_action_passes_through_a_wall(env: Pioneer, heading: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_paddles_and_a_held_ball_stay_inside_whatever_is_done(env: Pioneer, seed: int) -> None:
+def test_paddles_and_a_held_ball_stay_inside_whatever_is_done(env: PioneerTask, seed: int) -> None:
     rng = np.random.default_rng(seed)
     start(env, 1.2, 0, 0, ball=(1.75, 0))
     env.step(1)
@@ -88,7 +107,7 @@ def test_paddles_and_a_held_ball_stay_inside_whatever_is_done(env: Pioneer, seed
             start(env, 1.2, 0, 0, ball=(1.75, 0))
 
 
-def test_a_forward_action_stops_at_the_wall_and_backs_off(env: Pioneer) -> None:
+def test_a_forward_action_stops_at_the_wall_and_backs_off(env: PioneerTask) -> None:
     start(env, 1.4, 0, 0)
     assert env.step(LONG)[4]["touched_wall"]
     x, _, heading = env.robot_pose
@@ -97,7 +116,7 @@ def test_a_forward_action_stops_at_the_wall_and_backs_off(env: Pioneer) -> None:
     assert heading == pytest.approx(0, abs=math.radians(2))
 
 
-def test_a_turn_into_a_wall_is_undone(env: Pioneer) -> None:
+def test_a_turn_into_a_wall_is_undone(env: PioneerTask) -> None:
     start(env, 0, 2 - 0.27, 0)
     _, reward, _, _, info = env.step(LEFT_45)
     assert info["touched_wall"]
@@ -106,7 +125,7 @@ def test_a_turn_into_a_wall_is_undone(env: Pioneer) -> None:
     assert not env.step(RIGHT_45)[4]["touched_wall"]
 
 
-def test_no_pose_is_a_trap(env: Pioneer) -> None:
+def test_no_pose_is_a_trap(env: PioneerTask) -> None:
     """Wherever the robot is driven into a wall or a corner, a few turns and one action ahead get it away."""
     for heading in np.linspace(0, math.pi / 2, 10):
         start(env, 1.2, 1.2, heading)
@@ -121,8 +140,8 @@ def test_no_pose_is_a_trap(env: Pioneer) -> None:
         assert math.hypot(x - 2, y - 2) > 1.0
 
 
-def test_an_obstacle_stops_the_robot_like_a_wall() -> None:
-    env = Pioneer(n_obstacles=1)
+def test_an_obstacle_stops_the_robot_like_a_wall(cls: type[PioneerTask]) -> None:
+    env = cls(n_obstacles=1)
     options = {"robot": (-1, 0, 0), "balls": [(-1.5, -1.5)], "obstacles": [(0.2, 0)]}
     env.reset(seed=0, options=options)
     touched = [env.step(LONG)[4]["touched_wall"] for _ in range(3)]
@@ -132,7 +151,7 @@ def test_an_obstacle_stops_the_robot_like_a_wall() -> None:
 
 
 @pytest.mark.parametrize(("off", "gripped"), [(0, True), (0.03, True), (0.10, True), (0.16, False), (0.30, False)])
-def test_paddles_take_a_ball_or_push_it_aside(env: Pioneer, off: float, gripped: bool) -> None:
+def test_paddles_take_a_ball_or_push_it_aside(env: PioneerTask, off: float, gripped: bool) -> None:
     """A paddle is 12 to 14 cm off the middle: it sends a ball to the side on which its centre is."""
     for side in (1, -1):
         start(env, -1.01, 0, 0, ball=(-0.5, side * off))
@@ -147,7 +166,9 @@ def test_paddles_take_a_ball_or_push_it_aside(env: Pioneer, off: float, gripped:
             assert (x, y) == pytest.approx((-0.5, side * off), abs=0.002)
 
 
-def test_a_rolling_ball_comes_to_rest(env: Pioneer) -> None:
+@needs_pybullet
+def test_a_rolling_ball_comes_to_rest(bullet_env: Pioneer) -> None:
+    env = bullet_env
     start(env, -1, 0, math.pi, ball=(-0.5, 0))
     ball = list(bodies(env))[1]
     p, client = env.bullet.p, env.bullet.client
@@ -183,11 +204,13 @@ def random_walk(n: int, seed: int, **kwargs: Any) -> None:
     env.close()
 
 
+@needs_pybullet
 @pytest.mark.parametrize("kwargs", [{}, {"n_obstacles": 4, "n_balls": 2}])
 def test_random_actions_stay_finite(kwargs: dict[str, Any]) -> None:
     random_walk(800, 0, **kwargs)
 
 
+@needs_pybullet
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_100_000_random_actions_stay_finite(seed: int) -> None:
@@ -196,7 +219,7 @@ def test_100_000_random_actions_stay_finite(seed: int) -> None:
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads memory from /proc")
 @pytest.mark.parametrize("n", [1000, pytest.param(10_000, marks=pytest.mark.slow)])
-def test_resets_do_not_grow_memory(env: Pioneer, n: int) -> None:
+def test_resets_do_not_grow_memory(env: PioneerTask, n: int) -> None:
     for seed in range(300):
         env.reset(seed=seed)
     before = resident()
@@ -205,6 +228,7 @@ def test_resets_do_not_grow_memory(env: Pioneer, n: int) -> None:
     assert resident() - before < 5
 
 
+@needs_pybullet
 def test_make_and_close_leak_no_client() -> None:
     numbers = set()
     for seed in range(50):
@@ -217,6 +241,7 @@ def test_make_and_close_leak_no_client() -> None:
     assert len(numbers) == 1
 
 
+@needs_pybullet
 def test_the_robot_stands_still_by_itself() -> None:
     """At rest the robot rests: it neither creeps nor sinks."""
     env = Pioneer()

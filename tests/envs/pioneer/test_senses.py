@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sb3_options.envs.pioneer.arena import BALL_RADIUS, OBSTACLE_RADIUS
-from sb3_options.envs.pioneer.env import DISPLACEMENT, GRIPPING, N_SONARS, VISIBLE, WIDTH, Pioneer
+from sb3_options.envs.pioneer.arena import OBSTACLE_RADIUS
+from sb3_options.envs.pioneer.body import BALL_RADIUS
+from sb3_options.envs.pioneer.env import DISPLACEMENT, GRIPPING, N_SONARS, VISIBLE, WIDTH, PioneerTask
 from sb3_options.envs.pioneer.senses import (
     CAMERA_AHEAD,
     FIELD_OF_VIEW,
@@ -21,20 +22,26 @@ from sb3_options.envs.pioneer.senses import (
     Sighting,
     retina,
 )
+from tests.envs.pioneer.simulators import CLASSES, SIMULATORS
 
 HALF = 2.0
 HIDDEN_BALL = (-1.5, -1.5)
 
 
+@pytest.fixture(params=SIMULATORS)
+def cls(request: pytest.FixtureRequest) -> type[PioneerTask]:
+    return CLASSES[request.param]
+
+
 @pytest.fixture
-def env() -> Iterator[Pioneer]:
-    env = Pioneer()
+def env(cls: type[PioneerTask]) -> Iterator[PioneerTask]:
+    env = cls()
     yield env
     env.close()
 
 
 def observe(
-    env: Pioneer, robot: tuple[float, float, float], ball: tuple[float, float], **options: object
+    env: PioneerTask, robot: tuple[float, float, float], ball: tuple[float, float], **options: object
 ) -> NDArray[np.float32]:
     observation, _ = env.reset(seed=0, options={"robot": robot, "balls": [ball], **options})
     return observation
@@ -45,7 +52,7 @@ def at(distance: float, bearing: float) -> tuple[float, float]:
     return CAMERA_AHEAD + distance * math.cos(math.radians(bearing)), distance * math.sin(math.radians(bearing))
 
 
-def test_sonars_measure_the_walls(env: Pioneer) -> None:
+def test_sonars_measure_the_walls(env: PioneerTask) -> None:
     """Each range against the intersection of its beam with the four walls, from many poses."""
     rng = np.random.default_rng(0)
     for _ in range(50):
@@ -63,7 +70,7 @@ def test_sonars_measure_the_walls(env: Pioneer) -> None:
             assert measured == pytest.approx(min(distance, SONAR_MAX), abs=0.001)
 
 
-def test_sonars_from_left_to_right(env: Pioneer) -> None:
+def test_sonars_from_left_to_right(env: PioneerTask) -> None:
     observation = observe(env, (0.5, 1.0, 0.0), HIDDEN_BALL)
     assert observation[0] == pytest.approx(2 - 1.0 - 0.100, abs=0.001)
     assert observation[3] == pytest.approx(2 - 0.5 - 0.130, abs=0.001)
@@ -71,26 +78,26 @@ def test_sonars_from_left_to_right(env: Pioneer) -> None:
     assert [round(math.degrees(angle)) for _, _, angle in SONARS] == [90, 30, 15, 0, -15, -30, -90]
 
 
-def test_sonars_measure_obstacles_but_not_balls() -> None:
-    env = Pioneer(n_obstacles=1)
+def test_sonars_measure_obstacles_but_not_balls(cls: type[PioneerTask]) -> None:
+    env = cls(n_obstacles=1)
     observation = observe(env, (0, 0, 0), (0.8, 0), obstacles=[(1.3, 0)])
     assert observation[3] == pytest.approx(1.3 - OBSTACLE_RADIUS - 0.130, abs=0.001)
     env.close()
 
 
-def test_sonar_ranges_have_bounds() -> None:
-    env = Pioneer(arena_size=12)
+def test_sonar_ranges_have_bounds(cls: type[PioneerTask]) -> None:
+    env = cls(arena_size=12)
     assert observe(env, (0, 0, 0), (5, 5))[3] == SONAR_MAX
     # 90 degrees to the left the sonar is 10 cm off the middle, the wall 14 cm farther, and 30 cm ahead of the ring.
     assert observe(env, (0, 6 - 0.221, math.pi), (5, -5))[6] == pytest.approx(0.121, abs=0.001)
-    ranges = Senses(env.bullet, can_hide=False).look((5.8, 0, 0), []).ranges  # inside the ring the wall is nearer
+    ranges = Senses(env.simulator, can_hide=False).look((5.8, 0, 0), []).ranges  # inside the ring the wall is nearer
     assert ranges[3] == SONAR_MIN
     env.close()
 
 
 @pytest.mark.parametrize("distance", [0.42, 0.5, 0.8, 1.2, 1.7])
 @pytest.mark.parametrize("bearing", [-60, -20, 0, 5, 40])
-def test_retina_shows_the_analytic_angle_of_a_sphere(env: Pioneer, distance: float, bearing: float) -> None:
+def test_retina_shows_the_analytic_angle_of_a_sphere(env: PioneerTask, distance: float, bearing: float) -> None:
     observation = observe(env, (0, 0, 0), at(distance, bearing))
     assert observation[VISIBLE] == 1
     half_width = math.asin(BALL_RADIUS / distance)
@@ -104,7 +111,7 @@ def test_retina_shows_the_analytic_angle_of_a_sphere(env: Pioneer, distance: flo
     ("bearing", "visible"),
     [(69, True), (-69, True), (75, True), (78, False), (120, False), (180, False), (-100, False)],
 )
-def test_field_of_view_is_140_degrees(env: Pioneer, bearing: float, visible: bool) -> None:
+def test_field_of_view_is_140_degrees(env: PioneerTask, bearing: float, visible: bool) -> None:
     """At 0.8 m the ball is 11.5 degrees wide; beyond 70 + 5.7 degrees nothing of it is in view."""
     observation = observe(env, (0, 0, 0), at(0.8, bearing))
     assert bool(observation[VISIBLE]) == visible
@@ -114,13 +121,13 @@ def test_field_of_view_is_140_degrees(env: Pioneer, bearing: float, visible: boo
         assert abs(observation[DISPLACEMENT]) + observation[WIDTH] / 2 <= FIELD_OF_VIEW / 2 + 1e-6
 
 
-def test_displacement_is_positive_to_the_left(env: Pioneer) -> None:
+def test_displacement_is_positive_to_the_left(env: PioneerTask) -> None:
     assert observe(env, (0, 0, math.pi / 2), (-0.5, 1))[DISPLACEMENT] > 0.3
     assert observe(env, (0, 0, math.pi / 2), (0.5, 1))[DISPLACEMENT] < -0.3
 
 
-def test_an_obstacle_hides_a_ball_behind_it() -> None:
-    env = Pioneer(n_obstacles=1)
+def test_an_obstacle_hides_a_ball_behind_it(cls: type[PioneerTask]) -> None:
+    env = cls(n_obstacles=1)
     # The obstacle's edges are seen at ±asin(0.15 / 0.7) = ±12.4 degrees; the ball, at 1.3 m, is 7.1 degrees wide.
     obstacle = [(CAMERA_AHEAD + 0.7, 0)]
     hidden = observe(env, (0, 0, 0), at(1.3, 3), obstacles=obstacle)
@@ -142,8 +149,8 @@ def test_an_obstacle_hides_a_ball_behind_it() -> None:
     env.close()
 
 
-def test_of_two_balls_the_wider_is_shown() -> None:
-    env = Pioneer(n_balls=2, observation="retina")
+def test_of_two_balls_the_wider_is_shown(cls: type[PioneerTask]) -> None:
+    env = cls(n_balls=2, observation="retina")
     for balls in ([at(0.6, 20), at(1.5, -30)], [at(1.5, -30), at(0.6, 20)]):
         observation, _ = env.reset(seed=0, options={"robot": (0, 0, 0), "balls": balls})
         assert observation[DISPLACEMENT] == pytest.approx(math.radians(20), abs=1e-4)
@@ -153,7 +160,7 @@ def test_of_two_balls_the_wider_is_shown() -> None:
     env.close()
 
 
-def test_width_of_the_gripped_ball_is_near_its_upper_bound(env: Pioneer) -> None:
+def test_width_of_the_gripped_ball_is_near_its_upper_bound(env: PioneerTask) -> None:
     observe(env, (0, 0, 0), (0.7, 0))
     observation, _, _, _, info = env.step(2)
     assert info["gripping"]
@@ -175,8 +182,8 @@ def test_pixels_of_the_retina() -> None:
     assert np.flatnonzero(retina([Sighting(-1.15, -FIELD_OF_VIEW / 2)])).tolist() == [68, 69]
 
 
-def test_raw_retina_agrees_with_displacement_and_width() -> None:
-    env = Pioneer(observation="retina")
+def test_raw_retina_agrees_with_displacement_and_width(cls: type[PioneerTask]) -> None:
+    env = cls(observation="retina")
     for bearing in (-50, 0, 33):
         observation = observe(env, (0, 0, 0), at(0.6, bearing))
         lit = np.flatnonzero(observation[GRIPPING + 1 :])

@@ -1,0 +1,216 @@
+"""The Pioneer in PyBullet: its body, built of Bullet's shapes, and the scene around it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from sb3_options.envs.pioneer.arena import Box, Cylinder, Placement, Pose, Position
+from sb3_options.envs.pioneer.body import (
+    ASIDE,
+    AXLE_TRACK,
+    BALL_DAMPING,
+    BALL_FRICTION,
+    BALL_MASS,
+    BALL_RADIUS,
+    BALL_ROLLING_FRICTION,
+    BALL_SPINNING_FRICTION,
+    BODY_BOTTOM,
+    BODY_FRICTION,
+    BODY_MASS,
+    BODY_RADIUS,
+    BODY_TOP,
+    CASTER_BEHIND,
+    CASTER_FRICTION,
+    CASTER_RADIUS,
+    CONTACT_GAP,
+    CONTROL_RATE,
+    GRIP_AHEAD,
+    GRIP_FORCE,
+    MIDDLE_HEIGHT,
+    MOTOR_TORQUE,
+    PADDLE_HALF_SIDES,
+    PADDLE_HEIGHT,
+    PADDLE_OPENING,
+    PADDLE_TIP,
+    PHYSICS_RATE,
+    REAR_MASS,
+    TYRE_FRICTION,
+    WHEEL_MASS,
+    WHEEL_RADIUS,
+)
+from sb3_options.envs.pioneer.bullet import Bullet
+from sb3_options.envs.pioneer.simulator import Point, Simulator
+
+__all__ = ["SOLVER_ITERATIONS", "BulletSimulator"]
+
+SOLVER_ITERATIONS = 10
+"""Of Bullet's default 50: a robot on three wheels needs few."""
+
+BALL_DYNAMICS = {
+    "lateralFriction": BALL_FRICTION,
+    "rollingFriction": BALL_ROLLING_FRICTION,
+    "spinningFriction": BALL_SPINNING_FRICTION,
+    "restitution": 0.1,
+    "linearDamping": BALL_DAMPING,
+    "angularDamping": BALL_DAMPING,
+}
+
+RAY, FLOOR, SOLID, BALL, BODY, WHEEL = 1, 2, 4, 8, 16, 32
+"""Collision groups.
+
+Bullet's rays are in the first, and hit only what is ready to collide with it: walls and obstacles. Only wheels and
+caster meet the floor, and only body and paddles meet walls and balls: the wheels are balls here (one point of contact
+each, and no scrubbing), which stick out of the body.
+"""
+
+
+def add_body(bullet: Bullet, x: float, y: float, heading: float) -> int:
+    """Builds the robot at a pose (m, rad), and returns its number; its joints 0 and 1 are the left and right wheel."""
+    p, client = bullet.p, bullet.client
+    paddle_x, paddle_y = PADDLE_TIP - PADDLE_HALF_SIDES[0], PADDLE_OPENING / 2 + PADDLE_HALF_SIDES[1]
+    paddle_z = PADDLE_HEIGHT - MIDDLE_HEIGHT
+    body = p.createCollisionShapeArray(
+        shapeTypes=[p.GEOM_CYLINDER, p.GEOM_BOX, p.GEOM_BOX],
+        radii=[BODY_RADIUS, 0, 0],
+        lengths=[BODY_TOP - BODY_BOTTOM, 0, 0],
+        halfExtents=[(0, 0, 0), PADDLE_HALF_SIDES, PADDLE_HALF_SIDES],
+        collisionFramePositions=[(0, 0, 0), (paddle_x, paddle_y, paddle_z), (paddle_x, -paddle_y, paddle_z)],
+        physicsClientId=client,
+    )
+    wheel = p.createCollisionShape(p.GEOM_SPHERE, radius=WHEEL_RADIUS, physicsClientId=client)
+    caster = p.createCollisionShape(p.GEOM_SPHERE, radius=CASTER_RADIUS, physicsClientId=client)
+    still = (0, 0, 0, 1)
+    robot = int(
+        p.createMultiBody(
+            BODY_MASS,
+            body,
+            bullet.looks,
+            basePosition=(x, y, MIDDLE_HEIGHT),
+            baseOrientation=(0, 0, math.sin(heading / 2), math.cos(heading / 2)),
+            linkMasses=[WHEEL_MASS, WHEEL_MASS, REAR_MASS],
+            linkCollisionShapeIndices=[wheel, wheel, caster],
+            linkVisualShapeIndices=[bullet.looks] * 3,
+            linkPositions=[
+                (0, AXLE_TRACK / 2, WHEEL_RADIUS - MIDDLE_HEIGHT),
+                (0, -AXLE_TRACK / 2, WHEEL_RADIUS - MIDDLE_HEIGHT),
+                (-CASTER_BEHIND, 0, CASTER_RADIUS - MIDDLE_HEIGHT),
+            ],
+            linkOrientations=[still] * 3,
+            linkInertialFramePositions=[(0, 0, 0)] * 3,
+            linkInertialFrameOrientations=[still] * 3,
+            linkParentIndices=[0, 0, 0],
+            linkJointTypes=[p.JOINT_REVOLUTE, p.JOINT_REVOLUTE, p.JOINT_FIXED],
+            linkJointAxis=[(0, 1, 0), (0, 1, 0), (0, 0, 1)],
+            physicsClientId=client,
+        )
+    )
+    for link, friction in ((0, TYRE_FRICTION), (1, TYRE_FRICTION), (2, CASTER_FRICTION)):
+        p.changeDynamics(robot, link, lateralFriction=friction, physicsClientId=client)
+        bullet.set_filter(robot, link, WHEEL, FLOOR)
+    p.changeDynamics(robot, -1, lateralFriction=BODY_FRICTION, physicsClientId=client)
+    bullet.set_filter(robot, -1, BODY, SOLID | BALL)
+    return robot
+
+
+WHEELS = (0, 1)
+TORQUES = (MOTOR_TORQUE, MOTOR_TORQUE)
+
+
+class BulletSimulator(Simulator):
+    """A scene of its own in PyBullet.
+
+    Args:
+        gui: Whether to open Bullet's own window.
+
+    Attributes:
+        bullet: The physics client.
+
+    Raises:
+        gymnasium.error.DependencyNotInstalled: PyBullet is not installed.
+    """
+
+    def __init__(self, *, gui: bool = False) -> None:
+        self.bullet = Bullet(1 / CONTROL_RATE, PHYSICS_RATE // CONTROL_RATE, SOLVER_ITERATIONS, gui=gui)
+        self._grips: list[int] = []
+        self._balls: list[int] = []
+        self._robot = self._solid = -1
+
+    def build(self, placement: Placement, walls: Sequence[Box], obstacles: Sequence[Cylinder]) -> None:
+        """As `Simulator.build`.
+
+        Raises:
+            gymnasium.error.Error: Bullet's window cannot be opened, or there are too many physics clients.
+        """
+        bullet = self.bullet
+        bullet.clear()
+        floor = bullet.add_floor()
+        bullet.set_filter(floor, -1, FLOOR, BALL | WHEEL)
+        self._solid = bullet.add_static(walls, obstacles)
+        bullet.set_filter(self._solid, -1, SOLID, BALL | BODY | RAY)
+        self._balls = [bullet.add_ball(BALL_MASS, BALL_RADIUS, x, y, **BALL_DYNAMICS) for x, y in placement.balls]
+        for ball in self._balls:
+            bullet.set_filter(ball, -1, BALL, FLOOR | SOLID | BALL | BODY)
+        self._robot = add_body(bullet, *placement.robot)
+        self._grips = [self._add_grip(ball) for ball in self._balls]
+
+    def drive(self, left: float, right: float) -> Pose:
+        """As `Simulator.drive`."""
+        p, client, robot = self.bullet.p, self.bullet.client, self._robot
+        p.setJointMotorControlArray(
+            robot, WHEELS, p.VELOCITY_CONTROL, targetVelocities=(left, right), forces=TORQUES, physicsClientId=client
+        )
+        p.stepSimulation(client)
+        (x, y, _z), (_qx, _qy, qz, qw) = p.getBasePositionAndOrientation(robot, client)
+        return x, y, 2 * math.atan2(qz, qw)
+
+    def ball(self, ball: int) -> Position:
+        """As `Simulator.ball`."""
+        return self.bullet.position(self._balls[ball])[:2]
+
+    def hold(self, ball: int) -> None:
+        """As `Simulator.hold`."""
+        self._set_grip(ball, GRIP_FORCE)
+
+    def take_away(self, ball: int) -> None:
+        """As `Simulator.take_away`."""
+        self._set_grip(ball, 0.0)
+        self.bullet.place(self._balls[ball], ASIDE + ball, ASIDE, BALL_RADIUS)
+
+    def is_touching(self, held: int | None) -> bool:
+        """As `Simulator.is_touching`."""
+        contacts = self.bullet.p.getContactPoints(self._solid, physicsClientId=self.bullet.client)
+        if not contacts:
+            return False
+        mine = {self._robot} if held is None else {self._robot, self._balls[held]}
+        # Of a contact, 2 is the other body's number and 8 the distance between the surfaces, m: Bullet also reports
+        # neighbours that do not touch.
+        return any(contact[2] in mine and contact[8] < CONTACT_GAP for contact in contacts)
+
+    def ray_fractions(self, starts: Sequence[Point], ends: Sequence[Point]) -> list[float]:
+        """As `Simulator.ray_fractions`."""
+        return self.bullet.ray_fractions(starts, ends, SOLID)
+
+    def close(self) -> None:
+        """Disconnects; a second call does nothing."""
+        self.bullet.close()
+
+    def _set_grip(self, ball: int, force: float) -> None:
+        self.bullet.p.changeConstraint(self._grips[ball], maxForce=force, physicsClientId=self.bullet.client)
+
+    def _add_grip(self, ball: int) -> int:
+        """A joint between gripper and ball that is always there, and has a force only while the gripper is closed."""
+        p, client = self.bullet.p, self.bullet.client
+        grip = p.createConstraint(
+            self._robot,
+            -1,
+            ball,
+            -1,
+            p.JOINT_POINT2POINT,
+            (0, 0, 0),
+            (GRIP_AHEAD, 0, BALL_RADIUS - MIDDLE_HEIGHT),
+            (0, 0, 0),
+            physicsClientId=client,
+        )
+        p.changeConstraint(grip, maxForce=0, physicsClientId=client)
+        return int(grip)

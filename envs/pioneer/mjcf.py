@@ -1,0 +1,205 @@
+"""The Pioneer's scene as MJCF, MuJoCo's XML: the body, the balls, walls and obstacles, and what may touch what.
+
+Sizes, masses, inertias, friction and damping are those of the scene in PyBullet. What touches is listed pair by pair,
+because MuJoCo would take the larger of two frictions, and Bullet multiplies them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import combinations, product
+from xml.etree.ElementTree import Element, SubElement, tostring
+
+from sb3_options.envs.pioneer.arena import Box, Cylinder, Placement
+from sb3_options.envs.pioneer.body import (
+    AXLE_TRACK,
+    BALL_FRICTION,
+    BALL_MASS,
+    BALL_RADIUS,
+    BALL_ROLLING_FRICTION,
+    BALL_SPINNING_FRICTION,
+    BODY_BOTTOM,
+    BODY_FRICTION,
+    BODY_MASS,
+    BODY_RADIUS,
+    BODY_TOP,
+    CASTER_BEHIND,
+    CASTER_FRICTION,
+    CASTER_RADIUS,
+    GRAVITY,
+    GRIP_AHEAD,
+    MIDDLE_HEIGHT,
+    MOTOR_TORQUE,
+    PADDLE_HALF_SIDES,
+    PADDLE_HEIGHT,
+    PADDLE_OPENING,
+    PADDLE_TIP,
+    PHYSICS_RATE,
+    REAR_MASS,
+    SOLID_FRICTION,
+    TYRE_FRICTION,
+    WHEEL_MASS,
+    WHEEL_RADIUS,
+)
+
+__all__ = ["BODY_GEOMS", "MOTOR_GAIN", "SOLID_GROUP", "ball_name", "grip_name", "mjcf", "solid_name"]
+
+BODY_GEOMS = ("body", "left paddle", "right paddle")
+"""What of the robot touches walls and balls; its wheels are balls, which stick out of the body."""
+
+SOLID_GROUP, OTHER_GROUP = 1, 0
+"""Groups of geoms: walls and obstacles, which rays meet, and all else."""
+
+MOTOR_GAIN = 0.95
+"""N m s / rad. With it each action takes as long as in PyBullet (12, 18, 27, 9 and 18 ticks for the five sizes), and
+ends within 4 mm and 0.2 degrees of where it ends there: measured, with gains from 0.3 to 1.8. Bullet's motors are
+constraints without a gain, but ten iterations of its solver bring a wheel only part of the way to its velocity."""
+
+HARDNESS = {"solref": f"{2 / PHYSICS_RATE:g} 1", "solimp": "0.9 0.95 0.001"}
+"""As hard as MuJoCo makes contacts by default and the time step allows. Harder ones let the wheels hop when the gripper
+closes on a ball, and wheels in the air spin up: actions then take up to twice as long as in PyBullet."""
+
+SINK = 6e-4
+"""How deep robot and balls lie in the floor at rest, m: they start so, because where nothing presses nothing rubs."""
+
+
+def mjcf(placement: Placement, walls: Sequence[Box], obstacles: Sequence[Cylinder]) -> str:
+    """The scene as MJCF.
+
+    Args:
+        placement: Where robot and balls are at the start.
+        walls: In the order of `solid_name`.
+        obstacles: Likewise, after the walls.
+    """
+    root = Element("mujoco", model="Pioneer 2-DX")
+    _add(root, "compiler", angle="radian", autolimits="true")
+    _add(
+        root,
+        "option",
+        timestep=repr(1 / PHYSICS_RATE),
+        gravity=_numbers(0, 0, -GRAVITY),
+        integrator="Euler",
+        cone="elliptic",
+        impratio="10",
+    )
+    world = _add(root, "worldbody")
+    _add(world, "geom", name="floor", type="plane", size="0 0 1", group=str(OTHER_GROUP), **_UNPAIRED)
+    solid = {"group": str(SOLID_GROUP), **_UNPAIRED}
+    for i, (middle, half_sides) in enumerate(walls):
+        _add(world, "geom", name=solid_name(i), type="box", pos=_numbers(*middle), size=_numbers(*half_sides), **solid)
+    for i, (middle, radius, height) in enumerate(obstacles, len(walls)):
+        size = _numbers(radius, height / 2)
+        _add(world, "geom", name=solid_name(i), type="cylinder", pos=_numbers(*middle), size=size, **solid)
+    _add_robot(world, placement)
+    n_balls = len(placement.balls)
+    for i, (x, y) in enumerate(placement.balls):
+        _add_ball(world, ball_name(i), x, y)
+    _add_contacts(root, len(walls) + len(obstacles), n_balls)
+    equality = _add(root, "equality")
+    for i in range(n_balls):
+        # Between sites, because an anchor would be where the ball is at the start.
+        sites = {"site1": "grip", "site2": ball_name(i)}
+        _add(equality, "connect", name=grip_name(i), active="false", **sites, **HARDNESS)
+    actuator = _add(root, "actuator")
+    for side in ("left", "right"):
+        limits = _numbers(-MOTOR_TORQUE, MOTOR_TORQUE)
+        _add(actuator, "velocity", name=side, joint=f"{side} wheel", kv=repr(MOTOR_GAIN), forcerange=limits)
+    return tostring(root, encoding="unicode")
+
+
+def solid_name(i: int) -> str:
+    """Of the geom of a wall or an obstacle."""
+    return f"solid {i}"
+
+
+def ball_name(i: int) -> str:
+    """Of the body and of the geom of a ball."""
+    return f"ball {i}"
+
+
+def grip_name(i: int) -> str:
+    """Of the constraint between gripper and ball, which is active only while the gripper is closed on it."""
+    return f"grip {i}"
+
+
+_UNPAIRED = {"contype": "0", "conaffinity": "0"}
+"""Nothing touches but the pairs."""
+
+
+def _add_robot(world: Element, placement: Placement) -> None:
+    x, y, heading = placement.robot
+    turned = _numbers(math.cos(heading / 2), 0, 0, math.sin(heading / 2))
+    robot = _add(world, "body", name="robot", pos=_numbers(x, y, MIDDLE_HEIGHT - SINK), quat=turned)
+    _add(robot, "freejoint", name="robot")
+    # Bullet takes the inertia of the box around body and paddles; so does this.
+    bottom = PADDLE_HEIGHT - PADDLE_HALF_SIDES[2]
+    sides = (BODY_RADIUS + PADDLE_TIP, 2 * BODY_RADIUS, BODY_TOP - min(BODY_BOTTOM, bottom))
+    _inertial(robot, BODY_MASS, *(BODY_MASS / 12 * (sum(s * s for s in sides) - side * side) for side in sides))
+    half_height = (BODY_TOP - BODY_BOTTOM) / 2
+    _add(robot, "geom", name=BODY_GEOMS[0], type="cylinder", size=_numbers(BODY_RADIUS, half_height), **_UNPAIRED)
+    paddle_x, paddle_y = PADDLE_TIP - PADDLE_HALF_SIDES[0], PADDLE_OPENING / 2 + PADDLE_HALF_SIDES[1]
+    for name, side in zip(BODY_GEOMS[1:], (1, -1), strict=True):
+        middle = _numbers(paddle_x, side * paddle_y, PADDLE_HEIGHT - MIDDLE_HEIGHT)
+        _add(robot, "geom", name=name, type="box", pos=middle, size=_numbers(*PADDLE_HALF_SIDES), **_UNPAIRED)
+    _add(robot, "site", name="grip", pos=_numbers(GRIP_AHEAD, 0, BALL_RADIUS - MIDDLE_HEIGHT))
+    for name, side in (("left wheel", 1), ("right wheel", -1)):
+        wheel = _sphere(robot, name, (0, side * AXLE_TRACK / 2, WHEEL_RADIUS - MIDDLE_HEIGHT), WHEEL_RADIUS, WHEEL_MASS)
+        wheel.insert(0, Element("joint", name=name, type="hinge", axis="0 1 0"))
+    _sphere(robot, "caster", (-CASTER_BEHIND, 0, CASTER_RADIUS - MIDDLE_HEIGHT), CASTER_RADIUS, REAR_MASS)
+
+
+def _add_ball(world: Element, name: str, x: float, y: float) -> None:
+    ball = _sphere(world, name, (x, y, BALL_RADIUS - SINK), BALL_RADIUS, BALL_MASS)
+    ball.insert(0, Element("freejoint", name=name))
+    _add(ball, "site", name=name)
+
+
+def _sphere(parent: Element, name: str, middle: tuple[float, float, float], radius: float, mass: float) -> Element:
+    """A body that is a solid sphere."""
+    body = _add(parent, "body", name=name, pos=_numbers(*middle))
+    _inertial(body, mass, *[0.4 * mass * radius * radius] * 3)
+    _add(body, "geom", name=name, type="sphere", size=_numbers(radius), **_UNPAIRED)
+    return body
+
+
+def _inertial(body: Element, mass: float, *inertia: float) -> None:
+    _add(body, "inertial", pos="0 0 0", mass=repr(mass), diaginertia=_numbers(*inertia))
+
+
+def _add_contacts(root: Element, n_solids: int, n_balls: int) -> None:
+    contact = _add(root, "contact")
+
+    def pair(one: str, other: str, friction: float, spinning: float = 0.0, rolling: float = 0.0) -> None:
+        _add(
+            contact,
+            "pair",
+            geom1=one,
+            geom2=other,
+            condim="6" if rolling else "3" if friction else "1",
+            friction=_numbers(friction, friction, spinning, rolling, rolling),
+            **HARDNESS,
+        )
+
+    pair("left wheel", "floor", TYRE_FRICTION)
+    pair("right wheel", "floor", TYRE_FRICTION)
+    pair("caster", "floor", CASTER_FRICTION)
+    solids, balls = [solid_name(i) for i in range(n_solids)], [ball_name(i) for i in range(n_balls)]
+    for one, other in product(BODY_GEOMS, solids):
+        pair(one, other, BODY_FRICTION * SOLID_FRICTION)
+    for ball in balls:
+        pair(ball, "floor", BALL_FRICTION, BALL_SPINNING_FRICTION, BALL_ROLLING_FRICTION)
+    for one, other in product(balls, BODY_GEOMS):
+        pair(one, other, BALL_FRICTION * BODY_FRICTION)
+    for one, other in product(balls, solids):
+        pair(one, other, BALL_FRICTION * SOLID_FRICTION)
+    for one, other in combinations(balls, 2):
+        pair(one, other, BALL_FRICTION * BALL_FRICTION)
+
+
+def _numbers(*values: float) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _add(parent: Element, tag: str, **attributes: str) -> Element:
+    return SubElement(parent, tag, attributes)

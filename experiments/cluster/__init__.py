@@ -1,0 +1,1 @@
+"""Environments and studies on a Ray cluster: ``python -m experiments.cluster``."""

@@ -1,0 +1,131 @@
+"""Which states part the states around them, in the graph of what was visited."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sb3_options.experience.observations import FloatArray, IntArray
+
+STEPS = 3
+"""The surroundings of a state are what lies within so many steps of it."""
+
+MAX_STATES = 10_000
+"""As many are in the graph; of states that come later nothing is known."""
+
+UNKNOWN = 0.5
+"""The share of a state of which nothing is known: as far as anybody knows it parts its surroundings in two."""
+
+
+class LocalCuts:
+    """What share of its surroundings a state cuts off from the rest.
+
+    Where an agent has learned a way, its successes share that way from end to end: the floor before a doorway lies on
+    as many of them as the doorway itself. What tells the two apart is what else was visited around them, in success or
+    failure. Without the doorway, the states around it fall apart; around a piece of floor other steps lead on. Such a
+    state is a cut vertex of the graph of its surroundings, the graph that Şimşek & Barto (2008) rank by betweenness.
+
+    Two states are joined if a step led from one to the other, in either direction. A state that only one trajectory
+    visited counts as a cut, so that nothing is said where no state is visited twice, as in continuous spaces.
+
+    Attributes:
+        n_computed: Shares that were computed; the others were known.
+    """
+
+    def __init__(self) -> None:
+        self.n_computed = 0
+        self._number: dict[bytes, int] = {}
+        self._neighbours: list[set[int]] = []
+        self._n_trajectories: list[int] = []
+        self._shares: dict[int, float] = {}
+
+    def add(self, features: FloatArray, visits: IntArray) -> None:
+        """Add the steps of a trajectory.
+
+        Args:
+            features: φ of its distinct states, (m, d).
+            visits: Row of ``features`` at every time t = 0 … T, (T + 1,).
+        """
+        numbers = np.array([self._number_of(state) for state in features + 0.0], dtype=np.int64)  # -0.0 is 0.0
+        for number in set(numbers.tolist()) - {-1}:
+            self._n_trajectories[number] += 1
+        way = numbers[visits]
+        low, high = np.minimum(way[:-1], way[1:]), np.maximum(way[:-1], way[1:])
+        steps = np.unique(low[(low >= 0) & (low < high)] * MAX_STATES + high[(low >= 0) & (low < high)])
+        for one, other in zip((steps // MAX_STATES).tolist(), (steps % MAX_STATES).tolist(), strict=True):
+            if other not in self._neighbours[one]:
+                self._neighbours[one].add(other)
+                self._neighbours[other].add(one)
+                for number in self._around(one) | self._around(other):
+                    self._shares.pop(number, None)
+
+    def shares(self, features: FloatArray) -> FloatArray:
+        """What share of its surroundings each of some states cuts off from their largest part, (n,), in [0, 0.5].
+
+        Args:
+            features: Of the states, (n, d).
+        """
+        return np.array([self._share_of(self._number.get(state.tobytes(), -1)) for state in features + 0.0])
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        edges = [(i, j) for i, joined in enumerate(self._neighbours) for j in sorted(joined) if i < j]
+        return {
+            "states": np.array([np.frombuffer(key) for key in self._number]),
+            "edges": np.array(edges, dtype=np.int64).reshape(-1, 2),
+            "n_trajectories": np.array(self._n_trajectories, dtype=np.int64),
+            "known": np.array(list(self._shares), dtype=np.int64),
+            "shares": np.array(list(self._shares.values())),
+            "n_computed": self.n_computed,
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self.n_computed = state["n_computed"]
+        self._number = {each.tobytes(): number for number, each in enumerate(state["states"])}
+        self._neighbours = [set() for _ in self._number]
+        for one, other in state["edges"].tolist():
+            self._neighbours[one].add(other)
+            self._neighbours[other].add(one)
+        self._n_trajectories = state["n_trajectories"].tolist()
+        self._shares = dict(zip(state["known"].tolist(), state["shares"].tolist(), strict=True))
+
+    def _number_of(self, state: FloatArray) -> int:
+        key = state.tobytes()
+        number = self._number.get(key)
+        if number is None:
+            if len(self._number) >= MAX_STATES:
+                return -1
+            number = self._number[key] = len(self._number)
+            self._neighbours.append(set())
+            self._n_trajectories.append(0)
+        return number
+
+    def _share_of(self, number: int) -> float:
+        if number < 0 or self._n_trajectories[number] == 1:
+            return UNKNOWN
+        if number not in self._shares:
+            self._shares[number] = self._computed(number)
+        return self._shares[number]
+
+    def _computed(self, number: int) -> float:
+        self.n_computed += 1
+        left = self._around(number) - {number}
+        n, largest = len(left), 0
+        while left:
+            border, size = [left.pop()], 1
+            while border:
+                found = self._neighbours[border.pop()] & left
+                left -= found
+                border.extend(found)
+                size += len(found)
+            largest = max(largest, size)
+        return min((n - largest) / n, 0.5) if n else 0.0
+
+    def _around(self, number: int) -> set[int]:
+        around = border = {number}
+        for _ in range(STEPS):
+            border = set().union(*(self._neighbours[each] for each in border)) - around
+            around = around | border
+        return around

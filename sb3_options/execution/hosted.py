@@ -1,0 +1,148 @@
+"""Several environments in one process, as `RayVecEnv` has them in each of its actors."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+from stable_baselines3.common.env_util import is_wrapped
+from stable_baselines3.common.vec_env.patch_gym import _patch_env
+from stable_baselines3.common.vec_env.subproc_vec_env import _stack_obs
+
+Infos = list[dict[str, Any]]
+
+
+class Steps(NamedTuple):
+    """What one step of several environments returned, as ``SubprocVecEnv`` has it of one."""
+
+    observations: Any
+    rewards: list[Any]
+    dones: list[bool]
+    infos: Infos
+    reset_infos: Infos
+
+
+class Settings:
+    """What was set in one environment, to be set again in one that takes its place.
+
+    Of each method the latest call counts; of one whose first argument is a whole number, as a slot is, the latest with
+    each number.
+    """
+
+    def __init__(self) -> None:
+        self._calls: dict[Any, tuple[str, tuple[Any, ...], dict[str, Any]]] = {}
+
+    def note(self, kind: str, args: tuple[Any, ...], kwargs: dict[str, Any], *, key: Any) -> None:
+        """Remember a call of `HostedEnvironments`, in the place of an earlier one with the same key."""
+        self._calls.pop((kind, key), None)  # the latest stands last
+        self._calls[kind, key] = (kind, args, kwargs)
+
+    @property
+    def calls(self) -> list[tuple[str, tuple[Any, ...], dict[str, Any]]]:
+        """In order."""
+        return list(self._calls.values())
+
+
+class HostedEnvironments:
+    """Some environments of a ``VecEnv``, stepped one after the other. Behaves as the worker of ``SubprocVecEnv``.
+
+    Args:
+        env_fns: Each makes an environment, when `make` is called: an error in one is not one of starting the process.
+    """
+
+    def __init__(self, env_fns: Sequence[Callable[[], gym.Env[Any, Any]]]) -> None:
+        self._env_fns = list(env_fns)
+        self.envs: list[Any] = []
+        self._reset_infos: Infos = [{} for _ in env_fns]
+
+    def make(self) -> tuple[Any, Any]:
+        """Make them, once; returns observation space and action space of the first."""
+        if not self.envs:
+            self.envs = [_patch_env(make()) for make in self._env_fns]
+        return self.envs[0].observation_space, self.envs[0].action_space
+
+    def begin(self, settings: Sequence[Settings], seeds: Sequence[int | None]) -> None:
+        """Make them in the place of others that are lost.
+
+        Args:
+            settings: Of each.
+            seeds: For each action space, which random actions are drawn from.
+        """
+        self.make()
+        for env, of, seed in zip(self.envs, settings, seeds, strict=True):
+            if seed is not None:
+                env.action_space.seed(seed)
+            for kind, args, kwargs in of.calls:
+                _HOW[kind](env, *copy.deepcopy(args), **copy.deepcopy(kwargs))
+
+    def reset(self, seeds: Sequence[int | None], options: Sequence[dict[str, Any]]) -> tuple[Any, Infos]:
+        """Reset all of them."""
+        observations = []
+        for i, (env, seed, option) in enumerate(zip(self.envs, seeds, options, strict=True)):
+            observation, self._reset_infos[i] = env.reset(seed=seed, **({"options": option} if option else {}))
+            observations.append(observation)
+        return _stack_obs(observations, self.envs[0].observation_space), list(self._reset_infos)
+
+    def step(self, actions: Any) -> Steps:
+        """A step of each; one whose episode ends is reset."""
+        observations, rewards, dones, infos = [], [], [], []
+        for i, (env, action) in enumerate(zip(self.envs, actions, strict=True)):
+            observation, reward, terminated, truncated, info = env.step(action)
+            done = terminated or truncated
+            info["TimeLimit.truncated"] = truncated and not terminated
+            if done:
+                info["terminal_observation"] = observation
+                observation, self._reset_infos[i] = env.reset()
+            observations.append(observation)
+            rewards.append(reward)
+            dones.append(done)
+            infos.append(info)
+        stacked = _stack_obs(observations, self.envs[0].observation_space)
+        return Steps(stacked, rewards, dones, infos, list(self._reset_infos))
+
+    def lost_infos(self, observations: Sequence[Any]) -> Infos:
+        """Infos of a step whose outcome is lost, of each environment.
+
+        Args:
+            observations: The last that is known of each.
+        """
+        return [
+            env.get_wrapper_attr("lost_step")(seen) if _has(env, "lost_step") else {}
+            for env, seen in zip(self.envs, observations, strict=True)
+        ]
+
+    def call(self, kind: str, indices: Sequence[int], args: tuple[Any, ...], kwargs: dict[str, Any]) -> list[Any]:
+        """What others ask of some of them: ``env_method``, ``get_attr`` and so on.
+
+        Each gets arguments of its own: they share nothing, and what Ray hands out cannot be written to.
+        """
+        return [_HOW[kind](self.envs[i], *copy.deepcopy(args), **copy.deepcopy(kwargs)) for i in indices]
+
+    def close(self) -> None:
+        """Close all of them."""
+        for env in self.envs:
+            env.close()
+
+
+def _method(env: Any, name: str, *args: Any, **kwargs: Any) -> Any:
+    return env.get_wrapper_attr(name)(*args, **kwargs)
+
+
+def _has(env: Any, name: str) -> bool:
+    try:
+        env.get_wrapper_attr(name)
+    except AttributeError:
+        return False
+    return True
+
+
+_HOW: dict[str, Callable[..., Any]] = {
+    "env_method": _method,
+    "get_attr": lambda env, name: env.get_wrapper_attr(name),
+    "has_attr": _has,
+    "set_attr": setattr,
+    "is_wrapped": is_wrapped,
+    "render": lambda env: env.render(),
+}

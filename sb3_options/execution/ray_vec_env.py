@@ -1,0 +1,349 @@
+"""`RayVecEnv`: environments on many machines, which survive the loss of one."""
+
+from __future__ import annotations
+
+import copy
+import logging
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from typing import Any, TypeAlias
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
+
+from sb3_options.execution.hosted import HostedEnvironments, Infos, Settings, Steps
+from sb3_options.execution.ray_cluster import connect, emptiest, n_cores
+from sb3_options.execution.workers import PATIENCE, WorkerLostError
+
+logger = logging.getLogger("sb3_options")
+
+EnvFns: TypeAlias = Sequence[Callable[[], gym.Env[Any, Any]]]
+
+MOST_LOSSES = 8
+"""Losses of the same environments, with no step between them, after which the fault is theirs."""
+
+FIRST_WAIT = 0.25
+"""Seconds before a second start: the cluster may not have noticed yet which machine is gone. Doubles each time."""
+
+ASKING = frozenset(
+    {
+        "__str__", "action_masks", "available", "concept_features", "feature_groups", "feature_kind", "get_state",
+        "layer_states", "learned_map", "lost_step", "render", "run_folder", "running_option", "seen_observation_space",
+        "set_layer_states", "set_state", "withheld_slots",
+    }
+)  # fmt: skip
+"""Methods that set nothing which outlives an episode. They are not called again in an environment that starts anew."""
+
+
+class RayVecEnv(VecEnv):
+    """A ``VecEnv`` whose environments live in Ray actors, several to an actor, on all machines of a cluster.
+
+    It behaves as ``SubprocVecEnv``, and gives the same trajectories for the same seeds. Actions go out and results come
+    back as one array an actor, with one ``ray.get`` a step. So it is for environments that cost: a step takes a
+    millisecond more than theirs.
+
+    The loss of a machine, or of a process, ends no training. The environments of its actors start anew elsewhere, with
+    their options and with what else was set in them by ``env_method`` and ``set_attr``: of each method the latest call,
+    per slot where the first argument is a number. The episodes that were in flight end as truncated: reward 0,
+    ``info["TimeLimit.truncated"]``, the last observation that is known as ``terminal_observation``, and
+    ``info["lost"]``. There is one warning a loss; `lost_actors` counts them, and callbacks of this library log it as
+    ``time/lost_actors``. The new environments draw from seeds of their own.
+
+    Every machine needs the same Python, the same packages, and the files that the environments read.
+
+    Args:
+        env_fns: Each makes an environment.
+        n_actors: Actors, at most one an environment; by default one a core of the cluster.
+        address: As `connect` takes it.
+        num_cpus: Cores that an actor reserves. By default it reserves none, so that the environments of a lost machine
+            always find a place. Actors are spread over the machines by their cores all the same.
+
+    Attributes:
+        lost_actors: How often an actor was lost.
+
+    Raises:
+        ValueError: There are no environments, or ``n_actors`` < 1.
+        ModuleNotFoundError: Ray is not installed.
+        ConnectionError: There is no cluster at ``address``.
+        WorkerLostError: The same environments were lost time and again.
+    """
+
+    def __init__(
+        self, env_fns: EnvFns, n_actors: int | None = None, *, address: str | None = None, num_cpus: float | None = None
+    ) -> None:
+        if not env_fns:
+            raise ValueError("env_fns is empty: RayVecEnv needs at least one environment.")
+        if n_actors is not None and n_actors < 1:
+            raise ValueError(f"n_actors must be at least 1, got {n_actors}.")
+        self._ray = connect(address)
+        self._class = self._ray.remote(HostedEnvironments)
+        self._num_cpus = 0.0 if num_cpus is None else num_cpus
+        n_envs = len(env_fns)
+        n_actors = min(n_envs, n_cores(self._ray) if n_actors is None else n_actors)
+        self._groups = [group.tolist() for group in np.array_split(np.arange(n_envs), n_actors)]
+        self._env_fns, self._settings = list(env_fns), [Settings() for _ in env_fns]
+        self._first_seeds: list[int | None] = [None] * n_envs
+        self._losses_in_a_row = [0] * n_actors
+        self.lost_actors = 0
+        self.closed = False
+        self._seen: Any = None
+        self._anew: dict[int, tuple[Any, Infos, Infos]] = {}
+        self._steps: list[Any] = []
+        self._places: list[str | None] = [None] * n_actors
+        self._actors = [self._start(a) for a in range(n_actors)]
+        (observation_space, action_space), *_ = self._gather([(a, "make", ()) for a in range(n_actors)])
+        super().__init__(n_envs, observation_space, action_space)
+
+    def _start(self, actor: int) -> Any:
+        # To note every step for Ray's dashboard takes a sixth of the time of a call.
+        how: dict[str, Any] = {"num_cpus": self._num_cpus, "max_restarts": 0, "enable_task_events": False}
+        place = emptiest(self._ray, self._places, avoid=self._places[actor])
+        self._places[actor] = place
+        if place is not None:  # a machine that is gone by then is no bar
+            from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+            how["scheduling_strategy"] = NodeAffinitySchedulingStrategy(place, soft=True)
+        return self._class.options(**how).remote([self._env_fns[i] for i in self._groups[actor]])
+
+    def step_async(self, actions: npt.NDArray[Any]) -> None:
+        """Send an action to every environment; one that started anew since the last step gets none."""
+        self._steps = [
+            None if a in self._anew else self._actors[a].step.remote(actions[group[0] : group[-1] + 1])
+            for a, group in enumerate(self._groups)
+        ]
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """What the step returned."""
+        steps, self._steps = self._steps, []
+        sent = [a for a, step in enumerate(steps) if step is not None]
+        results: dict[int, Steps] = {}
+        try:
+            results = dict(zip(sent, self._get([steps[a] for a in sent]), strict=True))
+        except self._lost_errors():
+            for a in sent:
+                try:
+                    results[a] = self._get(steps[a])
+                except self._lost_errors() as error:
+                    self._start_anew(a, error)
+        for a in results:
+            self._losses_in_a_row[a] = 0
+        parts = [results[a] if a in results else self._cut_off(a) for a in range(len(self._actors))]
+        self._seen = self._joined([part.observations for part in parts])
+        self.reset_infos = [_writable(info) for part in parts for info in part.reset_infos]
+        rewards = np.stack([reward for part in parts for reward in part.rewards])
+        dones = np.stack([done for part in parts for done in part.dones])
+        return self._seen, rewards, dones, [_writable(info) for part in parts for info in part.infos]
+
+    def reset(self) -> VecEnvObs:
+        """Reset all environments."""
+        for i, seed in enumerate(self._seeds):
+            self._first_seeds[i] = self._first_seeds[i] if seed is None else seed
+        results = self._gather(
+            [
+                (a, "reset", ([self._seeds[i] for i in group], [self._options[i] for i in group]))
+                for a, group in enumerate(self._groups)
+            ]
+        )
+        self._anew.clear()
+        self._seen = self._joined([observations for observations, _ in results])
+        self.reset_infos = [_writable(info) for _, infos in results for info in infos]
+        self._reset_seeds()
+        self._reset_options()
+        return self._seen  # type: ignore[no-any-return]  # as `_joined` made it
+
+    def close(self) -> None:
+        """Close the environments and end their actors; the cluster goes on."""
+        if self.closed:
+            return
+        self.closed = True
+        if self._ray.is_initialized():
+            closing = [actor.close.remote() for actor in self._actors]
+            self._ray.wait(closing, num_returns=len(closing), timeout=PATIENCE)
+            for actor in self._actors:
+                with suppress(self._ray.exceptions.RayError):
+                    self._ray.kill(actor)
+
+    def get_images(self) -> Sequence[npt.NDArray[np.uint8] | None]:
+        """A picture of each environment."""
+        if self.render_mode != "rgb_array":
+            warnings.warn(
+                f"The render mode is {self.render_mode}, but this method assumes it is `rgb_array` to obtain images.",
+                stacklevel=2,
+            )
+            return [None] * self.num_envs
+        return self._call("render", None)
+
+    def has_attr(self, attr_name: str) -> bool:
+        """Whether every environment has an attribute."""
+        return all(self._call("has_attr", None, attr_name))
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """Copies of an attribute of some environments."""
+        return self._call("get_attr", indices, attr_name)
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Set an attribute of some environments."""
+        self._call("set_attr", indices, attr_name, value)
+        self._note("set_attr", indices, (attr_name, value), {}, key=attr_name)
+
+    def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
+        """What a method of some environments returns."""
+        results = self._call("env_method", indices, method_name, *args, **kwargs)
+        if method_name not in ASKING:
+            number = args[0] if args and isinstance(args[0], int) and not isinstance(args[0], bool) else None
+            self._note("env_method", indices, (method_name, *args), kwargs, key=(method_name, number))
+        return results
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
+    ) -> list[bool]:
+        """Whether some environments are in a wrapper."""
+        results = self._call("is_wrapped", indices, wrapper_class)
+        self._note("is_wrapped", indices, (wrapper_class,), {}, key=wrapper_class)  # to ask may set something
+        return results
+
+    def _note(
+        self, kind: str, indices: VecEnvIndices, args: tuple[Any, ...], kwargs: dict[str, Any], *, key: Any
+    ) -> None:
+        for i in self._get_indices(indices):
+            self._settings[i].note(kind, args, kwargs, key=key)
+
+    def _call(self, kind: str, indices: VecEnvIndices, *args: Any, **kwargs: Any) -> list[Any]:
+        """What some environments answer, in the order of ``indices``."""
+        asked = list(self._get_indices(indices))
+        by_actor = [(a, [i for i in group if i in asked], group[0]) for a, group in enumerate(self._groups)]
+        calls = [(a, "call", (kind, [i - first for i in mine], args, kwargs)) for a, mine, first in by_actor if mine]
+        answers: dict[int, Any] = {}
+        for (_, mine, _), results in zip((each for each in by_actor if each[1]), self._gather(calls), strict=True):
+            answers |= dict(zip(mine, copy.deepcopy(results), strict=True))  # what Ray hands out cannot be written to
+        return [answers[i] for i in asked]
+
+    def _gather(self, calls: Sequence[tuple[int, str, tuple[Any, ...]]]) -> list[Any]:
+        """Results of methods of actors; one that is lost starts anew and is called again."""
+        sent = [getattr(self._actors[a], method).remote(*args) for a, method, args in calls]
+        with suppress(*self._lost_errors()):
+            return list(self._get(sent))
+        results = []
+        for (a, method, args), first in zip(calls, sent, strict=True):
+            reference = first
+            while True:
+                try:
+                    results.append(self._get(reference))
+                    break
+                except self._lost_errors() as error:
+                    self._start_anew(a, error)
+                    reference = getattr(self._actors[a], method).remote(*args)
+        return results
+
+    def _get(self, references: Any) -> Any:
+        """``ray.get``, where an error in an environment is that error."""
+        try:
+            return self._ray.get(references)
+        except self._ray.exceptions.RayTaskError as error:
+            if isinstance(error.cause, Exception) and not isinstance(error.cause, self._ray.exceptions.RayError):
+                raise error.cause from error
+            raise
+
+    def _lost_errors(self) -> tuple[type[Exception], ...]:
+        of = self._ray.exceptions
+        return (of.RayActorError, of.NodeDiedError, of.WorkerCrashedError, of.ObjectLostError, of.OutOfMemoryError)
+
+    def _start_anew(self, actor: int, why: Exception) -> None:
+        """Start the environments of a lost actor elsewhere, with what was set in them."""
+        group = self._groups[actor]
+        named = f"{group[0]} to {group[-1]}" if len(group) > 1 else f"{group[0]}"
+        which = f"Environment{'s' if len(group) > 1 else ''} {named} of {len(self._env_fns)}"
+        self.lost_actors += 1
+        logger.warning(
+            "%s: the machine or the process is gone (%s). They start anew elsewhere; their episodes end as truncated.",
+            which,
+            type(why).__name__,
+        )
+        while True:
+            self._losses_in_a_row[actor] += 1
+            losses = self._losses_in_a_row[actor]
+            if losses > MOST_LOSSES:
+                raise WorkerLostError(
+                    f"{which}: lost {losses} times without a step between. {_first_line(why)}",
+                    "If memory is short, train with fewer of them or more machines; `ray status` shows these.",
+                    killed=True,
+                ) from why
+            if losses > 1:
+                time.sleep(FIRST_WAIT * 2.0 ** (losses - 2))
+            with suppress(self._ray.exceptions.RayError):
+                self._ray.kill(self._actors[actor])
+            self._actors[actor] = self._start(actor)
+            try:
+                self._begin(actor)
+            except self._lost_errors() as error:
+                why = error
+            else:
+                return
+
+    def _begin(self, actor: int) -> None:
+        group, anew = self._groups[actor], self._actors[actor]
+        seeds = [self._later_seed(i) for i in group]
+        self._get(anew.begin.remote([self._settings[i] for i in group], seeds))
+        if self._seen is not None:
+            observations, reset_infos = self._get(anew.reset.remote(seeds, [{}] * len(group)))
+            last = [self._seen_by(i) for i in group]
+            self._anew[actor] = observations, reset_infos, self._get(anew.lost_infos.remote(last))
+
+    def _later_seed(self, env: int) -> int | None:
+        """A seed that no environment has had; None where none was seeded."""
+        first = self._first_seeds[env]
+        if first is None:
+            return None
+        return int(np.random.SeedSequence([first, self.lost_actors]).generate_state(1)[0])
+
+    def _cut_off(self, actor: int) -> Steps:
+        """What a step is said to have returned of environments that were lost."""
+        observations, reset_infos, infos = self._anew.pop(actor)
+        group = self._groups[actor]
+        told = [
+            {**info, "TimeLimit.truncated": True, "terminal_observation": self._seen_by(i), "lost": True}
+            for i, info in zip(group, infos, strict=True)
+        ]
+        return Steps(observations, [0.0] * len(group), [True] * len(group), told, reset_infos)
+
+    def _seen_by(self, env: int) -> Any:
+        """The last observation of an environment."""
+        if isinstance(self._seen, dict):
+            return {key: part[env].copy() for key, part in self._seen.items()}
+        if isinstance(self._seen, tuple):
+            return tuple(part[env].copy() for part in self._seen)
+        return self._seen[env].copy()
+
+    def _joined(self, parts: Sequence[Any]) -> Any:
+        """The observations of all actors, in arrays of their own."""
+        if isinstance(self.observation_space, spaces.Dict):
+            return {key: np.concatenate([part[key] for part in parts]) for key in self.observation_space.spaces}
+        if isinstance(self.observation_space, spaces.Tuple):
+            return tuple(np.concatenate(each) for each in zip(*parts, strict=True))
+        return np.concatenate(list(parts))
+
+
+def _writable(info: dict[str, Any]) -> dict[str, Any]:
+    """An info whose arrays can be written to; those that Ray hands out cannot."""
+    return info if all(map(_is_scalar, _leaves(info))) else copy.deepcopy(info)
+
+
+def _leaves(info: dict[str, Any]) -> Iterator[Any]:
+    for value in info.values():
+        if isinstance(value, dict):
+            yield from _leaves(value)
+        else:
+            yield value
+
+
+def _is_scalar(value: Any) -> bool:
+    return isinstance(value, bool | int | float | str | None | np.generic)
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]

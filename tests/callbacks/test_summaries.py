@@ -1,0 +1,83 @@
+"""Results beside settings, and what is said of an option."""
+
+import numpy as np
+import pytest
+from stable_baselines3 import A2C, DQN, PPO
+
+from sb3_options.callbacks.records import DiscoveredOption
+from sb3_options.callbacks.summaries import flat_settings, results_of, settings_of, steps_to_learn, text_of
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.experience.trajectories import EpisodeRecord
+from tests.support.helpers import steady_option
+from tests.support.sb3_helpers import optioned_rooms
+
+
+def history_of(successes: list[bool]) -> list[EpisodeRecord]:
+    """Episodes of 10 steps, each with a return of its number."""
+    return [EpisodeRecord(10 * (i + 1), float(i), success, 10) for i, success in enumerate(successes)]
+
+
+@pytest.mark.parametrize(
+    ("successes", "steps"),
+    [
+        ([True] * 99, None),
+        ([True] * 100, 1000),
+        ([True] * 89 + [False] * 500, None),
+        ([False] * 30 + [True] * 200, 1200),  # after 30 failures and 90 successes
+        ([True, False] * 100, None),
+        ([], None),
+    ],
+)
+def test_steps_until_ninety_of_the_last_hundred_succeeded(successes: list[bool], steps: int | None) -> None:
+    assert steps_to_learn(history_of(successes)) == steps
+
+
+def test_results_are_of_the_last_hundred_and_what_never_came_is_left_out() -> None:
+    assert results_of([]) == {}
+    assert results_of(history_of([True] * 50)) == {"at_end/success_rate": 1.0, "at_end/return": 24.5}
+    assert results_of(history_of([True] * 100 + [False] * 50)) == {
+        "at_end/success_rate": 0.5,
+        "at_end/return": 99.5,
+        "at_end/steps_to_90_percent": 1000,
+    }
+
+
+def test_settings_are_flat_and_of_one_kind_each() -> None:
+    nested = {"a": 1, "b": {"c": True, "d": {"e": 2.5}}, "layers": (64, 32), "none": None, "code": print, "name": "x"}
+    assert flat_settings(nested) == {"a": 1, "b.c": "True", "b.d.e": 2.5, "layers": "64, 32", "name": "x"}
+
+
+def test_settings_of_models() -> None:
+    env = optioned_rooms()
+    dqn = settings_of(DQN("MlpPolicy", env, train_freq=8, learning_rate=lambda left: 0.1 * left, buffer_size=10))
+    assert {"algo": "DQN", "train_freq": 8, "learning_rate": 0.1, "buffer_size": 10, "n_envs": 1}.items() <= dqn.items()
+    assert not {"device", "env", "policy", "verbose", "tensorboard_log"} & dqn.keys()
+    ppo = settings_of(PPO("MlpPolicy", env, policy_kwargs={"net_arch": [8]}), discovery=DiscoverySettings(decay=0.7))
+    assert {"clip_range": 0.2, "policy_kwargs.net_arch": "8", "discovery.decay": 0.7}.items() <= ppo.items()
+    assert settings_of(A2C("MlpPolicy", env))["algo"] == "A2C"
+
+
+def test_an_option_that_was_there_at_the_start() -> None:
+    text = text_of(steady_option(), None, {})
+    assert text.splitlines()[0] == f"| option | {steady_option().name} |"
+    assert "| discovered | no: it was there when training started |" in text
+    assert "| runs | 0 |" in text
+    assert "success rate" not in text
+
+
+def test_a_discovered_option_with_its_statistics() -> None:
+    found = DiscoveredOption(1, 20, 3_000, np.array([4.0, 2.0]), "4, 2", -1.234, 17, 12, 9)
+    tag = "options/slot_1"
+    ends = {f"{tag}/ended_subgoal": 0.75, f"{tag}/ended_truncated": 0.25, f"{tag}/ended_interrupted": 0.0}
+    text = text_of(steady_option(), found, {f"{tag}/runs": 1234.0, f"{tag}/mean_duration": 6.54, **ends})
+    for row in (
+        "| discovered | after 20 episodes, 3,000 primitive steps |",
+        "| learned from | 12 saved episodes, of which 9 visit the subgoal |",
+        "| log diverse density | -1.23 nats |",
+        "| success rate | 75% of the last 100 runs: the subgoal was reached |",
+        "|  | 25%: the episode was cut off |",
+        "| duration | 6.5 primitive steps on average |",
+        "| runs | 1,234 |",
+    ):
+        assert row in text.splitlines()
+    assert "another action" not in text

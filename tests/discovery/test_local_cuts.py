@@ -1,0 +1,98 @@
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from sb3_options.discovery import local_cuts
+from sb3_options.discovery.local_cuts import LocalCuts
+from sb3_options.envs import GridWorld
+
+ROOMS = """
+    ###########
+    #....#....#
+    #....#....#
+    #.........#
+    #....#....#
+    #S...#...G#
+    ###########
+"""
+
+
+def walked(cuts: LocalCuts, ways: Sequence[Sequence[tuple[float, ...]]]) -> LocalCuts:
+    for way in ways:
+        states, visits = np.unique(np.array(way, dtype=float), axis=0, return_inverse=True)
+        cuts.add(states, visits.ravel())
+    return cuts
+
+
+def everywhere(world: GridWorld) -> list[list[tuple[float, ...]]]:
+    """Each step from cell to cell as a trajectory, there and back."""
+    cells = {(x, y) for y in range(world.height) for x in range(world.width) if not world.walls[y, x]}
+    return [[c, d, c] for c in cells for d in ((c[0] + 1, c[1]), (c[0], c[1] + 1)) if d in cells]
+
+
+def test_a_doorway_cuts_and_the_floor_does_not() -> None:
+    world = GridWorld(ROOMS)
+    (doorway,) = world.doorways
+    cells = np.array([c for way in everywhere(world) for c in way], dtype=float)
+    cells = np.unique(cells, axis=0)
+    shares = walked(LocalCuts(), everywhere(world)).shares(cells)
+    steps = np.abs(cells - doorway).sum(axis=1)
+    assert shares[steps == 0] == pytest.approx(0.5)
+    assert (shares[steps == 1] > 0.2).all()
+    assert (shares[steps > 1] == 0.0).all()
+
+
+def test_one_way_more_can_undo_a_cut_and_is_seen_at_once() -> None:
+    line = [(x, 0) for x in range(5)]
+    cuts = walked(LocalCuts(), [line, line])
+    middle = np.array([[2.0, 0.0]])
+    assert cuts.shares(middle) == 0.5
+    walked(cuts, [[(1, 0), (1, 1), (2, 1), (3, 1), (3, 0)]])
+    assert cuts.shares(middle) == 0.0
+
+
+def test_what_one_trajectory_visited_or_none_counts_as_a_cut() -> None:
+    square = [(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)]
+    cuts = walked(LocalCuts(), [square])
+    assert cuts.shares(np.array([[0.0, 0.0], [7.0, 7.0]])).tolist() == [0.5, 0.5]
+    assert walked(cuts, [square]).shares(np.array([[0.0, 0.0], [7.0, 7.0]])).tolist() == [0.0, 0.5]
+    assert cuts.n_computed == 1
+
+
+def test_states_beyond_the_most_are_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(local_cuts, "MAX_STATES", 3)
+    line = [(float(x), 0.0) for x in range(6)]
+    cuts = walked(LocalCuts(), [line, line])
+    assert cuts.shares(np.array(line)).tolist() == [0.0, 0.5, 0.0, 0.5, 0.5, 0.5]
+
+
+def test_negative_zero_is_zero() -> None:
+    cuts = walked(LocalCuts(), [[(0.0,), (1.0,), (2.0,)], [(-0.0,), (1.0,), (2.0,)]])
+    assert cuts.shares(np.array([[-0.0], [1.0]])).tolist() == [0.0, 0.5]
+
+
+def test_goes_on_from_a_state(rng: np.random.Generator) -> None:
+    def walk(n: int) -> list[tuple[float, ...]]:
+        place: npt.NDArray[np.float64] = np.zeros(2)
+        way: list[tuple[float, ...]] = []
+        for _ in range(n):
+            place = np.clip(place + rng.integers(-1, 2, 2), -3, 3)
+            way.append((float(place[0]), float(place[1])))
+        return way
+
+    cuts = walked(LocalCuts(), [walk(30), walk(30)])
+    asked: npt.NDArray[np.float64] = rng.integers(-3, 4, (5, 2)).astype(float)
+    cuts.shares(asked)
+    again = LocalCuts()
+    again.set_state(cuts.get_state())
+    later = walk(20)
+    everything = np.stack(np.meshgrid(np.arange(-3.0, 4), np.arange(-3.0, 4)), axis=-1).reshape(-1, 2)
+    for one in (cuts, again):
+        walked(one, [later])
+    assert cuts.shares(everything).tolist() == again.shares(everything).tolist()
+    assert cuts.n_computed == again.n_computed
+    empty = LocalCuts()
+    empty.set_state(LocalCuts().get_state())
+    assert empty.shares(everything).tolist() == [0.5] * len(everything)

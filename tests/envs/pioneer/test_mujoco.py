@@ -1,0 +1,265 @@
+"""The twin in MuJoCo: it moves and senses like the robot in PyBullet, and goes on from a state exactly."""
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from numpy.typing import NDArray
+from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
+pytest.importorskip("mujoco")
+
+from sb3_options.envs.pioneer import Pioneer, PioneerMuJoCo
+from sb3_options.envs.pioneer.body import AXLE_TRACK, BALL_RADIUS, CONTROL_RATE, GRIP_AHEAD, MIDDLE_HEIGHT, WHEEL_RADIUS
+from sb3_options.envs.pioneer.env import ACTIONS, PioneerTask
+from sb3_options.envs.pioneer.senses import SONARS
+from sb3_options.execution import layers
+from sb3_options.execution.repeating import RecordActions
+from tests.envs.pioneer.expert import Expert, play
+from tests.envs.pioneer.simulators import needs_pybullet
+
+MIDDLE, LEFT_10 = 1, 3
+TASKS: dict[str, dict[str, Any]] = {
+    "Pioneer": {},
+    "PioneerCorner": {"deposit": "corner"},
+    "PioneerClutter": {"n_obstacles": 4},
+    "PioneerTwoBalls": {"n_balls": 2},
+}
+
+
+@pytest.fixture
+def env() -> Iterator[PioneerMuJoCo]:
+    env = gymnasium.make("sb3_options/PioneerMuJoCo-v0", max_steps=None).unwrapped
+    assert isinstance(env, PioneerMuJoCo)
+    yield env
+    env.close()
+
+
+def both(**kwargs: Any) -> tuple[PioneerTask, PioneerTask]:
+    return Pioneer(**kwargs), PioneerMuJoCo(**kwargs)
+
+
+@pytest.mark.parametrize("kind", ["sensors", "retina"])
+@pytest.mark.parametrize("name", TASKS)
+def test_check_env(name: str, kind: Any) -> None:
+    env = gymnasium.make("sb3_options/PioneerMuJoCo-v0", **TASKS[name], observation=kind, render_mode="rgb_array")
+    check_env(env.unwrapped)
+    sb3_check_env(PioneerMuJoCo(**TASKS[name], observation=kind))
+
+
+@needs_pybullet
+@pytest.mark.parametrize("name", TASKS)
+def test_a_pose_looks_the_same_in_both(name: str) -> None:
+    """Starts of a seed are the same. Sonars to 5 mm, all else to 1e-4.
+
+    Bullet's rays meet round obstacles up to 2 mm off, and so now and then one ray more or less of a ball's sixteen.
+    """
+    env = gymnasium.make(f"sb3_options/{name}-v0", observation="retina")
+    twin = PioneerMuJoCo(**TASKS[name], observation="retina")
+    assert env.observation_space == twin.observation_space
+    assert env.action_space == twin.action_space
+    seen = [[each.reset(seed=seed)[0] for each in (env, twin)] for seed in range(60)]
+    differences = np.array([np.abs(one - other) for one, other in seen])
+    n_sonars = len(SONARS)
+    assert differences[:, :n_sonars].max() < (0.005 if name == "PioneerClutter" else 1e-4)
+    same = (differences[:, n_sonars:] < 1e-4).all(axis=1)
+    assert same.mean() >= (0.95 if name == "PioneerClutter" else 1)
+    env.close()
+
+
+@needs_pybullet
+@pytest.mark.parametrize(("left", "right"), [(1.2, 1.2), (-1.2, -1.2), (-1.0, 1.0), (0.6, 1.2)])
+def test_a_turn_of_the_wheels_moves_the_body_as_far(left: float, right: float) -> None:
+    """Half a second at commanded velocities: to 5 mm and 1 degree as in PyBullet."""
+    poses = []
+    for env in both():
+        env.reset(options={"robot": (0, 0, 0), "balls": [(-1.5, -1.5)]})
+        poses.append([env.simulator.drive(left, right) for _ in range(CONTROL_RATE // 2)][-1])
+        env.close()
+    (x, y, heading), (twin_x, twin_y, twin_heading) = poses
+    assert math.hypot(x - twin_x, y - twin_y) < 0.005
+    assert abs(heading - twin_heading) < math.radians(1)
+    assert abs(x) + abs(heading) > 0.03
+
+
+def test_the_body_goes_as_far_as_the_wheels_roll(env: PioneerMuJoCo) -> None:
+    for left, right in ((3.0, 3.0), (-3.0, 3.0)):
+        env.reset(options={"robot": (0, 0, 0), "balls": [(-1.5, -1.5)]})
+        for _ in range(CONTROL_RATE):
+            x, _, heading = env.simulator.drive(left, right)
+        rolled = [float(env.simulator.data.joint(f"{side} wheel").qpos[0]) * WHEEL_RADIUS for side in ("left", "right")]
+        assert x == pytest.approx(sum(rolled) / 2, abs=0.005)
+        assert heading == pytest.approx((rolled[1] - rolled[0]) / AXLE_TRACK, abs=0.05)
+
+
+@needs_pybullet
+@pytest.mark.parametrize("action", range(len(ACTIONS)))
+def test_an_action_ends_where_it_ends_in_pybullet(action: int) -> None:
+    ends, ticks = [], []
+    for env in both(max_steps=None):
+        n: list[int] = []
+        env._robot.on_tick = lambda n=n: n.append(1)
+        env.reset(options={"robot": (-0.3, 0, 0.5), "balls": [(-1.5, -1.5)]})
+        for _ in range(2):
+            env.step(action)
+        ends.append(env.robot_pose)
+        ticks.append(len(n))
+        env.close()
+    assert math.dist(ends[0][:2], ends[1][:2]) < 0.012
+    assert abs(ends[0][2] - ends[1][2]) < math.radians(1.2)
+    assert abs(ticks[0] - ticks[1]) <= 6
+
+
+@needs_pybullet
+@pytest.mark.parametrize("speed", [0.5, 1.0])
+def test_a_ball_rolls_about_as_far(speed: float) -> None:
+    pioneer, twin = Pioneer(), PioneerMuJoCo()
+    for env in (pioneer, twin):
+        env.reset(options={"robot": (-1, 0, math.pi), "balls": [(-0.5, 0)]})
+    p, client = pioneer.bullet.p, pioneer.bullet.client
+    (ball,) = (b for b in range(p.getNumBodies(client)) if p.getDynamicsInfo(b, -1, physicsClientId=client)[0] == 0.25)
+    p.resetBaseVelocity(ball, (speed, 0, 0), (0, speed / BALL_RADIUS, 0), physicsClientId=client)
+    twin.simulator.data.joint("ball 0").qvel[:] = (speed, 0, 0, 0, speed / BALL_RADIUS, 0)
+    for env in (pioneer, twin):
+        for _ in range(3 * CONTROL_RATE):
+            env.simulator.drive(0, 0)
+    far, twin_far = (env.simulator.ball(0)[0] + 0.5 for env in (pioneer, twin))
+    assert twin_far == pytest.approx(far, rel=0.15)
+    assert np.abs(twin.simulator.data.joint("ball 0").qvel[:3]).max() < 0.001
+    pioneer.close()
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_an_expert_solves_it(name: str) -> None:
+    """Without the noise of PyBullet's solver it may turn to and fro for ever: one in ten does."""
+    env = PioneerMuJoCo(**TASKS[name])
+    expert = Expert(corner=name == "PioneerCorner")
+    assert sum(play(env, expert, seed)[0] for seed in range(10)) >= 8
+
+
+def test_the_robot_stands_still_by_itself(env: PioneerMuJoCo) -> None:
+    env.reset(options={"robot": (0, 0, 0), "balls": [(1.5, 1.5)]})
+    for _ in range(2 * CONTROL_RATE):
+        x, y, _ = env.simulator.drive(0, 0)
+    assert math.hypot(x, y) < 0.003
+    assert env.simulator.data.qpos[2] == pytest.approx(MIDDLE_HEIGHT, abs=0.002)
+    assert env.simulator.ball(0) == pytest.approx((1.5, 1.5), abs=0.001)
+
+
+@pytest.mark.parametrize("kwargs", [{}, {"n_obstacles": 4, "n_balls": 2}])
+def test_random_actions_stay_finite(kwargs: dict[str, Any]) -> None:
+    """Upright, in the arena; MuJoCo would reset a scene that is not finite, and its time with it."""
+    env = PioneerMuJoCo(max_steps=200, **kwargs)
+    rng = np.random.default_rng(0)
+    env.reset(seed=0)
+    before = 0.0
+    for _ in range(600):
+        observation, _, terminated, truncated, _ = env.step(int(rng.integers(7)))
+        data = env.simulator.data
+        assert env.observation_space.contains(observation)
+        assert data.time > before
+        assert not any(warning.number for warning in data.warning)
+        assert abs(data.qpos[2] - MIDDLE_HEIGHT) < 0.02
+        assert max(map(abs, env.robot_pose[:2])) < 2
+        assert all(max(map(abs, ball)) < 2 for ball in env.ball_positions.values())
+        before = data.time
+        if terminated or truncated:
+            env.reset()
+            before = 0.0
+
+
+def test_the_gripper_lets_go_and_the_ball_is_taken_away(env: PioneerMuJoCo) -> None:
+    env.reset(options={"robot": (1.2, 0, 0), "balls": [(1.75, 0)]})
+    assert env.step(MIDDLE)[4]["gripping"]
+    (x, y), (robot_x, robot_y, _) = env.ball_positions[0], env.robot_pose
+    assert (x - robot_x, y - robot_y) == pytest.approx((GRIP_AHEAD, 0), abs=0.01)
+    assert env.step(LEFT_10)[4]["deposited"]
+    assert env.ball_positions == {}
+    assert env.simulator.ball(0) == (100, 100)
+    assert not env.simulator.data.eq_active.any()
+
+
+def moment(steps: int, **kwargs: Any) -> tuple[gymnasium.Env[Any, Any], NDArray[np.float32]]:
+    """An environment with two balls in mid-episode, prepared for checkpoints."""
+    env = layers.prepare(gymnasium.make("sb3_options/PioneerMuJoCo-v0", n_balls=2, n_obstacles=2, **kwargs))
+    observation, _ = env.reset(seed=5)
+    expert = Expert()
+    for _ in range(steps):
+        observation = env.step(expert.act(observation))[0]
+    return env, observation
+
+
+def onward(env: gymnasium.Env[Any, Any], observation: NDArray[np.float32]) -> list[Any]:
+    """What comes next, on into another episode; and how it looks."""
+    expert = Expert(seed=1)
+    seen: list[Any] = []
+    core = env.unwrapped
+    assert isinstance(core, PioneerTask)
+    for _ in range(60):
+        observation, reward, terminated, truncated, info = env.step(expert.act(observation))
+        seen.append((observation.tobytes(), reward, terminated, info, core.robot_pose, core.ball_positions))
+        if terminated or truncated:
+            observation = env.reset()[0]
+            seen.append(observation.tobytes())
+    return [*seen, np.asarray(env.render()).tobytes()]
+
+
+@pytest.mark.parametrize("steps", [0, 3, 8, 14, 20])
+def test_goes_on_from_a_state_bit_for_bit(steps: int) -> None:
+    env, observation = moment(steps, render_mode="rgb_array")
+    states, picture = layers.states_of(env), np.asarray(env.render())
+    there = onward(env, observation)
+    copy, _ = moment(9, render_mode="rgb_array")
+    assert layers.set_states(copy, states) is None
+    np.testing.assert_array_equal(np.asarray(copy.render()), picture)
+    assert onward(copy, observation) == there
+
+
+def test_some_of_these_moments_have_a_ball_in_the_gripper_or_one_deposited() -> None:
+    gripping, left = set(), set()
+    for steps in (0, 3, 8, 14, 20):
+        core = moment(steps)[0].unwrapped
+        assert isinstance(core, PioneerMuJoCo)
+        gripping.add(core._robot.held is not None)
+        left.add(len(core.ball_positions))
+    assert gripping == {True, False}
+    assert left == {1, 2}
+
+
+def test_checkpoints_hold_its_state_instead_of_its_actions() -> None:
+    assert not any(isinstance(layer, RecordActions) for layer in layers._layers(moment(0)[0]))
+
+
+def test_a_state_before_the_first_reset() -> None:
+    env, other = PioneerMuJoCo(), PioneerMuJoCo()
+    other.reset(seed=0)
+    other.set_state(env.get_state())
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        other.step(0)
+
+
+def test_a_state_of_another_scene_is_refused(env: PioneerMuJoCo) -> None:
+    two = PioneerMuJoCo(n_balls=2)
+    two.reset(seed=0)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"must have the shape \(\d+,\) for this scene, got .*: make the environment"):
+        env.simulator.set_state(two.simulator.get_state())
+    env.close()
+    with pytest.raises(gymnasium.error.ClosedEnvironmentError, match=r"set_state\(\) was called after close"):
+        env.set_state(two.get_state())
+
+
+@needs_pybullet
+def test_it_is_drawn_as_the_other() -> None:
+    pictures = []
+    for env in both(render_mode="rgb_array"):
+        env.reset(options={"robot": (-0.5, 1.0, 1.5), "balls": [(1.2, -0.8)]})
+        pictures.append(np.asarray(env.render()).astype(int))
+        env.close()
+    assert np.abs(pictures[0] - pictures[1]).mean() < 0.1
+    with pytest.raises(ValueError, match="render_mode must be one of 'rgb_array', 'rgb_array_list', got 'human'"):
+        PioneerMuJoCo(render_mode="human")
