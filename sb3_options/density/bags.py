@@ -12,7 +12,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from sb3_options.density.arrays import FloatArray, IntArray
+from sb3_options.density.arrays import FloatArray, IntArray, row_keys
 from sb3_options.density.checks import check_finite, real_array
 from sb3_options.density.layout import SEGMENT_INSTANCES, BagArrays, Segment, segment_of
 
@@ -138,9 +138,8 @@ def distinct(points: FloatArray) -> FloatArray:
 
 
 def first_rows(points: FloatArray) -> IntArray:
-    """Numbers of the rows (n, d) that no row before is equal to. Adding 0 makes -0 a 0, whose bytes it must share."""
-    rows = np.ascontiguousarray(points + 0.0)
+    """Numbers of the rows (n, d) that no row before is equal to."""
     first: dict[bytes, int] = {}
-    for i, row in enumerate(rows.view(f"V{rows.itemsize * rows.shape[1]}").ravel().tolist() if rows.size else ()):
-        first.setdefault(row, i)
+    for i, key in enumerate(row_keys(points)):
+        first.setdefault(key, i)
     return np.fromiter(first.values(), dtype=np.int64, count=len(first))

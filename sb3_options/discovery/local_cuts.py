@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from sb3_options.density.arrays import row_keys
 from sb3_options.experience.observations import FloatArray, IntArray
 
 STEPS = 3
@@ -49,16 +50,19 @@ class LocalCuts:
             features: φ of its distinct states, (m, d).
             visits: Row of ``features`` at every time t = 0 … T, (T + 1,).
         """
-        numbers = np.array([self._number_of(state) for state in features + 0.0], dtype=np.int64)  # -0.0 is 0.0
+        numbers = np.array([self._number_of(key) for key in row_keys(features)], dtype=np.int64)
         self._n_trajectories[np.unique(numbers)] += 1
         way = numbers[visits]
         low, high = np.minimum(way[:-1], way[1:]), np.maximum(way[:-1], way[1:])
         steps = np.unique(low[(low >= 0) & (low < high)] * MAX_STATES + high[(low >= 0) & (low < high)])
+        changed = set[int]()
         for one, other in zip((steps // MAX_STATES).tolist(), (steps % MAX_STATES).tolist(), strict=True):
             if other not in self._neighbours[one]:
                 self._neighbours[one].add(other)
                 self._neighbours[other].add(one)
-                self._shares[list(self._around(one) | self._around(other))] = np.nan
+                changed |= {one, other}
+        if changed:
+            self._shares[list(self._around(changed))] = np.nan
 
     def numbers(self, features: FloatArray) -> IntArray:
         """The numbers of some states that were added, (n,), which do not change; −1 for those that have none.
@@ -66,7 +70,7 @@ class LocalCuts:
         Args:
             features: Of the states, (n, d).
         """
-        return np.array([self._number.get(state.tobytes(), -1) for state in features + 0.0], dtype=np.int64)
+        return np.array([self._number.get(key, -1) for key in row_keys(features)], dtype=np.int64)
 
     def shares(self, numbers: IntArray) -> FloatArray:
         """What share of its surroundings each of some states cuts off from their largest part, (n,), in [0, 0.5].
@@ -104,8 +108,7 @@ class LocalCuts:
         self._shares[:-1] = np.nan
         self._shares[state["known"]] = state["shares"]
 
-    def _number_of(self, state: FloatArray) -> int:
-        key = state.tobytes()
+    def _number_of(self, key: bytes) -> int:
         number = self._number.get(key)
         if number is None:
             if len(self._number) >= MAX_STATES:
@@ -116,7 +119,7 @@ class LocalCuts:
 
     def _computed(self, number: int) -> float:
         self.n_computed += 1
-        left = self._around(number) - {number}
+        left = self._around({number}) - {number}
         n, largest = len(left), 0
         while left:
             border, size = [left.pop()], 1
@@ -128,8 +131,8 @@ class LocalCuts:
             largest = max(largest, size)
         return min((n - largest) / n, 0.5) if n else 0.0
 
-    def _around(self, number: int) -> set[int]:
-        around = border = {number}
+    def _around(self, numbers: set[int]) -> set[int]:
+        around = border = numbers
         for _ in range(STEPS):
             border = set().union(*(self._neighbours[each] for each in border)) - around
             around = around | border

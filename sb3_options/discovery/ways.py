@@ -38,13 +38,12 @@ def loop_erased(features: FloatArray, visits: IntArray, radius: float) -> IntArr
         visits = visits[: max(len(visits) - 1, 1)]
     last_visit = np.zeros(len(features), dtype=np.int64)
     last_visit[visits] = np.arange(len(visits))
-    neighbours = cKDTree(features)
+    last, row_at, neighbours = last_visit.tolist(), visits.tolist(), cKDTree(features)
     way, time = [], 0
-    while time < len(visits):
-        row = int(visits[time])
+    while time < len(row_at):
+        row = row_at[time]
         way.append(row)
-        same = neighbours.query_ball_point(features[row], radius)
-        time = 1 + int(last_visit[same].max())
+        time = 1 + max(last[same] for same in neighbours.query_ball_point(features[row], radius))
     return np.array(way, dtype=np.int64)
 
 
