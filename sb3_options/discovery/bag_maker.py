@@ -234,7 +234,9 @@ class BagMaker:
         allowed = np.concatenate([k.allowed for k in known])
         if self.contrast is not None:
             least = self.settings.min_contrast
-            return allowed & np.concatenate([self.contrast.stands_out(k.labelled, least)[k.rows] for k in known])
+            outstanding = [self.contrast.stands_out(k.labelled, least)[k.rows] for k in known]
+            stand_out: BoolArray = allowed & np.concatenate(outstanding)
+            return stand_out
         if self.settings.min_passing == 0.0:
             return allowed
         passages: BoolArray = allowed & (self._passing.update([k.scaled for k in known]) >= self.settings.min_passing)

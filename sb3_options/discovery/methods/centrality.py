@@ -25,7 +25,7 @@ def betweenness(one: IntArray, other: IntArray, n: int) -> FloatArray:
     first = np.cumsum(degrees) - degrees
     # A node as seen from a source is a row, n · node + source.
     paths, known, steps = np.zeros(n * n), np.zeros(n * n, dtype=bool), list[tuple[IntArray, IntArray]]()
-    at = np.arange(n) * (n + 1)
+    at: IntArray = np.arange(n) * (n + 1)
     paths[at], known[at] = 1.0, True
     while len(at):
         node, source = np.divmod(at, n)

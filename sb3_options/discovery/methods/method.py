@@ -59,7 +59,7 @@ class Experience:
 
 
 def distinct_rows(rows: FloatArray) -> tuple[IntArray, IntArray]:
-    """Numbers of the first of each of the distinct rows (m, d), in order of their values, (k,); and which of them each is.
+    """Numbers of the first of each of the distinct rows (m, d), in order of their values, (k,), and which each row is.
 
     As ``np.unique(axis=0)`` has it, which takes ten times as long: it makes a field of a structure of each column.
     """

@@ -72,7 +72,6 @@ class TestExperience:
         assert len(experience([0, 1, 2, 3], scale=0.4).places.points) == 2
         assert len(experience([0, 1, 2, 3], scale=2.0).places.points) == 4
 
-
     @given(arrays(np.float64, st.tuples(st.integers(1, 9), st.integers(1, 3)), elements=st.sampled_from(NUMBERS)))
     def test_distinct_rows_are_those_of_numpy(self, rows: FloatArray) -> None:
         _, first, which = np.unique(rows, axis=0, return_index=True, return_inverse=True)
