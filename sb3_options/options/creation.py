@@ -44,8 +44,8 @@ def learn_option(
 
     Args:
         proposal: A region to reach, a passage to one, a reward to gain, or an action to repeat. If a region has a
-            group of features, so has the initiation set, and the policy acts on these features alone, whatever
-            ``policy_input`` says.
+            group of features, the initiation set has the features that the group sees, and the policy acts on these
+            alone, whatever ``policy_input`` says.
         trajectories: The saved ones.
         n_primitive: Number of primitive actions.
         settings: How.
