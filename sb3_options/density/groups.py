@@ -68,9 +68,7 @@ class FeatureGroup:
         if seen is not None and (not isinstance(seen, FeatureGroup) or seen.seen is not None):
             raise ValueError(f"group {self.name!r}: seen must be a group that has no other one to see, got {seen!r}")
         if seen is not None and seen.features[: len(features)] != features:
-            raise ValueError(
-                f"group {self.name!r}: seen must begin with its features {features}, got {seen.features}"
-            )
+            raise ValueError(f"group {self.name!r}: seen must begin with its features {features}, got {seen.features}")
         return seen
 
     @property

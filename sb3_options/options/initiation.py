@@ -46,7 +46,7 @@ def initiation_set(
         return Region(outside, subgoal.scale, settings.initiation_radius)
     group = subgoal.group.sees
     outside = np.unique(group.own(outside[group.is_place(outside)]), axis=0)
-    scale = np.asarray(group.scale) * (subgoal.scale / subgoal.group.scale).max()
+    scale = np.asarray(group.scale) * (subgoal.scale / np.asarray(subgoal.group.scale)).max()
     return Region(outside, scale, settings.initiation_radius, group=group)
 
 
