@@ -30,6 +30,9 @@ MOST_LOSSES = 8
 FIRST_WAIT = 0.25
 """Seconds before a second start: the cluster may not have noticed yet which machine is gone. Doubles each time."""
 
+CHECK_EVERY = 5.0
+"""Seconds that a call may take before Ray is asked whether the machine is still there: what hangs reports nothing."""
+
 ASKING = frozenset(
     {
         "__str__", "action_masks", "available", "concept_features", "feature_groups", "feature_kind", "get_state",
@@ -52,7 +55,8 @@ class RayVecEnv(VecEnv):
     per slot where the first argument is a number. The episodes that were in flight end as truncated: reward 0,
     ``info["TimeLimit.truncated"]``, the last observation that is known as ``terminal_observation``, and
     ``info["lost"]``. There is one warning a loss; `lost_actors` counts them, and callbacks of this library log it as
-    ``time/lost_actors``. The new environments draw from seeds of their own.
+    ``time/lost_actors``. The new environments draw from seeds of their own. What is lost before the first reset has
+    lost nothing: it starts anew and is not counted.
 
     Every machine needs the same Python, the same packages, and the files that the environments read.
 
@@ -97,6 +101,7 @@ class RayVecEnv(VecEnv):
         self._places: list[str | None] = [None] * n_actors
         self._actors = [self._start(a) for a in range(n_actors)]
         (observation_space, action_space), *_ = self._gather([(a, "make", ()) for a in range(n_actors)])
+        self._places = self._gather([(a, "__ray_call__", (_place_of,)) for a in range(n_actors)])
         super().__init__(n_envs, observation_space, action_space)
 
     def _start(self, actor: int) -> Any:
@@ -123,11 +128,11 @@ class RayVecEnv(VecEnv):
         sent = [a for a, step in enumerate(steps) if step is not None]
         results: dict[int, Steps] = {}
         try:
-            results = dict(zip(sent, self._get([steps[a] for a in sent]), strict=True))
+            results = dict(zip(sent, self._get([steps[a] for a in sent], sent), strict=True))
         except self._lost_errors():
             for a in sent:
                 try:
-                    results[a] = self._get(steps[a])
+                    results[a] = self._get(steps[a], [a])
                 except self._lost_errors() as error:
                     self._start_anew(a, error)
         for a in results:
@@ -150,6 +155,7 @@ class RayVecEnv(VecEnv):
             ]
         )
         self._anew.clear()
+        self._losses_in_a_row = [0] * len(self._actors)
         self._seen = self._joined([observations for observations, _ in results])
         self.reset_infos = [_writable(info) for _, infos in results for info in infos]
         self._reset_seeds()
@@ -227,27 +233,33 @@ class RayVecEnv(VecEnv):
         """Results of methods of actors; one that is lost starts anew and is called again."""
         sent = [getattr(self._actors[a], method).remote(*args) for a, method, args in calls]
         with suppress(*self._lost_errors()):
-            return list(self._get(sent))
+            return list(self._get(sent, [a for a, _, _ in calls]))
         results = []
         for (a, method, args), first in zip(calls, sent, strict=True):
             reference = first
             while True:
                 try:
-                    results.append(self._get(reference))
+                    results.append(self._get(reference, [a]))
                     break
                 except self._lost_errors() as error:
                     self._start_anew(a, error)
                     reference = getattr(self._actors[a], method).remote(*args)
         return results
 
-    def _get(self, references: Any) -> Any:
-        """``ray.get``, where an error in an environment is that error."""
-        try:
-            return self._ray.get(references)
-        except self._ray.exceptions.RayTaskError as error:
-            if isinstance(error.cause, Exception) and not isinstance(error.cause, self._ray.exceptions.RayError):
-                raise error.cause from error
-            raise
+    def _get(self, references: Any, actors: Sequence[int]) -> Any:
+        """``ray.get``, where an error in an environment is that error, and an actor on a lost machine is lost."""
+        of = self._ray.exceptions
+        while True:
+            try:
+                return self._ray.get(references, timeout=CHECK_EVERY)
+            except of.GetTimeoutError:
+                there = {node["NodeID"] for node in self._ray.nodes() if node["Alive"]}
+                if gone := {place for a in actors if (place := self._places[a]) is not None} - there:
+                    raise of.NodeDiedError(f"Ray has given up {', '.join(sorted(gone))}") from None
+            except of.RayTaskError as error:
+                if isinstance(error.cause, Exception) and not isinstance(error.cause, of.RayError):
+                    raise error.cause from error
+                raise
 
     def _lost_errors(self) -> tuple[type[Exception], ...]:
         of = self._ray.exceptions
@@ -258,12 +270,14 @@ class RayVecEnv(VecEnv):
         group = self._groups[actor]
         named = f"{group[0]} to {group[-1]}" if len(group) > 1 else f"{group[0]}"
         which = f"Environment{'s' if len(group) > 1 else ''} {named} of {len(self._env_fns)}"
-        self.lost_actors += 1
-        logger.warning(
-            "%s: the machine or the process is gone (%s). They start anew elsewhere; their episodes end as truncated.",
-            which,
-            type(why).__name__,
-        )
+        if self._seen is not None:
+            self.lost_actors += 1
+            logger.warning(
+                "%s: the machine or the process is gone (%s). They start anew elsewhere; their episodes end as "
+                "truncated.",
+                which,
+                type(why).__name__,
+            )
         while True:
             self._losses_in_a_row[actor] += 1
             losses = self._losses_in_a_row[actor]
@@ -288,11 +302,12 @@ class RayVecEnv(VecEnv):
     def _begin(self, actor: int) -> None:
         group, anew = self._groups[actor], self._actors[actor]
         seeds = [self._later_seed(i) for i in group]
-        self._get(anew.begin.remote([self._settings[i] for i in group], seeds))
+        self._get(anew.begin.remote([self._settings[i] for i in group], seeds), [actor])
+        self._places[actor] = self._get(anew.__ray_call__.remote(_place_of), [actor])
         if self._seen is not None:
-            observations, reset_infos = self._get(anew.reset.remote(seeds, [{}] * len(group)))
+            observations, reset_infos = self._get(anew.reset.remote(seeds, [{}] * len(group)), [actor])
             last = [self._seen_by(i) for i in group]
-            self._anew[actor] = observations, reset_infos, self._get(anew.lost_infos.remote(last))
+            self._anew[actor] = observations, reset_infos, self._get(anew.lost_infos.remote(last), [actor])
 
     def _later_seed(self, env: int) -> int | None:
         """A seed that no environment has had; None where none was seeded."""
@@ -326,6 +341,13 @@ class RayVecEnv(VecEnv):
         if isinstance(self.observation_space, spaces.Tuple):
             return tuple(np.concatenate(each) for each in zip(*parts, strict=True))
         return np.concatenate(list(parts))
+
+
+def _place_of(_: Any) -> str:
+    """The id of the node of an actor."""
+    import ray
+
+    return str(ray.get_runtime_context().get_node_id())
 
 
 def _writable(info: dict[str, Any]) -> dict[str, Any]:

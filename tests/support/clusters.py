@@ -56,6 +56,23 @@ class TwoNodes:
                 os.kill(int(pid), signal.SIGKILL)
         self.second = None
 
+    @contextmanager
+    def hanging_second(self) -> Iterator[None]:
+        """The second node stops and reports nothing; Ray gives it up after a while. It is killed in the end."""
+        raylet: int = self.second.all_processes["raylet"][0].process.pid
+        children = Path(f"/proc/{raylet}/task/{raylet}/children")
+        pids = [raylet, *map(int, children.read_text().split())]
+        for pid in pids:
+            os.kill(pid, signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            for pid in pids:
+                with suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+            self.cluster.remove_node(self.second, allow_graceful=False)
+            self.second = None
+
     def end(self) -> None:
         """End both."""
         self.ray.shutdown()
