@@ -62,7 +62,7 @@ def test_the_way_to_a_thing(forward: int, lateral: int, free: int, action: int) 
 
 
 def test_hand_made_options_solve_a_small_task_by_themselves() -> None:
-    venv = agents.venv_of("MiniGrid-MultiRoom-N2-S4-v0", 0, slots=4, hand_made=True)
+    venv = agents.venv_of("MiniGrid-MultiRoom-N2-S4-v0", 0, slots=4, by_hand=options_on)
     assert isinstance(venv.envs[0], OptionsWrapper)  # type: ignore[attr-defined]  # a DummyVecEnv
     assert agents.success_rate(agents.uniform(0), venv, 0) > 0.5  # primitives alone: 0.02
 
@@ -100,7 +100,7 @@ def test_shares_of_runs_that_reach_are_of_all_seeds_together() -> None:
 def test_hand_made_options_fetch_keys_and_unlock_doors(task: str, share: float) -> None:
     """KeyCorridor: the ball behind the door can be fetched by whoever has put down the key. Primitives alone: 0.00."""
     slots = settings.max_options(task.split("S3")[0])
-    with_options = agents.venv_of(f"MiniGrid-{task}-v0", 0, slots=slots, hand_made=True)
+    with_options = agents.venv_of(f"MiniGrid-{task}-v0", 0, slots=slots, by_hand=options_on)
     assert agents.success_rate(agents.uniform(0), with_options, 0) > share
 
 
