@@ -98,19 +98,20 @@ def to_subgoals_on(features: FeatureMap, within: int | None = None) -> list[Opti
         within: They begin so many cells away at most, ahead and sideways together; None: wherever they are in view.
     """
 
-    def made(kind: str, forward: int, there: int) -> Option:
+    def made(kind: str, forward: int, action: int) -> Option:
         where = [COLUMN[f"{kind}_forward"], COLUMN[f"{kind}_lateral"]]
 
         def reached(x: FloatArray) -> BoolArray:
-            return (x[:, COLUMN[f"{kind}_visible"]] > 0) & (x[:, where] == [forward, 0]).all(axis=1)
+            there: BoolArray = (x[:, COLUMN[f"{kind}_visible"]] > 0) & (x[:, where] == [forward, 0]).all(axis=1)
+            return there
 
         def begins(x: FloatArray) -> BoolArray:
-            near = np.abs(x[:, where]).sum(axis=1) <= (np.inf if within is None else within)
+            near: BoolArray = np.abs(x[:, where]).sum(axis=1) <= (np.inf if within is None else within)
             return (x[:, COLUMN[f"{kind}_visible"]] > 0) & ~reached(x) & near
 
         return Option(
             lambda seen: begins(features(seen)),
-            lambda seen: approach(features(seen), kind, there),
+            lambda seen: approach(features(seen), kind, action),
             lambda seen: reached(features(seen)),
             max_duration=20,
             name=f"{kind} at {forward}, 0",
