@@ -93,7 +93,7 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
                 model.set_env(venv)
             longest = n_envs * venv.get_attr("unwrapped", [0])[0].max_steps
             notes = Notes(protocol.until, longest) if is_last else Notes(protocol.learned)
-            callbacks = _callbacks(arm, seed, discovers=number == 0 or not is_last)
+            callbacks = _callbacks(arm, seed, number, discovers=number == 0 or not is_last)
             began = time.perf_counter()
             model.learn(stage.frames, callback=[*callbacks, notes])
             seconds = time.perf_counter() - began
@@ -131,7 +131,7 @@ def _blinkered() -> list[dict[str, Any]]:
     return [{name: of for name, of in group.items() if name != "seen"} for group in concept_groups()]
 
 
-def _callbacks(arm: Arm, seed: int, *, discovers: bool) -> list[BaseCallback]:
+def _callbacks(arm: Arm, seed: int, stage: int, *, discovers: bool) -> list[BaseCallback]:
     callbacks: list[BaseCallback] = []
     if arm in settings.DISCOVERING:
         discovery = SubgoalDiscoveryCallback(
@@ -147,7 +147,7 @@ def _callbacks(arm: Arm, seed: int, *, discovers: bool) -> list[BaseCallback]:
         callbacks.append(discovery)
     if arm == "hand-made" or arm in settings.HAND_MADE:
         callbacks.append(PrimitiveStepsCallback(primitive_rollouts=True))
-    if arm in settings.WITH_BONUS:
+    if arm in settings.WITH_BONUS and not (stage and arm in settings.BONUS_AT_FIRST):
         callbacks.append(IntrinsicRewardCallback("rnd", weight=settings.RND_WEIGHT, seed=seed))
     return callbacks
 
