@@ -6,6 +6,7 @@ What is proposed depends on who is done first, so that with several at a time an
 from __future__ import annotations
 
 import math
+import shlex
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -33,7 +34,7 @@ from sb3_options.runs.scored import ClusterProcesses, Processes, score
 from sb3_options.runs.search import Search, best_of, opened, short, work
 from sb3_options.runs.search_space import SearchSpace, Value, read_space
 from sb3_options.runs.tune_config import TuneConfig
-from sb3_options.runs.users_code import IMPORTING
+from sb3_options.runs.users_code import IMPORTING, flag
 
 BEST, RUNS = "best.yml", "runs"
 
@@ -89,10 +90,9 @@ def tune(config: TuneConfig, *, console: Console) -> TrainConfig:
     with pyplot.rc_context():  # Optuna changes the style of all later pictures
         _draw(study, config, goal)
     console.print(_table(study, config, goal))
-    fresh = config.first_seed + config.seeds
-    console.print(
-        f"Judge it on another seed: sb3-options train --config {escape(str(config.out / BEST))} --seed {fresh}"
-    )
+    trusted = [word for name in IMPORTING if (text := getattr(config, name)) is not None for word in (flag(name), text)]
+    words = ["--config", str(config.out / BEST), "--seed", str(config.first_seed + config.seeds), *trusted]
+    console.print(escape(f"Judge it on another seed: sb3-options train {shlex.join(words)}"))
     return best
 
 
