@@ -1,62 +1,65 @@
 """``python -m experiments.deep.tune --algo ppo --arm stock|options --out FOLDER``.
 
 Chooses the hyper-parameters of one side of the study: the same search space, the same number of trials and the same
-seeds for stock Stable-Baselines3 and for the library with options. Optuna's TPE proposes, and its Wilcoxon pruner stops
-a trial whose runs so far are worse, run by run, than those of the best one. Interrupted, it goes on where it was. What
-is proposed depends on which of several processes is done first, so that another search may choose otherwise.
+seeds for stock Stable-Baselines3 and for the library with options. The search is that of ``sb3-options tune``; a trial
+is the study's own tasks, some of which bring along options of their seed. Trials follow one another, and the tasks of a
+seed run at the same time. Interrupted, it goes on where it was.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
-import os
-import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
-import optuna
 import tyro
-from optuna.storages import JournalStorage
-from optuna.storages.journal import JournalFileBackend
+from optuna.trial import TrialState
+from rich.console import Console
 from rich.json import JSON
 
-from experiments.common.machines import Machines, finished
+from experiments.common.machines import Machines
 from experiments.common.seeds import Part, Result, run_parts, write_json
 from experiments.common.study import show
 from experiments.deep.agents import reached_at
 from experiments.deep.conditions import train, train_source
 from experiments.deep.settings import DeepSettings
 from experiments.deep.tasks import TASKS, Task
+from sb3_options.runs.search import Search, best_of, opened, work
+from sb3_options.runs.search_space import Choices, Range
 
 STEPS_AFTER = 1000
 """Training ends here, primitive steps after the first success: only steps to 90 % count."""
 
+Space: TypeAlias = dict[str, Range | Choices]
+
 NET_ARCHS: dict[str, list[int]] = {"none": [], "64, 64": [64, 64], "256": [256]}
+SPACES: dict[str, Space] = {
+    "ppo": {
+        "learning_rate": Range(5e-4, 5e-3, log=True),
+        "n_steps": Choices((16, 32, 64)),
+        "batch_size": Choices((64, 128)),
+        "n_epochs": Choices((4, 8, 16)),
+        "gae_lambda": Choices((0.8, 0.9, 0.95, 0.98)),
+        "ent_coef": Range(3e-4, 3e-2, log=True),
+        "normalize_advantage": Choices((False, True)),
+        "net_arch": Choices(tuple(NET_ARCHS)),
+    },
+    "dqn": {
+        "learning_rate": Range(2e-4, 4e-3, log=True),
+        "batch_size": Choices((32, 64, 128)),
+        "target_update_interval": Choices((50, 100, 200, 500)),
+        "exploration_fraction": Choices((0.1, 0.2, 0.4)),
+        "exploration_final_eps": Choices((0.02, 0.05, 0.1)),
+        "net_arch": Choices(tuple(NET_ARCHS)),
+    },
+}
+"""Of an algorithm; both sides share them."""
 
-
-def space(trial: optuna.Trial, algo: str) -> dict[str, Any]:
-    """Hyper-parameters of the algorithm, one of the search space that both sides share."""
-    kwargs: dict[str, Any] = {}
-    if algo == "ppo":
-        kwargs["learning_rate"] = trial.suggest_float("learning_rate", 5e-4, 5e-3, log=True)
-        kwargs["n_steps"] = trial.suggest_categorical("n_steps", [16, 32, 64])
-        kwargs["batch_size"] = trial.suggest_categorical("batch_size", [64, 128])
-        kwargs["n_epochs"] = trial.suggest_categorical("n_epochs", [4, 8, 16])
-        kwargs["gae_lambda"] = trial.suggest_categorical("gae_lambda", [0.8, 0.9, 0.95, 0.98])
-        kwargs["ent_coef"] = trial.suggest_float("ent_coef", 3e-4, 3e-2, log=True)
-        kwargs["normalize_advantage"] = trial.suggest_categorical("normalize_advantage", [False, True])
-    else:
-        kwargs["learning_rate"] = trial.suggest_float("learning_rate", 2e-4, 4e-3, log=True)
-        kwargs["batch_size"] = trial.suggest_categorical("batch_size", [32, 64, 128])
-        kwargs["target_update_interval"] = trial.suggest_categorical("target_update_interval", [50, 100, 200, 500])
-        kwargs["exploration_fraction"] = trial.suggest_categorical("exploration_fraction", [0.1, 0.2, 0.4])
-        kwargs["exploration_final_eps"] = trial.suggest_categorical("exploration_final_eps", [0.02, 0.05, 0.1])
-    net_arch = NET_ARCHS[trial.suggest_categorical("net_arch", list(NET_ARCHS))]
-    return {**kwargs, "policy_kwargs": {"net_arch": net_arch}}
+OF_OPTIONS: Space = {"max_option_exploration": Choices((0.25, 0.5, 0.75))}
 
 
 @dataclass(frozen=True)
@@ -85,89 +88,81 @@ class Tuning(Machines):
 
 def main(tuning: Tuning) -> None:
     """Try, and write and print what was best."""
-    tuning.folder.mkdir(parents=True, exist_ok=True)
     if tuning.arm == "options":
         _make_sources(tuning)
-    study = _study(tuning)
-    done = sum(trial.state.is_finished() for trial in study.trials)
-    missing = max(0, tuning.trials - done)
-    # On a cluster a lost share is run again, whatever it had done.
-    n_shares = (tuning.jobs or os.cpu_count() or 1) if tuning.cluster is None else max(1, missing)
-    shares = [missing // n_shares + (i < missing % n_shares) for i in range(n_shares)]
-    for _ in finished([partial(_optimise, tuning, n) for n in shares if n], tuning):
-        pass  # each leaves its trials in the journal
-    best = study.best_trial
+    search = Search(
+        tuning.folder,
+        {**SPACES[tuning.algo], **(OF_OPTIONS if tuning.arm == "options" else {})},
+        partial(_scores, tuning),
+        tuning.trials,
+        asked={"seeds": tuning.seeds},
+        shown=lambda score: f"{math.exp(score):,.0f} primitive steps",
+    )
+    study = opened(search)
+    work(study, search, Console(highlight=False, soft_wrap=True))
+    place, best = best_of(study, search)
+    taken = [_steps_to_90(tuning, place, best, seed) for seed in range(tuning.seeds)]  # they are there
+    states = [trial.state for trial in study.trials]
     content = {
         "command": f"python -m experiments.deep.tune --algo {tuning.algo} --arm {tuning.arm} --trials {tuning.trials} "
         f"--seeds {tuning.seeds}",
-        "finished": sum(trial.state == optuna.trial.TrialState.COMPLETE for trial in study.trials),
-        "pruned": sum(trial.state == optuna.trial.TrialState.PRUNED for trial in study.trials),
-        "steps_to_90": {f"{task}, {env}": best.user_attrs[f"{task}, {env}"] for task, env in TASKS},
-        "best": best.params,
+        "finished": states.count(TrialState.COMPLETE),
+        "pruned": states.count(TrialState.PRUNED),
+        "steps_to_90": {task: [of[task] for of in taken] for task in taken[0]},
+        "best": best,
     }
     write_json(tuning.folder / "tuned.json", content)
     show(JSON.from_data(content))
 
 
-def _study(tuning: Tuning) -> optuna.Study:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-        pruner = optuna.pruners.WilcoxonPruner(p_threshold=0.1, n_startup_steps=4)
-    return optuna.create_study(
-        storage=JournalStorage(JournalFileBackend(str(tuning.folder / "trials.log"))),
-        study_name=f"{tuning.algo}-{tuning.arm}",
-        sampler=optuna.samplers.TPESampler(seed=0, n_startup_trials=8, multivariate=True, constant_liar=True),
-        pruner=pruner,
-        direction="minimize",
-        load_if_exists=True,
-    )
+def _scores(tuning: Tuning, place: str, proposed: dict[str, Any]) -> Iterator[float]:
+    """Log of the steps to 90 %, in every task, seed after seed."""
+    for seed in range(tuning.seeds):
+        for steps in _steps_to_90(tuning, place, proposed, seed).values():
+            yield math.log(max(steps, DeepSettings().evaluate_every))
 
 
-def _optimise(tuning: Tuning, n_trials: int) -> None:
-    study = _study(tuning)
-    study.sampler.reseed_rng()  # or both processes would propose the same
-    study.optimize(partial(_objective, tuning), n_trials=n_trials)
+def _steps_to_90(tuning: Tuning, place: str, proposed: dict[str, Any], seed: int) -> dict[str, int]:
+    """By task; a run that never gets there counts with its whole length."""
+    settings = _with(proposed, tuning)
+    parts = []
+    for (kind, env), task in TASKS.items():
+        if kind != "deadline":  # that is a test of what was chosen
+            options = _options(tuning, env) if kind == "transfer" and tuning.arm == "options" else None
+            function = partial(_trained, task, tuning, settings, options)
+            parts.append(Part(f"{kind}, {env}", function, tuning.folder / "runs" / place / f"{kind}-{env}"))
+    found = run_parts(parts, [seed], settings=settings.of(tuning.algo, tuning.arm), on=tuning, description=place)
+    return {name: of["steps_to_90"] for name, (of,) in found.items()}
 
 
-def _objective(tuning: Tuning, trial: optuna.Trial) -> float:
-    """Mean log of the steps to 90 %, over the tasks and seeds."""
-    settings = _proposed(trial, tuning)
-    taken: dict[tuple[str, str], list[int]] = {}
-    logs: list[float] = []
-    tuned = [key for key in TASKS if key[0] != "deadline"]  # that is a test of what was chosen
-    for seed, (kind, env) in itertools.product(range(tuning.seeds), tuned):
-        task = TASKS[kind, env]
-        options = None
-        if kind == "transfer" and tuning.arm == "options":
-            options = tuning.folder / "sources" / env / f"{seed}.safetensors"
-        trained = train(task, tuning.algo, tuning.arm, settings, seed, options=options, steps_after=STEPS_AFTER)
-        result = trained.result
-        steps = reached_at(result["steps"], result["success"]) or task.n_timesteps
-        taken.setdefault((kind, env), []).append(steps)
-        logs.append(math.log(max(steps, settings.evaluate_every)))
-        trial.report(logs[-1], len(logs))
-        trial.set_user_attr(f"{kind}, {env}", taken[kind, env])
-        if trial.should_prune():
-            raise optuna.TrialPruned
-    return sum(logs) / len(logs)
+def _trained(task: Task, tuning: Tuning, settings: DeepSettings, options: Path | None, seed: int) -> Result:
+    brought = None if options is None else options / f"{seed}.safetensors"
+    trained = train(task, tuning.algo, tuning.arm, settings, seed, options=brought, steps_after=STEPS_AFTER)
+    return {"steps_to_90": reached_at(trained.result["steps"], trained.result["success"]) or task.n_timesteps}
 
 
-def _proposed(trial: optuna.Trial, tuning: Tuning) -> DeepSettings:
+def _with(proposed: dict[str, Any], tuning: Tuning) -> DeepSettings:
+    """The study's settings with those that are proposed."""
     settings = DeepSettings()
     sides = getattr(settings, tuning.algo)
-    changes: dict[str, Any] = {
-        tuning.algo: {**sides, tuning.arm: {**sides[tuning.arm], **space(trial, tuning.algo)}},
-    }
-    if tuning.arm == "options":
-        share = trial.suggest_categorical("max_option_exploration", [0.25, 0.5, 0.75])
-        changes["max_option_exploration"] = {**settings.max_option_exploration, tuning.algo: share}
+    own = {name: proposed[name] for name in SPACES[tuning.algo] if name != "net_arch"}
+    own["policy_kwargs"] = {"net_arch": NET_ARCHS[proposed["net_arch"]]}
+    changes: dict[str, Any] = {tuning.algo: {**sides, tuning.arm: {**sides[tuning.arm], **own}}}
+    for name in OF_OPTIONS:
+        if name in proposed:
+            changes[name] = {**getattr(settings, name), tuning.algo: proposed[name]}
     return dataclasses.replace(settings, **changes)
+
+
+def _options(tuning: Tuning, env: str) -> Path:
+    """Folder of those that are brought along, a file a seed; on a cluster all machines share it."""
+    return tuning.folder.absolute() / "sources" / env
 
 
 def _make_sources(tuning: Tuning) -> None:
     """Options to bring along, from the old task, with the settings as they are before tuning."""
     parts = [
-        Part(env, partial(_source, task, tuning, env), tuning.folder / "sources" / env)
+        Part(env, partial(_source, task, tuning, env), _options(tuning, env))
         for (kind, env), task in TASKS.items()
         if kind == "transfer"
     ]
@@ -178,7 +173,8 @@ def _make_sources(tuning: Tuning) -> None:
 def _source(task: Task, tuning: Tuning, env: str, seed: int) -> Result:
     discovery = train_source(task, tuning.algo, "options", DeepSettings(), seed).discovery
     assert discovery is not None  # of this arm
-    discovery.bank.save(tuning.folder / "sources" / env / f"{seed}.safetensors")
+    _options(tuning, env).mkdir(parents=True, exist_ok=True)
+    discovery.bank.save(_options(tuning, env) / f"{seed}.safetensors")
     return {"subgoals": [[float(x) for x in d.subgoal] for d in discovery.discoveries]}
 
 

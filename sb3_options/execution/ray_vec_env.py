@@ -30,6 +30,9 @@ MOST_LOSSES = 8
 FIRST_WAIT = 0.25
 """Seconds before a second start: the cluster may not have noticed yet which machine is gone. Doubles each time."""
 
+LEAST_WAIT = 1.0
+"""Seconds in which an answer that is there can be fetched, though another one has used up the time."""
+
 ASKING = frozenset(
     {
         "__str__", "action_masks", "available", "concept_features", "feature_groups", "feature_kind", "get_state",
@@ -52,7 +55,12 @@ class RayVecEnv(VecEnv):
     per slot where the first argument is a number. The episodes that were in flight end as truncated: reward 0,
     ``info["TimeLimit.truncated"]``, the last observation that is known as ``terminal_observation``, and
     ``info["lost"]``. There is one warning a loss; `lost_actors` counts them, and callbacks of this library log it as
-    ``time/lost_actors``. The new environments draw from seeds of their own.
+    ``time/lost_actors``. The new environments draw from seeds of their own. What is lost before the first reset has
+    lost nothing: it starts anew and is not counted.
+
+    Ray notices at once that a process has ended, after 15 s that a raylet has, and after a minute that a machine hangs.
+    Variables on the head set other limits: ``RAY_health_check_period_ms``, ``RAY_health_check_timeout_ms``,
+    ``RAY_health_check_failure_threshold``. It never notices that a single process hangs; ``step_timeout`` does.
 
     Every machine needs the same Python, the same packages, and the files that the environments read.
 
@@ -62,24 +70,35 @@ class RayVecEnv(VecEnv):
         address: As `connect` takes it.
         num_cpus: Cores that an actor reserves. By default it reserves none, so that the environments of a lost machine
             always find a place. Actors are spread over the machines by their cores all the same.
+        step_timeout: Seconds that an actor may take for a step, a reset or another call, of all its environments.
+            Whoever takes longer hangs, and is lost. None waits for ever. To start an actor may take any time.
 
     Attributes:
         lost_actors: How often an actor was lost.
 
     Raises:
-        ValueError: There are no environments, or ``n_actors`` < 1.
+        ValueError: There are no environments, or ``n_actors`` < 1, or ``step_timeout`` <= 0.
         ModuleNotFoundError: Ray is not installed.
         ConnectionError: There is no cluster at ``address``.
         WorkerLostError: The same environments were lost time and again.
     """
 
     def __init__(
-        self, env_fns: EnvFns, n_actors: int | None = None, *, address: str | None = None, num_cpus: float | None = None
+        self,
+        env_fns: EnvFns,
+        n_actors: int | None = None,
+        *,
+        address: str | None = None,
+        num_cpus: float | None = None,
+        step_timeout: float | None = 600.0,
     ) -> None:
         if not env_fns:
             raise ValueError("env_fns is empty: RayVecEnv needs at least one environment.")
         if n_actors is not None and n_actors < 1:
             raise ValueError(f"n_actors must be at least 1, got {n_actors}.")
+        if step_timeout is not None and not step_timeout > 0:
+            raise ValueError(f"step_timeout must be more than 0 s, or None for no limit, got {step_timeout}.")
+        self.step_timeout = step_timeout
         self._ray = connect(address)
         self._class = self._ray.remote(HostedEnvironments)
         self._num_cpus = 0.0 if num_cpus is None else num_cpus
@@ -96,7 +115,7 @@ class RayVecEnv(VecEnv):
         self._steps: list[Any] = []
         self._places: list[str | None] = [None] * n_actors
         self._actors = [self._start(a) for a in range(n_actors)]
-        (observation_space, action_space), *_ = self._gather([(a, "make", ()) for a in range(n_actors)])
+        (observation_space, action_space), *_ = self._gather([(a, "make", ()) for a in range(n_actors)], started=False)
         super().__init__(n_envs, observation_space, action_space)
 
     def _start(self, actor: int) -> Any:
@@ -122,12 +141,13 @@ class RayVecEnv(VecEnv):
         steps, self._steps = self._steps, []
         sent = [a for a, step in enumerate(steps) if step is not None]
         results: dict[int, Steps] = {}
+        until = self._deadline()
         try:
-            results = dict(zip(sent, self._get([steps[a] for a in sent]), strict=True))
+            results = dict(zip(sent, self._get([steps[a] for a in sent], until), strict=True))
         except self._lost_errors():
             for a in sent:
                 try:
-                    results[a] = self._get(steps[a])
+                    results[a] = self._get(steps[a], until)
                 except self._lost_errors() as error:
                     self._start_anew(a, error)
         for a in results:
@@ -150,6 +170,7 @@ class RayVecEnv(VecEnv):
             ]
         )
         self._anew.clear()
+        self._losses_in_a_row = [0] * len(self._actors)
         self._seen = self._joined([observations for observations, _ in results])
         self.reset_infos = [_writable(info) for _, infos in results for info in infos]
         self._reset_seeds()
@@ -223,27 +244,33 @@ class RayVecEnv(VecEnv):
             answers |= dict(zip(mine, copy.deepcopy(results), strict=True))  # what Ray hands out cannot be written to
         return [answers[i] for i in asked]
 
-    def _gather(self, calls: Sequence[tuple[int, str, tuple[Any, ...]]]) -> list[Any]:
+    def _gather(self, calls: Sequence[tuple[int, str, tuple[Any, ...]]], *, started: bool = True) -> list[Any]:
         """Results of methods of actors; one that is lost starts anew and is called again."""
+        until = self._deadline() if started else None
         sent = [getattr(self._actors[a], method).remote(*args) for a, method, args in calls]
         with suppress(*self._lost_errors()):
-            return list(self._get(sent))
+            return list(self._get(sent, until))
         results = []
         for (a, method, args), first in zip(calls, sent, strict=True):
-            reference = first
+            reference, its = first, until
             while True:
                 try:
-                    results.append(self._get(reference))
+                    results.append(self._get(reference, its))
                     break
                 except self._lost_errors() as error:
                     self._start_anew(a, error)
-                    reference = getattr(self._actors[a], method).remote(*args)
+                    reference, its = getattr(self._actors[a], method).remote(*args), self._deadline()
         return results
 
-    def _get(self, references: Any) -> Any:
+    def _deadline(self) -> float | None:
+        """When an actor that is asked now counts as lost."""
+        return None if self.step_timeout is None else time.monotonic() + self.step_timeout
+
+    def _get(self, references: Any, until: float | None = None) -> Any:
         """``ray.get``, where an error in an environment is that error."""
+        limit = None if until is None else max(LEAST_WAIT, until - time.monotonic())
         try:
-            return self._ray.get(references)
+            return self._ray.get(references, timeout=limit)
         except self._ray.exceptions.RayTaskError as error:
             if isinstance(error.cause, Exception) and not isinstance(error.cause, self._ray.exceptions.RayError):
                 raise error.cause from error
@@ -251,19 +278,22 @@ class RayVecEnv(VecEnv):
 
     def _lost_errors(self) -> tuple[type[Exception], ...]:
         of = self._ray.exceptions
-        return (of.RayActorError, of.NodeDiedError, of.WorkerCrashedError, of.ObjectLostError, of.OutOfMemoryError)
+        gone = of.RayActorError, of.NodeDiedError, of.WorkerCrashedError, of.ObjectLostError, of.OutOfMemoryError
+        return (*gone, of.GetTimeoutError)
 
     def _start_anew(self, actor: int, why: Exception) -> None:
         """Start the environments of a lost actor elsewhere, with what was set in them."""
         group = self._groups[actor]
         named = f"{group[0]} to {group[-1]}" if len(group) > 1 else f"{group[0]}"
         which = f"Environment{'s' if len(group) > 1 else ''} {named} of {len(self._env_fns)}"
-        self.lost_actors += 1
-        logger.warning(
-            "%s: the machine or the process is gone (%s). They start anew elsewhere; their episodes end as truncated.",
-            which,
-            type(why).__name__,
-        )
+        if self._seen is not None:
+            self.lost_actors += 1
+            logger.warning(
+                "%s: the machine or the process is gone (%s). They start anew elsewhere; their episodes end as "
+                "truncated.",
+                which,
+                type(why).__name__,
+            )
         while True:
             self._losses_in_a_row[actor] += 1
             losses = self._losses_in_a_row[actor]

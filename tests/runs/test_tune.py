@@ -22,7 +22,7 @@ from optuna.trial import TrialState
 from rich.console import Console
 
 from sb3_options.runs import config as configs
-from sb3_options.runs import scored, tune
+from sb3_options.runs import scored, search, tune
 from sb3_options.runs.compare import Goal
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.logged import Curve, Run
@@ -62,8 +62,8 @@ def trained(monkeypatch: pytest.MonkeyPatch) -> list[TrainConfig]:
 
 
 def study_in(folder: Path) -> optuna.Study:
-    storage = JournalStorage(JournalFileBackend(str(folder / tune.JOURNAL)))
-    return optuna.load_study(study_name=tune.NAME, storage=storage)
+    storage = JournalStorage(JournalFileBackend(str(folder / search.JOURNAL)))
+    return optuna.load_study(study_name=search.NAME, storage=storage)
 
 
 def test_a_space_is_read(tmp_path: Path) -> None:
@@ -157,7 +157,7 @@ def test_a_trial_that_was_killed_is_tried_again_where_it_was(tmp_path: Path, tra
     process.wait()
     killed.set_user_attr("by", [socket.gethostname(), process.pid])
     space = read_space(config.space, {})
-    params = {name: tune._suggested(killed, name, of) for name, of in space.search.items()}
+    params = {name: search.suggested(killed, name, of) for name, of in space.search.items()}
     tune.tune(TuneConfig(config.space, config.out, trials=3, seeds=1), console=quiet())
     assert trained[-1].learning_rate == params["learning_rate"]
     assert trained[-1].tensorboard_log == config.out / "runs" / f"{killed.number:04}" / "0"

@@ -1,12 +1,15 @@
 """A real Ray cluster of two nodes on one machine, of which one can be killed."""
 
+import functools
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 from sb3_options.execution.ray_cluster import require_ray
 from sb3_options.execution.ray_vec_env import RayVecEnv
@@ -16,6 +19,9 @@ STORE = 80 * 2**20
 
 LIMIT = 300.0
 """Seconds after which something hangs, on however slow a machine."""
+
+ATTEMPTS = 3
+"""How often a test may be tried in which Ray loses an actor of its own accord."""
 
 SOON: dict[str, int] = {
     "health_check_period_ms": 1_000,
@@ -45,16 +51,38 @@ class TwoNodes:
             self.cluster.wait_for_nodes()
         return str(self.second.node_id)
 
+    @property
+    def raylet(self) -> int:
+        """The process of the second node."""
+        return int(self.second.all_processes["raylet"][0].process.pid)
+
+    @property
+    def head_raylet(self) -> int:
+        """That of the head."""
+        return int(self.cluster.head_node.all_processes["raylet"][0].process.pid)
+
+    def workers(self) -> list[int]:
+        """Processes that the raylet of the second node has started; they outlive it for a while."""
+        return [int(pid) for pid in Path(f"/proc/{self.raylet}/task/{self.raylet}/children").read_text().split()]
+
     def kill_second(self) -> None:
         """Kill the second node with all that runs on it, as a power cut would."""
-        raylet: int = self.second.all_processes["raylet"][0].process.pid
-        children = Path(f"/proc/{raylet}/task/{raylet}/children")  # its workers would outlive it for a while
-        workers = children.read_text().split() if children.exists() else []
+        workers = self.workers()
         self.cluster.remove_node(self.second, allow_graceful=False)
-        for pid in workers:
-            with suppress(ProcessLookupError):
-                os.kill(int(pid), signal.SIGKILL)
+        send(signal.SIGKILL, workers)
         self.second = None
+
+    @contextmanager
+    def second_gets(self, number: signal.Signals, *, workers: bool) -> Iterator[None]:
+        """The raylet of the second node gets a signal, with or without its workers. The node is killed in the end."""
+        pids = self.workers()
+        send(number, [self.raylet, *(pids if workers else [])])
+        try:
+            yield
+        finally:
+            send(signal.SIGKILL, [self.raylet, *pids])
+            self.cluster.remove_node(self.second, allow_graceful=False)
+            self.second = None
 
     def end(self) -> None:
         """End both."""
@@ -74,6 +102,36 @@ def two_nodes() -> Iterator[TwoNodes]:
         nodes.end()
         if before is not None:
             os.environ["RAY_ADDRESS"] = before
+
+
+def send(number: signal.Signals, pids: Sequence[int]) -> None:
+    """Send a signal to processes that may have ended."""
+    for pid in pids:
+        with suppress(ProcessLookupError):
+            os.kill(pid, number)
+
+
+def again(deliberate: int = 0) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Of a test: tried again where Ray lost actors of its own accord, as it may on a busy machine.
+
+    Args:
+        deliberate: How many the test loses itself. If it fails though no more were lost, it has failed.
+    """
+
+    def of(test: Callable[..., None]) -> Callable[..., None]:
+        @functools.wraps(test)
+        def run(losses: list[str], **given: Any) -> None:
+            for left in range(ATTEMPTS)[::-1]:
+                losses.clear()
+                try:
+                    return test(losses=losses, **given)
+                except (Exception, pytest.fail.Exception):
+                    if left == 0 or len(losses) <= deliberate:
+                        raise
+
+        return run
+
+    return of
 
 
 def nodes_of(venv: RayVecEnv) -> list[str]:
