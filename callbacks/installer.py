@@ -280,11 +280,11 @@ def _n_available(others: Sequence[Option | None], option: Option) -> float:
     """How many of the others are available in the mean state of an option's initiation set, as far as is known."""
     if not isinstance(option, SubgoalOption) or not len(option.initiation_set.points):
         return len(others)
-    points, group = option.initiation_set.points, option.subgoal.group
+    points, group = option.initiation_set.points, option.initiation_set.group
     return sum(
         # Points of one group say nothing of the features of another.
         float(other.initiation_set.covers(points).mean())
-        if isinstance(other, SubgoalOption) and other.subgoal.group == group
+        if isinstance(other, SubgoalOption) and other.initiation_set.group == group
         else 1.0
         for other in others
     )

@@ -95,21 +95,44 @@ def concept_groups() -> list[dict[str, Any]]:
 
     An open door has ``between_walls`` with it, because whoever stands in it does not see it.
 
+    An option sees ``free_ahead`` besides, so that it can go around a wall. One that leads to an open door, or into it,
+    sees closed doors, too: it can begin before the door is open.
+
     Returns:
         Of each group the fields of `sb3_options.density.groups.FeatureGroup`.
     """
-    groups = [_group(kind) for kind in KINDS]
-    return groups + [_joined(_group(one), _group(other)) for one, other in PAIRS]
+    groups = [_group(kind) for kind in (*KINDS, "doorway")]
+    return [_seeing(group) for group in groups + [_joined(_group(one), _group(other)) for one, other in PAIRS]]
 
 
 def _group(kind: str) -> dict[str, Any]:
+    if kind == "doorway":
+        return _doorway()
     first = 3 * KINDS.index(kind)
     features, present = [first, first + 1, first + 2], [first]
     scale = [VISIBLE_SCALE, 1.0, 1.0]
-    if kind == "open_door":
-        between = FEATURES.index("between_walls")
-        features, present, scale = [*features, between], [first, between], [*scale, VISIBLE_SCALE]
     return {"name": kind, "features": features, "present": [present], "scale": scale}
+
+
+def _doorway() -> dict[str, Any]:
+    door, between = _group("open_door"), FEATURES.index("between_walls")
+    return {
+        "name": "doorway",
+        "features": [*door["features"], between],
+        "present": [[*door["present"][0], between]],
+        "scale": [*door["scale"], VISIBLE_SCALE],
+    }
+
+
+def _seeing(group: dict[str, Any]) -> dict[str, Any]:
+    """A group with the features that its options see."""
+    ahead = FEATURES.index("free_ahead")
+    features, present, scale = [*group["features"], ahead], group["present"], [*group["scale"], VISIBLE_SCALE]
+    if group["name"] == "open_door":
+        closed = _group("closed_door")
+        features, scale = features + closed["features"], scale + closed["scale"]
+        present = [present[0] + closed["present"][0]]
+    return {**group, "seen": {"name": group["name"], "features": features, "present": present, "scale": scale}}
 
 
 def _joined(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:

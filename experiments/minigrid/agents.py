@@ -18,7 +18,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from experiments.minigrid import settings
-from experiments.minigrid.hand_made import options_on
+from experiments.minigrid.hand_made import MadeBy
 from experiments.minigrid.settings import WITH_OPTIONS, ZOO_ARM, Arm
 from sb3_options import OptionsWrapper
 from sb3_options.envs.minigrid import make
@@ -45,7 +45,7 @@ def venv_of(
     n_envs: int = settings.N_ENVS,
     slots: int = 0,
     options: Path | None = None,
-    hand_made: bool = False,
+    by_hand: MadeBy | None = None,
     withheld: bool = False,
 ) -> VecEnv:
     """Parallel environments of one task.
@@ -56,7 +56,7 @@ def venv_of(
         n_envs: How many.
         slots: For options.
         options: File of the options they begin with.
-        hand_made: Whether they have the options by hand, as many as there are slots.
+        by_hand: Makes options, as many as there are slots, from φ.
         withheld: Whether options cannot be chosen.
     """
 
@@ -65,7 +65,7 @@ def venv_of(
             return env
         wrapper = WithheldOptions if withheld else OptionsWrapper
         optioned = wrapper(env, slots, gamma=settings.GAMMA, options_file=options)
-        for option in options_on(optioned.concept_features)[:slots] if hand_made else ():
+        for option in by_hand(optioned.concept_features)[:slots] if by_hand else ():
             optioned.bank.add(option)
         return optioned
 

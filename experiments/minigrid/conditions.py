@@ -6,6 +6,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -15,9 +16,11 @@ from stable_baselines3.common.vec_env import VecEnv
 from experiments.common.seeds import Result
 from experiments.minigrid import settings
 from experiments.minigrid.agents import Chooser, Notes, learned, model_of, normalised, success_rate, uniform, venv_of
+from experiments.minigrid.hand_made import MadeBy, options_on, to_subgoals_on
 from experiments.minigrid.settings import FAMILIES, LATER_ARM, WITH_OPTIONS, ZOO_ARM, Arm, Stage
 from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.callbacks.records import DiscoveredOption
+from sb3_options.envs.minigrid import concept_groups
 from sb3_options.learning import heads
 
 Judged = Literal["sampled", "greedy", "uniform"]
@@ -75,7 +78,7 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
     result: Result = {"seed": seed, "stages": [], "options": []}
     slots = settings.max_options(family) if arm in WITH_OPTIONS else 0
     n_envs = settings.ZOO_N_ENVS if arm == ZOO_ARM else settings.N_ENVS
-    how: dict[str, Any] = {"n_envs": n_envs, "slots": slots, "hand_made": arm == "hand-made"}
+    how: dict[str, Any] = {"n_envs": n_envs, "slots": slots, "by_hand": _by_hand(arm)}
     stages = stages_of(family, arm)
     before: VecEnv | None = None
     with tempfile.TemporaryDirectory() as folder:
@@ -90,7 +93,7 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
                 model.set_env(venv)
             longest = n_envs * venv.get_attr("unwrapped", [0])[0].max_steps
             notes = Notes(protocol.until, longest) if is_last else Notes(protocol.learned)
-            callbacks = _callbacks(arm, seed, discovers=number == 0 or not is_last)
+            callbacks = _callbacks(arm, seed, number, discovers=number == 0 or not is_last)
             began = time.perf_counter()
             model.learn(stage.frames, callback=[*callbacks, notes])
             seconds = time.perf_counter() - began
@@ -117,12 +120,24 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
     return result
 
 
-def _callbacks(arm: Arm, seed: int, *, discovers: bool) -> list[BaseCallback]:
+def _by_hand(arm: Arm) -> MadeBy | None:
+    if arm in settings.HAND_MADE:
+        return partial(to_subgoals_on, within=settings.HAND_MADE[arm])
+    return options_on if arm == "hand-made" else None
+
+
+def _blinkered() -> list[dict[str, Any]]:
+    """The groups of MiniGrid, whose options see no more than their subgoals say."""
+    return [{name: of for name, of in group.items() if name != "seen"} for group in concept_groups()]
+
+
+def _callbacks(arm: Arm, seed: int, stage: int, *, discovers: bool) -> list[BaseCallback]:
     callbacks: list[BaseCallback] = []
     if arm in settings.DISCOVERING:
         discovery = SubgoalDiscoveryCallback(
             settings.DISCOVERY,
-            {"min_reach": 0.0} if arm == settings.FORMER_ARM else None,
+            settings.options_of(arm),
+            groups=_blinkered() if arm in (settings.OWN_ARM, settings.FORMER_ARM) else None,
             max_new_options=None if discovers else 0,
             opening_share=settings.OPENING_SHARE,
             min_reached=settings.MIN_REACHED,
@@ -130,9 +145,9 @@ def _callbacks(arm: Arm, seed: int, *, discovers: bool) -> list[BaseCallback]:
             seed=seed,
         )
         callbacks.append(discovery)
-    if arm == "hand-made":
+    if arm == "hand-made" or arm in settings.HAND_MADE:
         callbacks.append(PrimitiveStepsCallback(primitive_rollouts=True))
-    if arm in settings.WITH_BONUS:
+    if arm in settings.WITH_BONUS and not (stage and arm in settings.BONUS_AT_FIRST):
         callbacks.append(IntrinsicRewardCallback("rnd", weight=settings.RND_WEIGHT, seed=seed))
     return callbacks
 

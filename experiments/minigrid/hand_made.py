@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 
@@ -12,6 +13,8 @@ from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArra
 
 LEFT, RIGHT, FORWARD, PICK_UP, DROP, TOGGLE = 0, 1, 2, 3, 4, 5
 """Actions of MiniGrid."""
+
+MadeBy: TypeAlias = Callable[[FeatureMap], list[Option]]
 
 COLUMN = {name: i for i, name in enumerate(FEATURES)}
 
@@ -85,6 +88,36 @@ def options_on(features: FeatureMap) -> list[Option]:
             never,
         ),
     ]
+
+
+def to_subgoals_on(features: FeatureMap, within: int | None = None) -> list[Option]:
+    """To the subgoals that discovery finds in rooms: closed door ahead, in an open one, goal ahead.
+
+    Args:
+        features: φ of MiniGrid.
+        within: They begin so many cells away at most, ahead and sideways together; None: wherever they are in view.
+    """
+
+    def made(kind: str, forward: int, action: int) -> Option:
+        where = [COLUMN[f"{kind}_forward"], COLUMN[f"{kind}_lateral"]]
+
+        def reached(x: FloatArray) -> BoolArray:
+            there: BoolArray = (x[:, COLUMN[f"{kind}_visible"]] > 0) & (x[:, where] == [forward, 0]).all(axis=1)
+            return there
+
+        def begins(x: FloatArray) -> BoolArray:
+            near: BoolArray = np.abs(x[:, where]).sum(axis=1) <= (np.inf if within is None else within)
+            return (x[:, COLUMN[f"{kind}_visible"]] > 0) & ~reached(x) & near
+
+        return Option(
+            lambda seen: begins(features(seen)),
+            lambda seen: approach(features(seen), kind, action),
+            lambda seen: reached(features(seen)),
+            max_duration=20,
+            name=f"{kind} at {forward}, 0",
+        )
+
+    return [made("closed_door", 1, TOGGLE), made("open_door", 0, FORWARD), made("goal", 1, FORWARD)]
 
 
 def approach(features: FloatArray, kind: str, there: int) -> IntArray:

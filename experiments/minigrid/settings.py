@@ -5,22 +5,35 @@ from __future__ import annotations
 from typing import Any, Literal, NamedTuple, get_args
 
 Arm = Literal[
-    "discovered", "discovered, former settings", "discovered, offered later", "discovered, RND", "hand-made",
-    "stock, curriculum", "stock, RND", "stock, rl-zoo3's settings", "stock",
+    "discovered", "discovered, own features", "discovered, former settings", "discovered, offered later",
+    "discovered, RND", "discovered, RND at first",
+    "hand-made", "hand-made subgoals", "hand-made subgoals, 3 cells", "hand-made subgoals, 2 cells",
+    "stock, curriculum", "stock, RND", "stock, RND at first", "stock, rl-zoo3's settings", "stock",
 ]  # fmt: skip
 ARMS: tuple[Arm, ...] = get_args(Arm)
 """``stock``: PPO in the last task alone, for the frames of all stages. All others go through all stages and take the
 weights along. ``stock, curriculum``: PPO; ``stock, rl-zoo3's settings``: with these; ``stock, RND``: with a bonus for
 what is new in each task. ``discovered``: with options that are discovered in the stages before the last, and kept;
-``discovered, RND``: with the bonus. ``discovered, former settings``: rollouts count decisions, and options begin in all
-of I; ``discovered, offered later``: options may be chosen from the second stage on. ``hand-made``: options by hand from
-the first step on, the bound."""
+``discovered, RND``: with the bonus. ``RND at first``: with the bonus in the first task alone. ``discovered, own
+features``: options see no more than their subgoal says, and are not learned anew. ``discovered, former settings``:
+likewise, rollouts count decisions, and options begin in all of I; ``discovered, offered later``: options may be chosen
+from the second stage on. ``hand-made``: options by hand from the first step on, the bound. ``hand-made subgoals``: by
+hand, to the subgoals that discovery finds in rooms, from wherever they are in view, or from so many cells away."""
 
+OWN_ARM: Arm = "discovered, own features"
 FORMER_ARM: Arm = "discovered, former settings"
 LATER_ARM: Arm = "discovered, offered later"
-DISCOVERING: tuple[Arm, ...] = ("discovered", FORMER_ARM, LATER_ARM, "discovered, RND")
-WITH_OPTIONS: tuple[Arm, ...] = (*DISCOVERING, "hand-made")
-WITH_BONUS: tuple[Arm, ...] = ("discovered, RND", "stock, RND")
+DISCOVERING: tuple[Arm, ...] = (
+    "discovered", OWN_ARM, FORMER_ARM, LATER_ARM, "discovered, RND", "discovered, RND at first",
+)  # fmt: skip
+HAND_MADE: dict[Arm, int | None] = {
+    "hand-made subgoals": None, "hand-made subgoals, 3 cells": 3, "hand-made subgoals, 2 cells": 2,
+}  # fmt: skip
+"""From how many cells away options by hand to the subgoals begin; None from wherever these are in view."""
+
+WITH_OPTIONS: tuple[Arm, ...] = (*DISCOVERING, "hand-made", *HAND_MADE)
+BONUS_AT_FIRST: tuple[Arm, ...] = ("discovered, RND at first", "stock, RND at first")
+WITH_BONUS: tuple[Arm, ...] = ("discovered, RND", "stock, RND", *BONUS_AT_FIRST)
 ZOO_ARM: Arm = "stock, rl-zoo3's settings"
 
 
@@ -105,12 +118,15 @@ RND_WEIGHT = 0.1
 
 def max_options(family: str) -> int:
     """Slots for options: as many as the family has use for by hand."""
-    return {"DoorKey": 6, "LockedRoom": 6, "KeyCorridor": 8}.get(family.split("-")[0], 4)
+    return {"DoorKey": 6, "LockedRoom": 6, "KeyCorridor": 8}.get(family.split("-")[0], 5)
 
 
 DISCOVERY: dict[str, Any] = {"capacity": 500, "start_radius": 0.5, "goal_radius": 0.5, "max_share": None}
 """Successes are rare at first, so many trajectories are kept. On few features near the start is nearly everywhere. The
 study was run before there was a `max_share`."""
+
+OPTIONS: dict[str, Any] = {"grow": True}
+"""Options are learned anew as more is seen: the first ones know only what a small room shows."""
 
 OPENING_SHARE = 0.5
 MIN_REACHED = 0.5
@@ -123,14 +139,20 @@ REACHED = (0.5, 0.8, 0.9)
 """Success rates whose frames are reported."""
 
 
+def options_of(arm: Arm) -> dict[str, Any]:
+    """How an arm learns options."""
+    if arm == FORMER_ARM:
+        return {"min_reach": 0.0}
+    return {} if arm == OWN_ARM else OPTIONS
+
+
 def of(arm: Arm) -> dict[str, Any]:
     """What one arm alone has."""
     special: dict[str, Any] = {}
     if arm in WITH_OPTIONS:
         special |= {"primitive_rollouts": arm != FORMER_ARM}
-    if arm == FORMER_ARM:
-        special |= {"min_reach": 0.0}
     if arm in DISCOVERING:
+        special |= {"options": options_of(arm), "own_features_only": arm in (OWN_ARM, FORMER_ARM)}
         special |= {"min_reached": MIN_REACHED, "discovers_in": "all stages but the last"}
     if arm in WITH_BONUS:
         special |= {"rnd_weight": RND_WEIGHT}

@@ -1,4 +1,4 @@
-"""Types of arrays."""
+"""Types of arrays, and rows as keys."""
 
 from typing import TypeAlias
 
@@ -8,3 +8,10 @@ from numpy.typing import NDArray
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
+
+
+def row_keys(rows: FloatArray) -> list[bytes]:
+    """The bytes of each row (n, d), d ≥ 1, which equal rows share: adding 0 makes -0 a 0."""
+    rows = np.ascontiguousarray(rows + 0.0)
+    keys: list[bytes] = rows.view(f"V{rows.itemsize * rows.shape[1]}").ravel().tolist()
+    return keys

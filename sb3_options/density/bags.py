@@ -12,8 +12,8 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from sb3_options.density.arrays import FloatArray
-from sb3_options.density.checks import check_finite, real_array
+from sb3_options.density.arrays import FloatArray, IntArray, row_keys
+from sb3_options.density.checks import LARGEST_FEATURE, check_finite, real_array
 from sb3_options.density.layout import SEGMENT_INSTANCES, BagArrays, Segment, segment_of
 
 
@@ -71,7 +71,10 @@ class Bags:
                 raise ValueError(f"{name} must have shape (instances, features), got {array.shape}")
             if array.shape[1] != arrays[0].shape[1]:
                 raise ValueError(f"{name} has {array.shape[1]} features, {names[0]} has {arrays[0].shape[1]}")
-            check_finite(name, array)
+        instances = np.concatenate(arrays)
+        if not np.abs(instances).max() <= LARGEST_FEATURE:  # nor if it is NaN
+            for name, array in zip(names, arrays, strict=True):
+                check_finite(name, array)
         if weights is not None:
             weights = real_array("weights", weights)
             if weights.shape != (len(arrays),) or not (np.isfinite(weights) & (weights >= 0)).all():
@@ -79,8 +82,7 @@ class Bags:
                     f"weights must be {len(arrays)} finite numbers of at least 0, one a bag, got {weights}"
                 )
             weights = tuple(weights.tolist())
-        instances = torch.from_numpy(np.concatenate(arrays)).to(device)
-        return cls(instances, tuple(map(len, arrays)), len(positive), dtype, weights)
+        return cls(torch.from_numpy(instances).to(device), tuple(map(len, arrays)), len(positive), dtype, weights)
 
     @property
     def bag_weights(self) -> tuple[float, ...]:
@@ -133,6 +135,13 @@ class Bags:
 
 
 def distinct(points: FloatArray) -> FloatArray:
-    """Drop repeated rows, keep the order. Adding 0 makes -0 a 0, whose bytes it must share."""
-    first = {row.tobytes(): i for i, row in reversed(list(enumerate(points + 0.0)))}
-    return points[sorted(first.values())]
+    """Drop repeated rows, keep the order."""
+    return points[first_rows(points)]
+
+
+def first_rows(points: FloatArray) -> IntArray:
+    """Numbers of the rows (n, d) that no row before is equal to."""
+    first: dict[bytes, int] = {}
+    for i, key in enumerate(row_keys(points)):
+        first.setdefault(key, i)
+    return np.fromiter(first.values(), dtype=np.int64, count=len(first))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,10 @@ class FeatureGroup:
         present: Sets of these numbers. Where all features of one set are 0, what the group is about is not there: that
             is no place, neither a subgoal nor in an initiation set. By default every state is one.
         scale: Factor for each of its own features before distances are taken, (k,); None for 1.
+        seen: Features that an option for a concept of this group sees: its initiation set lies in them, and its policy
+            acts on them. A group that begins with this one's features, or a mapping of its fields; None for this group
+            itself. With more features the option can begin where what it is about is not in view yet, and go around
+            what is in the way.
 
     Raises:
         ValueError: An argument is out of its range.
@@ -31,6 +36,7 @@ class FeatureGroup:
     features: Sequence[int]
     present: Sequence[Sequence[int]] = ()
     scale: Sequence[float] | None = None
+    seen: FeatureGroup | Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         """Refuse arguments out of range, and make them tuples, which compare."""
@@ -49,8 +55,26 @@ class FeatureGroup:
             raise ValueError(f"group {self.name!r}: present must be sets of its features {features}, got {present}")
         if len(scale) != len(features) or not (np.isfinite(scale).all() and min(scale) > 0):
             raise ValueError(f"group {self.name!r}: scale must be {len(features)} numbers above 0, got {scale}")
-        for name, value in (("features", features), ("present", present), ("scale", scale)):
+        for name, value in (("features", features), ("present", present), ("scale", scale), ("seen", self._seen())):
             object.__setattr__(self, name, value)
+
+    def _seen(self) -> FeatureGroup | None:
+        seen, features = self.seen, tuple(map(int, self.features))
+        if isinstance(seen, Mapping):
+            try:
+                seen = FeatureGroup(**seen)
+            except TypeError as error:
+                raise ValueError(f"group {self.name!r}: seen must have the fields of a group: {error}") from error
+        if seen is not None and (not isinstance(seen, FeatureGroup) or seen.seen is not None):
+            raise ValueError(f"group {self.name!r}: seen must be a group that has no other one to see, got {seen!r}")
+        if seen is not None and seen.features[: len(features)] != features:
+            raise ValueError(f"group {self.name!r}: seen must begin with its features {features}, got {seen.features}")
+        return seen
+
+    @property
+    def sees(self) -> FeatureGroup:
+        """The features that an option for a concept of this group sees."""
+        return self if not isinstance(self.seen, FeatureGroup) else self.seen
 
     def own(self, features: FloatArray) -> FloatArray:
         """The group's own features (batch, k) of all features (batch, d).
@@ -80,7 +104,8 @@ def checked_groups(groups: Iterable[FeatureGroup], n_features: int) -> tuple[Fea
     """
     groups = tuple(groups)
     for group in groups:
-        group.own(np.zeros((0, n_features)))
+        for each in (group, group.sees):
+            each.own(np.zeros((0, n_features)))
     names = [group.name for group in groups]
     if len(set(names)) < len(names):
         raise ValueError(f"two groups of features have the same name: {sorted(names)}")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sb3_options.density.bags import Bags
+from sb3_options.density.bags import Bags, first_rows
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.contrast import Contrast
@@ -50,7 +50,7 @@ class FilteredBags:
         return Bags.pack(self.positive, self.negative)
 
 
-@dataclass
+@dataclass(eq=False)
 class _Known:
     """What was made of a trajectory.
 
@@ -63,6 +63,7 @@ class _Known:
         allowed: Which of them the static filter leaves, (k,).
         kept: Which of them are in the bag.
         bag: Its bag.
+        numbers: Of ``way`` in the `LocalCuts`, (k,); None as long as nobody asked.
     """
 
     labelled: LabelledTrajectory
@@ -72,6 +73,7 @@ class _Known:
     allowed: BoolArray
     kept: BoolArray | None = None
     bag: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    numbers: IntArray | None = None
 
 
 class BagMaker:
@@ -121,8 +123,8 @@ class BagMaker:
         old = {id(known.labelled): known for known in self._known.values()}  # a copied object has another id
         self._known = {id(t): old.get(id(t)) or self._know(t, self.scale) for t in database}
         known = [self._known[id(t)] for t in positive]
-        made = [self._bag(k, passage, taken) for k, passage in zip(known, self._passages(known), strict=True)]
-        positive_bags = [bag for bag in made if len(bag)]
+        self._remake(known, self._passages(known), taken)
+        positive_bags = [k.bag for k in known if len(k.bag)]
         if len(positive_bags) < self.settings.min_positive:
             return None
         negative_bags = []
@@ -173,6 +175,8 @@ class BagMaker:
     def forget_space(self) -> None:
         """Features are others from now on."""
         self.cuts = None if self.cuts is None else LocalCuts()
+        for known in self._known.values():
+            known.numbers = None
 
     def forget_bags(self) -> None:
         """Every bag changes: instances near a new subgoal are filtered out."""
@@ -200,8 +204,7 @@ class BagMaker:
         scaled = features * scale
         erase = labelled.success and self.settings.loops == "erase"
         rows = loop_erased(scaled, visits, self.settings.subgoal_radius) if erase else np.arange(len(scaled))
-        _, first = np.unique(scaled[rows], axis=0, return_index=True)  # different observations may have the same φ
-        rows = rows[np.sort(first)]
+        rows = rows[first_rows(scaled[rows])]  # different observations may have the same φ
         allowed = self._allowed(labelled, scale)
         return _Known(labelled, rows, features[rows], scaled[rows], allowed[rows])
 
@@ -223,22 +226,42 @@ class BagMaker:
         """Whether radii are steps along the trajectory, because states have no distances."""
         return self.kind == "categorical" and self.static_filter is None and self.group is None
 
-    def _passages(self, known: Sequence[_Known]) -> list[BoolArray]:
-        """Which states stand out: `min_contrast`; or what the ways near them lead through: `min_passing`, `min_cut`."""
+    def _passages(self, known: Sequence[_Known]) -> BoolArray:
+        """Which states stand out: `min_contrast`; or what the ways near them lead through: `min_passing`, `min_cut`.
+
+        All ways at once, way after way: there are a hundred, and a call for each takes longer than what it computes.
+        """
+        allowed = np.concatenate([k.allowed for k in known])
         if self.contrast is not None:
             least = self.settings.min_contrast
-            return [k.allowed & self.contrast.stands_out(k.labelled, least)[k.rows] for k in known]
+            outstanding = [self.contrast.stands_out(k.labelled, least)[k.rows] for k in known]
+            stand_out: BoolArray = allowed & np.concatenate(outstanding)
+            return stand_out
         if self.settings.min_passing == 0.0:
-            return [k.allowed for k in known]
-        shares = self._passing.update([k.scaled for k in known])
-        passages = [k.allowed & (share >= self.settings.min_passing) for k, share in zip(known, shares, strict=True)]
+            return allowed
+        passages: BoolArray = allowed & (self._passing.update([k.scaled for k in known]) >= self.settings.min_passing)
         if self.cuts is not None:
-            for k, passage in zip(known, passages, strict=True):
-                passage[passage] = self.cuts.shares(k.way[passage]) >= self.settings.min_cut
+            for k in known:
+                k.numbers = self.cuts.numbers(k.way) if k.numbers is None else k.numbers
+            numbers = np.concatenate([k.numbers for k in known if k.numbers is not None])
+            passages[passages] = self.cuts.shares(numbers[passages]) >= self.settings.min_cut
         return passages
 
+    def _remake(self, known: Sequence[_Known], keep: BoolArray, taken: Sequence[Region]) -> None:
+        """Make the bags of these ways that change, of the states to ``keep`` way after way."""
+        ends = np.cumsum([len(k.way) for k in known])
+
+        def remake(i: int) -> None:
+            self._bag(known[i], keep[ends[i] - len(known[i].way) : ends[i]], taken)
+
+        for i in [i for i, k in enumerate(known) if k.kept is None]:
+            remake(i)
+        kept = np.concatenate([k.kept for k in known if k.kept is not None])
+        for i in set(np.searchsorted(ends, np.flatnonzero(keep != kept), side="right").tolist()):
+            remake(i)
+
     def _bag(self, known: _Known, keep: BoolArray, taken: Sequence[Region]) -> FloatArray:
-        if known.kept is None or not np.array_equal(known.kept, keep):
+        if known.kept is None or known.kept.tobytes() != keep.tobytes():
             apart = keep.copy()
             for subgoal in taken:
                 apart &= self._distance(known, subgoal) > self.settings.spacing

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from sb3_options.density.arrays import row_keys
 from sb3_options.experience.observations import FloatArray, IntArray
 
 STEPS = 3
@@ -37,8 +38,10 @@ class LocalCuts:
         self.n_computed = 0
         self._number: dict[bytes, int] = {}
         self._neighbours: list[set[int]] = []
-        self._n_trajectories: list[int] = []
-        self._shares: dict[int, float] = {}
+        # By number, and at last for states that have none.
+        self._n_trajectories: IntArray = np.zeros(MAX_STATES + 1, dtype=np.int64)
+        self._shares: FloatArray = np.full(MAX_STATES + 1, np.nan)  # NaN where it has to be computed
+        self._shares[-1] = UNKNOWN
 
     def add(self, features: FloatArray, visits: IntArray) -> None:
         """Add the steps of a trajectory.
@@ -47,36 +50,49 @@ class LocalCuts:
             features: φ of its distinct states, (m, d).
             visits: Row of ``features`` at every time t = 0 … T, (T + 1,).
         """
-        numbers = np.array([self._number_of(state) for state in features + 0.0], dtype=np.int64)  # -0.0 is 0.0
-        for number in set(numbers.tolist()) - {-1}:
-            self._n_trajectories[number] += 1
+        numbers = np.array([self._number_of(key) for key in row_keys(features)], dtype=np.int64)
+        self._n_trajectories[np.unique(numbers)] += 1
         way = numbers[visits]
         low, high = np.minimum(way[:-1], way[1:]), np.maximum(way[:-1], way[1:])
         steps = np.unique(low[(low >= 0) & (low < high)] * MAX_STATES + high[(low >= 0) & (low < high)])
+        changed = set[int]()
         for one, other in zip((steps // MAX_STATES).tolist(), (steps % MAX_STATES).tolist(), strict=True):
             if other not in self._neighbours[one]:
                 self._neighbours[one].add(other)
                 self._neighbours[other].add(one)
-                for number in self._around(one) | self._around(other):
-                    self._shares.pop(number, None)
+                changed |= {one, other}
+        if changed:
+            self._shares[list(self._around(changed))] = np.nan
 
-    def shares(self, features: FloatArray) -> FloatArray:
-        """What share of its surroundings each of some states cuts off from their largest part, (n,), in [0, 0.5].
+    def numbers(self, features: FloatArray) -> IntArray:
+        """The numbers of some states that were added, (n,), which do not change; −1 for those that have none.
 
         Args:
             features: Of the states, (n, d).
         """
-        return np.array([self._share_of(self._number.get(state.tobytes(), -1)) for state in features + 0.0])
+        return np.array([self._number.get(key, -1) for key in row_keys(features)], dtype=np.int64)
+
+    def shares(self, numbers: IntArray) -> FloatArray:
+        """What share of its surroundings each of some states cuts off from their largest part, (n,), in [0, 0.5].
+
+        Args:
+            numbers: Of the states, (n,).
+        """
+        once = self._n_trajectories[numbers] == 1
+        for number in set(numbers[np.isnan(self._shares[numbers]) & ~once].tolist()):
+            self._shares[number] = self._computed(number)
+        return np.where(once, UNKNOWN, self._shares[numbers])
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint."""
+        known = np.flatnonzero(~np.isnan(self._shares[:-1]))
         edges = [(i, j) for i, joined in enumerate(self._neighbours) for j in sorted(joined) if i < j]
         return {
             "states": np.array([np.frombuffer(key) for key in self._number]),
             "edges": np.array(edges, dtype=np.int64).reshape(-1, 2),
-            "n_trajectories": np.array(self._n_trajectories, dtype=np.int64),
-            "known": np.array(list(self._shares), dtype=np.int64),
-            "shares": np.array(list(self._shares.values())),
+            "n_trajectories": self._n_trajectories[: len(self._number)].copy(),
+            "known": known,
+            "shares": self._shares[known],
             "n_computed": self.n_computed,
         }
 
@@ -88,30 +104,22 @@ class LocalCuts:
         for one, other in state["edges"].tolist():
             self._neighbours[one].add(other)
             self._neighbours[other].add(one)
-        self._n_trajectories = state["n_trajectories"].tolist()
-        self._shares = dict(zip(state["known"].tolist(), state["shares"].tolist(), strict=True))
+        self._n_trajectories[: len(self._number)] = state["n_trajectories"]
+        self._shares[:-1] = np.nan
+        self._shares[state["known"]] = state["shares"]
 
-    def _number_of(self, state: FloatArray) -> int:
-        key = state.tobytes()
+    def _number_of(self, key: bytes) -> int:
         number = self._number.get(key)
         if number is None:
             if len(self._number) >= MAX_STATES:
                 return -1
             number = self._number[key] = len(self._number)
             self._neighbours.append(set())
-            self._n_trajectories.append(0)
         return number
-
-    def _share_of(self, number: int) -> float:
-        if number < 0 or self._n_trajectories[number] == 1:
-            return UNKNOWN
-        if number not in self._shares:
-            self._shares[number] = self._computed(number)
-        return self._shares[number]
 
     def _computed(self, number: int) -> float:
         self.n_computed += 1
-        left = self._around(number) - {number}
+        left = self._around({number}) - {number}
         n, largest = len(left), 0
         while left:
             border, size = [left.pop()], 1
@@ -123,8 +131,8 @@ class LocalCuts:
             largest = max(largest, size)
         return min((n - largest) / n, 0.5) if n else 0.0
 
-    def _around(self, number: int) -> set[int]:
-        around = border = {number}
+    def _around(self, numbers: set[int]) -> set[int]:
+        around = border = numbers
         for _ in range(STEPS):
             border = set().union(*(self._neighbours[each] for each in border)) - around
             around = around | border

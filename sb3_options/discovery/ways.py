@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -12,6 +12,9 @@ from sb3_options.experience.observations import FloatArray, IntArray
 
 NEAR = 5.0
 """A way comes near a place within this many times the radius within which it leads through it."""
+
+AT_ONCE = 1 << 20
+"""Distances, or features, that are held at once."""
 
 
 def loop_erased(features: FloatArray, visits: IntArray, radius: float) -> IntArray:
@@ -35,13 +38,12 @@ def loop_erased(features: FloatArray, visits: IntArray, radius: float) -> IntArr
         visits = visits[: max(len(visits) - 1, 1)]
     last_visit = np.zeros(len(features), dtype=np.int64)
     last_visit[visits] = np.arange(len(visits))
-    neighbours = cKDTree(features)
+    last, row_at, neighbours = last_visit.tolist(), visits.tolist(), cKDTree(features)
     way, time = [], 0
-    while time < len(visits):
-        row = int(visits[time])
+    while time < len(row_at):
+        row = row_at[time]
         way.append(row)
-        same = neighbours.query_ball_point(features[row], radius)
-        time = 1 + int(last_visit[same].max())
+        time = 1 + max(last[same] for same in neighbours.query_ball_point(features[row], radius))
     return np.array(way, dtype=np.int64)
 
 
@@ -57,36 +59,59 @@ class PassingShare:
     """
 
     def __init__(self, radius: float) -> None:
-        self._radius = radius
-        self._counts: dict[int, tuple[FloatArray, IntArray]] = {}  # the way, and (2, k): near, through
+        self._limits = np.array([NEAR * radius, radius])
+        self._ways: list[FloatArray] = []
+        self._counts: IntArray = np.zeros((2, 0), dtype=np.int64)  # near and through, way after way
 
-    def update(self, ways: Sequence[FloatArray]) -> list[FloatArray]:
+    def update(self, ways: Sequence[FloatArray]) -> FloatArray:
         """The shares among these ways; only what is new or gone since the last call is counted.
 
         Args:
-            ways: Each in scaled units, shape (k_i, d), k_i ≥ 1. A way is known again by being the same array.
+            ways: Each in scaled units, shape (k_i, d), k_i ≥ 1, none of them twice. A way is known again by being the
+                same array.
 
         Returns:
-            For each way those of its states, shape (k_i,), in [0, 1).
+            Those of their states, way after way, shape (Σ k_i,), in [0, 1).
         """
-        self._counts = {id(way): (way, counts) for way, counts in self._counts.values()}  # a copy has another id
-        current = {id(way) for way in ways}
-        for key in [key for key in self._counts if key not in current]:
-            way, _ = self._counts.pop(key)
+        current = set(map(id, ways))
+        for i in reversed([i for i, way in enumerate(self._ways) if id(way) not in current]):
+            start, way = sum(map(len, self._ways[:i])), self._ways.pop(i)
+            self._counts = np.delete(self._counts, slice(start, start + len(way)), axis=1)
             self._count(way, -1)
+        known = set(map(id, self._ways))
         for way in ways:
-            if id(way) not in self._counts:
-                itself = np.ones((2, len(way)), dtype=np.int64)
-                self._counts[id(way)] = way, itself + self._count(way, 1)
-        counts = [self._counts[id(way)][1] for way in ways]
-        return [through / (near + 1.0) for near, through in counts]
+            if id(way) not in known:
+                own = 1 + self._count(way, 1)
+                self._ways.append(way)
+                self._counts = np.concatenate([self._counts, own], axis=1)
+        near, through = self._counts
+        shares: FloatArray = through / (near + 1.0)
+        if list(map(id, self._ways)) == list(map(id, ways)):  # new ways come last
+            return shares
+        parts = np.split(shares, np.cumsum([len(way) for way in self._ways])[:-1])
+        part_of = dict(zip(map(id, self._ways), parts, strict=True))
+        return np.concatenate([part_of[id(way)] for way in ways])
 
     def _count(self, way: FloatArray, sign: int) -> IntArray:
         """Count a way at the states of all others, and return the counts of these at its own, (2, k)."""
-        limits = np.array([NEAR * self._radius, self._radius])[:, None]
-        own = np.zeros((2, len(way)), dtype=np.int64)
-        for other, counts in self._counts.values():
-            distances = cdist(way, other)
-            counts += sign * (distances.min(axis=0) <= limits)
-            own += distances.min(axis=1) <= limits
+        limits, own, end = self._limits[:, None], np.zeros((2, len(way)), dtype=np.int64), 0
+        for others in self._in_parts(way):
+            starts = np.cumsum([0, *map(len, others[:-1])])
+            distances = cdist(way, np.concatenate(others))
+            start, end = end, end + distances.shape[1]
+            self._counts[:, start:end] += sign * (distances.min(axis=0) <= limits)
+            nearest = np.minimum.reduceat(distances, starts, axis=1)
+            own += (nearest <= limits[..., None]).sum(axis=2)
         return own
+
+    def _in_parts(self, way: FloatArray) -> Iterator[list[FloatArray]]:
+        """The other ways, as many at once as memory should hold distances to them, and copies of them."""
+        part, size = list[FloatArray](), 0
+        for other in self._ways:
+            if part and size + len(other) > AT_ONCE // max(way.shape):
+                yield part
+                part, size = [], 0
+            part.append(other)
+            size += len(other)
+        if part:
+            yield part

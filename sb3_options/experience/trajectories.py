@@ -104,17 +104,18 @@ class TrajectoryDatabase:
             raise ValueError(f"capacity must be at least 1 trajectory, got {capacity}.")
         self.capacity, self.max_bytes = capacity, max_bytes
         self._trajectories: deque[LabelledTrajectory] = deque()
+        self._n_bytes = 0
         self._warned = False
 
     def add(self, trajectory: LabelledTrajectory) -> None:
         """Append, dropping the oldest ones when full. The first time that memory is why, there is a warning."""
         trajectories = self._trajectories
         trajectories.append(trajectory)
+        self._n_bytes += trajectory.n_bytes
         if len(trajectories) > self.capacity:
-            trajectories.popleft()
-        n_bytes = sum(each.n_bytes for each in trajectories)
-        while n_bytes > self.max_bytes and len(trajectories) > 1:
-            n_bytes -= trajectories.popleft().n_bytes
+            self._n_bytes -= trajectories.popleft().n_bytes
+        while self._n_bytes > self.max_bytes and len(trajectories) > 1:
+            self._n_bytes -= trajectories.popleft().n_bytes
             if not self._warned:
                 self._warned = True
                 logger.warning(
@@ -130,6 +131,7 @@ class TrajectoryDatabase:
         for i, old in enumerate(self._trajectories):
             features = feature_map(old.trajectory.states)
             self._trajectories[i] = LabelledTrajectory(old.trajectory, features, old.success)
+        self._n_bytes = sum(each.n_bytes for each in self._trajectories)
 
     def __len__(self) -> int:
         return len(self._trajectories)
@@ -145,3 +147,4 @@ class TrajectoryDatabase:
         """Hold what `get_state` gave, and nothing else."""
         self._trajectories.clear()
         self._trajectories.extend(state["trajectories"])
+        self._n_bytes = sum(each.n_bytes for each in self._trajectories)

@@ -44,11 +44,12 @@ def learn_option(
 
     Args:
         proposal: A region to reach, a passage to one, a reward to gain, or an action to repeat. If a region has a
-            group of features, so has the initiation set, and the policy acts on these features alone, whatever
-            ``policy_input`` says.
+            group of features, the initiation set has the features that the group sees, and the policy acts on these
+            alone, whatever ``policy_input`` says.
         trajectories: The saved ones.
         n_primitive: Number of primitive actions.
-        settings: How.
+        settings: How. On a group of features an option lasts ``initiation_steps`` at most, the steps within which it
+            has to promise to reach its subgoal: what it does not see can make it go in a circle.
         generator: For a network's first weights and batches.
         name: For people.
 
@@ -60,7 +61,8 @@ def learn_option(
     if isinstance(proposal, Repeat):
         return repeating(proposal, trajectories, n_primitive, settings)
     if isinstance(proposal, Region) and proposal.group is not None:
-        settings = replace(settings, policy_input="features")
+        longest = min(settings.max_duration, settings.initiation_steps)
+        settings = replace(settings, policy_input="features", max_duration=longest)
     task: OwnTask
     if isinstance(proposal, IntrinsicReward):
         task = Climbing(proposal)
@@ -83,7 +85,7 @@ def learn_option(
             transitions,
             policy,
             least=settings.min_reach,
-            steps=min(settings.initiation_steps, settings.max_duration),
+            steps=settings.max_duration,
             subgoal_reward=settings.subgoal_reward,
         )
     if not len(initiation.points):

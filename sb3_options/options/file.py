@@ -13,7 +13,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as from_safetensors
 from safetensors.numpy import save as to_safetensors
 
-from sb3_options.density.groups import FeatureGroup
+from sb3_options.density.groups import FeatureGroup, checked_groups
 from sb3_options.density.regions import HalfSpace, Region
 from sb3_options.options import policies
 from sb3_options.options.archive import Source, content_in, name_of
@@ -273,7 +273,7 @@ def _encode(option: SubgoalOption) -> tuple[dict[str, Any], Arrays]:
         "policy_input": option.policy_input,
     }
     if option.subgoal.group is not None:
-        entry["group"] = dataclasses.asdict(option.subgoal.group)
+        entry["group"] = {k: v for k, v in dataclasses.asdict(option.subgoal.group).items() if v is not None}
     if option.fixed:
         entry["fixed"] = True
     return entry, {name: np.ascontiguousarray(array, dtype=np.float64) for name, array in arrays.items()}
@@ -285,19 +285,21 @@ def _decode(
     """The option that `_encode` was given; a `ValueError` says which parts do not fit."""
     group = FeatureGroup(**entry["group"]) if "group" in entry else None
     subgoal = _region(arrays, "subgoal", entry["radius"]["subgoal"], group)
-    initiation = _region(arrays, "initiation", entry["radius"]["initiation"], group)
-    n_features = subgoal.points.shape[1]
-    if group is not None:
-        if n_features != len(group.features):
-            raise ValueError(f"its subgoal has {n_features} features, its group names {len(group.features)}")
+    sees = None if group is None else group.sees
+    initiation = _region(arrays, "initiation", entry["radius"]["initiation"], sees)
+    n_features, n_seen = subgoal.points.shape[1], initiation.points.shape[1]
+    if group is not None and sees is not None:
+        for what, number, of in (("subgoal", n_features, group), ("initiation set", n_seen, sees)):
+            if number != len(of.features):
+                raise ValueError(f"its {what} has {number} features, its group names {len(of.features)}")
         if feature_size is not None:
-            group.own(np.zeros((0, feature_size)))
+            checked_groups([group], feature_size)
     elif feature_size is not None and n_features != feature_size:
         raise ValueError(f"its subgoals have {n_features} features, the feature map here gives {feature_size}")
-    if initiation.points.shape[1] != n_features:
-        raise ValueError(f"its initiation set has {initiation.points.shape[1]} features, its subgoal {n_features}")
+    elif n_seen != n_features:
+        raise ValueError(f"its initiation set has {n_seen} features, its subgoal {n_features}")
     policy_input = _policy_input(entry)
-    size = observation_size if policy_input == "observation" else n_features
+    size = observation_size if policy_input == "observation" else n_seen
     if size is None:
         stored = arrays.get("table_states", arrays.get("network_mean"))
         size = 0 if stored is None else stored.shape[-1]

@@ -26,8 +26,8 @@ def initiation_set(
         settings: ``initiation_steps``, ``initiation_visits`` and ``initiation_radius`` are used.
 
     Returns:
-        A region with one centre for every distinct state, in the features that count for the subgoal; empty if no
-        trajectory visits the subgoal.
+        A region with one centre for every distinct state, in the features that an option for the subgoal sees; empty
+        if no trajectory visits the subgoal.
     """
     trajectories = list(trajectories)
     points: list[FloatArray] = [t.features[:0] for t in trajectories[:1]] or [subgoal.points[:0]]
@@ -42,10 +42,12 @@ def initiation_set(
         points.append(labelled.features[before])
     union = np.unique(np.concatenate(points), axis=0)
     outside = union[~subgoal.contains(union)]
-    group = subgoal.group
-    if group is not None:
-        outside = np.unique(group.own(outside[group.is_place(outside)]), axis=0)
-    return Region(outside, subgoal.scale, settings.initiation_radius, group=group)
+    if subgoal.group is None:
+        return Region(outside, subgoal.scale, settings.initiation_radius)
+    group = subgoal.group.sees
+    outside = np.unique(group.own(outside[group.is_place(outside)]), axis=0)
+    scale = np.asarray(group.scale) * (subgoal.scale / np.asarray(subgoal.group.scale)).max()
+    return Region(outside, scale, settings.initiation_radius, group=group)
 
 
 def leading(passage: Passage, trajectories: Iterable[LabelledTrajectory]) -> Region:

@@ -141,8 +141,8 @@ class SubgoalOption(Option):
         subgoal: β = 1 inside it.
         initiation_set: I is this region without the subgoal: at the subgoal there is nothing left to reach.
         option_policy: π.
-        policy_input: Whether π acts on the observation or on its features φ, of which it sees those of the subgoal's
-            group, if that has one.
+        policy_input: Whether π acts on the observation or on its features φ, of which it sees those of the initiation
+            set's group, if that has one.
         feature_map: φ; None until `bind` sets it, because functions do not travel in files or between processes.
         max_duration: Longest run, in primitive steps, at least 1.
         name: For people, in logs and figures.
@@ -215,7 +215,7 @@ class SubgoalOption(Option):
     def _computed_actions(self, observations: Observations) -> IntArray:
         sees = observations
         if self.policy_input == "features":
-            sees = self.subgoal.own(self._features(observations))
+            sees = self.initiation_set.own(self._features(observations))
         return self.option_policy.actions(sees)
 
     def _features(self, observations: Observations) -> FloatArray:

@@ -22,7 +22,7 @@ class OptionLearningSettings:
         min_reach: Of an option on a group of features: I keeps the states from where the saved steps promise to reach
             the subgoal within n steps with at least this probability (`reach.reliable_part`); 0 keeps all. With none
             left there is no option.
-        max_duration: Longest run of the option, primitive steps.
+        max_duration: Longest run of the option, primitive steps; on a group of features at most n, too.
         step_reward: Reward of the option's own task for every step that goes on.
         subgoal_reward: Reward for the step that reaches the subgoal.
         leave_reward: Reward for the step that leaves I, or ends the episode elsewhere than at the subgoal. The default

@@ -94,7 +94,7 @@ class Reaching:
 
     def own(self, features: FloatArray) -> FloatArray:
         """As `OwnTask.own`."""
-        return self.subgoal.own(features)
+        return self.initiation.own(features)
 
 
 class Climbing:

@@ -1,3 +1,5 @@
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -47,6 +49,31 @@ def test_groups_of_lists_and_of_tuples_are_the_same() -> None:
 def test_arguments_out_of_range(wrong: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=f"group 'it': {message}"):
         FeatureGroup("it", **wrong)  # type: ignore[arg-type]  # that is the test
+
+
+def test_what_options_see_begins_with_the_groups_own_features() -> None:
+    seen = {"name": "door, and the cell ahead", "features": [3, 1, 2], "present": [[3, 2]], "scale": [10, 1, 10]}
+    group = FeatureGroup("door", [3, 1], present=[[3]], scale=[10, 1], seen=seen)
+    assert group.sees == FeatureGroup(**seen)  # type: ignore[arg-type]  # fields of several types
+    assert DOOR.sees is DOOR
+    assert group != DOOR
+    with pytest.raises(ValueError, match="group 'door, and the cell ahead' names feature 3, the feature map gives 3"):
+        checked_groups([FeatureGroup("door", [1], seen={"name": "door, and the cell ahead", "features": [1, 3]})], 3)
+
+
+@pytest.mark.parametrize(
+    ("seen", "message"),
+    [
+        ({"name": "x", "features": [0, 1]}, r"seen must begin with its features \(1,\), got \(0, 1\)"),
+        ({"features": [1]}, "seen must have the fields of a group: .*name"),
+        ({"name": "x", "features": [1], "colour": 1}, "seen must have the fields of a group: .*colour"),
+        ({"name": "x", "features": [1], "seen": {"name": "y", "features": [1]}}, "seen .* has no other one to see"),
+        (7, "seen must be a group that has no other one to see, got 7"),
+    ],
+)
+def test_what_options_cannot_see(seen: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=f"group 'it': {message}"):
+        FeatureGroup("it", [1], seen=seen)
 
 
 def test_groups_must_fit_the_feature_map_and_have_names_of_their_own() -> None:

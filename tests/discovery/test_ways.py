@@ -62,8 +62,7 @@ X = np.arange(-5.0, 6.0)
 
 def share_at(ways: list[Any], place: tuple[float, float]) -> float:
     """The share at a place, which is a way of its own that nobody else comes near but those who come near the place."""
-    *_, shares = PassingShare(0.5).update([*ways, np.array([place])])
-    return float(shares[0])
+    return float(PassingShare(0.5).update([*ways, np.array([place])])[-1])
 
 
 def test_all_ways_pass_a_doorway_and_some_a_place_in_open_space() -> None:
@@ -76,17 +75,24 @@ def test_all_ways_pass_a_doorway_and_some_a_place_in_open_space() -> None:
     assert share_at(doorway, (40.0, 40.0)) == 1 / 2
 
 
-def brute_force(ways: list[Any], radius: float) -> list[list[float]]:
-    shares: list[list[float]] = []
+def brute_force(ways: list[Any], radius: float) -> list[float]:
+    shares: list[float] = []
     for way in ways:
         nearest = np.array([[np.linalg.norm(other - state, axis=1).min() for other in ways] for state in way])
-        shares.append(((nearest <= radius).sum(axis=1) / ((nearest <= NEAR * radius).sum(axis=1) + 1)).tolist())
+        shares.extend(((nearest <= radius).sum(axis=1) / ((nearest <= NEAR * radius).sum(axis=1) + 1)).tolist())
     return shares
 
 
 def test_counts_on_as_ways_come_and_go(rng: np.random.Generator) -> None:
     ways = [rng.uniform(0, 10, (int(rng.integers(1, 9)), 2)) for _ in range(30)]
     shares = PassingShare(1.0)
-    for first, last in [(0, 1), (0, 8), (3, 12), (2, 12), (20, 30), (0, 30), (29, 30)]:
+    for first, last in [(0, 1), (0, 8), (3, 12), (2, 12), (20, 30), (29, 30), (0, 30)]:
         some = ways[first:last]
-        assert [share.tolist() for share in shares.update(some)] == brute_force(some, 1.0)
+        assert shares.update(some).tolist() == brute_force(some, 1.0)
+    assert shares.update(some[::-1]).tolist() == brute_force(some[::-1], 1.0)
+
+
+def test_counts_in_parts_as_at_once(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    ways = [rng.uniform(0, 10, (int(rng.integers(1, 9)), 2)) for _ in range(20)]
+    monkeypatch.setattr("sb3_options.discovery.ways.AT_ONCE", 64)
+    assert PassingShare(1.0).update(ways).tolist() == brute_force(ways, 1.0)

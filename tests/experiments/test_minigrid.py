@@ -10,7 +10,7 @@ import pytest
 from experiments.minigrid import agents, keys, reach, settings
 from experiments.minigrid.__main__ import Study, folder_of, main
 from experiments.minigrid.conditions import stages_of
-from experiments.minigrid.hand_made import FORWARD, LEFT, RIGHT, TOGGLE, approach
+from experiments.minigrid.hand_made import FORWARD, LEFT, RIGHT, TOGGLE, approach, options_on, to_subgoals_on
 from experiments.minigrid.settings import ARMS, FAMILIES, Stage
 from experiments.minigrid.summary import frames_to, summarise
 from sb3_options import OptionsWrapper
@@ -62,9 +62,27 @@ def test_the_way_to_a_thing(forward: int, lateral: int, free: int, action: int) 
 
 
 def test_hand_made_options_solve_a_small_task_by_themselves() -> None:
-    venv = agents.venv_of("MiniGrid-MultiRoom-N2-S4-v0", 0, slots=4, hand_made=True)
+    venv = agents.venv_of("MiniGrid-MultiRoom-N2-S4-v0", 0, slots=4, by_hand=options_on)
     assert isinstance(venv.envs[0], OptionsWrapper)  # type: ignore[attr-defined]  # a DummyVecEnv
     assert agents.success_rate(agents.uniform(0), venv, 0) > 0.5  # primitives alone: 0.02
+
+
+def test_options_to_subgoals_begin_within_so_many_cells() -> None:
+    seen = np.concatenate([
+        features(closed_door_visible=1, closed_door_forward=forward, closed_door_lateral=lateral)
+        for forward, lateral in [(1, 0), (1, 1), (2, 2), (0, 0)]
+    ])  # fmt: skip
+    seen[3] = 0  # nothing is in view
+    for within, begins in [(None, [False, True, True, False]), (2, [False, True, False, False])]:
+        door, *_ = to_subgoals_on(np.asarray, within)
+        assert door.initiation(seen).tolist() == begins
+        assert door.termination(seen).tolist() == [1, 0, 0, 0]
+
+
+def test_arms_that_see_only_their_own_features() -> None:
+    own, all_seen = settings.of("discovered, own features"), settings.of("discovered")
+    assert (own["options"], own["own_features_only"]) == ({}, True)
+    assert (all_seen["options"], all_seen["own_features_only"]) == ({"grow": True}, False)
 
 
 def curve(*points: tuple[int, float], **more: Any) -> dict[str, Any]:
@@ -100,7 +118,7 @@ def test_shares_of_runs_that_reach_are_of_all_seeds_together() -> None:
 def test_hand_made_options_fetch_keys_and_unlock_doors(task: str, share: float) -> None:
     """KeyCorridor: the ball behind the door can be fetched by whoever has put down the key. Primitives alone: 0.00."""
     slots = settings.max_options(task.split("S3")[0])
-    with_options = agents.venv_of(f"MiniGrid-{task}-v0", 0, slots=slots, hand_made=True)
+    with_options = agents.venv_of(f"MiniGrid-{task}-v0", 0, slots=slots, by_hand=options_on)
     assert agents.success_rate(agents.uniform(0), with_options, 0) > share
 
 

@@ -78,6 +78,40 @@ class TestLearnOption:
         np.testing.assert_array_equal(surer.initiation_set.points, [[3, 1], [4, 1]])  # from 1 nobody came
         assert learn_option(door, known, 2, replace(all_states, min_reach=1.0), generator()) is None
 
+    def test_an_option_sees_more_than_its_subgoal_says(self) -> None:
+        """Feature 0 is the place, 1 says whether the way to the left is free; if it is not, there is one around."""
+        group = FeatureGroup("place", [0], seen={"name": "place, free", "features": [0, 1], "scale": [1, 10]})
+        start = Region(np.array([[0.0]]), np.array([1.0]), 0.0, group=group)
+        free = self.labelled([[2, 1], [1, 1], [0, 1]], [LEFT, LEFT])
+        around = self.labelled([[2, 1], [1, 0], [7, 0], [0, 0]], [LEFT, RIGHT, LEFT])
+        settings = OptionLearningSettings(initiation_steps=3, max_duration=50)
+        option = learn_option(start, [free, around] * 5, 2, settings, generator())
+        assert option is not None
+        assert option.max_duration == 3  # n
+        assert option.subgoal.group == group
+        assert option.initiation_set.group == group.sees
+        np.testing.assert_array_equal(option.initiation_set.scale, [1, 10])
+        bound = option.bind(lambda features: np.asarray(features))
+        walls = np.array([[1.0, 1.0], [1.0, 0.0], [7.0, 0.0], [7.0, 1.0]])
+        assert bound.initiation(walls).tolist() == [True, True, True, False]
+        assert bound.policy(walls[:3]).tolist() == [LEFT, RIGHT, LEFT]
+        assert bound.termination(np.array([[0.0, 0.0], [0.0, 1.0]])).tolist() == [1, 1]
+        blind = replace(start, group=FeatureGroup("place", [0]))
+        option = learn_option(blind, [free, around] * 5, 2, settings, generator())
+        assert option is not None
+        actions = option.bind(lambda features: np.asarray(features)).policy(walls[:2])
+        assert actions[0] == actions[1]  # what it cannot see it cannot go around
+
+    def labelled(self, features: list[list[float]], actions: list[int]) -> LabelledTrajectory:
+        """A trajectory through distinct states with these features."""
+        trajectory = replace(
+            self.trajectories[0].trajectory,
+            states=np.arange(len(features), dtype=np.float64)[:, None] + 10 * len(features),
+            visits=np.arange(len(features)),
+            actions=np.array(actions),
+        )
+        return replace(self.trajectories[0], trajectory=trajectory, features=np.array(features, dtype=np.float64))
+
     @pytest.mark.parametrize("kind", ["table", "network"])
     def test_a_policy_of_features_needs_no_more_of_the_observation(self, kind: str) -> None:
         noise = np.random.default_rng(0)

@@ -7,16 +7,22 @@ from functools import partial
 import networkx as nx
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from experiments.random_walks.conditions import is_bottleneck, run, world_for
 from sb3_options.discovery.methods import METHODS, MethodName
 from sb3_options.discovery.methods.candidates import Candidates, more_likely, often_enough
+from sb3_options.discovery.methods.centrality import betweenness
 from sb3_options.discovery.methods.graphs import Betweenness, LCut, local_maxima, normalised_cut, weights_of
-from sb3_options.discovery.methods.method import DiscoveryMethod, Experience
+from sb3_options.discovery.methods.method import DiscoveryMethod, Experience, distinct_rows
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty, relative_novelty
 from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
-from sb3_options.experience.observations import BoolArray, IntArray
+from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 from sb3_options.options.proposals import goal_of
+
+NUMBERS = [-1e9, -2.0, -1.0, -0.0, 0.0, 1.0, 3.0, 1e9]
 
 
 def experience(
@@ -66,6 +72,13 @@ class TestExperience:
         assert len(experience([0, 1, 2, 3], scale=0.4).places.points) == 2
         assert len(experience([0, 1, 2, 3], scale=2.0).places.points) == 4
 
+    @given(arrays(np.float64, st.tuples(st.integers(1, 9), st.integers(1, 3)), elements=st.sampled_from(NUMBERS)))
+    def test_distinct_rows_are_those_of_numpy(self, rows: FloatArray) -> None:
+        _, first, which = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+        found, of_each = distinct_rows(rows)
+        assert found.tolist() == first.tolist()
+        assert of_each.tolist() == which.ravel().tolist()
+
 
 class TestRelativeNovelty:
     def test_it_is_what_the_definition_says(self, rng: np.random.Generator) -> None:
@@ -103,7 +116,16 @@ class TestGraphs:
         expected = nx.normalized_cut_size(graph, first)
         assert cut == pytest.approx(expected)
 
-    def test_local_maxima_are_those_of_networkx(self, rng: np.random.Generator) -> None:
+    @given(st.lists(st.tuples(st.integers(0, 11), st.integers(0, 11)), max_size=30))
+    def test_betweenness_is_that_of_networkx(self, pairs: list[tuple[int, int]]) -> None:
+        graph = nx.Graph()
+        graph.add_nodes_from(range(12))
+        graph.add_edges_from((one, other) for one, other in pairs if one != other)
+        one, other = np.array(list(graph.edges), dtype=np.int64).reshape(-1, 2).T
+        expected = nx.betweenness_centrality(graph, normalized=False)
+        assert betweenness(one, other, 12) == pytest.approx([expected[node] for node in range(12)])
+
+    def test_the_bridge_is_a_local_maximum(self, rng: np.random.Generator) -> None:
         places = dumbbell(rng).places
         (bridge,) = local_maxima(places.visits)
         assert places.points[bridge].tolist() == [5.0]

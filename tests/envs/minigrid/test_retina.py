@@ -91,6 +91,23 @@ def test_groups_name_features_by_kind() -> None:
     np.testing.assert_array_equal(group.is_place(features), [False, False, True])
 
 
+def test_options_see_the_cell_ahead_and_those_for_open_doors_closed_ones() -> None:
+    groups = {group["name"]: FeatureGroup(**group) for group in concept_groups()}
+    for group in groups.values():
+        assert FEATURES[group.sees.features[len(group.features)]] == "free_ahead"
+    door = groups["open_door"]
+    views = [image(), image({(2, 1): (DOOR, 1)}), image({(2, 1): (DOOR, 0)}), image({(2, 1): (DOOR, 2)})]
+    features = retina(np.stack(views))
+    np.testing.assert_array_equal(door.is_place(features), [False, False, True, False])
+    np.testing.assert_array_equal(door.sees.is_place(features), [False, True, True, False])
+
+
+def test_a_doorway_is_an_open_door_or_between_walls() -> None:
+    (doorway,) = (FeatureGroup(**group) for group in concept_groups() if group["name"] == "doorway")
+    views = [image(), image({(2, 1): (DOOR, 0)}), image({(0, -1): (WALL, 0), (0, 1): (WALL, 0)})]
+    np.testing.assert_array_equal(doorway.is_place(retina(np.stack(views))), [False, True, True])
+
+
 def test_other_shapes_are_refused() -> None:
     with pytest.raises(ValueError, match=r"images must have shape \(batch, v, v, 3\).*got \(7, 7, 3\)"):
         retina(image())
