@@ -92,7 +92,7 @@ def tune(config: TuneConfig, *, console: Console) -> TrainConfig:
     console.print(_table(study, config, goal))
     trusted = [word for name in IMPORTING if (text := getattr(config, name)) is not None for word in (flag(name), text)]
     words = ["--config", str(config.out / BEST), "--seed", str(config.first_seed + config.seeds), *trusted]
-    console.print(escape(f"Judge it on another seed: sb3-options train {shlex.join(words)}"))
+    console.print(escape(f"Judge it on another seed: sb3-options train {shlex.join(words)}"), soft_wrap=True)
     return best
 
 

@@ -26,6 +26,7 @@ def test_the_calculation() -> None:
 
 @pytest.mark.slow
 @pytest.mark.cluster
+@pytest.mark.xdist_group("cluster")
 def test_the_study(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("ray", reason="needs Ray: pip install .[cluster]")
     pytest.importorskip("pybullet")

@@ -125,6 +125,13 @@ def test_the_best_is_found_and_kept(tmp_path: Path, trained: list[TrainConfig]) 
     assert to_hex(rcParams["axes.edgecolor"]) == "#000000", "the style of Optuna's pictures is that of no other"
 
 
+def test_the_command_that_judges_names_what_is_trusted(tmp_path: Path, trained: list[TrainConfig]) -> None:
+    console, trusted = quiet(), "gymnasium.wrappers:RecordEpisodeStatistics"
+    config = TuneConfig(written(tmp_path), tmp_path / "out", trials=1, seeds=1, env_wrapper=trusted)
+    tune.tune(config, console=console)
+    assert f"--seed 1 --env-wrapper {trusted}\n" in console.file.getvalue()  # type: ignore[attr-defined]  # a StringIO
+
+
 def test_one_seed_one_search(tmp_path: Path, trained: list[TrainConfig]) -> None:
     for out in "ab":
         tune.tune(TuneConfig(written(tmp_path), tmp_path / out, trials=10, seeds=1), console=quiet())
