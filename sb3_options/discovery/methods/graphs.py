@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import networkx as nx
 import numpy as np
 from scipy.linalg import eigh
 
 from sb3_options.density.regions import Region
 from sb3_options.discovery.methods.candidates import CandidateMethod, check_counts, often_enough
-from sb3_options.discovery.methods.centrality import betweenness
 from sb3_options.discovery.methods.method import Experience
 from sb3_options.experience.observations import FloatArray, IntArray
 
@@ -138,24 +138,16 @@ def normalised_cut(weights: FloatArray) -> tuple[float, IntArray]:
 
 def local_maxima(visits: IntArray) -> IntArray:
     """The places of a trajectory whose betweenness is positive and larger than that of all their neighbours."""
-    places, way = np.unique(visits, return_inverse=True)
-    one, other = edges_of(way, len(places))
-    values = betweenness(one, other, len(places))
-    slack = TOLERANCE * values.max()
-    highest = np.zeros(len(places))  # of the neighbours
-    np.maximum.at(highest, one, values[other])
-    np.maximum.at(highest, other, values[one])
-    maxima: IntArray = places[(values > slack) & (values > highest + slack)]
-    return maxima
-
-
-def edges_of(way: IntArray, n: int) -> tuple[IntArray, IntArray]:
-    """The pairs of different places between which a transition was made, each once, the smaller number first.
-
-    Args:
-        way: Place at every time, (T + 1,).
-        n: How many places there are.
-    """
-    low, high = np.minimum(way[:-1], way[1:]), np.maximum(way[:-1], way[1:])
-    one, other = np.divmod(np.unique((low * n + high)[low < high]), n)
-    return one, other
+    graph = nx.Graph()
+    nx.add_path(graph, visits.tolist())
+    graph.remove_edges_from(list(nx.selfloop_edges(graph)))
+    betweenness = nx.betweenness_centrality(graph)
+    slack = TOLERANCE * max(betweenness.values())
+    return np.array(
+        [
+            place
+            for place, value in betweenness.items()
+            if value > slack and all(value > betweenness[other] + slack for other in graph[place])
+        ],
+        dtype=np.int64,
+    )

@@ -14,7 +14,6 @@ from hypothesis.extra.numpy import arrays
 from experiments.random_walks.conditions import is_bottleneck, run, world_for
 from sb3_options.discovery.methods import METHODS, MethodName
 from sb3_options.discovery.methods.candidates import Candidates, more_likely, often_enough
-from sb3_options.discovery.methods.centrality import betweenness
 from sb3_options.discovery.methods.graphs import Betweenness, LCut, local_maxima, normalised_cut, weights_of
 from sb3_options.discovery.methods.method import DiscoveryMethod, Experience, distinct_rows
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty, relative_novelty
@@ -116,16 +115,7 @@ class TestGraphs:
         expected = nx.normalized_cut_size(graph, first)
         assert cut == pytest.approx(expected)
 
-    @given(st.lists(st.tuples(st.integers(0, 11), st.integers(0, 11)), max_size=30))
-    def test_betweenness_is_that_of_networkx(self, pairs: list[tuple[int, int]]) -> None:
-        graph = nx.Graph()
-        graph.add_nodes_from(range(12))
-        graph.add_edges_from((one, other) for one, other in pairs if one != other)
-        one, other = np.array(list(graph.edges), dtype=np.int64).reshape(-1, 2).T
-        expected = nx.betweenness_centrality(graph, normalized=False)
-        assert betweenness(one, other, 12) == pytest.approx([expected[node] for node in range(12)])
-
-    def test_the_bridge_is_a_local_maximum(self, rng: np.random.Generator) -> None:
+    def test_local_maxima_are_those_of_networkx(self, rng: np.random.Generator) -> None:
         places = dumbbell(rng).places
         (bridge,) = local_maxima(places.visits)
         assert places.points[bridge].tolist() == [5.0]
