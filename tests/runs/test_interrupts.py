@@ -30,10 +30,16 @@ def send(number: int = signal.SIGINT) -> None:
 
 @pytest.fixture(autouse=True)
 def handlers() -> Iterator[None]:
-    """Nothing that a test installs stays."""
+    """Nothing that a test installs stays, and nothing is ignored from before, as SIGHUP is under nohup."""
+    outside = {number: signal.getsignal(number) for number in SIGNALS}
+    for number, handler in outside.items():
+        if handler is signal.SIG_IGN:
+            signal.signal(number, signal.SIG_DFL)
     before = {number: signal.getsignal(number) for number in SIGNALS}
     yield
     assert {number: signal.getsignal(number) for number in SIGNALS} == before
+    for number, handler in outside.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture
