@@ -21,7 +21,7 @@ from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.execution import ray_vec_env
 from sb3_options.execution.ray_vec_env import RayVecEnv
 from sb3_options.execution.workers import WorkerLostError
-from tests.support.clusters import TwoNodes, again, nodes_of, send, wait_until
+from tests.support.clusters import TwoNodes, nodes_of, send, wait_until
 from tests.support.sb3_helpers import Corridor, fast_callback, make_optioned_rooms, places
 
 pytest.importorskip("ray", reason="needs Ray: pip install .[cluster]")
@@ -44,9 +44,8 @@ def same(one: Any, other: Any) -> bool:
 
 
 @pytest.mark.parametrize("kind", ["box", "dict"])
-@again()
 def test_the_same_trajectories_as_in_worker_processes(
-    kind: str, losses: list[str], ray_envs: list[RayVecEnv], request: pytest.FixtureRequest
+    kind: str, ray_envs: list[RayVecEnv], request: pytest.FixtureRequest
 ) -> None:
     make = partial(corridor, kind)
     venv, other = RayVecEnv([make] * 3, 2), SubprocVecEnv([make] * 3)
@@ -108,10 +107,8 @@ class KillNode(BaseCallback):
         return self.n_after < 300
 
 
-@again(deliberate=1)
 def test_a_machine_is_lost_in_mid_training(
     nodes: TwoNodes,
-    losses: list[str],
     ray_envs: list[RayVecEnv],
     tmp_path: Path,
     caplog: pytest.LogCaptureFixture,
@@ -161,7 +158,6 @@ def is_dead(nodes: TwoNodes, actor: Any) -> bool:
     return False
 
 
-@again(deliberate=1)
 def test_what_is_lost_before_the_first_reset_has_lost_nothing(
     nodes: TwoNodes, losses: list[str], ray_envs: list[RayVecEnv]
 ) -> None:
@@ -185,9 +181,8 @@ def test_what_is_lost_before_the_first_reset_has_lost_nothing(
 @pytest.mark.parametrize(
     ("number", "workers"), [(signal.SIGSTOP, True), (signal.SIGKILL, False)], ids=["it hangs", "its raylet is killed"]
 )
-@again(deliberate=1)
 def test_a_machine_does_not_answer(
-    number: signal.Signals, workers: bool, nodes: TwoNodes, losses: list[str], ray_envs: list[RayVecEnv]
+    number: signal.Signals, workers: bool, nodes: TwoNodes, ray_envs: list[RayVecEnv]
 ) -> None:
     second = nodes.add_second()
     venv, where = one_on_each(nodes, ray_envs, make_optioned_rooms, 2)
@@ -203,8 +198,7 @@ def test_a_machine_does_not_answer(
     assert not any("lost" in info for info in step(np.zeros(2, dtype=np.int64))[3])
 
 
-@again(deliberate=1)
-def test_a_process_hangs(nodes: TwoNodes, losses: list[str], ray_envs: list[RayVecEnv]) -> None:
+def test_a_process_hangs(nodes: TwoNodes, ray_envs: list[RayVecEnv]) -> None:
     venv = RayVecEnv([make_optioned_rooms] * 2, 1)
     ray_envs.append(venv)
     venv.seed(5)
@@ -222,8 +216,7 @@ def test_a_process_hangs(nodes: TwoNodes, losses: list[str], ray_envs: list[RayV
     wait_until(lambda: not Path(f"/proc/{pid}").exists())
 
 
-@again(deliberate=2)
-def test_what_is_lost_between_two_steps(nodes: TwoNodes, losses: list[str], ray_envs: list[RayVecEnv]) -> None:
+def test_what_is_lost_between_two_steps(nodes: TwoNodes, ray_envs: list[RayVecEnv]) -> None:
     venv = RayVecEnv([make_optioned_rooms] * 2, 1)
     ray_envs.append(venv)
     venv.seed(5)
@@ -255,10 +248,7 @@ class Ends(Corridor):
         os._exit(1)
 
 
-@again(deliberate=2)
-def test_faults_of_environments(
-    nodes: TwoNodes, losses: list[str], ray_envs: list[RayVecEnv], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_faults_of_environments(nodes: TwoNodes, ray_envs: list[RayVecEnv], monkeypatch: pytest.MonkeyPatch) -> None:
     venv = RayVecEnv([Ends], 1)
     ray_envs.append(venv)
     venv.reset()

@@ -1,6 +1,5 @@
 """A real Ray cluster of two nodes on one machine, of which one can be killed."""
 
-import functools
 import os
 import signal
 import time
@@ -8,8 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
-
-import pytest
 
 from sb3_options.execution.ray_cluster import require_ray
 from sb3_options.execution.ray_vec_env import RayVecEnv
@@ -19,9 +16,6 @@ STORE = 80 * 2**20
 
 LIMIT = 300.0
 """Seconds after which something hangs, on however slow a machine."""
-
-ATTEMPTS = 3
-"""How often a test may be tried in which Ray loses an actor of its own accord."""
 
 SOON: dict[str, int] = {
     "health_check_period_ms": 1_000,
@@ -94,7 +88,7 @@ class TwoNodes:
 def two_nodes() -> Iterator[TwoNodes]:
     """A cluster, ended afterwards."""
     before = os.environ.pop("RAY_ADDRESS", None)
-    os.environ["RAY_AUTH_MODE"] = "disabled"
+    os.environ.setdefault("RAY_AUTH_MODE", "disabled")  # Ray itself sets "token", for good, where it started a cluster
     nodes = TwoNodes()
     try:
         yield nodes
@@ -109,29 +103,6 @@ def send(number: signal.Signals, pids: Sequence[int]) -> None:
     for pid in pids:
         with suppress(ProcessLookupError):
             os.kill(pid, number)
-
-
-def again(deliberate: int = 0) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Of a test: tried again where Ray lost actors of its own accord, as it may on a busy machine.
-
-    Args:
-        deliberate: How many the test loses itself. If it fails though no more were lost, it has failed.
-    """
-
-    def of(test: Callable[..., None]) -> Callable[..., None]:
-        @functools.wraps(test)
-        def run(losses: list[str], **given: Any) -> None:
-            for left in range(ATTEMPTS)[::-1]:
-                losses.clear()
-                try:
-                    return test(losses=losses, **given)
-                except (Exception, pytest.fail.Exception):
-                    if left == 0 or len(losses) <= deliberate:
-                        raise
-
-        return run
-
-    return of
 
 
 def nodes_of(venv: RayVecEnv) -> list[str]:
