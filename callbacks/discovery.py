@@ -57,10 +57,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     ``DiscoverySettings(segmentation="peaks")``.
 
     The callback also makes ``num_timesteps`` count primitive steps (`PrimitiveStepsCallback` says what still counts
-    decisions), installs the options in the environment of an
-    ``EvalCallback`` beside it, and logs to TensorBoard. `bank` holds the options, `discoveries` says when and where
-    each was found, `closed` which of them were closed again. `episodes` is the number of episodes (or segments) that
-    discovery has seen, and `history` says how each of them went.
+    decisions), installs the options in the environment of an ``EvalCallback`` beside it, and logs to TensorBoard.
+    `bank` holds the options, `discoveries` says when and where each was found, `closed` which of them were closed
+    again, `episodes` how many episodes (or segments) discovery has seen, and `history` how each of them went.
 
     Args:
         settings: How subgoals are found: a `DiscoverySettings`, or a mapping of its fields.
@@ -82,8 +81,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         interruption: Whether options of DQN, QRDQN and OptionDQN end where going on is worth less than the best
             alternative (`execution.interruption`).
         trial: How options are tried, and closed where they prove harmful (`execution.trials`); by default they are not.
-        min_reached: An option is closed when less than this share of its last runs reached the subgoal, in [0, 1]; 0
-            closes none. Runs that the end of the episode cut off do not count.
+        min_reached: When less than this share of an option's last runs reached the subgoal, in [0, 1], it is no longer
+            offered where they failed, and closed if that is nowhere or everywhere; 0 closes none. Runs that the end of
+            the episode cut off do not count.
         primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps, not decisions.
         save_path: File for the options, written each time one is made; None writes nothing.
         hparams: Settings for TensorBoard's HParams tab; by default those of the algorithm and of discovery.
@@ -124,11 +124,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.method = None if isinstance(method, str) else method
         self.option_settings = given_as(OptionLearningSettings, {} if option_settings is None else option_settings)
         check_numbers(max_new_options, min_reached, seed)
-        self.min_reached = min_reached
-        self.success, self.static_filter = success, static_filter
+        self.success, self.static_filter, self.min_reached = success, static_filter, min_reached
         self.groups = groups_given(groups)
-        self.max_new_options = max_new_options
-        self.interruption = interruption
+        self.max_new_options, self.interruption = max_new_options, interruption
         self.trial = trial_given(trial, self.settings)
         self.max_option_exploration = checked_share(max_option_exploration)
         self.opening_share = checked_share(max_option_exploration if opening_share is None else opening_share)
@@ -142,8 +140,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.seed = seed
         self._trials: OptionTrials | None = None
         self._generator = torch.Generator().manual_seed(seed)
-        self._statistics = OptionStatistics()
-        self._growth = OptionGrowth()
+        self._statistics, self._growth = OptionStatistics(min_reached), OptionGrowth()
         self.embedding = given_as(EmbeddingSettings, {} if embedding is None else embedding)
         self._features = GivenFeatures()
         self._installer: OptionInstaller | None = None
@@ -260,13 +257,13 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             later: SubgoalOption | None = option
             if self.option_settings.grow and self._growth.is_due(slot, option.subgoal, labelled):
                 later = self._learn(option.subgoal, option.name, option.policy_input)
+                self._statistics.reliability.forget(slot)
                 if later is not None and slot not in self._made_here:
                     later = joined(option, later)
             elif self.option_settings.keep_learning:
                 later = learn_further(option, labelled, self.option_settings)
             if later is not None and later is not option:
-                self._options.replace(slot, later)
-                self._features.remember(slot, later, self._search)
+                self._replace(slot, later)
 
     def _learn(self, proposal: Proposal, name: str, policy_input: PolicyInput) -> SubgoalOption | None:
         return learn_option(
@@ -313,13 +310,16 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                 logger.warning("The options could not be saved to %s, training goes on: %s", self.save_path, error)
 
     def _close_unreliable(self) -> None:
-        """Close options whose runs too often end elsewhere than at the subgoal."""
-        for slot in self._options.installed() if self.min_reached else ():
-            reached = self._statistics.reached(slot)
-            option = self.bank[slot]
-            bound = isinstance(option, SubgoalOption) and len(option.subgoal.points) > 0
-            if reached is not None and reached < self.min_reached and bound:
+        """Narrow, or close, options whose runs too often end elsewhere than at the subgoal."""
+        for slot, later in self._statistics.reliability.judged(self._options):
+            if later is None:
                 self._close_option(slot, "unreliable")
+            else:
+                self._replace(slot, later)
+
+    def _replace(self, slot: int, later: SubgoalOption) -> None:
+        self._options.replace(slot, later)
+        self._features.remember(slot, later, self._search)
 
     def _close_option(self, slot: int, why: Verdict) -> None:
         self._options.uninstall(slot)

@@ -8,17 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from sb3_options.callbacks.reliability import WINDOW, Reliability
 from sb3_options.density.regions import Region
 from sb3_options.execution.trials import Verdict
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.trajectories import TrajectoryDatabase
-
-MIN_RUNS = 50
-"""Of so many last runs that ended by themselves is judged how many reached the subgoal, or nothing is."""
-
-WINDOW = 100
-"""Durations and terminations are averaged over this many last runs of a slot."""
 
 
 @dataclass(frozen=True)
@@ -75,9 +70,13 @@ class OptionStatistics:
 
     A run begins in the option's initiation set. A slot that is chosen outside it takes a single step, which says
     nothing of where the option leads, and is counted apart.
+
+    Args:
+        min_reached: Share of the runs that have to reach the subgoal, for `reliability`; 0 for none.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, min_reached: float = 0.0) -> None:
+        self.reliability = Reliability(min_reached)
         self._uses: Counter[int] = Counter()
         self._outside: Counter[int] = Counter()
         self._last: dict[int, deque[tuple[int, str]]] = {}
@@ -91,19 +90,12 @@ class OptionStatistics:
             return
         self._last.setdefault(run.index, deque(maxlen=WINDOW)).append((run.duration, run.termination))
         self._endings.setdefault(run.index, set()).add(run.termination)
-
-    def reached(self, slot: int) -> float | None:
-        """Share of a slot's last runs that reached the subgoal, of those that neither the episode nor a choice ended.
-
-        None if these are fewer than `MIN_RUNS`.
-        """
-        count = Counter(why for _, why in self._last.get(slot, ()))
-        decided = count["subgoal"] + count["left_initiation"] + count["max_duration"]
-        return count["subgoal"] / decided if decided >= MIN_RUNS else None
+        self.reliability.add(run)
 
     def forget(self, slot: int) -> None:
         """Forget the last runs of an option that is closed."""
         self._last.pop(slot, None)
+        self.reliability.forget(slot)
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint."""
@@ -112,6 +104,7 @@ class OptionStatistics:
             "outside": dict(self._outside),
             "last": {slot: list(last) for slot, last in self._last.items()},
             "endings": {slot: sorted(endings) for slot, endings in self._endings.items()},
+            "reliability": self.reliability.get_state(),
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -119,6 +112,7 @@ class OptionStatistics:
         self._uses, self._outside = Counter(state["uses"]), Counter(state["outside"])
         self._last = {slot: deque(last, maxlen=WINDOW) for slot, last in state["last"].items()}
         self._endings = {slot: set(endings) for slot, endings in state["endings"].items()}
+        self.reliability.set_state(state["reliability"])
 
     def values(self) -> dict[str, float]:
         """By tag: choices, runs and single steps outside; mean duration and the share of each end of the last runs."""

@@ -13,7 +13,8 @@ from stable_baselines3.common.logger import HParam, Logger, TensorBoardOutputFor
 from stable_baselines3.common.type_aliases import TrainFreq
 
 from sb3_options.callbacks.counting import SCHEDULES
-from sb3_options.callbacks.records import WINDOW, DiscoveredOption
+from sb3_options.callbacks.records import DiscoveredOption
+from sb3_options.callbacks.reliability import WINDOW
 from sb3_options.experience.trajectories import EpisodeRecord
 from sb3_options.options.option import Option, SubgoalOption
 

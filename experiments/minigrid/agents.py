@@ -42,6 +42,7 @@ def venv_of(
     env_id: str,
     seed: int,
     *,
+    rehearsed: tuple[str, int] = ("", 0),
     n_envs: int = settings.N_ENVS,
     slots: int = 0,
     options: Path | None = None,
@@ -53,6 +54,7 @@ def venv_of(
     Args:
         env_id: Of the task.
         seed: Of the first.
+        rehearsed: Another task, and how many of the environments, the last ones, are of that.
         n_envs: How many.
         slots: For options.
         options: File of the options they begin with.
@@ -69,7 +71,9 @@ def venv_of(
             optioned.bank.add(option)
         return optioned
 
-    return make_vec_env(make, n_envs, seed=seed, env_kwargs={"env_id": env_id}, wrapper_class=wrapped)
+    other, n_others = rehearsed
+    tasks = iter([env_id] * (n_envs - n_others) + [other] * n_others)
+    return make_vec_env(lambda: make(next(tasks)), n_envs, seed=seed, wrapper_class=wrapped)
 
 
 def normalised(venv: VecEnv, before: VecEnv | None, *, training: bool = True) -> VecNormalize:
@@ -94,9 +98,10 @@ def model_of(arm: Arm, venv: VecEnv, seed: int) -> BaseAlgorithm:
 
 
 class Notes(BaseCallback):
-    """Notes how training goes.
+    """Notes how training goes in the first environments.
 
     Args:
+        n_envs: How many these are; the others rehearse.
         learned: Training ends when this share of the last `EPISODES` episodes succeeded; None: it does not.
         least: And not before so many primitive steps.
 
@@ -105,15 +110,16 @@ class Notes(BaseCallback):
         runs: Of each option, by its name, how its runs ended.
     """
 
-    def __init__(self, learned: float | None = None, least: int = 0) -> None:
+    def __init__(self, n_envs: int, learned: float | None = None, least: int = 0) -> None:
         super().__init__()
+        self.n_envs = n_envs
         self.learned, self.least = learned, least
         self.curve: list[tuple[int, float]] = []
         self.runs: dict[str, Counter[str]] = {}
         self._successes: deque[bool] = deque(maxlen=settings.EPISODES)
 
     def _on_step(self) -> bool:
-        for info in self.locals["infos"]:
+        for info in self.locals["infos"][: self.n_envs]:
             if "is_success" in info:
                 self._successes.append(info["is_success"])
             run = info.get("option", {})

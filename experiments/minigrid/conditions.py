@@ -84,7 +84,14 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
     with tempfile.TemporaryDirectory() as folder:
         for number, stage in enumerate(stages):
             is_last = number == len(stages) - 1
-            venv = venv_of(stage.env_id, env_seed, **how, withheld=arm == LATER_ARM and number == 0)
+            n_rehearsed = stage.rehearsed * n_envs // settings.N_ENVS
+            venv = venv_of(
+                stage.env_id,
+                env_seed,
+                rehearsed=(stages[number - 1].env_id if n_rehearsed else "", n_rehearsed),
+                withheld=arm == LATER_ARM and number == 0,
+                **how,
+            )
             if arm == ZOO_ARM:
                 venv = before = normalised(venv, before)
             if model is None:
@@ -92,7 +99,8 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
             else:
                 model.set_env(venv)
             longest = n_envs * venv.get_attr("unwrapped", [0])[0].max_steps
-            notes = Notes(protocol.until, longest) if is_last else Notes(protocol.learned)
+            learned_at, least = (protocol.until, longest) if is_last else (protocol.learned, 0)
+            notes = Notes(n_envs - n_rehearsed, learned_at, least)
             callbacks = _callbacks(arm, seed, number, discovers=number == 0 or not is_last)
             began = time.perf_counter()
             model.learn(stage.frames, callback=[*callbacks, notes])
@@ -136,7 +144,7 @@ def _callbacks(arm: Arm, seed: int, stage: int, *, discovers: bool) -> list[Base
     if arm in settings.DISCOVERING:
         discovery = SubgoalDiscoveryCallback(
             settings.DISCOVERY,
-            settings.options_of(arm),
+            settings.options_of(arm, stage),
             groups=_blinkered() if arm in (settings.OWN_ARM, settings.FORMER_ARM) else None,
             max_new_options=None if discovers else 0,
             opening_share=settings.OPENING_SHARE,

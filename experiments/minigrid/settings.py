@@ -42,12 +42,18 @@ class Stage(NamedTuple):
 
     Attributes:
         env_id: Of the task.
-        frames: Primitive steps.
+        frames: Primitive steps, those of all environments.
+        rehearsed: Environments, of `N_ENVS`, that stay in the task before, so that the policy does not unlearn it while
+            successes in the new one are rare.
     """
 
     env_id: str
     frames: int
+    rehearsed: int = 0
 
+
+REHEARSED = 4
+"""Of 16 environments. With none the policy unlearns everything in one of two runs of N6; with 8 it takes longer."""
 
 FAMILIES: dict[str, tuple[Stage, ...]] = {
     "MultiRoom-4": (
@@ -73,8 +79,9 @@ FAMILIES: dict[str, tuple[Stage, ...]] = {
     ),
     "MultiRoom-N6": (
         Stage("MiniGrid-MultiRoom-N2-S4-v0", 60_000),
-        Stage("MiniGrid-MultiRoom-N4-S5-v1", 160_000),
-        Stage("MiniGrid-MultiRoom-N6-v0", 400_000),
+        Stage("MiniGrid-MultiRoom-N4-S5-v1", 160_000, REHEARSED),
+        Stage("MiniGrid-MultiRoom-N4-S5-v0", 160_000, REHEARSED),
+        Stage("MiniGrid-MultiRoom-N6-v0", 1_600_000, REHEARSED),
     ),
     "MultiRoom-N2-N6": (
         Stage("MiniGrid-MultiRoom-N2-S4-v0", 40_000),
@@ -90,8 +97,8 @@ FAMILIES: dict[str, tuple[Stage, ...]] = {
     ),
     "KeyCorridor": (
         Stage("MiniGrid-KeyCorridorS3R1-v0", 150_000),
-        Stage("MiniGrid-KeyCorridorS3R2-v0", 150_000),
-        Stage("MiniGrid-KeyCorridorS3R3-v0", 200_000),
+        Stage("MiniGrid-KeyCorridorS3R2-v0", 300_000),
+        Stage("MiniGrid-KeyCorridorS3R3-v0", 600_000),
     ),
 }
 """Stages of each family, the last one is the task. ``MultiRoom-N4-S5-v0`` has six rooms, ``-v1`` has four."""
@@ -128,6 +135,10 @@ study was run before there was a `max_share`."""
 OPTIONS: dict[str, Any] = {"grow": True}
 """Options are learned anew as more is seen: the first ones know only what a small room shows."""
 
+GROWING_STAGES = 2
+"""After so many tasks options stay as they are. In a third one a later version is another more than a better one, and
+what the agent learned of the former is wrong."""
+
 OPENING_SHARE = 0.5
 MIN_REACHED = 0.5
 """Options whose runs reach the subgoal less often are closed."""
@@ -139,11 +150,11 @@ REACHED = (0.5, 0.8, 0.9)
 """Success rates whose frames are reported."""
 
 
-def options_of(arm: Arm) -> dict[str, Any]:
-    """How an arm learns options."""
+def options_of(arm: Arm, stage: int = 0) -> dict[str, Any]:
+    """How an arm learns options in a stage, counted from 0."""
     if arm == FORMER_ARM:
         return {"min_reach": 0.0}
-    return {} if arm == OWN_ARM else OPTIONS
+    return {} if arm == OWN_ARM or stage >= GROWING_STAGES else OPTIONS
 
 
 def of(arm: Arm) -> dict[str, Any]:
@@ -153,6 +164,7 @@ def of(arm: Arm) -> dict[str, Any]:
         special |= {"primitive_rollouts": arm != FORMER_ARM}
     if arm in DISCOVERING:
         special |= {"options": options_of(arm), "own_features_only": arm in (OWN_ARM, FORMER_ARM)}
+        special |= {"growing_stages": GROWING_STAGES} if options_of(arm) == OPTIONS else {}
         special |= {"min_reached": MIN_REACHED, "discovers_in": "all stages but the last"}
     if arm in WITH_BONUS:
         special |= {"rnd_weight": RND_WEIGHT}

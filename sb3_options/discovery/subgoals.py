@@ -374,9 +374,10 @@ class SubgoalDiscovery:
         self._n_new = state["n_new"]
 
     def _new_subgoal(self) -> Region | None:
+        if self.last.evidence is None:
+            return None  # what persists in one group may have lost its bags to a subgoal of another
         for concept in self.tracker.persistent():
             assert self.scale is not None  # a concept is tracked only after a search
-            assert self.last.evidence is not None
             point = _nearest(np.concatenate(self.last.evidence.positive), concept.point, self.scale)
             subgoal = Region(point[None], self.scale, self.settings.subgoal_radius, group=self.group)
             # Where φ is learned there are no groups, whose points have features of their own.

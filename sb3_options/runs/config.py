@@ -40,6 +40,7 @@ MAX_THREADS = 1024
 """More than any machine has cores for; torch would take memory for each."""
 
 NAME, KIND = tyro.conf.arg(metavar="NAME"), tyro.conf.arg(metavar="KIND")  # of something in a module; of a choice
+NUMBER, SHARE = tyro.conf.arg(metavar="N"), tyro.conf.arg(metavar="P")  # short, so that the help fits a line
 Count: TypeAlias = Annotated[int, Field(ge=1)]
 Natural: TypeAlias = Annotated[int, Field(ge=0)]
 Share: TypeAlias = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -79,6 +80,7 @@ class TrainConfig:
         net_arch: Hidden layers of the network.
         bonus: "counts" or "rnd": an intrinsic reward.
         close_harmful: Close options that prove harmful.
+        min_reached: Least share of runs to arrive; 0: any.
         discovery: How subgoals are found.
         option: How options are learned.
     """
@@ -95,9 +97,9 @@ class TrainConfig:
     n_envs: Count = 1
     vec_env: Annotated[Literal["dummy", "subproc", "ray"], KIND] = "dummy"
     eval_freq: Natural = 0
-    checkpoint_freq: Natural = 10_000
+    checkpoint_freq: Annotated[Natural, NUMBER] = 10_000
     eval_episodes: Count = 10
-    eval_max_steps: Natural = 1_000
+    eval_max_steps: Annotated[Natural, NUMBER] = 1_000
     progress: bool = True
     device: str = "auto"
     num_threads: Annotated[int, Field(ge=1, le=MAX_THREADS)] = 1
@@ -111,6 +113,7 @@ class TrainConfig:
     net_arch: tuple[Count, ...] = (64, 64)
     bonus: Annotated[Literal["none", "counts", "rnd"], KIND] = "none"
     close_harmful: bool = False
+    min_reached: Annotated[Share, SHARE] = 0.0
     discovery: DiscoverySettings = field(default_factory=DiscoverySettings)
     option: OptionLearningSettings = field(default_factory=OptionLearningSettings)
 
@@ -159,7 +162,7 @@ class OnPolicyConfig(TrainConfig):
     """What A2C, TRPO and PPO share. The defaults are tuned for gridworlds.
 
     Attributes:
-        n_steps: Decisions of each environment in a rollout.
+        n_steps: Decisions per environment and rollout.
         gae_lambda: λ of the advantages.
     """
 

@@ -24,7 +24,8 @@ from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
 from sb3_options import OptionBank, OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
-from sb3_options.callbacks.records import MIN_RUNS, WINDOW, OptionStatistics
+from sb3_options.callbacks.records import OptionStatistics
+from sb3_options.callbacks.reliability import MIN_RUNS, WINDOW
 from sb3_options.density.regions import Region
 from sb3_options.envs import Direction
 from sb3_options.experience.option_run import OptionRun
@@ -73,18 +74,31 @@ def test_an_option_that_does_not_reach_its_subgoal_is_closed(tmp_path: Path) -> 
     env = optioned_rooms()
     right, left = Direction.RIGHT, Direction.LEFT
     env.bank.add(to_the_doorway(right, (3, 2)))
-    env.bank.add(to_the_doorway(left, (3, 2), (2, 2), (1, 2), (0, 2)))
+    env.bank.add(to_the_doorway(left, (3, 2), (2, 2)))
     callback = SubgoalDiscoveryCallback(max_new_options=0, min_reached=0.5, interruption=False)
     model_of(env, seed=0).learn(6000, callback=callback)
     assert [(closed.slot, closed.why) for closed in callback.closed] == [(1, "unreliable")]
     assert callback.bank.filled == env.bank.filled == (0,)
 
 
+def test_an_option_is_no_longer_offered_where_it_goes_on_for_ever() -> None:
+    """To the right of (3, 0) is a wall."""
+    env = optioned_rooms()
+    env.bank.add(to_the_doorway(Direction.RIGHT, (3, 2), (3, 0)))
+    callback = SubgoalDiscoveryCallback(max_new_options=0, min_reached=0.5, interruption=False)
+    model_of(env, seed=0).learn(6000, callback=callback)
+    assert not callback.closed
+    for bank in (callback.bank, env.bank):
+        option = bank[0]
+        assert isinstance(option, SubgoalOption)
+        assert option.initiation_set.points.tolist() == [[3, 2]]
+
+
 def test_runs_of_a_closed_option_do_not_count_for_the_next_one_in_its_slot() -> None:
     """With a rollout buffer a closed option goes on until the rollout ends, after its statistics were forgotten."""
     callback = fast_callback(max_new_options=1, min_reached=0.5)
     for _ in range(MIN_RUNS):
-        callback._statistics.add(OptionRun(0, 1, 0.9, 0.9, "left_initiation", inside=True))
+        callback._statistics.add(OptionRun(0, 1, 0.9, 0.9, "left_initiation", np.eye(45)[:1], inside=True))
     model_of(seed=0).learn(2 * STEPS, callback=callback)
     assert [found.slot for found in callback.discoveries] == [0]
     assert not callback.closed
@@ -518,15 +532,3 @@ def test_saved_and_loaded_in_a_new_process_acts_the_same(tmp_path: Path) -> None
     assert result.returncode == 0, result.stderr
     for name, values in expected.items():
         np.testing.assert_array_equal(np.load(tmp_path / f"{name}.npy"), values)
-
-
-def test_only_runs_that_ended_by_themselves_say_whether_an_option_reaches() -> None:
-    statistics = OptionStatistics()
-    ends = ["subgoal"] * 30 + ["left_initiation"] * 10 + ["max_duration"] * 9 + ["truncated", "interrupted"] * 20
-    for why in ends:
-        statistics.add(OptionRun(0, 1, 0.9, 0.9, why, inside=True))  # type: ignore[arg-type]  # terminations
-    assert statistics.reached(0) is None
-    statistics.add(OptionRun(0, 1, 0.9, 0.9, "left_initiation", inside=True))
-    assert statistics.reached(0) == 30 / MIN_RUNS
-    statistics.forget(0)
-    assert statistics.reached(0) is None

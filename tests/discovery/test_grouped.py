@@ -7,7 +7,7 @@ from sb3_options import OptionBank
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.discovery.contrast import NO_PLACE, Contrast
 from sb3_options.discovery.figures import discovery_figures, subgoals_figure
-from sb3_options.discovery.grouped import OutcomeDatabase
+from sb3_options.discovery.grouped import GroupedDiscovery, OutcomeDatabase
 from sb3_options.discovery.proposed import discovery_with
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.subgoals import SubgoalDiscovery
@@ -72,6 +72,28 @@ def test_a_pair_must_contrast_more_than_its_parts() -> None:
 
 def test_without_groups_it_is_the_discovery_on_all_features() -> None:
     assert type(discovery_with(SOON)) is SubgoalDiscovery
+
+
+def test_what_persists_is_no_subgoal_while_its_bags_are_empty(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of two concepts that persist the second comes with a later search, where its bags may be empty."""
+    same = FeatureGroup("same", KEY.features, present=[[0]], scale=[10, 1])
+    discovery = discovery_with(SOON, [KEY, same])
+    assert isinstance(discovery, GroupedDiscovery)
+    rng = np.random.default_rng(0)
+    i = 0
+    while not discovery.found:
+        discovery.add(*walk(rng, success=i % 2 == 0))
+        discovery.search()
+        i += 1
+    second = discovery.members[same]
+    assert list(second.tracker.persistent())
+    with monkeypatch.context() as patched:
+        patched.setattr(second, "_evidence", lambda: None)
+        discovery.add(*walk(rng, success=True))
+        assert discovery.search() is None
+        assert second.last.evidence is None
+    discovery.add(*walk(rng, success=True))
+    assert discovery.search() is not None
 
 
 def test_where_nothing_stands_out_it_says_so() -> None:

@@ -67,6 +67,22 @@ def test_hand_made_options_solve_a_small_task_by_themselves() -> None:
     assert agents.success_rate(agents.uniform(0), venv, 0) > 0.5  # primitives alone: 0.02
 
 
+def test_the_last_environments_rehearse_and_say_nothing_of_success() -> None:
+    venv = agents.venv_of("MiniGrid-Empty-5x5-v0", 0, rehearsed=("MiniGrid-Empty-6x6-v0", 2), n_envs=3)
+    assert [env.width for env in venv.get_attr("unwrapped")] == [5, 6, 6]
+    notes = agents.Notes(1, learned=0.0)
+    notes.locals = {"infos": [{}, {"is_success": True}, {"is_success": False}]}
+    assert notes._on_step()
+    assert not notes._successes
+    notes.locals["infos"][0] = {"is_success": True}
+    assert notes._on_step()
+    assert list(notes._successes) == [True]
+
+
+def test_options_stay_as_they_are_from_the_third_task_on() -> None:
+    assert [settings.options_of("discovered", stage) for stage in range(4)] == [{"grow": True}] * 2 + [{}] * 2
+
+
 def test_options_to_subgoals_begin_within_so_many_cells() -> None:
     seen = np.concatenate([
         features(closed_door_visible=1, closed_door_forward=forward, closed_door_lateral=lateral)

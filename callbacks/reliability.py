@@ -1,0 +1,116 @@
+"""Whether options that are in use reach their subgoals, and from where: elsewhere they are offered no longer."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from sb3_options.callbacks.installer import OptionInstaller
+from sb3_options.experience.observations import BoolArray, FloatArray, Observations, batch_size, concatenate
+from sb3_options.experience.option_run import OptionRun
+from sb3_options.options.option import SubgoalOption
+
+MIN_RUNS = 50
+"""Of so many last runs that ended by themselves is judged how many reached the subgoal, or nothing is."""
+
+WINDOW = 100
+"""No more than so many last runs of a slot count."""
+
+RUNS_BETWEEN = 25
+"""Runs of a slot between two judgements."""
+
+MIN_PASSES = 8
+"""Runs that passed a state of I before it can be taken out."""
+
+DECIDED = ("subgoal", "left_initiation", "max_duration")
+"""Endings that neither the end of an episode nor a better choice brought about."""
+
+
+class Reliability:
+    """Takes states out of an initiation set from where runs fail, and says when an option is to be closed.
+
+    I is learned from saved trajectories; how runs end says where the option works (Konidaris & Barto 2009, §3). I loses
+    a state when too many of the runs that passed it went on until `max_duration`: on what it sees the policy goes in a
+    circle there. An option is closed when too few of its last runs reach the subgoal and no state is to blame, or every
+    one is.
+
+    Args:
+        least: Share of the runs that have to reach the subgoal, in [0, 1]; 0 keeps no runs and never judges.
+    """
+
+    def __init__(self, least: float) -> None:
+        self.least = least
+        self._runs: dict[int, deque[tuple[Observations, str]]] = {}
+        self._since: Counter[int] = Counter()
+
+    def add(self, run: OptionRun) -> None:
+        """Note a run that began in the initiation set."""
+        if self.least and run.termination in DECIDED:
+            assert run.observations is not None  # it is that of an option
+            self._runs.setdefault(run.index, deque(maxlen=WINDOW)).append((run.observations, run.termination))
+            self._since[run.index] += 1
+
+    def forget(self, slot: int) -> None:
+        """Forget the runs of an option that is closed, or that has become another."""
+        self._runs.pop(slot, None)
+        self._since.pop(slot, None)
+
+    def reached(self, slot: int) -> float | None:
+        """Share of a slot's last runs that reached the subgoal; None if they are fewer than `MIN_RUNS`."""
+        runs = self._runs.get(slot, ())
+        return float(np.mean([ended == "subgoal" for _, ended in runs])) if len(runs) >= MIN_RUNS else None
+
+    def judged(self, options: OptionInstaller) -> Iterator[tuple[int, SubgoalOption | None]]:
+        """What becomes of options after their last runs.
+
+        Args:
+            options: Those that are installed, and φ.
+
+        Yields:
+            A slot, and its option with a smaller initiation set, whose runs count from now on; or None: it is to be
+            closed.
+        """
+        due = [slot for slot in options.installed() if self._since[slot] >= RUNS_BETWEEN]
+        for slot, option in [(slot, options.bank[slot]) for slot in due]:
+            self._since[slot] = 0
+            if not (isinstance(option, SubgoalOption) and len(option.subgoal.points)):
+                continue
+            failing = self._failing(slot, option, options.features_of)
+            reached = self.reached(slot)
+            if failing.any() and not failing.all():
+                self.forget(slot)
+                region = option.initiation_set
+                yield slot, option.with_regions(option.subgoal, replace(region, points=region.points[~failing]))
+            elif reached is not None and reached < self.least:
+                yield slot, None
+
+    def _failing(
+        self, slot: int, option: SubgoalOption, features_of: Callable[[Observations], FloatArray]
+    ) -> BoolArray:
+        """Which centres of I are nearest to states from where runs go in a circle, shape (n,)."""
+        runs, region = self._runs[slot], option.initiation_set
+        if not len(region.points):
+            return np.zeros(0, dtype=bool)
+        features = region.own(features_of(concatenate([observations for observations, _ in runs])))
+        nearest = cdist(features * region.scale, region.points * region.scale).argmin(axis=1)
+        durations = [batch_size(observations) for observations, _ in runs]
+        passed: BoolArray = np.zeros((len(runs), len(region.points)), dtype=bool)
+        passed[np.repeat(np.arange(len(runs)), durations), nearest] = True
+        passes = passed.sum(axis=0)
+        ended = passed[[why != "max_duration" for _, why in runs]].sum(axis=0)
+        failing: BoolArray = (passes >= MIN_PASSES) & (ended < self.least * passes)
+        return failing
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {"runs": {slot: list(runs) for slot, runs in self._runs.items()}, "since": dict(self._since)}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self._runs = {slot: deque(map(tuple, runs), maxlen=WINDOW) for slot, runs in state["runs"].items()}
+        self._since = Counter(state["since"])
