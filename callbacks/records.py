@@ -56,7 +56,7 @@ class ClosedOption:
         slot: Its slot, which another may fill.
         episode: Number of episodes that had ended.
         timestep: Primitive steps taken.
-        why: What its trial showed; or that too few of its runs reached the subgoal, "unreliable".
+        why: What its trial showed; or that its runs go on for ever, "unreliable".
     """
 
     slot: int
@@ -72,11 +72,11 @@ class OptionStatistics:
     nothing of where the option leads, and is counted apart.
 
     Args:
-        min_reached: Share of the runs that have to reach the subgoal, for `reliability`; 0 for none.
+        min_ended: Share of the runs that have to end before `max_duration`, for `reliability`; 0 for none.
     """
 
-    def __init__(self, min_reached: float = 0.0) -> None:
-        self.reliability = Reliability(min_reached)
+    def __init__(self, min_ended: float = 0.0) -> None:
+        self.reliability = Reliability(min_ended)
         self._uses: Counter[int] = Counter()
         self._outside: Counter[int] = Counter()
         self._last: dict[int, deque[tuple[int, str]]] = {}

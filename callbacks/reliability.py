@@ -1,4 +1,4 @@
-"""Whether options that are in use reach their subgoals, and from where: elsewhere they are offered no longer."""
+"""Whether the runs of options end, and from where: elsewhere they are offered no longer."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sb3_options.experience.option_run import OptionRun
 from sb3_options.options.option import SubgoalOption
 
 MIN_RUNS = 50
-"""Of so many last runs that ended by themselves is judged how many reached the subgoal, or nothing is."""
+"""Fewer runs than this close no option."""
 
 WINDOW = 100
 """No more than so many last runs of a slot count."""
@@ -32,27 +32,30 @@ DECIDED = ("subgoal", "left_initiation", "max_duration")
 
 
 class Reliability:
-    """Takes states out of an initiation set from where runs fail, and says when an option is to be closed.
+    """Takes states out of an initiation set from where runs never end, and says when an option is to be closed.
 
     I is learned from saved trajectories; how runs end says where the option works (Konidaris & Barto 2009, §3). I loses
     a state when too many of the runs that passed it went on until `max_duration`: on what it sees the policy goes in a
-    circle there. An option is closed when too few of its last runs reach the subgoal and no state is to blame, or every
-    one is.
+    circle there. An option is closed when too many of its last runs did and no state is to blame, or every one is.
+
+    Runs that left I count as ended: they cost little, and who chooses can do something else there. A policy that has
+    learned to use an option loses more by its end than by such runs.
 
     Args:
-        least: Share of the runs that have to reach the subgoal, in [0, 1]; 0 keeps no runs and never judges.
+        least: Share of the runs that have to end before `max_duration`, in [0, 1]; 0 keeps no runs and never judges.
     """
 
     def __init__(self, least: float) -> None:
         self.least = least
-        self._runs: dict[int, deque[tuple[Observations, str]]] = {}
+        self._runs: dict[int, deque[tuple[Observations, bool]]] = {}
         self._since: Counter[int] = Counter()
 
     def add(self, run: OptionRun) -> None:
         """Note a run that began in the initiation set."""
         if self.least and run.termination in DECIDED:
             assert run.observations is not None  # it is that of an option
-            self._runs.setdefault(run.index, deque(maxlen=WINDOW)).append((run.observations, run.termination))
+            runs = self._runs.setdefault(run.index, deque(maxlen=WINDOW))
+            runs.append((run.observations, run.termination != "max_duration"))
             self._since[run.index] += 1
 
     def forget(self, slot: int) -> None:
@@ -60,10 +63,10 @@ class Reliability:
         self._runs.pop(slot, None)
         self._since.pop(slot, None)
 
-    def reached(self, slot: int) -> float | None:
-        """Share of a slot's last runs that reached the subgoal; None if they are fewer than `MIN_RUNS`."""
+    def ended(self, slot: int) -> float | None:
+        """Share of a slot's last runs that ended before `max_duration`; None if they are fewer than `MIN_RUNS`."""
         runs = self._runs.get(slot, ())
-        return float(np.mean([ended == "subgoal" for _, ended in runs])) if len(runs) >= MIN_RUNS else None
+        return float(np.mean([ended for _, ended in runs])) if len(runs) >= MIN_RUNS else None
 
     def judged(self, options: OptionInstaller) -> Iterator[tuple[int, SubgoalOption | None]]:
         """What becomes of options after their last runs.
@@ -81,12 +84,12 @@ class Reliability:
             if not (isinstance(option, SubgoalOption) and len(option.subgoal.points)):
                 continue
             failing = self._failing(slot, option, options.features_of)
-            reached = self.reached(slot)
+            ended = self.ended(slot)
             if failing.any() and not failing.all():
                 self.forget(slot)
                 region = option.initiation_set
                 yield slot, option.with_regions(option.subgoal, replace(region, points=region.points[~failing]))
-            elif reached is not None and reached < self.least:
+            elif ended is not None and ended < self.least:
                 yield slot, None
 
     def _failing(
@@ -102,7 +105,7 @@ class Reliability:
         passed: BoolArray = np.zeros((len(runs), len(region.points)), dtype=bool)
         passed[np.repeat(np.arange(len(runs)), durations), nearest] = True
         passes = passed.sum(axis=0)
-        ended = passed[[why != "max_duration" for _, why in runs]].sum(axis=0)
+        ended = passed[[ended for _, ended in runs]].sum(axis=0)
         failing: BoolArray = (passes >= MIN_PASSES) & (ended < self.least * passes)
         return failing
 

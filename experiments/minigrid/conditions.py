@@ -148,7 +148,7 @@ def _callbacks(arm: Arm, seed: int, stage: int, *, discovers: bool) -> list[Base
             groups=_blinkered() if arm in (settings.OWN_ARM, settings.FORMER_ARM) else None,
             max_new_options=None if discovers else 0,
             opening_share=settings.OPENING_SHARE,
-            min_reached=settings.MIN_REACHED,
+            min_ended=settings.MIN_ENDED,
             primitive_rollouts=arm != settings.FORMER_ARM,
             seed=seed,
         )

@@ -46,9 +46,10 @@ def draw(family: str, results: Mapping[str, Sequence[Result]]) -> Figure:
             axes.text(before, 1.03, f" {stage.env_id.removeprefix('MiniGrid-')}", fontsize=8)
     else:
         names = " → ".join(stage.env_id.removeprefix("MiniGrid-") for stage in stages)
-        axes.set_title(f"{names}; a dot where a task begins", fontsize=9)
+        axes.set_title(f"{names}; a dot where a task begins", fontsize=8)
     axes.set_ylim(-0.02, 1.02)
-    axes.set_xlabel("primitive steps of all stages; “stock” spends all of them in the last task")
+    alone = "; “stock” spends all of them in the last task" if "stock" in results else ""
+    axes.set_xlabel(f"primitive steps of all stages{alone}")
     axes.set_ylabel(f"success, last {EPISODES} episodes")
     axes.legend(fontsize=8)
     return figure

@@ -140,7 +140,7 @@ GROWING_STAGES = 2
 what the agent learned of the former is wrong."""
 
 OPENING_SHARE = 0.5
-MIN_REACHED = 0.5
+MIN_ENDED = 0.5
 """Options whose runs reach the subgoal less often are closed."""
 
 EPISODES = 100
@@ -165,7 +165,7 @@ def of(arm: Arm) -> dict[str, Any]:
     if arm in DISCOVERING:
         special |= {"options": options_of(arm), "own_features_only": arm in (OWN_ARM, FORMER_ARM)}
         special |= {"growing_stages": GROWING_STAGES} if options_of(arm) == OPTIONS else {}
-        special |= {"min_reached": MIN_REACHED, "discovers_in": "all stages but the last"}
+        special |= {"min_ended": MIN_ENDED, "discovers_in": "all stages but the last"}
     if arm in WITH_BONUS:
         special |= {"rnd_weight": RND_WEIGHT}
     if arm == ZOO_ARM:

@@ -66,12 +66,26 @@ def test_few_and_others_are_not_enough(n_circles: int, n_others: int, ended: str
     assert not list(reliability.judged(installed(option(FINE, CIRCLE))))
 
 
-@pytest.mark.parametrize("ended", ["left_initiation", "max_duration"])
-def test_an_option_is_closed_where_no_state_is_to_blame_or_every_one(ended: str) -> None:
+def test_an_option_is_closed_where_every_state_is_to_blame() -> None:
     reliability, options = Reliability(0.5), installed(option(FINE))
     for n in range(1, MIN_RUNS + 1):
-        reliability.add(run(ended, FINE))
+        reliability.add(run("max_duration", FINE))
         assert list(reliability.judged(options)) == ([(0, None)] if n == MIN_RUNS else [])
+
+
+def test_an_option_is_closed_where_no_state_is_to_blame() -> None:
+    """Every run goes on for ever, each from another state."""
+    reliability, options = Reliability(0.5), installed(option(*range(MIN_RUNS)))
+    for n in range(MIN_RUNS):
+        reliability.add(run("max_duration", n))
+    assert list(reliability.judged(options)) == [(0, None)]
+
+
+def test_an_option_that_leaves_its_initiation_set_stays() -> None:
+    reliability, options = Reliability(0.5), installed(option(FINE))
+    for _ in range(WINDOW):
+        reliability.add(run("left_initiation", FINE))
+    assert not list(reliability.judged(options))
 
 
 def test_a_hand_made_option_is_never_judged() -> None:
@@ -81,15 +95,17 @@ def test_a_hand_made_option_is_never_judged() -> None:
     assert not list(reliability.judged(options))
 
 
-def test_only_runs_that_ended_by_themselves_say_whether_an_option_reaches() -> None:
+def test_only_runs_that_nobody_cut_off_count() -> None:
     reliability = Reliability(0.5)
-    for ended in ["subgoal"] * 30 + ["left_initiation"] * 10 + ["max_duration"] * 9 + ["truncated", "interrupted"] * 20:
+    for ended in (
+        ["subgoal"] * 20 + ["left_initiation"] * 10 + ["max_duration"] * 19 + ["truncated", "interrupted"] * 20
+    ):
         reliability.add(run(ended, FINE))
-    assert reliability.reached(0) is None
-    reliability.add(run("left_initiation", FINE))
-    assert reliability.reached(0) == 30 / MIN_RUNS
+    assert reliability.ended(0) is None
+    reliability.add(run("max_duration", FINE))
+    assert reliability.ended(0) == 30 / MIN_RUNS
     reliability.forget(0)
-    assert reliability.reached(0) is None
+    assert reliability.ended(0) is None
 
 
 def test_without_a_bound_nothing_is_kept() -> None:
