@@ -158,6 +158,12 @@ def is_dead(nodes: TwoNodes, actor: Any) -> bool:
     return False
 
 
+def kill(nodes: TwoNodes, actor: Any) -> None:
+    """Ray may let it answer a little longer, so its end is waited for."""
+    nodes.ray.kill(actor)
+    wait_until(lambda: is_dead(nodes, actor))
+
+
 def test_what_is_lost_before_the_first_reset_has_lost_nothing(
     nodes: TwoNodes, losses: list[str], ray_envs: list[RayVecEnv]
 ) -> None:
@@ -168,8 +174,7 @@ def test_what_is_lost_before_the_first_reset_has_lost_nothing(
         venv.seed(5)
         venv.set_attr("mark", 7)
         if lost:
-            nodes.ray.kill(venv._actors[0])
-            wait_until(lambda: is_dead(nodes, venv._actors[0]))  # noqa: B023  # it is waited for here
+            kill(nodes, venv._actors[0])
         observations: Any = venv.reset()
         assert venv.get_attr("mark") == [7, 7]
         assert venv.lost_actors == 0
@@ -223,7 +228,7 @@ def test_what_is_lost_between_two_steps(nodes: TwoNodes, ray_envs: list[RayVecEn
     reset: Callable[[], Any] = venv.reset
     before = reset().copy()
     venv.set_attr("mark", 7, indices=1)
-    nodes.ray.kill(venv._actors[0])
+    kill(nodes, venv._actors[0])
     assert [mask.tolist() for mask in venv.env_method("action_masks")] == [[True] * 4 + [False] * 4] * 2
     assert venv.get_attr("mark", 1) == [7]
     step: Callable[[Any], Any] = venv.step
@@ -232,7 +237,7 @@ def test_what_is_lost_between_two_steps(nodes: TwoNodes, ray_envs: list[RayVecEn
     for i in range(2):
         assert infos[i]["terminal_observation"].tolist() == before[i].tolist()
     assert not venv.step(np.zeros(2, dtype=np.int64))[2].any()
-    nodes.ray.kill(venv._actors[0])
+    kill(nodes, venv._actors[0])
     venv.seed(5)
     assert reset().tolist() == before.tolist()  # what is reset anyway has lost nothing
     assert not venv.step(np.zeros(2, dtype=np.int64))[2].any()
