@@ -141,7 +141,7 @@ what the agent learned of the former is wrong."""
 
 OPENING_SHARE = 0.5
 MIN_ENDED = 0.5
-"""Options whose runs reach the subgoal less often are closed."""
+"""Options are offered no longer where fewer of their runs end before `max_duration`."""
 
 EPISODES = 100
 """Of an evaluation, and of the training success that is reported."""
