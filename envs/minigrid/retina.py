@@ -96,7 +96,8 @@ def concept_groups() -> list[dict[str, Any]]:
     An open door has ``between_walls`` with it, because whoever stands in it does not see it.
 
     An option sees ``free_ahead`` besides, so that it can go around a wall. One that leads to an open door, or into it,
-    sees closed doors, too: it can begin before the door is open.
+    sees closed doors, too: it can begin before the door is open. Where things are are coordinates: a step ahead brings
+    them nearer, however far away they are.
 
     Returns:
         Of each group the fields of `sb3_options.density.groups.FeatureGroup`.
@@ -132,7 +133,9 @@ def _seeing(group: dict[str, Any]) -> dict[str, Any]:
         closed = _group("closed_door")
         features, scale = features + closed["features"], scale + closed["scale"]
         present = [present[0] + closed["present"][0]]
-    return {**group, "seen": {"name": group["name"], "features": features, "present": present, "scale": scale}}
+    coordinates = [number for number in features if FEATURES[number].endswith(("forward", "lateral"))]
+    seen = {"features": features, "present": present, "scale": scale, "coordinates": coordinates}
+    return {**group, "seen": {"name": group["name"], **seen}}
 
 
 def _joined(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:

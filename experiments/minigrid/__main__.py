@@ -59,8 +59,6 @@ def main(study: Study) -> None:
         "ppo": settings.PPO,
         "n_envs": settings.N_ENVS,
         "max_options": settings.max_options(study.family),
-        "discovery": settings.DISCOVERY,
-        "opening_share": settings.OPENING_SHARE,
         "episodes": settings.EPISODES,
     }
     results = run_parts(parts, study.seeds(), settings=used, on=study, description="Training")

@@ -128,9 +128,12 @@ def max_options(family: str) -> int:
     return {"DoorKey": 6, "LockedRoom": 6, "KeyCorridor": 8}.get(family.split("-")[0], 5)
 
 
-DISCOVERY: dict[str, Any] = {"capacity": 500, "start_radius": 0.5, "goal_radius": 0.5, "max_share": None}
-"""Successes are rare at first, so many trajectories are kept. On few features near the start is nearly everywhere. The
-study was run before there was a `max_share`."""
+DISCOVERY: dict[str, Any] = {
+    "capacity": 500, "start_radius": 0.5, "goal_radius": 0.5, "max_share": None, "salient_share": 0.6, "decay": 0.8,
+}  # fmt: skip
+"""Successes are rare at first, so many trajectories are kept, and what is rarely come upon stands for them. On few
+features near the start is nearly everywhere. What stands out by its contrast is no accident, so peaks need not persist
+for long. The study was run before there was a `max_share`."""
 
 OPTIONS: dict[str, Any] = {"grow": True}
 """Options are learned anew as more is seen: the first ones know only what a small room shows."""
@@ -163,6 +166,7 @@ def of(arm: Arm) -> dict[str, Any]:
     if arm in WITH_OPTIONS:
         special |= {"primitive_rollouts": arm != FORMER_ARM}
     if arm in DISCOVERING:
+        special |= {"discovery": DISCOVERY, "opening_share": OPENING_SHARE}
         special |= {"options": options_of(arm), "own_features_only": arm in (OWN_ARM, FORMER_ARM)}
         special |= {"growing_stages": GROWING_STAGES} if options_of(arm) == OPTIONS else {}
         special |= {"min_ended": MIN_ENDED, "discovers_in": "all stages but the last"}

@@ -27,6 +27,9 @@ class FeatureGroup:
             acts on them. A group that begins with this one's features, or a mapping of its fields; None for this group
             itself. With more features the option can begin where what it is about is not in view yet, and go around
             what is in the way.
+        coordinates: Numbers of those of its features that say where a thing is, so that an action displaces them by the
+            same vector wherever it is: from steps near a thing an option then learns those farther away
+            (`options.imagined`). By default none.
 
     Raises:
         ValueError: An argument is out of its range.
@@ -37,6 +40,7 @@ class FeatureGroup:
     present: Sequence[Sequence[int]] = ()
     scale: Sequence[float] | None = None
     seen: FeatureGroup | Mapping[str, Any] | None = None
+    coordinates: Sequence[int] = ()
 
     def __post_init__(self) -> None:
         """Refuse arguments out of range, and make them tuples, which compare."""
@@ -44,19 +48,24 @@ class FeatureGroup:
             features = tuple(map(int, self.features))
             present = tuple(tuple(map(int, numbers)) for numbers in self.present)
             scale = (1.0,) * len(features) if self.scale is None else tuple(map(float, self.scale))
+            coordinates = tuple(map(int, self.coordinates))
         except (TypeError, ValueError, OverflowError) as error:
             raise ValueError(
-                f"group {self.name!r}: features must be numbers from 0, present sets of these, and scale a number for "
-                f"each or None, got {self.features!r}, {self.present!r} and {self.scale!r}"
+                f"group {self.name!r}: features must be numbers from 0, present sets of these, coordinates some of "
+                f"them, and scale a number for each or None, got {self.features!r}, {self.present!r}, "
+                f"{self.coordinates!r} and {self.scale!r}"
             ) from error
         if not features or len(set(features)) < len(features) or min(features) < 0:
             raise ValueError(f"group {self.name!r}: features must be distinct numbers from 0, at least one: {features}")
         if not all(numbers and set(numbers) <= set(features) for numbers in present):
             raise ValueError(f"group {self.name!r}: present must be sets of its features {features}, got {present}")
+        if not set(coordinates) <= set(features):
+            raise ValueError(f"group {self.name!r}: coordinates must be of its features {features}, got {coordinates}")
         if len(scale) != len(features) or not (np.isfinite(scale).all() and min(scale) > 0):
             raise ValueError(f"group {self.name!r}: scale must be {len(features)} numbers above 0, got {scale}")
         for name, value in (("features", features), ("present", present), ("scale", scale), ("seen", self._seen())):
             object.__setattr__(self, name, value)
+        object.__setattr__(self, "coordinates", coordinates)
 
     def _seen(self) -> FeatureGroup | None:
         seen, features = self.seen, tuple(map(int, self.features))

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import chain
 from typing import Any
 
 from sb3_options.density.groups import FeatureGroup
@@ -14,58 +11,13 @@ from sb3_options.density.regions import Region
 from sb3_options.discovery.bag_maker import BagMaker
 from sb3_options.discovery.budget import seconds_of_contrast
 from sb3_options.discovery.contrast import Contrast
+from sb3_options.discovery.outcome_database import OutcomeDatabase
+from sb3_options.discovery.salience import Salience
 from sb3_options.discovery.subgoals import Search, SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray
-from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory, TrajectoryDatabase
 
 SEARCH_GROWTH = 0.05
 """A search waits until this share of the successful trajectories is new: fewer hardly change what is common to all."""
-
-
-class OutcomeDatabase(TrajectoryDatabase):
-    """The last ``capacity`` successful trajectories and as many of the others.
-
-    Where few trajectories succeed, the last ones of all hardly hold any that did.
-
-    Args:
-        capacity: Of each kind, at least 1.
-        max_bytes: Likewise.
-
-    Raises:
-        ValueError: ``capacity`` < 1.
-    """
-
-    def __init__(self, capacity: int, max_bytes: float = math.inf) -> None:
-        super().__init__(capacity, max_bytes)
-        self._successful = TrajectoryDatabase(capacity, max_bytes)
-
-    def add(self, trajectory: LabelledTrajectory) -> None:
-        """Append, dropping the oldest one of its kind when there are too many."""
-        if trajectory.success:
-            self._successful.add(trajectory)
-        else:
-            super().add(trajectory)
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint: the trajectories of each kind, oldest first."""
-        return {**super().get_state(), "successful": self._successful.get_state()}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Hold what `get_state` gave, and nothing else."""
-        super().set_state(state)
-        self._successful.set_state(state["successful"])
-
-    @property
-    def n_successful(self) -> int:
-        """How many successful ones there are."""
-        return len(self._successful)
-
-    def __len__(self) -> int:
-        return super().__len__() + len(self._successful)
-
-    def __iter__(self) -> Iterator[LabelledTrajectory]:
-        """The unsuccessful ones, then the successful ones, each oldest first."""
-        return chain(super().__iter__(), self._successful)
 
 
 @dataclass
@@ -76,7 +28,7 @@ class GroupedDiscovery(SubgoalDiscovery):
     `goal_radius` and `spacing` count in these. It holds all of them: seen from an agent that moves, the same state
     twice need not be a loop (``loops``), nor do ways lead through it (``min_passing``). Instead an instance of a
     successful trajectory must stand out by its `Contrast`. There is a search when a trajectory has succeeded, and later
-    when a few have (`SEARCH_GROWTH`).
+    when a few have (`SEARCH_GROWTH`). Until enough have, what came upon something rare may count as one (`Salience`).
 
     Args:
         groups: Of features, at least one.
@@ -87,7 +39,8 @@ class GroupedDiscovery(SubgoalDiscovery):
     def __post_init__(self) -> None:
         """Set up what grows with experience, for each group."""
         super().__post_init__()
-        self.database: OutcomeDatabase = OutcomeDatabase(self.settings.capacity, self.settings.max_bytes)
+        salience = Salience(self.groups, self.settings.salient_share, self.settings.min_positive)
+        self.database: OutcomeDatabase = OutcomeDatabase(self.settings.capacity, self.settings.max_bytes, salience)
         own = replace(self.settings, loops="keep", min_passing=0.0)
         contrasts: dict[FeatureGroup, Contrast] = {}
         for group in sorted(self.groups, key=lambda group: len(group.features)):
@@ -102,18 +55,12 @@ class GroupedDiscovery(SubgoalDiscovery):
             member.database = self.database
             member._maker = BagMaker(own, self.static_filter, self.kind, group, contrasts[group])
             self.members[group] = member
-        self._new_successes = 0
+        self._searched = 0
 
     @property
     def scale(self) -> FloatArray | None:
         """None: every group has its own."""
         return None
-
-    def add(self, trajectory: Trajectory, features: FloatArray, *, success: bool | None = None) -> LabelledTrajectory:
-        """Put a trajectory into the database; as `SubgoalDiscovery.add`."""
-        labelled = super().add(trajectory, features, success=success)
-        self._new_successes += labelled.success
-        return labelled
 
     def search(self) -> Region | None:
         """Search the bags of every group once, if enough trajectories have succeeded since the last search.
@@ -123,11 +70,11 @@ class GroupedDiscovery(SubgoalDiscovery):
             are persistent come with later searches.
         """
         n_positive = self.database.n_successful
-        if self._new_successes < max(1.0, SEARCH_GROWTH * n_positive):
+        if self.database.n_entered - self._searched < max(1.0, SEARCH_GROWTH * n_positive):
             return None
         if not self.budget.affords():
             return None
-        self._new_successes = 0
+        self._searched = self.database.n_entered
         began = time.perf_counter()
         if n_positive >= self.settings.min_positive:
             trajectories = list(self.database)
@@ -163,7 +110,7 @@ class GroupedDiscovery(SubgoalDiscovery):
             "contrasts": [contrast.get_state() for contrast in self._contrasts.values()],
             "members": [member.get_state() for member in self.members.values()],
             "leading": [member.tracker is self.tracker for member in self.members.values()],
-            "new_successes": self._new_successes,
+            "searched": self._searched,
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -175,7 +122,7 @@ class GroupedDiscovery(SubgoalDiscovery):
             member.set_state(of_member)  # each holds the same database
             if leads:
                 self.tracker = member.tracker
-        self._new_successes = state["new_successes"]
+        self._searched = state["searched"]
 
     def why_nothing(self) -> str:
         """Why there is no option, in a sentence."""

@@ -40,6 +40,9 @@ class DiscoverySettings:
         min_contrast: Where φ has groups of features: by how much more of the successful trajectories than of the others
             must visit a state, or it is no instance (`contrast.Contrast`).
         equal_time: Whether that counts of unsuccessful trajectories what they visited in the time that a success takes.
+        salient_share: Where φ has groups of features, and fewer than ``min_positive`` trajectories have succeeded: one
+            that comes upon a thing which at most this share of all come upon counts as successful, up to that moment
+            (`salience.Salience`). 0: none does.
         negative_bags: Whether unsuccessful trajectories become negative bags.
         negative_strength: η in (0, 1]: how strongly an instance of a negative bag speaks against a concept near it.
             Below 1 because an unsuccessful trajectory may well pass a bottleneck (the paper's §8).
@@ -77,6 +80,7 @@ class DiscoverySettings:
     min_cut: Annotated[float, Field(ge=0, lt=0.5)] = 0.1
     min_contrast: Annotated[float, Field(ge=-1, lt=1)] = 0.3
     equal_time: bool = True
+    salient_share: Annotated[float, Field(ge=0, lt=1)] = 0.0
     negative_bags: bool = True
     negative_strength: Annotated[float, Field(gt=0, le=1)] = 0.1
     leak: Annotated[float, Field(ge=0, lt=1)] = 0.3

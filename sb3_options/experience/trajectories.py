@@ -76,16 +76,18 @@ class LabelledTrajectory:
         trajectory: The episode.
         features: φ of ``trajectory.states``, shape (m, d).
         success: Whether its bag is positive.
+        whole: What it is a part of, if it is one; its arrays are views of that one's.
     """
 
     trajectory: Trajectory
     features: FloatArray
     success: bool
+    whole: LabelledTrajectory | None = None
 
     @cached_property
     def n_bytes(self) -> int:
-        """What its arrays take."""
-        return self.trajectory.n_bytes + self.features.nbytes
+        """What its arrays take, or those that they are views of."""
+        return self.trajectory.n_bytes + self.features.nbytes if self.whole is None else self.whole.n_bytes
 
 
 class TrajectoryDatabase:
@@ -133,6 +135,11 @@ class TrajectoryDatabase:
             self._trajectories[i] = LabelledTrajectory(old.trajectory, features, old.success)
         self._n_bytes = sum(each.n_bytes for each in self._trajectories)
 
+    def clear(self) -> None:
+        """Drop all."""
+        self._trajectories.clear()
+        self._n_bytes = 0
+
     def __len__(self) -> int:
         return len(self._trajectories)
 
@@ -145,6 +152,6 @@ class TrajectoryDatabase:
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Hold what `get_state` gave, and nothing else."""
-        self._trajectories.clear()
+        self.clear()
         self._trajectories.extend(state["trajectories"])
         self._n_bytes = sum(each.n_bytes for each in self._trajectories)

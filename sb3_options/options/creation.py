@@ -12,6 +12,7 @@ import torch
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import BoolArray, flatten, take
 from sb3_options.experience.trajectories import LabelledTrajectory
+from sb3_options.options.imagined import imagined_farther
 from sb3_options.options.initiation import initiation_set, leading
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import OptionPolicy, TabularPolicy
@@ -88,6 +89,8 @@ def learn_option(
             steps=settings.max_duration,
             subgoal_reward=settings.subgoal_reward,
         )
+    if settings.imagine and isinstance(policy, TabularPolicy):
+        initiation, policy = imagined_farther(initiation, transitions, policy, settings)
     if not len(initiation.points):
         return None
     return SubgoalOption(

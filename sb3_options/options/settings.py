@@ -22,6 +22,8 @@ class OptionLearningSettings:
         min_reach: Of an option on a group of features: I keeps the states from where the saved steps promise to reach
             the subgoal within n steps with at least this probability (`reach.reliable_part`); 0 keeps all. With none
             left there is no option.
+        imagine: Whether an option on a group of features with ``coordinates`` learns from steps near a thing those that
+            lead there from farther away (`imagined.imagined_farther`).
         max_duration: Longest run of the option, primitive steps; on a group of features at most n, too.
         step_reward: Reward of the option's own task for every step that goes on.
         subgoal_reward: Reward for the step that reaches the subgoal.
@@ -43,6 +45,7 @@ class OptionLearningSettings:
     initiation_visits: Literal["first", "every"] = "first"
     initiation_radius: Annotated[float, Field(ge=0)] = 0.5
     min_reach: Annotated[float, Field(ge=0, le=1)] = 0.5
+    imagine: bool = True
     max_duration: Annotated[int, Field(ge=1)] = 100
     step_reward: Annotated[float, Field(allow_inf_nan=False)] = -1.0
     subgoal_reward: Annotated[float, Field(allow_inf_nan=False)] = 0.0

@@ -7,7 +7,8 @@ from sb3_options import OptionBank
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.discovery.contrast import NO_PLACE, Contrast
 from sb3_options.discovery.figures import discovery_figures, subgoals_figure
-from sb3_options.discovery.grouped import GroupedDiscovery, OutcomeDatabase
+from sb3_options.discovery.grouped import GroupedDiscovery
+from sb3_options.discovery.outcome_database import OutcomeDatabase
 from sb3_options.discovery.proposed import discovery_with
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.subgoals import SubgoalDiscovery

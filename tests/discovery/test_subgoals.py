@@ -498,6 +498,7 @@ RANGES: list[tuple[str, tuple[Any, ...], str]] = [
     ("min_cut", (-0.1, 0.5, math.nan), "should be (greater than or equal to 0|less than 0.5)"),
     ("min_passing", (-0.1, 1.0, math.nan), "should be (greater than or equal to 0|less than 1)"),
     ("min_contrast", (-1.1, 1.0, math.nan), "should be (greater than or equal to -1|less than 1)"),
+    ("salient_share", (-0.1, 1.0, math.nan), "should be (greater than or equal to 0|less than 1)"),
     ("loops", ("cut", 1), "should be 'erase' or 'keep'"),
     ("decay", (0.0, 1.0, -0.1, math.nan), "should be (greater than 0|less than 1)"),
     ("threshold", (1.0, -0.1, math.nan), "should be (greater than or equal to 0|less than 1)"),

@@ -5,7 +5,7 @@ import weakref
 import numpy as np
 import pytest
 
-from sb3_options.discovery.grouped import OutcomeDatabase
+from sb3_options.discovery.outcome_database import OutcomeDatabase
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.trajectories import TrajectoryDatabase

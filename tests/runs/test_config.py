@@ -34,13 +34,13 @@ COMMON: dict[str, Any] = {
         negative_strength=0.5, leak=0.125, search="exhaustive",
         scale=2.5, start_radius=1.0, goal_radius=0.0, decay=0.75, threshold=0.25, peak_radius=2.0, peak_tolerance=0.01,
         subgoal_radius=1.25, spacing=1.5, max_places=6, max_extent=2.5,
-        loops="keep", min_passing=0.25, min_cut=0.2, min_contrast=0.35, equal_time=False,
+        loops="keep", min_passing=0.25, min_cut=0.2, min_contrast=0.35, equal_time=False, salient_share=0.25,
     ),
     "option": OptionLearningSettings(
         policy_input="features", initiation_steps=4, initiation_visits="every", initiation_radius=0.75, max_duration=9,
         step_reward=-2.0,
         subgoal_reward=3.0, leave_reward=-7.0, gamma=0.25, value_function="network", sweeps=3, network_updates=4,
-        keep_learning=True, step_size=0.5, grow=True, min_reach=0.25,
+        keep_learning=True, step_size=0.5, grow=True, min_reach=0.25, imagine=False,
     ),
 }  # fmt: skip
 

@@ -102,6 +102,14 @@ def test_options_see_the_cell_ahead_and_those_for_open_doors_closed_ones() -> No
     np.testing.assert_array_equal(door.sees.is_place(features), [False, True, True, False])
 
 
+def test_where_things_are_are_the_coordinates_of_what_options_see() -> None:
+    for group in (FeatureGroup(**group) for group in concept_groups()):
+        assert group.coordinates == ()
+        names = [FEATURES[i] for i in group.sees.coordinates]
+        assert names == [FEATURES[i] for i in group.sees.features if FEATURES[i].endswith(("_forward", "_lateral"))]
+        assert len(names) >= 2
+
+
 def test_a_doorway_is_an_open_door_or_between_walls() -> None:
     (doorway,) = (FeatureGroup(**group) for group in concept_groups() if group["name"] == "doorway")
     views = [image(), image({(2, 1): (DOOR, 0)}), image({(0, -1): (WALL, 0), (0, 1): (WALL, 0)})]

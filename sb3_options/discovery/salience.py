@@ -1,0 +1,95 @@
+"""While few trajectories succeed: those that come upon something rare stand for successes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from sb3_options.density.groups import FeatureGroup
+from sb3_options.experience.observations import take
+from sb3_options.experience.trajectories import LabelledTrajectory
+
+LEAST_TRAJECTORIES = 16
+"""Nothing is rare among fewer than these."""
+
+
+class Salience:
+    """Says what is rare, and makes a success of a failure that came upon it, up to that moment.
+
+    Options need bottlenecks, and bottlenecks need successes, which are rare before there are options. What is seldom
+    come upon lies behind something: a goal behind a door that has to be opened. So the ways there are positive bags
+    until enough trajectories have really succeeded. Salient events as ends of options, before there is a goal, are
+    Singh, Barto & Chentanez's (2005).
+
+    Only groups about a single thing count, those with one set of features in ``present``: a pair is rarer than its
+    parts, and no more to look for.
+
+    Args:
+        groups: Of features.
+        share: A thing is rare if at most this share of all trajectories come upon it; 0: nothing is.
+        enough: With so many real successes nothing is rare any more.
+    """
+
+    def __init__(self, groups: Iterable[FeatureGroup], share: float, enough: int) -> None:
+        self.groups = [group for group in groups if len(group.present) == 1]
+        self.share, self.enough = share, enough
+        self.rare: tuple[int, ...] = ()
+        self._n = self._successes = 0
+        self._came = np.zeros(len(self.groups), dtype=np.int64)
+
+    def add(self, trajectory: LabelledTrajectory) -> bool:
+        """Count one more trajectory, and say whether other things are rare now than before."""
+        if not self.share or self._successes >= self.enough:
+            return False
+        self._n += 1
+        self._successes += trajectory.success
+        self._came += [group.is_place(trajectory.features).any() for group in self.groups]
+        before, self.rare = self.rare, ()
+        if self._n >= LEAST_TRAJECTORIES and self._successes < self.enough:
+            rare = (self._came > 0) & (self._came <= self.share * self._n)
+            self.rare = tuple(np.flatnonzero(rare).tolist())
+        return self.rare != before
+
+    def label(self, trajectory: LabelledTrajectory) -> LabelledTrajectory:
+        """What a trajectory counts as.
+
+        Returns:
+            A failure that came upon something rare, which was not there in its first state, up to the first moment of
+            that, as a success; its ``whole`` is what it was made of. Any other trajectory itself.
+        """
+        visits = trajectory.trajectory.visits
+        times = []
+        for number in () if trajectory.success else self.rare:
+            there = self.groups[number].is_place(trajectory.features)
+            if there.any() and not there[visits[0]]:
+                times.append(int(there[visits].argmax()))
+        return _until(trajectory, min(times)) if times else trajectory
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {"counts": (self._n, self._successes), "came": self._came, "rare": self.rare}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self._n, self._successes = state["counts"]
+        self._came, self.rare = np.array(state["came"], dtype=np.int64), tuple(state["rare"])
+
+
+def _until(labelled: LabelledTrajectory, time: int) -> LabelledTrajectory:
+    """The first steps of a trajectory, as a success."""
+    whole = labelled.trajectory
+    n_states = int(whole.visits[: time + 1].max()) + 1
+    part = replace(
+        whole,
+        states=take(whole.states, slice(0, n_states)),
+        visits=whole.visits[: time + 1],
+        actions=whole.actions[:time],
+        rewards=whole.rewards[:time],
+        terminated=False,
+        truncated=True,
+        is_success=None,
+    )
+    return LabelledTrajectory(part, labelled.features[:n_states], success=True, whole=labelled)

@@ -1,0 +1,148 @@
+"""What is rarely come upon stands for success until enough trajectories have succeeded."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from sb3_options.density.groups import FeatureGroup
+from sb3_options.discovery.grouped import GroupedDiscovery
+from sb3_options.discovery.outcome_database import OutcomeDatabase
+from sb3_options.discovery.salience import LEAST_TRAJECTORIES, Salience
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
+
+# Features: door visible, door ahead, goal visible, noise.
+DOOR = FeatureGroup("door", [0, 1], present=[[0]], scale=[10, 1])
+GOAL = FeatureGroup("goal", [2], present=[[2]], scale=[10])
+BOTH = FeatureGroup("both", [0, 1, 2], present=[[0], [2]], scale=[10, 1, 10])
+ANYTHING = FeatureGroup("anything", [3])
+GROUPS = (DOOR, GOAL, BOTH, ANYTHING)
+
+NOTHING, FAR, NEAR, BEHIND = [0, 0, 0, 0], [1, 2, 0, 0], [1, 1, 0, 0], [0, 0, 1, 0]
+
+
+def lived(states: Sequence[Sequence[float]], success: bool = False) -> LabelledTrajectory:
+    """A trajectory whose every state is another one, by its noise."""
+    features = np.array(states, dtype=np.float64)
+    features[:, 3] = np.arange(len(features))
+    n = len(features) - 1
+    whole = Trajectory(features, np.arange(n + 1), np.arange(n), -np.arange(n * 1.0), success, not success, success)
+    return LabelledTrajectory(whole, features, success)
+
+
+def usual() -> LabelledTrajectory:
+    return lived([NOTHING, FAR, NEAR, FAR, NOTHING])
+
+
+def rare(*before: Sequence[float]) -> LabelledTrajectory:
+    return lived([NOTHING, *before, FAR, NEAR, BEHIND, NOTHING, BEHIND])
+
+
+def after(trajectories: Sequence[LabelledTrajectory], share: float = 0.5, enough: int = 3) -> Salience:
+    salience = Salience(GROUPS, share, enough)
+    for each in trajectories:
+        salience.add(each)
+    return salience
+
+
+def test_a_failure_counts_as_a_success_up_to_what_is_rare() -> None:
+    salience = after([usual() for _ in range(12)] + [rare() for _ in range(4)])
+    part = salience.label(rare())
+    assert part.success
+    assert part.trajectory.visits.tolist() == [0, 1, 2, 3]
+    assert part.features[:, :3].tolist() == [NOTHING[:3], FAR[:3], NEAR[:3], BEHIND[:3]]
+    assert (len(part.trajectory.states), part.trajectory.actions.tolist()) == (4, [0, 1, 2])
+    assert part.trajectory.rewards.tolist() == [0, -1, -2]
+    assert (part.trajectory.terminated, part.trajectory.truncated, part.trajectory.is_success) == (False, True, None)
+    assert part.whole is not None
+    assert (len(part.whole.trajectory), part.n_bytes) == (5, part.whole.n_bytes)
+    same, success, begins_there = usual(), lived([NOTHING, BEHIND], success=True), lived([BEHIND, NOTHING, BEHIND])
+    assert salience.label(same) is same
+    assert salience.label(success) is success
+    assert salience.label(begins_there) is begins_there
+
+
+def test_states_that_are_visited_again_keep_their_rows() -> None:
+    """0, 1, 0, 2 (the goal), 1, 3: of the states there are three until the goal."""
+    states = np.array([NOTHING, FAR, BEHIND, NEAR], dtype=np.float64)
+    visits = np.array([0, 1, 0, 2, 1, 3])
+    whole = Trajectory(states, visits, np.arange(5), np.zeros(5), False, True, False)
+    part = after([usual()] * 15 + [rare()]).label(LabelledTrajectory(whole, states, False))
+    assert (part.trajectory.visits.tolist(), len(part.features), len(part.trajectory.states)) == ([0, 1, 0, 2], 3, 3)
+
+
+@pytest.mark.parametrize(
+    ("n_usual", "n_rare", "share", "salient"),
+    [
+        (LEAST_TRAJECTORIES - 2, 1, 0.5, False),  # too few show nothing
+        (LEAST_TRAJECTORIES - 1, 1, 0.5, True),
+        (10, 10, 0.5, True),
+        (10, 11, 0.5, False),  # most come upon it
+        (LEAST_TRAJECTORIES, 0, 0.5, False),  # nobody did, so nobody tells the way
+        (15, 5, 0.0, False),
+    ],
+)
+def test_rare_is_what_few_of_many_come_upon(n_usual: int, n_rare: int, share: float, salient: bool) -> None:
+    salience = after([usual() for _ in range(n_usual)] + [rare() for _ in range(n_rare)], share)
+    assert salience.label(rare()).success == salient
+    assert not salience.label(usual()).success  # a door is nothing rare, nor is a pair, or what is always there
+
+
+def test_with_enough_successes_nothing_is_rare_any_more() -> None:
+    lives = [usual() for _ in range(20)] + [lived([NOTHING, FAR, NEAR, BEHIND], success=True) for _ in range(2)]
+    salience = after(lives)
+    assert salience.label(rare()).success
+    assert salience.add(lives[-1])
+    assert not salience.label(rare()).success
+    assert not any(salience.add(rare()) for _ in range(50))
+
+
+def test_the_database_labels_those_of_before_anew() -> None:
+    database = OutcomeDatabase(100, salience=Salience(GROUPS, 0.5, 3))
+    early = rare()
+    for each in [early, *(usual() for _ in range(LEAST_TRAJECTORIES - 2))]:
+        database.add(each)
+    assert (database.n_successful, database.n_entered) == (0, 0)
+    database.add(usual())
+    (part,) = (each for each in database if each.success)
+    assert part.whole is early
+    assert (len(database), database.n_entered) == (LEAST_TRAJECTORIES, 1)
+    database.add(rare())
+    assert (database.n_successful, database.n_entered) == (2, 2)
+    for _ in range(3):
+        database.add(lived([NOTHING, FAR, NEAR, BEHIND], success=True))
+    assert database.n_successful == 3
+    assert all(each.whole is None for each in database)
+    assert any(each is early for each in database)
+    assert len(database) == LEAST_TRAJECTORIES + 4
+
+
+def test_a_database_goes_on_with_its_state() -> None:
+    lives = [usual() for _ in range(20)] + [rare() for _ in range(6)]
+    database, other = (OutcomeDatabase(100, salience=Salience(GROUPS, 0.5, 3)) for _ in range(2))
+    for each in lives:
+        database.add(each)
+    other.set_state(database.get_state())
+    for both in (database, other):
+        both.add(rare())
+        both.add(lived([NOTHING, BEHIND], success=True))
+    assert [each.success for each in database] == [each.success for each in other]
+    assert (database.n_successful, database.n_entered) == (other.n_successful, other.n_entered) == (8, 8)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_subgoals_are_found_before_anything_succeeds(share: float) -> None:
+    settings = DiscoverySettings(
+        start_radius=0, goal_radius=0, min_positive=4, decay=0.5, threshold=0.5, salient_share=share, min_contrast=0.2
+    )
+    discovery = GroupedDiscovery(settings, groups=GROUPS[:2])
+    rng = np.random.default_rng(0)
+    for _ in range(80):
+        states = [NOTHING, NOTHING] + ([FAR] if rng.random() < 0.7 else [])
+        life = lived([*states, NEAR, BEHIND, NOTHING] if rng.random() < 0.3 else [*states, NOTHING])
+        discovery.add(life.trajectory, life.features, success=False)
+        discovery.search()
+    found = [(each.subgoal.group, each.centre.tolist()) for each in discovery.found]
+    assert found[:1] == ([(DOOR, [1, 1])] if share else [])
+    assert discovery.outcomes.successes == 0

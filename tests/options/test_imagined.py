@@ -1,0 +1,117 @@
+"""Imagined steps, worked out by hand on a thing that comes nearer by 1 with each step ahead."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from sb3_options.density.groups import FeatureGroup
+from sb3_options.density.regions import Region
+from sb3_options.experience.observations import FloatArray
+from sb3_options.options.imagined import LEAST_STEPS, MOST_POINTS, displacements, imagined_farther
+from sb3_options.options.policies import TabularPolicy
+from sb3_options.options.settings import OptionLearningSettings
+from sb3_options.options.tasks import Transitions
+
+TURN, AHEAD = 0, 1
+# Of all features: visible, forward, lateral, free ahead; a thing is seen at (forward, lateral).
+GROUP = FeatureGroup("thing", [2, 5, 3, 4], present=[[2]], scale=[10, 1, 1, 10], coordinates=[5, 3])
+MOVING = np.array([False, True, True, False])
+SETTINGS = OptionLearningSettings(max_duration=4, gamma=0.5)
+
+STATES = np.array(
+    [
+        [1, 1, 0, 1],  # the subgoal
+        [1, 2, 0, 1],
+        [1, 2, 1, 1],
+        [1, 2, 1, 0],  # something is in the way
+        [1, 3, 0, 1],
+    ],
+    dtype=np.float64,
+)
+
+
+def steps(*taken: tuple[int, int, int, int]) -> Transitions:
+    """Each (began, action, led, how often), as rows of `STATES`."""
+    began, actions, led = (
+        np.repeat([step[i] for step in taken], [step[3] for step in taken]).astype(np.int64) for i in range(3)
+    )
+    return Transitions(STATES, began, actions, np.zeros(len(began)), led, led == 0)
+
+
+AHEAD_IS_NEARER = steps((1, AHEAD, 0, 19), (4, AHEAD, 1, 5), (2, TURN, 3, 30), (3, AHEAD, 3, 30))
+
+
+def policy(rows: list[int]) -> TabularPolicy:
+    values = np.full((len(rows), 2), -np.inf)
+    values[:, AHEAD] = -np.arange(len(rows))
+    return TabularPolicy(STATES[rows], values)
+
+
+def extended(rows: list[int], transitions: Transitions, group: FeatureGroup = GROUP) -> tuple[Region, TabularPolicy]:
+    initiation = Region(STATES[rows], np.array(group.scale), 0.5, group=group)
+    return imagined_farther(initiation, transitions, policy(rows), SETTINGS)
+
+
+def test_a_step_ahead_brings_nearer_in_its_context_only() -> None:
+    (rule,) = displacements(AHEAD_IS_NEARER, MOVING)
+    assert (rule.action, rule.context.tolist(), rule.move.tolist()) == (AHEAD, [1, 1], [-1, 0])
+
+
+def test_the_initiation_set_goes_on_where_nobody_was() -> None:
+    region, table = extended([1, 4], AHEAD_IS_NEARER)
+    new = region.points[2:]
+    assert new.tolist() == [[1, f, 0, 1] for f in (4, 5, 6, 7)]
+    assert region.points[:2].tolist() == STATES[[1, 4]].tolist()
+    assert table.actions(new).tolist() == [AHEAD] * 4
+    # The value of (3, 0) is -1, and each step before it costs 1.
+    expected = [-1 + 0.5 * -1, -1 + 0.5 * -1.5, -1 + 0.5 * -1.75, -1 + 0.5 * -1.875]
+    assert table.best_values(new).tolist() == expected
+    features = np.zeros((3, 6))
+    features[:, [2, 5, 3, 4]] = [[1, 6, 0, 1], [1, 6, 0, 0], [1, 6, 1, 1]]
+    assert region.contains(features).tolist() == [True, False, False]
+
+
+def test_sideways_it_goes_on_from_what_is_known_there() -> None:
+    region, _ = extended([2], AHEAD_IS_NEARER)
+    assert region.points[1:].tolist() == [[1, f, 1, 1] for f in (3, 4, 5, 6)]
+
+
+@pytest.mark.parametrize(
+    "transitions",
+    [
+        steps((1, AHEAD, 0, LEAST_STEPS - 2), (4, AHEAD, 1, 1)),  # too few
+        steps((1, AHEAD, 0, 70), (1, AHEAD, 1, 30)),  # it may fail
+        steps((3, AHEAD, 3, 100)),  # it never leads anywhere
+    ],
+    ids=["few", "unsure", "still"],
+)
+def test_nothing_is_imagined_without_a_rule(transitions: Transitions) -> None:
+    assert displacements(transitions, MOVING) == []
+    assert len(extended([1, 4], transitions)[0].points) == 2
+
+
+def test_nothing_is_imagined_without_coordinates() -> None:
+    group = dataclasses.replace(GROUP, coordinates=())
+    assert len(extended([1, 4], AHEAD_IS_NEARER, group)[0].points) == 2
+
+
+def test_states_that_were_seen_stay_out() -> None:
+    """(3, 0) was seen and is not in I: runs from there did not get to the subgoal. So nothing goes on behind it."""
+    assert len(extended([1], AHEAD_IS_NEARER)[0].points) == 1
+
+
+def test_there_is_a_limit() -> None:
+    lateral = np.arange(MOST_POINTS / 2)
+    points: FloatArray = np.stack([np.ones_like(lateral), lateral * 0 + 9, lateral, np.ones_like(lateral)], axis=1)
+    initiation = Region(points, np.array(GROUP.scale), 0.5, group=GROUP)
+    table = TabularPolicy(points, np.zeros((len(points), 2)))
+    region, _ = imagined_farther(initiation, AHEAD_IS_NEARER, table, SETTINGS)
+    assert len(region.points) == len(points) + MOST_POINTS
+
+
+def test_coordinates_are_of_the_groups_features() -> None:
+    with pytest.raises(ValueError, match=r"coordinates must be of its features \(2, 5, 3, 4\), got \(1,\)"):
+        dataclasses.replace(GROUP, coordinates=[1])
+    with pytest.raises(ValueError, match="coordinates some of them"):
+        dataclasses.replace(GROUP, coordinates=["forward"])  # type: ignore[list-item]
