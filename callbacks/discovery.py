@@ -284,8 +284,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         where = found.where(self._search.kind)
         option = self._learn(found.proposal or subgoal, f"reach {where}", self.option_settings.policy_input)
         if option is None:
-            logger.warning("No option for the subgoal at %s: no saved trajectory leads to it.", found.centre)
-            return
+            logger.info("No option for the subgoal at %s so far: no saved trajectory leads to it.", found.centre)
+            return self._search.withdraw()
         slot = self.bank.slots.index(None)
         self._options.install(slot, option)
         self._features.remember(slot, option, self._search)

@@ -106,7 +106,7 @@ class Notes(BaseCallback):
         least: And not before so many primitive steps.
 
     Attributes:
-        curve: After each rollout primitive steps so far, and the success rate of the last episodes.
+        curve: After each rollout, and in the end, primitive steps so far, and the success rate of the last episodes.
         runs: Of each option, by its name, how its runs ended.
     """
 
@@ -132,6 +132,10 @@ class Notes(BaseCallback):
 
     def _on_rollout_end(self) -> None:
         self.curve.append((self.num_timesteps, float(np.mean(self._successes or [0.0]))))
+
+    def _on_training_end(self) -> None:
+        if self.curve and self.curve[-1][0] < self.num_timesteps:  # it ended within a rollout
+            self._on_rollout_end()
 
 
 def success_rate(choose: Chooser, venv: VecEnv, seed: int) -> float:

@@ -101,7 +101,7 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
             longest = n_envs * venv.get_attr("unwrapped", [0])[0].max_steps
             learned_at, least = (protocol.until, longest) if is_last else (protocol.learned, 0)
             notes = Notes(n_envs - n_rehearsed, learned_at, least)
-            callbacks = _callbacks(arm, seed, number, discovers=number == 0 or not is_last)
+            callbacks = _callbacks(arm, seed, number, is_last=is_last)
             began = time.perf_counter()
             model.learn(stage.frames, callback=[*callbacks, notes])
             seconds = time.perf_counter() - began
@@ -139,14 +139,14 @@ def _blinkered() -> list[dict[str, Any]]:
     return [{name: of for name, of in group.items() if name != "seen"} for group in concept_groups()]
 
 
-def _callbacks(arm: Arm, seed: int, stage: int, *, discovers: bool) -> list[BaseCallback]:
+def _callbacks(arm: Arm, seed: int, stage: int, *, is_last: bool) -> list[BaseCallback]:
     callbacks: list[BaseCallback] = []
     if arm in settings.DISCOVERING:
         discovery = SubgoalDiscoveryCallback(
             settings.DISCOVERY,
             settings.options_of(arm, stage),
             groups=_blinkered() if arm in (settings.OWN_ARM, settings.FORMER_ARM) else None,
-            max_new_options=None if discovers else 0,
+            max_new_options=0 if is_last and stage else None,
             opening_share=settings.OPENING_SHARE,
             min_ended=settings.MIN_ENDED,
             primitive_rollouts=arm != settings.FORMER_ARM,
@@ -155,7 +155,8 @@ def _callbacks(arm: Arm, seed: int, stage: int, *, discovers: bool) -> list[Base
         callbacks.append(discovery)
     if arm == "hand-made" or arm in settings.HAND_MADE:
         callbacks.append(PrimitiveStepsCallback(primitive_rollouts=True))
-    if arm in settings.WITH_BONUS and not (stage and arm in settings.BONUS_AT_FIRST):
+    over = (stage and arm in settings.BONUS_AT_FIRST) or (is_last and arm in settings.BONUS_BEFORE_LAST)
+    if arm in settings.WITH_BONUS and not over:
         callbacks.append(IntrinsicRewardCallback("rnd", weight=settings.RND_WEIGHT, seed=seed))
     return callbacks
 

@@ -13,10 +13,12 @@ from experiments.minigrid.summary import run_frames
 
 COLOURS: dict[str, str] = {
     "discovered": "#d62728", "discovered, RND": "#ff9896", "discovered, RND at first": "#f7b6d2",
+    "discovered, RND before the last": "#ff9896",
     "discovered, former settings": "#8c564b", "discovered, offered later": "#e377c2",
     "discovered, own features": "#c49c94", "hand-made": "#2ca02c", "hand-made subgoals": "#98df8a",
     "hand-made subgoals, 3 cells": "#bcbd22", "hand-made subgoals, 2 cells": "#dbdb8d",
     "stock, curriculum": "#1f77b4", "stock, RND": "#9467bd", "stock, RND at first": "#c5b0d5",
+    "stock, RND before the last": "#9467bd",
     "stock, rl-zoo3's settings": "#ff7f0e", "stock": "#7f7f7f",
 }  # fmt: skip
 

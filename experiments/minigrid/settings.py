@@ -6,25 +6,28 @@ from typing import Any, Literal, NamedTuple, get_args
 
 Arm = Literal[
     "discovered", "discovered, own features", "discovered, former settings", "discovered, offered later",
-    "discovered, RND", "discovered, RND at first",
+    "discovered, RND", "discovered, RND at first", "discovered, RND before the last",
     "hand-made", "hand-made subgoals", "hand-made subgoals, 3 cells", "hand-made subgoals, 2 cells",
-    "stock, curriculum", "stock, RND", "stock, RND at first", "stock, rl-zoo3's settings", "stock",
+    "stock, curriculum", "stock, RND", "stock, RND at first", "stock, RND before the last",
+    "stock, rl-zoo3's settings", "stock",
 ]  # fmt: skip
 ARMS: tuple[Arm, ...] = get_args(Arm)
 """``stock``: PPO in the last task alone, for the frames of all stages. All others go through all stages and take the
 weights along. ``stock, curriculum``: PPO; ``stock, rl-zoo3's settings``: with these; ``stock, RND``: with a bonus for
 what is new in each task. ``discovered``: with options that are discovered in the stages before the last, and kept;
-``discovered, RND``: with the bonus. ``RND at first``: with the bonus in the first task alone. ``discovered, own
-features``: options see no more than their subgoal says, and are not learned anew. ``discovered, former settings``:
-likewise, rollouts count decisions, and options begin in all of I; ``discovered, offered later``: options may be chosen
-from the second stage on. ``hand-made``: options by hand from the first step on, the bound. ``hand-made subgoals``: by
-hand, to the subgoals that discovery finds in rooms, from wherever they are in view, or from so many cells away."""
+``discovered, RND``: with the bonus. ``RND at first``: with the bonus in the first task alone; ``RND before the last``:
+in all but the last. ``discovered, own features``: options see no more than their subgoal says, and are not learned
+anew. ``discovered, former settings``: likewise, rollouts count decisions, and options begin in all of I; ``discovered,
+offered later``: options may be chosen from the second stage on. ``hand-made``: options by hand from the first step on,
+the bound. ``hand-made subgoals``: by hand, to the subgoals that discovery finds in rooms, from wherever they are in
+view, or from so many cells away."""
 
 OWN_ARM: Arm = "discovered, own features"
 FORMER_ARM: Arm = "discovered, former settings"
 LATER_ARM: Arm = "discovered, offered later"
 DISCOVERING: tuple[Arm, ...] = (
-    "discovered", OWN_ARM, FORMER_ARM, LATER_ARM, "discovered, RND", "discovered, RND at first",
+    "discovered", OWN_ARM, FORMER_ARM, LATER_ARM,
+    "discovered, RND", "discovered, RND at first", "discovered, RND before the last",
 )  # fmt: skip
 HAND_MADE: dict[Arm, int | None] = {
     "hand-made subgoals": None, "hand-made subgoals, 3 cells": 3, "hand-made subgoals, 2 cells": 2,
@@ -33,7 +36,8 @@ HAND_MADE: dict[Arm, int | None] = {
 
 WITH_OPTIONS: tuple[Arm, ...] = (*DISCOVERING, "hand-made", *HAND_MADE)
 BONUS_AT_FIRST: tuple[Arm, ...] = ("discovered, RND at first", "stock, RND at first")
-WITH_BONUS: tuple[Arm, ...] = ("discovered, RND", "stock, RND", *BONUS_AT_FIRST)
+BONUS_BEFORE_LAST: tuple[Arm, ...] = ("discovered, RND before the last", "stock, RND before the last")
+WITH_BONUS: tuple[Arm, ...] = ("discovered, RND", "stock, RND", *BONUS_AT_FIRST, *BONUS_BEFORE_LAST)
 ZOO_ARM: Arm = "stock, rl-zoo3's settings"
 
 

@@ -37,6 +37,12 @@ def frames_to(run: Result, family: str, arm: Arm, success: float) -> int | None:
     return reached
 
 
+def median_frames(frames: Sequence[int | None]) -> float | None:
+    """The median over all seeds, in which those that never got there count as the slowest; None if it is never."""
+    median = float(np.median([np.inf if each is None else each for each in frames]))
+    return median if np.isfinite(median) else None
+
+
 def summarise(family: str, results: Mapping[str, Sequence[Result]]) -> Summary:
     """What each agent came to.
 
@@ -46,8 +52,9 @@ def summarise(family: str, results: Mapping[str, Sequence[Result]]) -> Summary:
 
     Returns:
         ``arms``: by agent the success in fresh episodes with its 95 % interval over seeds, the frames of all stages to
-        each success of `REACHED` for every seed, and the seconds; ``uniform``: success of a uniform choice;
-        ``options``: by subgoal, how many seeds discovered it, and the share of its runs that reached it, by stage.
+        each success of `REACHED` for every seed, and their medians, and the seconds; ``uniform``: success of a uniform
+        choice; ``options``: by subgoal, how many seeds discovered it, and the share of its runs that reached it, by
+        stage.
     """
     summary: Summary = {"arms": {}, "uniform": {}, "options": {}}
     for name, runs in results.items():
@@ -57,6 +64,9 @@ def summarise(family: str, results: Mapping[str, Sequence[Result]]) -> Summary:
             "n_runs": len(runs),
             "success": {how: _mean([run["success"][how] for run in runs]) for how in judged},
             "frames_to": {str(least): [frames_to(run, family, arm, least) for run in runs] for least in REACHED},
+            "median_frames_to": {
+                str(least): median_frames([frames_to(run, family, arm, least) for run in runs]) for least in REACHED
+            },
             "seconds": _mean([sum(stage["seconds"] for stage in run["stages"]) for run in runs]),
         }
         if "uniform" in runs[0]["success"]:

@@ -11,9 +11,10 @@ from sb3_options.density.regions import Region
 from sb3_options.discovery.bag_maker import BagMaker
 from sb3_options.discovery.budget import seconds_of_contrast
 from sb3_options.discovery.contrast import Contrast
+from sb3_options.discovery.found import Search
 from sb3_options.discovery.outcome_database import OutcomeDatabase
 from sb3_options.discovery.salience import Salience
-from sb3_options.discovery.subgoals import Search, SubgoalDiscovery
+from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray
 
 SEARCH_GROWTH = 0.05
@@ -94,6 +95,14 @@ class GroupedDiscovery(SubgoalDiscovery):
             self.tracker = best.tracker
         self.seconds += seconds
         return self._new_subgoal()
+
+    def withdraw(self) -> None:
+        """Say that there is no option for the last subgoal yet: with more trajectories it may come again."""
+        super().withdraw()
+        group = self.found.pop().subgoal.group
+        assert group is not None  # all subgoals here have one
+        self.members[group].found.pop()
+        self.members[group]._maker.forget_bags()
 
     def _new_subgoal(self) -> Region | None:
         for member in self.members.values():

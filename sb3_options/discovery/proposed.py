@@ -12,11 +12,12 @@ import numpy as np
 
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
+from sb3_options.discovery.found import FoundSubgoal, Search
 from sb3_options.discovery.grouped import GroupedDiscovery
 from sb3_options.discovery.methods import METHODS, DiscoveryMethod, Experience, Proposal, method_named
 from sb3_options.discovery.most_likely import MostLikelyDiscovery
 from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.discovery.subgoals import FoundSubgoal, Search, SubgoalDiscovery
+from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.options.proposals import goal_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -17,16 +17,16 @@ from sb3_options.density.regions import Region
 from sb3_options.discovery.anchors import moved, nearest_observations
 from sb3_options.discovery.bag_maker import BagMaker, FilteredBags
 from sb3_options.discovery.budget import ASCENTS, CUT_SECONDS, Budget, seconds_of_bags, seconds_of_search
+from sb3_options.discovery.found import FoundSubgoal, Search
 from sb3_options.discovery.outcomes import Outcomes
 from sb3_options.discovery.peaks import PeakTracker, plateau_centres
 from sb3_options.discovery.recurrence import Recurrence
-from sb3_options.discovery.settings import DiscoverySettings, described
+from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.static_filter import StaticFilter
 from sb3_options.discovery.ways import loop_erased
-from sb3_options.experience.observations import FeatureMap, FloatArray, Observations, batch_size
+from sb3_options.experience.observations import FeatureMap, FloatArray, batch_size
 from sb3_options.experience.success import SuccessRule, reported_success
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory, TrajectoryDatabase
-from sb3_options.options.proposals import Proposal
 
 WARM_STARTS = 4
 """A search also starts from this many peaks of the one before."""
@@ -35,56 +35,6 @@ TRIED_BAGS = 3
 MOST_PAIRS = 1 << 20
 """A search tries the instances of so many of the smallest positive bags, and compares about so many pairs of them with
 others, as `DiverseDensity` has it."""
-
-
-class Search(NamedTuple):
-    """What one search found.
-
-    Attributes:
-        peaks: Best first; empty if there was nothing to search.
-        evidence: What was searched; None if there was nothing.
-        seconds: Wall time.
-    """
-
-    peaks: list[Peak]
-    evidence: FilteredBags | None
-    seconds: float
-
-    @property
-    def bags(self) -> Bags | None:
-        """What was searched; None if there was nothing."""
-        return None if self.evidence is None else self.evidence.bags
-
-
-class FoundSubgoal(NamedTuple):
-    """A subgoal, with the bags it was found in.
-
-    Attributes:
-        subgoal: In concept space.
-        bags: Of the search that completed it; None where another method found it.
-        log_density: Best log diverse density of that search; NaN likewise.
-        proposal: What the option is to be made for, if not to reach it.
-        observation: Where it was found, a batch of one; None where another method found it.
-    """
-
-    subgoal: Region
-    bags: Bags | None
-    log_density: float
-    proposal: Proposal | None = None
-    observation: Observations | None = None
-
-    @property
-    def centre(self) -> FloatArray:
-        """The middle of the subgoal in its own features, (d,); NaN if the option is bound for no place."""
-        points = self.subgoal.points
-        return points[0] if len(points) else np.full(points.shape[1], np.nan)
-
-    def where(self, kind: str | None) -> str:
-        """The subgoal for people; ``kind`` says where φ comes from."""
-        if not len(self.subgoal.points):
-            return "no place"
-        place = described(self.centre, kind)
-        return place if self.subgoal.group is None else f"{self.subgoal.group.name} at {place}"
 
 
 @dataclass
@@ -113,6 +63,7 @@ class SubgoalDiscovery:
         self.database = TrajectoryDatabase(s.capacity, s.max_bytes)
         self.tracker = PeakTracker(decay=s.decay, threshold=s.threshold, radius=s.peak_radius)
         self.found: list[FoundSubgoal] = []
+        self.n_withdrawn = 0
         unit = "episode" if s.segmentation == "episodes" else "segment"
         self.outcomes = Outcomes(unit, self.success is not reported_success)
         self.last = Search([], None, 0.0)
@@ -173,6 +124,10 @@ class SubgoalDiscovery:
         self.update()
         self.budget.spent += self.cost
         return self._new_subgoal()
+
+    def withdraw(self) -> None:
+        """Say that there is no option for the last subgoal; it counts as taken all the same."""
+        self.n_withdrawn += 1
 
     def update(self) -> None:
         """Search the bags once and update the running averages; `search` without its end.
@@ -252,7 +207,7 @@ class SubgoalDiscovery:
             why = f"no {seen.unit} has ended."
         elif seen.successes == 0:
             why = seen.why_no_success()
-        elif self.found:
+        elif self.found or self.n_withdrawn:
             why = "no saved trajectory leads surely enough (min_reach) to the one that was found: there is no option."
         elif self.recurrence.nothing:
             why = self.recurrence.why(seen.successes, f"successful {seen.unit}s")
@@ -352,6 +307,7 @@ class SubgoalDiscovery:
             "budget": self.budget.get_state(),
             "recurrence": self.recurrence.get_state(),
             "n_new": self._n_new,
+            "n_withdrawn": self.n_withdrawn,
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -371,7 +327,7 @@ class SubgoalDiscovery:
             self._incremental.set_state(state["incremental"])
         self.budget.set_state(state["budget"])
         self.recurrence.set_state(state["recurrence"])
-        self._n_new = state["n_new"]
+        self._n_new, self.n_withdrawn = state["n_new"], state["n_withdrawn"]
 
     def _new_subgoal(self) -> Region | None:
         if self.last.evidence is None:

@@ -173,3 +173,19 @@ def test_what_is_near_counts_with_when_it_was_first() -> None:
     success = LabelledTrajectory(*trajectory([[0, 0, 0, 0, 0], [1, 1, 0, 0, 0]], True), True)
     near.update([early, success])
     assert near.of(np.array([[1.0, 1, 0, 0, 0]])) == pytest.approx(2 / 3 - 2 / 3)  # it was near, 1 step away, in time
+
+
+def test_a_subgoal_that_is_withdrawn_comes_again() -> None:
+    discovery = discovered([WALL, KEY])
+    discovery.withdraw()
+    assert discovery.found == []
+    assert "no saved trajectory leads surely enough (min_reach)" in discovery.why_nothing()
+    state = discovery.get_state()
+    rng = np.random.default_rng(1)
+    for i in range(60):
+        discovery.add(*walk(rng, success=i % 2 == 0))
+        discovery.search()
+    assert [(f.subgoal.group, f.subgoal.points.tolist()) for f in discovery.found] == [(KEY, [[1, 1]])]
+    other = discovery_with(SOON, [WALL, KEY])
+    other.set_state(state)
+    assert (other.found, other.n_withdrawn) == ([], 1)

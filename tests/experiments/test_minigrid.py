@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.minigrid import agents, keys, reach, settings
+from experiments.minigrid import agents, conditions, keys, reach, settings
 from experiments.minigrid.__main__ import Study, folder_of, main
 from experiments.minigrid.conditions import stages_of
 from experiments.minigrid.hand_made import FORWARD, LEFT, RIGHT, TOGGLE, approach, options_on, to_subgoals_on
-from experiments.minigrid.settings import ARMS, FAMILIES, Stage
-from experiments.minigrid.summary import frames_to, summarise
+from experiments.minigrid.settings import ARMS, FAMILIES, Arm, Stage
+from experiments.minigrid.summary import frames_to, median_frames, summarise
 from sb3_options import OptionsWrapper
+from sb3_options.callbacks import IntrinsicRewardCallback
 from sb3_options.envs.minigrid import FEATURES
 
 
@@ -111,6 +112,27 @@ def test_frames_count_those_of_all_stages() -> None:
     assert frames_to(run, "MultiRoom-4", "discovered", 0.8) == stages[0].frames + 300  # where it stays
     assert frames_to(run, "MultiRoom-4", "discovered", 0.9) is None
     assert frames_to({"stages": [curve((200, 0.85))]}, "MultiRoom-4", "stock", 0.8) == 200
+
+
+@pytest.mark.parametrize(
+    ("frames", "median"),
+    [([3, 1, 2], 2), ([4, None, 1, 2], 3), ([1, None, 2, None], None), ([None, 1, None], None), ([None, 2, 1], 2)],
+)
+def test_who_never_gets_there_is_the_slowest(frames: list[int | None], median: float | None) -> None:
+    assert median_frames(frames) == median
+
+
+def test_the_bonus_ends_before_the_last_task() -> None:
+    def has_bonus(arm: Arm, stage: int, *, is_last: bool) -> bool:
+        callbacks = conditions._callbacks(arm, 0, stage, is_last=is_last)
+        return any(isinstance(callback, IntrinsicRewardCallback) for callback in callbacks)
+
+    for who in ("discovered", "stock"):
+        at_first, before_last, always = (
+            [has_bonus(arm, stage, is_last=stage == 2) for stage in range(3)]  # type: ignore[arg-type]  # f-strings
+            for arm in (f"{who}, RND at first", f"{who}, RND before the last", f"{who}, RND")
+        )
+        assert (at_first, before_last, always) == ([True, False, False], [True, True, False], [True] * 3)
 
 
 def test_shares_of_runs_that_reach_are_of_all_seeds_together() -> None:
