@@ -39,6 +39,8 @@ class MiniGridWrapper(
 
     Args:
         env: An environment of MiniGrid; its observations have an ``image`` (v, v, 3) and a ``mission``.
+        mission: Whether the words of the mission are in the observation. Without them a model can go on in a task whose
+            missions are others.
 
     Raises:
         TypeError: ``env`` has other observations.
@@ -47,8 +49,8 @@ class MiniGridWrapper(
 
     feature_names = FEATURES
 
-    def __init__(self, env: gym.Env[Any, Any]) -> None:
-        RecordConstructorArgs.__init__(self)
+    def __init__(self, env: gym.Env[Any, Any], *, mission: bool = True) -> None:
+        RecordConstructorArgs.__init__(self, mission=mission)
         gym.ObservationWrapper.__init__(self, env)
         space = env.observation_space
         image = space["image"] if isinstance(space, gym.spaces.Dict) and "image" in space.spaces else None
@@ -58,7 +60,7 @@ class MiniGridWrapper(
                 f"{space}. Put it right around gymnasium.make(...), beneath other wrappers."
             )
         self._view = int(image.shape[0])
-        self._missions = _missions(space["mission"] if "mission" in space.spaces else None)
+        self._missions = _missions(space["mission"] if mission and "mission" in space.spaces else None)
         self._n_cells = self._view**2 * DEPTH
         n_words = len(next(iter(self._missions.values()), ()))
         self.observation_space: gym.Space[Any] = gym.spaces.Box(0, 1, (self._n_cells + n_words,), np.uint8)
@@ -72,8 +74,8 @@ class MiniGridWrapper(
         words = self._missions.get(observation["mission"])
         if words is None:
             raise ValueError(
-                f"The mission {observation['mission']!r} is none that {self.unwrapped} lists. Make observations "
-                "without it by a wrapper of your own."
+                f"The mission {observation['mission']!r} is none that {self.unwrapped} lists. Leave it out by "
+                "mission=False."
             )
         return np.concatenate([cells, words])
 
@@ -121,11 +123,12 @@ def _missions(space: Any) -> dict[str, Vector]:
     }
 
 
-def make(env_id: str, **kwargs: Any) -> MiniGridWrapper:
+def make(env_id: str, *, mission: bool = True, **kwargs: Any) -> MiniGridWrapper:
     """An environment of MiniGrid by its id, in a `MiniGridWrapper`. It computes what it sees quicker (`see_quickly`).
 
     Args:
         env_id: Such as ``MiniGrid-DoorKey-5x5-v0``.
+        mission: As `MiniGridWrapper` has it.
         **kwargs: Of ``gymnasium.make``.
 
     Raises:
@@ -134,7 +137,7 @@ def make(env_id: str, **kwargs: Any) -> MiniGridWrapper:
     require()
     env = gym.make(env_id, **kwargs)
     see_quickly(env.unwrapped)
-    return MiniGridWrapper(env)
+    return MiniGridWrapper(env, mission=mission)
 
 
 def require() -> None:

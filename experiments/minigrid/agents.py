@@ -73,7 +73,12 @@ def venv_of(
 
     other, n_others = rehearsed
     tasks = iter([env_id] * (n_envs - n_others) + [other] * n_others)
-    return make_vec_env(lambda: make(next(tasks)), n_envs, seed=seed, wrapper_class=wrapped)
+
+    def made() -> gym.Env[Any, Any]:
+        task = next(tasks)
+        return make(task, mission=task not in settings.WITHOUT_MISSION)
+
+    return make_vec_env(made, n_envs, seed=seed, wrapper_class=wrapped)
 
 
 def normalised(venv: VecEnv, before: VecEnv | None, *, training: bool = True) -> VecNormalize:
@@ -134,7 +139,7 @@ class Notes(BaseCallback):
         self.curve.append((self.num_timesteps, float(np.mean(self._successes or [0.0]))))
 
     def _on_training_end(self) -> None:
-        if self.curve and self.curve[-1][0] < self.num_timesteps:  # it ended within a rollout
+        if not self.curve or self.curve[-1][0] < self.num_timesteps:  # it ended within a rollout
             self._on_rollout_end()
 
 

@@ -107,6 +107,9 @@ FAMILIES: dict[str, tuple[Stage, ...]] = {
 }
 """Stages of each family, the last one is the task. ``MultiRoom-N4-S5-v0`` has six rooms, ``-v1`` has four."""
 
+WITHOUT_MISSION = ("MiniGrid-LockedRoom-v0",)
+"""Tasks whose missions the tasks before do not have; agents do without them."""
+
 GAMMA = 0.99
 N_ENVS = 16
 PPO: dict[str, Any] = {

@@ -40,6 +40,7 @@ class GroupedDiscovery(SubgoalDiscovery):
     def __post_init__(self) -> None:
         """Set up what grows with experience, for each group."""
         super().__post_init__()
+        self.outcomes.needed = self.settings.salient_share == 0
         salience = Salience(self.groups, self.settings.salient_share, self.settings.min_positive)
         self.database: OutcomeDatabase = OutcomeDatabase(self.settings.capacity, self.settings.max_bytes, salience)
         own = replace(self.settings, loops="keep", min_passing=0.0)

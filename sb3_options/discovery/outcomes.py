@@ -21,6 +21,7 @@ class Outcomes:
     Args:
         unit: What a trajectory is, for texts: an episode, or a segment of a continuing task.
         judged_by_user: Whether the rule of success is the user's own.
+        needed: Whether nothing can be discovered before a success.
 
     Attributes:
         n: Trajectories seen.
@@ -29,6 +30,7 @@ class Outcomes:
 
     unit: str = "episode"
     judged_by_user: bool = False
+    needed: bool = True
     n: int = field(default=0, init=False)
     successes: int = field(default=0, init=False)
 
@@ -45,7 +47,7 @@ class Outcomes:
         self._reported += trajectory.is_success is not None
         total = float(trajectory.rewards.sum())
         self._returns = min(self._returns[0], total), max(self._returns[1], total)
-        if self.n == SILENT_TRAJECTORIES and not self.successes:
+        if self.needed and self.n == SILENT_TRAJECTORIES and not self.successes:
             logger.warning("Nothing can be discovered so far: %s", self.why_no_success())
 
     def get_state(self) -> dict[str, Any]:

@@ -132,7 +132,7 @@ def test_a_database_goes_on_with_its_state() -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
-def test_subgoals_are_found_before_anything_succeeds(share: float) -> None:
+def test_subgoals_are_found_before_anything_succeeds(share: float, caplog: pytest.LogCaptureFixture) -> None:
     settings = DiscoverySettings(
         start_radius=0, goal_radius=0, min_positive=4, decay=0.5, threshold=0.5, salient_share=share, min_contrast=0.2
     )
@@ -146,3 +146,4 @@ def test_subgoals_are_found_before_anything_succeeds(share: float) -> None:
     found = [(each.subgoal.group, each.centre.tolist()) for each in discovery.found]
     assert found[:1] == ([(DOOR, [1, 1])] if share else [])
     assert discovery.outcomes.successes == 0
+    assert ("Nothing can be discovered so far" in caplog.text) == (share == 0)

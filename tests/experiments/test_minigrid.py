@@ -46,6 +46,13 @@ def test_all_agents_get_the_same_frames() -> None:
         assert {stages_of(family, arm)[-1].env_id for arm in ARMS} == {FAMILIES[family][-1].env_id}
 
 
+@pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_model_can_go_through_all_stages(family: str) -> None:
+    venvs = [agents.venv_of(stage.env_id, 0, n_envs=1) for stage in FAMILIES[family]]
+    assert len({str((venv.observation_space, venv.action_space)) for venv in venvs}) == 1
+
+
 def features(**values: float) -> Any:
     row = np.zeros((1, len(FEATURES)))
     for name, value in values.items():

@@ -53,6 +53,14 @@ def test_missions_differ_where_they_vary_and_only_there() -> None:
     assert make("MiniGrid-DoorKey-5x5-v0").observation_space.shape == (7 * 7 * 21,)
 
 
+def test_without_the_mission_a_model_can_go_on_in_a_task_with_another() -> None:
+    env = make("MiniGrid-LockedRoom-v0", mission=False)
+    assert env.observation_space == make("MiniGrid-DoorKey-5x5-v0").observation_space
+    assert env.observation_space.contains(env.reset(seed=0)[0])
+    assert env.spec is not None
+    assert env.spec.additional_wrappers[-1].kwargs == {"mission": False}
+
+
 def test_success_is_reported_at_the_end() -> None:
     env = make("MiniGrid-Empty-5x5-v0")
     env.reset(seed=0)
