@@ -64,6 +64,10 @@ def empty() -> gym.Env[Any, Any]:
     return make_minigrid("MiniGrid-Empty-Random-5x5-v0")
 
 
+def rooms() -> Any:
+    return make_minigrid("MiniGrid-MultiRoom-N2-S4-v0")
+
+
 @pytest.mark.parametrize(
     ("name", "make", "subproc"),
     [
@@ -114,6 +118,24 @@ def test_grouped_discovery(tmp_path: Path) -> None:
     assert isinstance(discovery, SubgoalDiscoveryCallback)
     assert isinstance(discovery.discovery, GroupedDiscovery)
     assert discovery.discoveries
+
+
+@pytest.mark.slow
+def test_discovery_before_the_first_successes(tmp_path: Path) -> None:
+    """Parts of failures stand for successes, and what is rare goes on to be counted."""
+    soon = {"start_radius": 0.5, "goal_radius": 0.5, "min_positive": 6, "decay": 0.5, "salient_share": 0.9}
+    callbacks, _ = check_resumes(
+        lambda: model_of("MaskablePPO", vec(optioned(rooms))),
+        lambda: [SubgoalDiscoveryCallback(soon, {"grow": True}, max_new_options=2)],
+        tmp_path,
+        cuts=(0.3, 0.6, 0.9),
+        steps=2500,
+    )
+    (discovery, _) = callbacks
+    assert isinstance(discovery, SubgoalDiscoveryCallback)
+    assert discovery.discoveries
+    assert discovery.discovery is not None
+    assert any(each.whole is not None for each in discovery.discovery.database)
 
 
 @pytest.mark.parametrize("above", [False, True])

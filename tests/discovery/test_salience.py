@@ -1,10 +1,13 @@
 """What is rarely come upon stands for success until enough trajectories have succeeded."""
 
+import json
 from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
+from sb3_options.checkpoints.records import RECORDS
+from sb3_options.checkpoints.tree import decode, encode
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.discovery.grouped import GroupedDiscovery
 from sb3_options.discovery.outcome_database import OutcomeDatabase
@@ -123,7 +126,9 @@ def test_a_database_goes_on_with_its_state() -> None:
     database, other = (OutcomeDatabase(100, salience=Salience(GROUPS, 0.5, 3)) for _ in range(2))
     for each in lives:
         database.add(each)
-    other.set_state(database.get_state())
+    content, arrays = encode(database.get_state(), RECORDS)
+    other.set_state(decode(json.loads(json.dumps(content)), arrays, RECORDS))
+    assert sum(each.whole is not None for each in other) == 6
     for both in (database, other):
         both.add(rare())
         both.add(lived([NOTHING, BEHIND], success=True))
