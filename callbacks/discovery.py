@@ -245,8 +245,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             *_, labelled = self._search.database
         if self.option_settings.goes_on:
             self._learn_further(labelled)
-        tells = self._features.ready and (labelled.success or self.settings.negative_bags)
-        if discovers and tells and (subgoal := self._search.search()) is not None:
+        may_tell = labelled.success or self.settings.negative_bags or self.settings.salient_share > 0
+        if discovers and self._features.ready and may_tell and (subgoal := self._search.search()) is not None:
             self._make_option(subgoal)
 
     def _learn_further(self, labelled: LabelledTrajectory) -> None:
@@ -284,7 +284,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         where = found.where(self._search.kind)
         option = self._learn(found.proposal or subgoal, f"reach {where}", self.option_settings.policy_input)
         if option is None:
-            logger.info("No option for the subgoal at %s so far: no saved trajectory leads to it.", found.centre)
+            logger.warning("No option for the subgoal at %s: no saved trajectory leads to it.", found.centre)
             return self._search.withdraw()
         slot = self.bank.slots.index(None)
         self._options.install(slot, option)
