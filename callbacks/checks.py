@@ -28,7 +28,7 @@ from sb3_options.learning.macro_q import MacroQ
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 
 
-def check_numbers(max_new_options: int | None, min_ended: float, seed: int) -> None:
+def check_numbers(max_new_options: int | None, min_reached: float, seed: int) -> None:
     """Refuse arguments of `SubgoalDiscoveryCallback` that are out of their range.
 
     Raises:
@@ -36,8 +36,8 @@ def check_numbers(max_new_options: int | None, min_ended: float, seed: int) -> N
     """
     if max_new_options is not None and not whole(max_new_options, 0):
         raise ValueError(f"max_new_options must be at least 0, got {max_new_options!r}.")
-    if not (is_number(min_ended) and 0.0 <= min_ended <= 1.0):
-        raise ValueError(f"min_ended must be a share, in [0, 1], got {min_ended!r}.")
+    if not (is_number(min_reached) and 0.0 <= min_reached <= 1.0):
+        raise ValueError(f"min_reached must be a share, in [0, 1], got {min_reached!r}.")
     if not whole(seed, 0):
         raise ValueError(f"seed must be at least 0, a whole number, got {seed!r}.")
 

@@ -81,9 +81,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         interruption: Whether options of DQN, QRDQN and OptionDQN end where going on is worth less than the best
             alternative (`execution.interruption`).
         trial: How options are tried, and closed where they prove harmful (`execution.trials`); by default they are not.
-        min_ended: Where less than this share of an option's last runs ended before `max_duration`, in [0, 1], it is
-            offered no longer; it is closed where that holds everywhere. 0: it stays as it is. Runs that the end of the
-            episode cut off do not count.
+        min_reached: Where less than this share of an option's last runs reached its subgoal, in [0, 1], it is offered
+            no longer; it is closed if less than this share even ended before `max_duration`. 0: it stays as it is.
+            Runs that the end of the episode cut off do not count.
         primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps, not decisions.
         save_path: File for the options, written each time one is made; None writes nothing.
         hparams: Settings for TensorBoard's HParams tab; by default those of the algorithm and of discovery.
@@ -110,7 +110,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         embedding: EmbeddingSettings | Mapping[str, Any] | None = None,
         interruption: bool = True,
         trial: TrialSettings | Mapping[str, Any] | None = None,
-        min_ended: float = 0.0,
+        min_reached: float = 0.0,
         primitive_rollouts: bool = False,
         save_path: str | os.PathLike[str] | None = None,
         hparams: Mapping[str, Any] | None = None,
@@ -123,8 +123,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             self.settings = dataclasses.replace(self.settings, method=method)
         self.method = None if isinstance(method, str) else method
         self.option_settings = given_as(OptionLearningSettings, {} if option_settings is None else option_settings)
-        check_numbers(max_new_options, min_ended, seed)
-        self.success, self.static_filter, self.min_ended = success, static_filter, min_ended
+        check_numbers(max_new_options, min_reached, seed)
+        self.success, self.static_filter, self.min_reached = success, static_filter, min_reached
         self.groups = groups_given(groups)
         self.max_new_options, self.interruption = max_new_options, interruption
         self.trial = trial_given(trial, self.settings)
@@ -140,7 +140,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.seed = seed
         self._trials: OptionTrials | None = None
         self._generator = torch.Generator().manual_seed(seed)
-        self._statistics, self._growth = OptionStatistics(min_ended), OptionGrowth()
+        self._statistics, self._growth = OptionStatistics(min_reached), OptionGrowth()
         self.embedding = given_as(EmbeddingSettings, {} if embedding is None else embedding)
         self._features = GivenFeatures()
         self._installer: OptionInstaller | None = None

@@ -72,11 +72,11 @@ class OptionStatistics:
     nothing of where the option leads, and is counted apart.
 
     Args:
-        min_ended: Share of the runs that have to end before `max_duration`, for `reliability`; 0 for none.
+        min_reached: Share of the runs that have to reach the subgoal, for `reliability`; 0 for none.
     """
 
-    def __init__(self, min_ended: float = 0.0) -> None:
-        self.reliability = Reliability(min_ended)
+    def __init__(self, min_reached: float = 0.0) -> None:
+        self.reliability = Reliability(min_reached)
         self._uses: Counter[int] = Counter()
         self._outside: Counter[int] = Counter()
         self._last: dict[int, deque[tuple[int, str]]] = {}

@@ -1,4 +1,4 @@
-"""Whether the runs of options end, and from where: elsewhere they are offered no longer."""
+"""Whether the runs of options get there, and from where: elsewhere they are offered no longer."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.spatial.distance import cdist
 
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.experience.observations import BoolArray, FloatArray, Observations, batch_size, concatenate
-from sb3_options.experience.option_run import OptionRun
+from sb3_options.experience.option_run import OptionRun, Termination
 from sb3_options.options.option import SubgoalOption
 
 MIN_RUNS = 50
@@ -32,22 +32,24 @@ DECIDED = ("subgoal", "left_initiation", "max_duration")
 
 
 class Reliability:
-    """Takes states out of an initiation set from where runs never end, and says when an option is to be closed.
+    """Takes states out of an initiation set from where runs do not arrive, and says when an option is to be closed.
 
     I is learned from saved trajectories; how runs end says where the option works (Konidaris & Barto 2009, §3). I loses
-    a state when too many of the runs that passed it went on until `max_duration`: on what it sees the policy goes in a
-    circle there. An option is closed when too many of its last runs did and no state is to blame, or every one is.
+    a state when too few of the runs that passed it reached the subgoal: they left I, or went on until `max_duration`,
+    because on what it sees the policy goes in a circle there. An option is closed when too many of its last runs went
+    in a circle and no state is to blame, or every one is.
 
-    Runs that left I count as ended: they cost little, and who chooses can do something else there. A policy that has
+    Runs that left I close no option: they cost little, and who chooses can do something else there. A policy that has
     learned to use an option loses more by its end than by such runs.
 
     Args:
-        least: Share of the runs that have to end before `max_duration`, in [0, 1]; 0 keeps no runs and never judges.
+        least: Share of the runs that have to reach the subgoal from a state, and to end before `max_duration`, in
+            [0, 1]; 0 keeps no runs and never judges.
     """
 
     def __init__(self, least: float) -> None:
         self.least = least
-        self._runs: dict[int, deque[tuple[Observations, bool]]] = {}
+        self._runs: dict[int, deque[tuple[Observations, Termination]]] = {}
         self._since: Counter[int] = Counter()
 
     def add(self, run: OptionRun) -> None:
@@ -55,7 +57,7 @@ class Reliability:
         if self.least and run.termination in DECIDED:
             assert run.observations is not None  # it is that of an option
             runs = self._runs.setdefault(run.index, deque(maxlen=WINDOW))
-            runs.append((run.observations, run.termination != "max_duration"))
+            runs.append((run.observations, run.termination))
             self._since[run.index] += 1
 
     def forget(self, slot: int) -> None:
@@ -66,7 +68,7 @@ class Reliability:
     def ended(self, slot: int) -> float | None:
         """Share of a slot's last runs that ended before `max_duration`; None if they are fewer than `MIN_RUNS`."""
         runs = self._runs.get(slot, ())
-        return float(np.mean([ended for _, ended in runs])) if len(runs) >= MIN_RUNS else None
+        return float(np.mean([why != "max_duration" for _, why in runs])) if len(runs) >= MIN_RUNS else None
 
     def judged(self, options: OptionInstaller) -> Iterator[tuple[int, SubgoalOption | None]]:
         """What becomes of options after their last runs.
@@ -95,7 +97,7 @@ class Reliability:
     def _failing(
         self, slot: int, option: SubgoalOption, features_of: Callable[[Observations], FloatArray]
     ) -> BoolArray:
-        """Which centres of I are nearest to states from where runs go in a circle, shape (n,)."""
+        """Which centres of I are nearest to states from where too few runs arrive, shape (n,)."""
         runs, region = self._runs[slot], option.initiation_set
         if not len(region.points):
             return np.zeros(0, dtype=bool)
@@ -105,8 +107,8 @@ class Reliability:
         passed: BoolArray = np.zeros((len(runs), len(region.points)), dtype=bool)
         passed[np.repeat(np.arange(len(runs)), durations), nearest] = True
         passes = passed.sum(axis=0)
-        ended = passed[[ended for _, ended in runs]].sum(axis=0)
-        failing: BoolArray = (passes >= MIN_PASSES) & (ended < self.least * passes)
+        reached = passed[[why == "subgoal" for _, why in runs]].sum(axis=0)
+        failing: BoolArray = (passes >= MIN_PASSES) & (reached < self.least * passes)
         return failing
 
     def get_state(self) -> dict[str, Any]:

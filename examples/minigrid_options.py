@@ -23,11 +23,11 @@ def main(steps_in_two: int = 40_000, steps_in_four: int = 80_000, options_file: 
     how = {**found, "max_share": None}, {"grow": True}
     ppo = {"n_steps": 128, "batch_size": 256, "n_epochs": 4, "learning_rate": 1e-3, "ent_coef": 0.01, "gamma": 0.99}
     model = MaskablePPO("MlpPolicy", rooms("MiniGrid-MultiRoom-N2-S4-v0"), seed=0, device="cpu", verbose=1, **ppo)
-    callback = SubgoalDiscoveryCallback(*how, opening_share=0.5, min_ended=0.5, verbose=1)
+    callback = SubgoalDiscoveryCallback(*how, opening_share=0.5, min_reached=0.5, verbose=1)
     model.learn(steps_in_two, callback=callback)
     callback.bank.save(options_file)
     model.set_env(rooms("MiniGrid-MultiRoom-N4-S5-v1", options_file))
-    model.learn(steps_in_four, callback=SubgoalDiscoveryCallback(*how, max_new_options=0, min_ended=0.5))
+    model.learn(steps_in_four, callback=SubgoalDiscoveryCallback(*how, max_new_options=0, min_reached=0.5))
     model.save("minigrid.zip")
 
 

@@ -189,7 +189,7 @@ def _discovery(config: TrainConfig, resumed: Path | None = None) -> SubgoalDisco
         config.option,
         max_new_options=config.max_new_options if config.discover else 0,
         trial=TrialSettings() if config.close_harmful else None,
-        min_ended=config.min_ended,
+        min_reached=config.min_reached,
         hparams=hparams_of(config, options),
         seed=config.seed,
         verbose=1,

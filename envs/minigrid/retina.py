@@ -91,13 +91,13 @@ def retina(images: npt.NDArray[np.integer[Any]]) -> npt.NDArray[np.float64]:
 
 
 def concept_groups() -> list[dict[str, Any]]:
-    """Which features make a concept together: each kind of thing, and `PAIRS` of them.
+    """Which features make a concept together: each kind of thing, `PAIRS` of them, and a doorway.
 
-    An open door has ``between_walls`` with it, because whoever stands in it does not see it.
+    In a doorway one is ``between_walls``, whatever is in view: not the door that one stands in, perhaps the next.
 
-    An option sees ``free_ahead`` besides, so that it can go around a wall. One that leads to an open door, or into it,
-    sees closed doors, too: it can begin before the door is open. Where things are are coordinates: a step ahead brings
-    them nearer, however far away they are.
+    An option sees ``free_ahead`` besides, so that it can go around a wall. One into a doorway sees open doors, and one
+    to an open door closed ones, for it can begin before the door is open. Where things are are coordinates: a step
+    ahead brings them nearer, however far away they are.
 
     Returns:
         Of each group the fields of `sb3_options.density.groups.FeatureGroup`.
@@ -116,23 +116,19 @@ def _group(kind: str) -> dict[str, Any]:
 
 
 def _doorway() -> dict[str, Any]:
-    door, between = _group("open_door"), FEATURES.index("between_walls")
-    return {
-        "name": "doorway",
-        "features": [*door["features"], between],
-        "present": [[*door["present"][0], between]],
-        "scale": [*door["scale"], VISIBLE_SCALE],
-    }
+    between = FEATURES.index("between_walls")
+    return {"name": "doorway", "features": [between], "present": [[between]], "scale": [VISIBLE_SCALE]}
 
 
 def _seeing(group: dict[str, Any]) -> dict[str, Any]:
     """A group with the features that its options see."""
     ahead = FEATURES.index("free_ahead")
     features, present, scale = [*group["features"], ahead], group["present"], [*group["scale"], VISIBLE_SCALE]
-    if group["name"] == "open_door":
-        closed = _group("closed_door")
-        features, scale = features + closed["features"], scale + closed["scale"]
-        present = [present[0] + closed["present"][0]]
+    before = {"doorway": "open_door", "open_door": "closed_door"}.get(group["name"])
+    if before is not None:
+        door = _group(before)
+        features, scale = features + door["features"], scale + door["scale"]
+        present = [present[0] + door["present"][0]]
     coordinates = [number for number in features if FEATURES[number].endswith(("forward", "lateral"))]
     seen = {"features": features, "present": present, "scale": scale, "coordinates": coordinates}
     return {**group, "seen": {"name": group["name"], **seen}}

@@ -148,7 +148,7 @@ def _callbacks(arm: Arm, seed: int, stage: int, *, is_last: bool) -> list[BaseCa
             groups=_blinkered() if arm in (settings.OWN_ARM, settings.FORMER_ARM) else None,
             max_new_options=0 if is_last and stage else None,
             opening_share=settings.OPENING_SHARE,
-            min_ended=settings.MIN_ENDED,
+            min_reached=settings.MIN_REACHED,
             primitive_rollouts=arm != settings.FORMER_ARM,
             seed=seed,
         )

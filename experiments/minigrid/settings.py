@@ -150,8 +150,8 @@ GROWING_STAGES = 2
 what the agent learned of the former is wrong."""
 
 OPENING_SHARE = 0.5
-MIN_ENDED = 0.5
-"""Options are offered no longer where fewer of their runs end before `max_duration`."""
+MIN_REACHED = 0.5
+"""Options are offered no longer where fewer of their runs reach the subgoal."""
 
 EPISODES = 100
 """Of an evaluation, and of the training success that is reported."""
@@ -176,7 +176,7 @@ def of(arm: Arm) -> dict[str, Any]:
         special |= {"discovery": DISCOVERY, "opening_share": OPENING_SHARE}
         special |= {"options": options_of(arm), "own_features_only": arm in (OWN_ARM, FORMER_ARM)}
         special |= {"growing_stages": GROWING_STAGES} if options_of(arm) == OPTIONS else {}
-        special |= {"min_ended": MIN_ENDED, "discovers_in": "all stages but the last"}
+        special |= {"min_reached": MIN_REACHED, "discovers_in": "all stages but the last"}
     if arm in WITH_BONUS:
         special |= {"rnd_weight": RND_WEIGHT}
     if arm == ZOO_ARM:

@@ -80,7 +80,7 @@ class TrainConfig:
         net_arch: Hidden layers of the network.
         bonus: "counts" or "rnd": an intrinsic reward.
         close_harmful: Close options that prove harmful.
-        min_ended: Least share of runs to end; 0: any.
+        min_reached: Least share of runs to reach; 0: any.
         discovery: How subgoals are found.
         option: How options are learned.
     """
@@ -113,7 +113,7 @@ class TrainConfig:
     net_arch: tuple[Count, ...] = (64, 64)
     bonus: Annotated[Literal["none", "counts", "rnd"], KIND] = "none"
     close_harmful: bool = False
-    min_ended: Annotated[Share, SHARE] = 0.0
+    min_reached: Annotated[Share, SHARE] = 0.0
     discovery: DiscoverySettings = field(default_factory=DiscoverySettings)
     option: OptionLearningSettings = field(default_factory=OptionLearningSettings)
 

@@ -40,7 +40,7 @@ LAST = (
     "feature_map",
     "bonus",
     "close_harmful",
-    "min_ended",
+    "min_reached",
     "checkpoint_freq",
     "eval_episodes",
     "eval_max_steps",

@@ -77,7 +77,7 @@ def test_an_option_whose_runs_go_on_for_ever_is_closed(monkeypatch: pytest.Monke
     right, left = Direction.RIGHT, Direction.LEFT
     env.bank.add(to_the_doorway(right, (3, 2)))
     env.bank.add(to_the_doorway(left, (0, 2)))
-    callback = SubgoalDiscoveryCallback(max_new_options=0, min_ended=0.5, interruption=False)
+    callback = SubgoalDiscoveryCallback(max_new_options=0, min_reached=0.5, interruption=False)
     model_of(env, seed=0).learn(6000, callback=callback)
     assert [(closed.slot, closed.why) for closed in callback.closed] == [(1, "unreliable")]
     assert callback.bank.filled == env.bank.filled == (0,)
@@ -87,7 +87,7 @@ def test_an_option_is_no_longer_offered_where_it_goes_on_for_ever() -> None:
     """To the right of (3, 0) is a wall."""
     env = optioned_rooms()
     env.bank.add(to_the_doorway(Direction.RIGHT, (3, 2), (3, 0)))
-    callback = SubgoalDiscoveryCallback(max_new_options=0, min_ended=0.5, interruption=False)
+    callback = SubgoalDiscoveryCallback(max_new_options=0, min_reached=0.5, interruption=False)
     model_of(env, seed=0).learn(6000, callback=callback)
     assert not callback.closed
     for bank in (callback.bank, env.bank):
@@ -98,7 +98,7 @@ def test_an_option_is_no_longer_offered_where_it_goes_on_for_ever() -> None:
 
 def test_runs_of_a_closed_option_do_not_count_for_the_next_one_in_its_slot() -> None:
     """With a rollout buffer a closed option goes on until the rollout ends, after its statistics were forgotten."""
-    callback = fast_callback(max_new_options=1, min_ended=0.5)
+    callback = fast_callback(max_new_options=1, min_reached=0.5)
     for _ in range(MIN_RUNS):
         callback._statistics.add(OptionRun(0, 1, 0.9, 0.9, "max_duration", np.eye(45)[:1], inside=True))
     model_of(seed=0).learn(2 * STEPS, callback=callback)
@@ -121,8 +121,8 @@ def test_an_option_from_a_file_grows_where_it_is_used(tmp_path: Path) -> None:
 
 
 def test_a_share_is_refused_out_of_range() -> None:
-    with pytest.raises(ValueError, match=r"min_ended must be a share, in \[0, 1\], got 2"):
-        SubgoalDiscoveryCallback(min_ended=2)
+    with pytest.raises(ValueError, match=r"min_reached must be a share, in \[0, 1\], got 2"):
+        SubgoalDiscoveryCallback(min_reached=2)
 
 
 def banks(venv: VecEnv) -> list[OptionBank]:

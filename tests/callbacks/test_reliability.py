@@ -39,10 +39,11 @@ def run(ended: str, *passed: float) -> OptionRun:
     return OptionRun(0, len(passed), 0.9, 0.9, ended, there, inside=True)  # type: ignore[arg-type]  # an ending
 
 
-def test_states_from_where_runs_go_in_a_circle_leave_the_initiation_set() -> None:
+@pytest.mark.parametrize("ended", ["max_duration", "left_initiation"])
+def test_states_from_where_runs_do_not_arrive_leave_the_initiation_set(ended: str) -> None:
     reliability, options = Reliability(0.5), installed(option(FINE, CIRCLE, FAR))
     for _ in range(MIN_PASSES):
-        reliability.add(run("max_duration", CIRCLE, CIRCLE + 0.1, CIRCLE))  # passed once, however long
+        reliability.add(run(ended, CIRCLE, CIRCLE + 0.1, CIRCLE))  # passed once, however long
     for _ in range(RUNS_BETWEEN):
         reliability.add(run("subgoal", FAR, FINE))
     ((slot, later),) = reliability.judged(options)
@@ -53,16 +54,13 @@ def test_states_from_where_runs_go_in_a_circle_leave_the_initiation_set() -> Non
     assert not list(reliability.judged(options)), "its runs count from now on"
 
 
-@pytest.mark.parametrize(
-    ("n_circles", "n_others", "ended"), [(MIN_PASSES - 1, RUNS_BETWEEN, "subgoal"), (12, 13, "left_initiation")]
-)
-def test_few_and_others_are_not_enough(n_circles: int, n_others: int, ended: str) -> None:
-    """Too few runs, or as many that left I: who chooses can do something else there."""
+@pytest.mark.parametrize(("n_circles", "n_others", "others"), [(MIN_PASSES - 1, RUNS_BETWEEN, FINE), (12, 13, CIRCLE)])
+def test_few_runs_and_half_of_them_are_not_enough(n_circles: int, n_others: int, others: float) -> None:
     reliability = Reliability(0.5)
     for _ in range(n_circles):
         reliability.add(run("max_duration", CIRCLE))
     for _ in range(n_others):
-        reliability.add(run(ended, CIRCLE))
+        reliability.add(run("subgoal", others))
     assert not list(reliability.judged(installed(option(FINE, CIRCLE))))
 
 

@@ -73,7 +73,7 @@ def test_arguments(number: int, duration: int, message: str) -> None:
 def test_options_are_made_run_for_their_time_and_are_kept(tmp_path: Path) -> None:
     path = tmp_path / "options.safetensors"
     env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0", max_steps=300), 3, gamma=0.97)
-    callback = SubgoalDiscoveryCallback(method="random-repeats", save_path=path, min_ended=0.9, seed=5)
+    callback = SubgoalDiscoveryCallback(method="random-repeats", save_path=path, min_reached=0.9, seed=5)
     MacroQ(env, gamma=0.97, seed=0).learn(4_000, callback=callback)
     options = [option for option in callback.bank.slots if isinstance(option, SubgoalOption)]
     assert len(options) == 3

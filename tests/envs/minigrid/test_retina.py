@@ -110,10 +110,14 @@ def test_where_things_are_are_the_coordinates_of_what_options_see() -> None:
         assert len(names) >= 2
 
 
-def test_a_doorway_is_an_open_door_or_between_walls() -> None:
+def test_a_doorway_is_between_walls_whatever_is_in_view_and_an_open_door_leads_there() -> None:
     (doorway,) = (FeatureGroup(**group) for group in concept_groups() if group["name"] == "doorway")
-    views = [image(), image({(2, 1): (DOOR, 0)}), image({(0, -1): (WALL, 0), (0, 1): (WALL, 0)})]
-    np.testing.assert_array_equal(doorway.is_place(retina(np.stack(views))), [False, True, True])
+    between = {(0, -1): (WALL, 0), (0, 1): (WALL, 0)}
+    views = [image(), image({(2, 1): (DOOR, 0)}), image(between), image(between | {(3, 0): (DOOR, 0)})]
+    features = retina(np.stack(views))
+    np.testing.assert_array_equal(doorway.is_place(features), [False, False, True, True])
+    np.testing.assert_array_equal(doorway.own(features)[2], doorway.own(features)[3])
+    np.testing.assert_array_equal(doorway.sees.is_place(features), [False, True, True, True])
 
 
 def test_other_shapes_are_refused() -> None:
