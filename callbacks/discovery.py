@@ -23,7 +23,7 @@ from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.checked import given_as
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
-from sb3_options.discovery.methods import DiscoveryMethod, MethodName
+from sb3_options.discovery.methods import DiscoveryMethod, MethodName, checked_method
 from sb3_options.discovery.proposed import discovery_with
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.static_filter import StaticFilter
@@ -91,7 +91,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         verbose: 1 prints each new option.
 
     Raises:
-        TypeError: ``settings`` has an unknown field.
+        TypeError: ``settings`` has an unknown field, or ``method`` is none.
         ValueError: A setting is out of its range.
     """
 
@@ -121,7 +121,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.settings = given_as(DiscoverySettings, {} if settings is None else settings)
         if isinstance(method, str):
             self.settings = dataclasses.replace(self.settings, method=method)
-        self.method = None if isinstance(method, str) else method
+        self.method = checked_method(method)
         self.option_settings = given_as(OptionLearningSettings, {} if option_settings is None else option_settings)
         check_numbers(max_new_options, min_reached, seed)
         self.success, self.static_filter, self.min_reached = success, static_filter, min_reached
@@ -284,7 +284,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         where = found.where(self._search.kind)
         option = self._learn(found.proposal or subgoal, f"reach {where}", self.option_settings.policy_input)
         if option is None:
-            logger.warning("No option for the subgoal at %s: no saved trajectory leads to it.", found.centre)
+            logger.warning("No option for %s: no saved trajectory leads to it surely enough (min_reach).", where)
             return self._search.withdraw()
         slot = self.bank.slots.index(None)
         self._options.install(slot, option)

@@ -3,7 +3,19 @@
 Needs the package ``minigrid`` (``pip install "sb3-options[minigrid]"``).
 """
 
-from sb3_options.envs.minigrid.retina import FEATURES, KINDS, concept_groups, retina
-from sb3_options.envs.minigrid.wrapper import MiniGridWrapper, make, require
+from sb3_options.envs.minigrid.retina import FEATURES, KINDS, concept_groups, feature_names, retina
+from sb3_options.envs.minigrid.wrapper import KEYWORDS, MiniGridWrapper, is_minigrid, make, qualified, require
 
-__all__ = ["FEATURES", "KINDS", "MiniGridWrapper", "concept_groups", "make", "require", "retina"]
+__all__ = [
+    "FEATURES",
+    "KEYWORDS",
+    "KINDS",
+    "MiniGridWrapper",
+    "concept_groups",
+    "feature_names",
+    "is_minigrid",
+    "make",
+    "qualified",
+    "require",
+    "retina",
+]

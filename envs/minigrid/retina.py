@@ -26,7 +26,11 @@ MiniGrid does not draw the door that the agent stands in."""
 
 FEATURES = (*(f"{kind}_{what}" for kind in KINDS for what in ("visible", "forward", "lateral")), *AHEAD)
 """The names of the features, in order. ``visible`` is 1 or 0; ``forward`` is in cells, ≥ 0; ``lateral`` is in cells, to
-the right positive. Both are 0 where nothing of the kind is visible. The nearest thing is the one fewest steps away."""
+the right positive. Both are 0 where nothing of the kind is visible. The nearest thing is the one fewest steps away, so
+one that is carried hides all others of its kind."""
+
+COLOURED = (DOOR, KEY, BALL, BOX)
+"""Objects that a mission may mean that names a colour alone."""
 
 N_KINDS = len(KINDS)
 VISIBLE_SCALE = 10.0
@@ -52,14 +56,18 @@ def _kinds() -> npt.NDArray[np.int8]:
 _KIND_OF = _kinds()
 
 
-def retina(images: npt.NDArray[np.integer[Any]]) -> npt.NDArray[np.float64]:
+def retina(
+    images: npt.NDArray[np.integer[Any]], asked: npt.NDArray[np.integer[Any]] | None = None
+) -> npt.NDArray[np.float64]:
     """φ of a batch of images of MiniGrid.
 
     Args:
         images: The ``image`` of each observation, (batch, v, v, 3), column, row and channel.
+        asked: Things that the mission of each names, object and colour, (batch, k, 2); object 0 for any of the colour.
 
     Returns:
-        Features in the order of ``FEATURES``, (batch, 27).
+        Features in the order of ``FEATURES``, and of each thing that is asked for whether the nearest is visible, and
+        where, (batch, 27 + 3k).
 
     Raises:
         ValueError: The images have another shape.
@@ -74,24 +82,39 @@ def retina(images: npt.NDArray[np.integer[Any]]) -> npt.NDArray[np.float64]:
     steps = (forward + np.abs(lateral)).astype(np.float64)
     objects = images[..., 0].reshape(n, -1).astype(np.intp)
     kind = _KIND_OF[objects, images[..., 2].reshape(n, -1)]
-    distance = np.where(kind[:, None] == np.arange(N_KINDS)[:, None], steps, _FAR)  # (batch, kinds, cells)
+    match = kind[:, None] == np.arange(N_KINDS)[:, None]  # (batch, kinds, cells)
+    if asked is not None:
+        match = np.concatenate([match, _asked(objects, images[..., 1].reshape(n, -1), asked)], axis=1)
+    distance = np.where(match, steps, _FAR)
     nearest = distance.argmin(axis=2)
     visible = np.take_along_axis(distance, nearest[..., None], axis=2)[..., 0] < _FAR
+    things = np.stack([visible, visible * forward[nearest], visible * lateral[nearest]], axis=-1, dtype=np.float64)
     features = np.zeros((n, len(FEATURES)))
-    things = features[:, : 3 * N_KINDS].reshape(n, N_KINDS, 3)
-    things[..., 0] = visible
-    things[..., 1] = visible * forward[nearest]
-    things[..., 2] = visible * lateral[nearest]
+    features[:, : 3 * N_KINDS] = things[:, :N_KINDS].reshape(n, -1)
     ahead, left, right = middle * view + last - 1, (middle - 1) * view + last, (middle + 1) * view + last
     features[:, -3] = objects[:, ahead] == WALL
     walkable = np.isin(objects[:, ahead], (*FREE, GOAL)) | (kind[:, ahead] == KINDS.index("open_door"))
     features[:, -2] = walkable
     features[:, -1] = (objects[:, left] == WALL) & (objects[:, right] == WALL)
-    return features
+    return np.concatenate([features, things[:, N_KINDS:].reshape(n, -1)], axis=1)
 
 
-def concept_groups() -> list[dict[str, Any]]:
-    """Which features make a concept together: each kind of thing, `PAIRS` of them, and a doorway.
+def _asked(objects: npt.NDArray[Any], colours: npt.NDArray[Any], asked: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+    """Which cells hold what is asked for, (batch, k, cells)."""
+    what, colour = asked[..., 0, None], asked[..., 1, None]
+    coloured = np.isin(objects, COLOURED)[:, None] & (colours[:, None] == colour)
+    found: npt.NDArray[np.bool_] = coloured & ((what == 0) | (objects[:, None] == what))
+    return found
+
+
+def feature_names(n_asked: int = 0) -> tuple[str, ...]:
+    """The names of all features, with those of ``n_asked`` things that a mission names: asked, asked_2 and so on."""
+    asked = ("asked" if i == 0 else f"asked_{i + 1}" for i in range(n_asked))
+    return (*FEATURES, *(f"{name}_{what}" for name in asked for what in ("visible", "forward", "lateral")))
+
+
+def concept_groups(n_asked: int = 0) -> list[dict[str, Any]]:
+    """Which features make a concept together: each kind of thing, `PAIRS` of them, a doorway, and what is asked for.
 
     In a doorway one is ``between_walls``, whatever is in view: not the door that one stands in, perhaps the next.
 
@@ -99,17 +122,23 @@ def concept_groups() -> list[dict[str, Any]]:
     to an open door closed ones, for it can begin before the door is open. Where things are are coordinates: a step
     ahead brings them nearer, however far away they are.
 
+    Args:
+        n_asked: Things that a mission names.
+
     Returns:
         Of each group the fields of `sb3_options.density.groups.FeatureGroup`.
     """
     groups = [_group(kind) for kind in (*KINDS, "doorway")]
-    return [_seeing(group) for group in groups + [_joined(_group(one), _group(other)) for one, other in PAIRS]]
+    groups += [_joined(_group(one), _group(other)) for one, other in PAIRS]
+    asked = [name.removesuffix("_visible") for name in feature_names(n_asked)[len(FEATURES) :: 3]]
+    return [_seeing(group) for group in groups + [_thing(name, len(FEATURES) + 3 * i) for i, name in enumerate(asked)]]
 
 
 def _group(kind: str) -> dict[str, Any]:
-    if kind == "doorway":
-        return _doorway()
-    first = 3 * KINDS.index(kind)
+    return _doorway() if kind == "doorway" else _thing(kind, 3 * KINDS.index(kind))
+
+
+def _thing(kind: str, first: int) -> dict[str, Any]:
     features, present = [first, first + 1, first + 2], [first]
     scale = [VISIBLE_SCALE, 1.0, 1.0]
     return {"name": kind, "features": features, "present": [present], "scale": scale}
@@ -129,9 +158,14 @@ def _seeing(group: dict[str, Any]) -> dict[str, Any]:
         door = _group(before)
         features, scale = features + door["features"], scale + door["scale"]
         present = [present[0] + door["present"][0]]
-    coordinates = [number for number in features if FEATURES[number].endswith(("forward", "lateral"))]
+    coordinates = [number for number in features if _is_coordinate(number)]
     seen = {"features": features, "present": present, "scale": scale, "coordinates": coordinates}
     return {**group, "seen": {"name": group["name"], **seen}}
+
+
+def _is_coordinate(number: int) -> bool:
+    """Whether a feature says where a thing is. Of each thing the first says whether it is visible."""
+    return number % 3 != 0 and not 3 * N_KINDS <= number < len(FEATURES)
 
 
 def _joined(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:

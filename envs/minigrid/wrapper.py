@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from typing import Any, SupportsFloat
 
 import gymnasium as gym
@@ -10,16 +9,21 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.utils import RecordConstructorArgs
 
-from sb3_options.envs.minigrid.retina import FEATURES, concept_groups, retina
+from sb3_options.envs.minigrid.cells import COLOURS, DEPTH, OBJECTS, STATES
+from sb3_options.envs.minigrid.missions import Missions
+from sb3_options.envs.minigrid.retina import concept_groups, feature_names, retina
 from sb3_options.envs.minigrid.view import see_quickly
 
-OBJECTS, COLOURS, STATES = 11, 6, 4
-"""How many values the three numbers of a cell take: objects, colours, and states of doors or directions of agents."""
+OTHER_IMAGES = (
+    "FullyObsWrapper", "OneHotPartialObsWrapper", "RGBImgObsWrapper", "RGBImgPartialObsWrapper", "SymbolicObsWrapper",
+)  # fmt: skip
+"""Wrappers of MiniGrid whose images are not what the agent sees, cell by cell."""
 
-DEPTH = OBJECTS + COLOURS + STATES
+PREFIXES, MODULE = ("MiniGrid-", "BabyAI-"), "minigrid:"
+"""How the ids of MiniGrid begin, and how one names the module that registers it."""
 
-MAX_MISSIONS = 4096
-"""Most missions of one environment that are told apart."""
+KEYWORDS = ("mission", "asked")
+"""Keyword arguments of `make` that are the wrapper's, and not the environment's."""
 
 Vector = npt.NDArray[np.uint8]
 
@@ -33,7 +37,8 @@ class MiniGridWrapper(
     The observation is one vector of zeros and ones, for an ``MlpPolicy``: of every cell in view its object, colour and
     state, one-hot, and of the mission its variable words, where it has any (a colour, say). `concept_features` is the
     retina, and `concept_groups` says which of its features belong together. At the end of an episode
-    ``info["is_success"]`` says whether it ended with a reward above 0.
+    ``info["is_success"]`` says whether it ended with a reward above 0. What the agent sees is computed quicker than by
+    MiniGrid (`see_quickly`).
 
     Put it right around the environment that ``gymnasium.make`` gives.
 
@@ -41,37 +46,36 @@ class MiniGridWrapper(
         env: An environment of MiniGrid; its observations have an ``image`` (v, v, 3) and a ``mission``.
         mission: Whether the words of the mission are in the observation. Without them a model can go on in a task whose
             missions are others.
+        asked: Whether φ says where the things are that the mission names by their colour, "the red ball".
+
+    Attributes:
+        feature_names: Of φ, in order.
 
     Raises:
         TypeError: ``env`` has other observations.
-        ValueError: Its missions cannot be listed, because they are too many.
+        ValueError: Its missions cannot be listed, or are too many.
     """
 
-    feature_names = FEATURES
-
-    def __init__(self, env: gym.Env[Any, Any], *, mission: bool = True) -> None:
-        RecordConstructorArgs.__init__(self, mission=mission)
+    def __init__(self, env: gym.Env[Any, Any], *, mission: bool = True, asked: bool = True) -> None:
+        RecordConstructorArgs.__init__(self, mission=mission, asked=asked)
         gym.ObservationWrapper.__init__(self, env)
-        space = env.observation_space
-        image = space["image"] if isinstance(space, gym.spaces.Dict) and "image" in space.spaces else None
-        if not isinstance(space, gym.spaces.Dict) or image is None or image.shape is None or image.shape[2:] != (3,):
-            raise TypeError(
-                "MiniGridWrapper needs observations of MiniGrid, a Dict with an image (v, v, 3) and a mission, got "
-                f"{space}. Put it right around gymnasium.make(...), beneath other wrappers."
-            )
-        self._view = int(image.shape[0])
-        self._missions = _missions(space["mission"] if mission and "mission" in space.spaces else None)
+        space: Any = env.observation_space
+        self._view = _view_of(env)
+        self._missions = Missions(space["mission"] if mission and "mission" in space.spaces else None)
+        self._n_asked = self._missions.things.shape[1] if asked else 0
+        self.feature_names = feature_names(self._n_asked)
+        see_quickly(env.unwrapped)
         self._n_cells = self._view**2 * DEPTH
-        n_words = len(next(iter(self._missions.values()), ()))
-        self.observation_space: gym.Space[Any] = gym.spaces.Box(0, 1, (self._n_cells + n_words,), np.uint8)
+        n_numbers = self._n_cells + self._missions.n_words
+        self.observation_space: gym.Space[Any] = gym.spaces.Box(0, 1, (n_numbers,), np.uint8)
 
     def observation(self, observation: dict[str, Any]) -> Vector:
         """The vector of an observation."""
         image = np.asarray(observation["image"])
         cells = np.concatenate([_EYES[i][image[..., i]] for i in range(3)], axis=-1).ravel()
-        if not self._missions:
+        if not self._missions.n_words:
             return cells
-        words = self._missions.get(observation["mission"])
+        words = self._missions.code(observation["mission"])
         if words is None:
             raise ValueError(
                 f"The mission {observation['mission']!r} is none that {self.unwrapped} lists. Leave it out by "
@@ -94,50 +98,67 @@ class MiniGridWrapper(
         return np.stack(parts, axis=-1).astype(np.uint8)
 
     def concept_features(self, observations: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-        """φ of a batch of observations: the `retina` of their images, (batch, 27)."""
-        return retina(self.images(observations))
+        """φ of a batch of observations: the `retina` of their images, (batch, 27), and what the mission asks for."""
+        images = self.images(observations)
+        if not self._n_asked:
+            return retina(images)
+        return retina(images, self._missions.things_of(np.asarray(observations)[:, self._n_cells :]))
 
     def concept_groups(self) -> list[dict[str, Any]]:
         """Which features of φ make a concept together."""
-        return concept_groups()
+        return concept_groups(self._n_asked)
 
 
 _EYES = tuple(np.eye(n, dtype=np.uint8) for n in (OBJECTS, COLOURS, STATES))
 
 
-def _missions(space: Any) -> dict[str, Vector]:
-    """The one-hot code of the variable words of every mission; empty where there is only one mission."""
-    placeholders = getattr(space, "ordered_placeholders", None)
-    if not placeholders:
-        return {}
-    words = [sorted(set(place)) for place in placeholders]
-    n = int(np.prod([len(place) for place in words]))
-    if n > MAX_MISSIONS:
-        raise ValueError(f"The environment has {n} missions, at most {MAX_MISSIONS} can be told apart.")
-    eyes = [np.eye(len(place), dtype=np.uint8) for place in words]
-    return {
-        space.mission_func(*chosen): np.concatenate(
-            [eye[place.index(word)] for eye, place, word in zip(eyes, words, chosen, strict=True)]
+def _view_of(env: gym.Env[Any, Any]) -> int:
+    """How many cells wide the agent's view is.
+
+    Raises:
+        TypeError: Observations are others than what the agent sees.
+    """
+    space = env.observation_space
+    shape = space["image"].shape if isinstance(space, gym.spaces.Dict) and "image" in space.spaces else None
+    own = shape is not None and len(shape) == 3 and shape[0] == shape[1] and shape[0] % 2 == 1 and shape[2] == 3
+    others, beneath = [], env
+    while isinstance(beneath, gym.Wrapper):
+        others += [name for name in OTHER_IMAGES if type(beneath).__name__ == name]
+        beneath = beneath.env
+    if others or not own:
+        instead = f"what {others[0]} shows instead" if others else str(space)
+        raise TypeError(
+            "MiniGridWrapper needs observations of MiniGrid, a Dict with a mission and an image (v, v, 3) of what the "
+            f"agent sees, v odd, got {instead}. Put it right around gymnasium.make(...), beneath other wrappers."
         )
-        for chosen in itertools.product(*words)
-    }
+    assert shape is not None  # an image
+    return int(shape[0])
 
 
-def make(env_id: str, *, mission: bool = True, **kwargs: Any) -> MiniGridWrapper:
-    """An environment of MiniGrid by its id, in a `MiniGridWrapper`. It computes what it sees quicker (`see_quickly`).
+def make(env_id: str, *, mission: bool = True, asked: bool = True, **kwargs: Any) -> MiniGridWrapper:
+    """An environment of MiniGrid by its id, in a `MiniGridWrapper`.
 
     Args:
         env_id: Such as ``MiniGrid-DoorKey-5x5-v0``.
         mission: As `MiniGridWrapper` has it.
+        asked: Likewise.
         **kwargs: Of ``gymnasium.make``.
 
     Raises:
         ModuleNotFoundError: The package ``minigrid`` is not installed.
     """
     require()
-    env = gym.make(env_id, **kwargs)
-    see_quickly(env.unwrapped)
-    return MiniGridWrapper(env, mission=mission)
+    return MiniGridWrapper(gym.make(env_id, **kwargs), mission=mission, asked=asked)
+
+
+def is_minigrid(env_id: str) -> bool:
+    """Whether it is one of MiniGrid's."""
+    return env_id.removeprefix(MODULE).startswith(PREFIXES)
+
+
+def qualified(env_id: str) -> str:
+    """An id of MiniGrid with its module, so that it is known in a process where nobody has registered it."""
+    return MODULE + env_id.removeprefix(MODULE)
 
 
 def require() -> None:

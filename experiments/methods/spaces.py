@@ -35,7 +35,7 @@ SPACES: dict[str, Space] = {
     "relative-novelty": {
         "lag": IntDistribution(3, 15),
         "threshold": FloatDistribution(1.0, 4.0),
-        "odds": FloatDistribution(1.0, 10_000.0, log=True),
+        "odds": FloatDistribution(1.0, 100_000.0, log=True),
     },
     "l-cut": {**_GRAPH, "max_cut": FloatDistribution(0.01, 0.5, log=True)},
     "betweenness": _GRAPH,

@@ -76,7 +76,7 @@ def venv_of(
 
     def made() -> gym.Env[Any, Any]:
         task = next(tasks)
-        return make(task, mission=task not in settings.WITHOUT_MISSION)
+        return make(task, mission=task not in settings.WITHOUT_MISSION, asked=False)
 
     return make_vec_env(made, n_envs, seed=seed, wrapper_class=wrapped)
 

@@ -134,8 +134,13 @@ class GroupedDiscovery(SubgoalDiscovery):
                 self.tracker = member.tracker
         self._searched = state["searched"]
 
+    @property
+    def n_kept(self) -> int:
+        """Subgoals found that there is an option for; what was withdrawn is no longer among those found."""
+        return len(self.found)
+
     def why_nothing(self) -> str:
-        """Why there is no option, in a sentence."""
+        """Why there is no option, in a sentence; where there are some, that there are."""
         enough = self.outcomes.successes >= self.settings.min_positive
         if (
             not self.found

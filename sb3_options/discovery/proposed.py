@@ -14,7 +14,7 @@ from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.found import FoundSubgoal, Search
 from sb3_options.discovery.grouped import GroupedDiscovery
-from sb3_options.discovery.methods import METHODS, DiscoveryMethod, Experience, Proposal, method_named
+from sb3_options.discovery.methods import METHODS, DiscoveryMethod, Experience, Proposal, method_named, proposed_by
 from sb3_options.discovery.most_likely import MostLikelyDiscovery
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.subgoals import SubgoalDiscovery
@@ -43,6 +43,7 @@ class ProposedDiscovery(SubgoalDiscovery):
         """Set up what grows with experience."""
         super().__post_init__()
         self._maker.cuts = None  # no bags are made
+        self.outcomes.needed = getattr(self.method, "needs_success", False)
         self._untold: list[LabelledTrajectory] = []
         self._proposals: list[Proposal] = []
 
@@ -69,13 +70,13 @@ class ProposedDiscovery(SubgoalDiscovery):
         began = time.perf_counter()
         self.cost = 0.0
         if self._maker.knows_scale(self.database):
-            for labelled in self._untold:
+            untold, self._untold = self._untold, []  # a method that fails is not told again
+            for labelled in untold:
                 experience = self._experience(labelled)
-                self._proposals = list(self.method.update(experience))
+                self._proposals = proposed_by(self.method, experience)
                 self.cost += UPDATE_SECONDS * len(labelled.trajectory)
                 if hasattr(self.method, "seconds"):
                     self.cost += float(self.method.seconds(experience))
-            self._untold = []
             if self.recurrence.is_due(len(self.database)):
                 self._look()
         self.last = Search([], None, time.perf_counter() - began)
@@ -88,7 +89,7 @@ class ProposedDiscovery(SubgoalDiscovery):
         ways = [
             way[self._maker.may_be_subgoals(labelled, [])] for way, labelled in zip(lived, self.database, strict=True)
         ]
-        self.recurrence.look(ways, len(ways), f"{self.outcomes.unit}s")
+        self.cost += self.recurrence.look(ways, len(ways), f"{self.outcomes.unit}s")
 
     def _experience(self, labelled: LabelledTrajectory) -> Experience:
         assert self.scale is not None  # known before the method is told anything
@@ -143,8 +144,8 @@ class ProposedDiscovery(SubgoalDiscovery):
         self.method.set_state(state["method"])  # type: ignore[attr-defined]  # it has told
 
     def why_nothing(self) -> str:
-        """Why there is no option, in a sentence."""
-        if self.found or self.outcomes.n == 0:
+        """Why there is no option, in a sentence; where there are some, that there are."""
+        if self.found or self.outcomes.n == 0 or (self.outcomes.needed and not self.outcomes.successes):
             return super().why_nothing()
         if self.recurrence.nothing:
             return f"No subgoal was discovered: {self.recurrence.why(len(self.database), f'{self.outcomes.unit}s')}"

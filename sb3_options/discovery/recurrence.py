@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from itertools import combinations
 from typing import Any
 
+import numpy as np
 from scipy.spatial import cKDTree
-from scipy.spatial.distance import cdist
 
 from sb3_options.experience.observations import FloatArray
 
 logger = logging.getLogger("sb3_options")
 
 TREE_FEATURES = 16
-"""With more features than this, a k-d tree is slower than all distances."""
+"""A k-d tree is made of as many features, at most."""
+
+STATE_WAY_SECONDS, NUMBER_SECONDS = 1e-6, 1e-8
+"""Nominal time of a look, for each pair of a state and a way, and for each feature of each state."""
 
 
 class Recurrence:
@@ -50,20 +54,24 @@ class Recurrence:
         """Whether to look, after ``n`` successful trajectories."""
         return not self.found and n >= max(self.least, 2 * self._looked)
 
-    def look(self, ways: Sequence[FloatArray], n: int, what: str) -> None:
+    def look(self, ways: Sequence[FloatArray], n: int, what: str) -> float:
         """Look whether two ways come near the same place.
 
         Args:
             ways: States that may be subgoals, each (k_i, d), in scaled units.
             n: How many trajectories have succeeded.
             what: They are, for the text.
+
+        Returns:
+            What it took in nominal seconds; nothing where something recurs, which is soon seen.
         """
         if len(ways) < self.least:  # the others were forgotten
-            return
+            return 0.0
         self._looked, self.found = n, recurs(ways, self.radius)
         if not (self._told or self.found):
             self._told = True
             logger.warning("Nothing can be discovered so far: %s", self.why(n, what, ways[0].shape[1]))
+        return 0.0 if self.found else seconds_of_look(ways)
 
     def why(self, n: int, what: str, n_features: int | None = None) -> str:
         """What was seen, and what to do."""
@@ -87,14 +95,30 @@ class Recurrence:
 
 
 def recurs(ways: Sequence[FloatArray], radius: float) -> bool:
-    """Whether any two of these ways, each (k_i, d), have states within ``radius`` of each other."""
+    """Whether any two of these ways, each (k_i, d), have states within ``radius`` of each other.
+
+    States that are farther apart than that in a few features are so in all. So trees of those that differ most tell
+    which pairs need to be compared at all.
+    """
     ways = [way for way in ways if len(way)]
-    for i, way in enumerate(ways[1:], 1):
-        for other in ways[:i]:
-            if way.shape[1] > TREE_FEATURES:
-                near = bool((cdist(way, other) <= radius).any())
-            else:
-                near = bool(cKDTree(other).count_neighbors(cKDTree(way), radius) > 0)
-            if near:
+    if len(ways) < 2:
+        return False
+    if ways[0].shape[1] <= TREE_FEATURES:
+        trees = [cKDTree(way) for way in ways]
+        return any(b.count_neighbors(a, radius) > 0 for a, b in combinations(trees, 2))
+    spread = np.concatenate(ways).var(axis=0)
+    few = np.argpartition(spread, -TREE_FEATURES)[-TREE_FEATURES:]
+    trees = [cKDTree(way[:, few]) for way in ways]
+    for i, j in combinations(range(len(ways)), 2):
+        near = trees[i].query_ball_tree(trees[j], radius * (1 + 1e-9))
+        for row, rows in enumerate(near):
+            if rows and bool((np.linalg.norm(ways[j][rows] - ways[i][row], axis=1) <= radius).any()):
                 return True
     return False
+
+
+def seconds_of_look(ways: Sequence[FloatArray]) -> float:
+    """Nominal time of a look that finds nothing."""
+    n_states = sum(map(len, ways))
+    d = ways[0].shape[1] if ways else 0
+    return STATE_WAY_SECONDS * n_states * len(ways) + NUMBER_SECONDS * n_states * d

@@ -112,11 +112,15 @@ def is_one_hot(features: FloatArray) -> bool:
     return features.shape[1] > 1 and binary and bool((features.sum(axis=1) == 1.0).all())
 
 
+SHOWN = 6
+"""As many coordinates of a point are shown: those of two things, whether and where they are."""
+
+
 def described(point: FloatArray, kind: str | None) -> str:
-    """A point of concept space for people: the state behind a one-hot code, or the first coordinates."""
+    """A point of concept space for people: the state behind a one-hot code, or the first `SHOWN` coordinates."""
     if kind == "categorical":
         return f"state {int(point.argmax())}"
-    return ", ".join(f"{x:g}" for x in point[:4]) + (", …" if len(point) > 4 else "")
+    return ", ".join(f"{x:g}" for x in point[:SHOWN]) + (", …" if len(point) > SHOWN else "")
 
 
 UNITS_PER_RANGE = 20.0

@@ -159,7 +159,7 @@ class SubgoalDiscovery:
         self.cost += 0.0 if cuts is None else CUT_SECONDS * (cuts.n_computed - n_computed)
         self._n_new = 0
         if due:
-            self.recurrence.look(self._maker.ways(), successes, f"successful {self.outcomes.unit}s")
+            self.cost += self.recurrence.look(self._maker.ways(), successes, f"successful {self.outcomes.unit}s")
         return None if self.recurrence.nothing else evidence
 
     def _seconds_of_search(self, evidence: FilteredBags) -> float:
@@ -199,8 +199,15 @@ class SubgoalDiscovery:
             return None
         return np.array([peak.point for peak in self.last.peaks[:WARM_STARTS]])
 
+    @property
+    def n_kept(self) -> int:
+        """Subgoals found that there is an option for."""
+        return len(self.found) - self.n_withdrawn
+
     def why_nothing(self) -> str:
-        """Why there is no option, in a sentence."""
+        """Why there is no option, in a sentence; where there are some, that there are."""
+        if self.n_kept > 0:
+            return f"Subgoals discovered that have an option: {self.n_kept}."
         seen = self.outcomes
         why = "no peak of diverse density persisted long enough."
         if seen.n == 0:

@@ -13,6 +13,7 @@ from pydantic import TypeAdapter
 
 from sb3_options.atomic import atomic_write
 from sb3_options.embedding.settings import SIZES
+from sb3_options.envs.minigrid import is_minigrid
 from sb3_options.experience.trajectories import EpisodeRecord
 from sb3_options.options.option import SubgoalOption
 from sb3_options.runs import config as configs
@@ -24,8 +25,6 @@ from sb3_options.runs.inspection import Contents, contents_of, subgoal_of
 
 CARD = "README.md"
 """What a model hub shows as the model's page."""
-
-MINIGRID_WRAPPER = "sb3_options.envs.minigrid:MiniGridWrapper"
 
 PACKAGES = ("sb3-options", "stable-baselines3", "sb3-contrib", "torch", "gymnasium", "numpy")
 
@@ -99,10 +98,12 @@ def _program(config: TrainConfig) -> str:
     imports.append("from sb3_options import OptionsWrapper, load_model")
     kwargs = "".join(f", {key}={value!r}" for key, value in config.env_kwargs.items())
     made = [f"env = gym.make({config.env!r}{kwargs})"]
-    wrapper = config.env_wrapper or (MINIGRID_WRAPPER if runs.is_minigrid(config.env) else None)
     arguments = f"env, max_options={config.max_options}, gamma={config.gamma}"
-    if wrapper is not None:
-        module, _, of = wrapper.partition(":")
+    if config.env_wrapper is None and is_minigrid(config.env):
+        imports.append("from sb3_options.envs.minigrid import make")
+        made = [f"env = make({config.env!r}{kwargs})"]
+    if config.env_wrapper is not None:
+        module, _, of = config.env_wrapper.partition(":")
         imports.append(f"from {module} import {of}")
         made.append(f"env = {of}(env)")
     if config.feature_map in SIZES:

@@ -16,6 +16,7 @@ from pydantic import BeforeValidator, TypeAdapter, ValidationError
 from sb3_options.atomic import atomic_write
 from sb3_options.checked import Field, readable, settings
 from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.envs.minigrid import is_minigrid
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.runs import yaml_file
 from sb3_options.runs.keywords import PAIRS, SERIES, keywords_of, tasks_of
@@ -313,7 +314,7 @@ def default_algo(env_id: str) -> str:
 
 def _shipped(env_id: str) -> dict[str, Any]:
     """The settings that ship for an environment."""
-    file = TUNED.get(env_id, "minigrid.yml" if "MiniGrid-" in env_id else None)
+    file = TUNED.get(env_id, "minigrid.yml" if is_minigrid(env_id) else None)
     return {} if file is None else yaml_file.read_mapping(TUNED_FOLDER / file)
 
 

@@ -37,16 +37,12 @@ SUBGOALS = "subgoals.png"
 
 PACKAGES = {
     "ALE/": ("ale-py", "ale_py"),
-    "BabyAI-": ("minigrid", "minigrid"),
     "highway-": ("highway-env", "highway_env"),
 }
 """Package and module that register environments, by how their ids begin."""
 
 ALIKE = 0.6
 """Least similarity of an id that is suggested in place of another, as `difflib` measures it."""
-
-MINIGRID, MINIGRID_MODULE = "MiniGrid-", "minigrid:"
-"""How the ids of MiniGrid begin, and how one names the module that registers it. They get a `MiniGridWrapper`."""
 
 VecEnvKind: TypeAlias = Literal["dummy", "subproc", "ray"]
 """Where environments live."""
@@ -83,7 +79,7 @@ def check_env_id(env_id: str) -> None:
         ValueError: The id is not registered.
         ModuleNotFoundError: It is one of MiniGrid's, which is not installed.
     """
-    if is_minigrid(env_id):
+    if minigrid.is_minigrid(env_id):
         minigrid.require()
     # An id may name the module that registers it, as in "module:Env-v0".
     if env_id in gym.registry or ":" in env_id:
@@ -94,11 +90,6 @@ def check_env_id(env_id: str) -> None:
         if env_id.startswith(prefix):
             hint = f"The package {package} registers it: pip install {package}, and pass --env {module}:{env_id}."
     raise ValueError(f"There is no environment {env_id!r}. {hint}")
-
-
-def is_minigrid(env_id: str) -> bool:
-    """Whether it is one of MiniGrid's."""
-    return env_id.removeprefix(MINIGRID_MODULE).startswith(MINIGRID)
 
 
 def check_observations(venv: VecEnv, env_id: str) -> None:
@@ -240,22 +231,19 @@ def make_env(
         )
 
     def wrapped(**kwargs: Any) -> gym.Env[Any, Any]:
-        assert wrapper is not None  # it is not called then
-        return wrapper(gym.make(env_id, **kwargs))
+        return minigrid.make(env_id, **kwargs) if wrapper is None else wrapper(gym.make(env_id, **kwargs))
 
     env_id = config.env
     wrapper: Callable[..., gym.Env[Any, Any]] | None = None
     if config.env_wrapper is not None:
         wrapper = named(config.env_wrapper, "--env-wrapper")
-    elif is_minigrid(env_id):
-        wrapper = minigrid.MiniGridWrapper
-    if is_minigrid(env_id):
-        env_id = MINIGRID_MODULE + env_id.removeprefix(MINIGRID_MODULE)  # nobody has registered it in a worker
+    if minigrid.is_minigrid(env_id):
+        env_id = minigrid.qualified(env_id)  # nobody has registered it in a worker
     elif elsewhere and env_id.startswith(OWN_NAMESPACE):
         env_id = f"sb3_options.envs:{env_id}"  # nobody has registered it there
 
     return make_vec_env(
-        env_id if wrapper is None else wrapped,
+        wrapped if wrapper is not None or minigrid.is_minigrid(env_id) else env_id,
         n_envs=n_envs,
         seed=seed,
         env_kwargs=keywords,

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from sb3_options.atomic import atomic_write
+from sb3_options.envs.minigrid import KEYWORDS, is_minigrid
 
 CAPTION_HEIGHT = 24
 """Pixels of the strip that names the running option."""
@@ -136,6 +137,8 @@ def render_mode_of(env_id: str, keywords: dict[str, Any]) -> tuple[str, float]:
         env_id: Of the environment.
         keywords: Its arguments.
     """
+    if is_minigrid(env_id):
+        keywords = {name: value for name, value in keywords.items() if name not in KEYWORDS}
     with closing(gym.make(env_id, **keywords)) as env:
         mode = "rgb_array_list" if "rgb_array_list" in (env.metadata.get("render_modes") or ()) else "rgb_array"
         fps = env.metadata.get("render_fps", DEFAULT_FPS)

@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.discovery.methods import DiscoveryMethod, Experience, Proposal
+from sb3_options.discovery.methods.candidates import PLACE_SECONDS
 from sb3_options.discovery.methods.graphs import LCut
+from sb3_options.discovery.methods.visits import VisitFrequency
 from sb3_options.discovery.proposed import ProposedDiscovery, discovery_with
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.subgoals import SubgoalDiscovery
@@ -90,3 +93,81 @@ def test_why_nothing_names_the_method() -> None:
     discovery.add(*line())
     discovery.search()
     assert discovery.why_nothing() == "No subgoal was discovered: Told proposed none that the filters leave."
+
+
+def test_why_nothing_tells_of_successes_where_the_method_needs_them(caplog: pytest.LogCaptureFixture) -> None:
+    """A method that needs none is not said to lack them."""
+    graph, visits = of(LCut()), of(VisitFrequency())
+    for discovery in (graph, visits):
+        for _ in range(20):
+            discovery.add(*line(success=False))
+            discovery.search()
+    (said,) = [record.getMessage() for record in caplog.records]
+    assert said.startswith("Nothing can be discovered so far: none of the 20 episodes seen counts as a success.")
+    assert "LCut proposed none" in graph.why_nothing()
+    assert "none of the 20 episodes seen counts as a success" in visits.why_nothing()
+
+
+def test_there_is_no_lack_where_something_was_found() -> None:
+    discovery = of(Told(5.0))
+    discovery.add(*line())
+    discovery.search()
+    assert discovery.why_nothing() == "Subgoals discovered that have an option: 1."
+    discovery.withdraw()
+    assert "no saved trajectory leads surely enough" in discovery.why_nothing()
+
+
+class Failing(Told):
+    """Fails at its second trajectory."""
+
+    def update(self, experience: Experience) -> list[Proposal]:
+        super().update(experience)
+        if len(self.told) == 2:
+            raise ValueError("not this one")
+        return []
+
+
+def test_a_method_that_fails_goes_on_with_the_next_trajectory() -> None:
+    method = Failing()
+    discovery = of(method)
+    for n in range(10, 14):
+        discovery.add(*line(n))
+        if n == 11:
+            with pytest.raises(ValueError, match="not this one"):
+                discovery.search()
+        else:
+            discovery.search()
+    assert [len(each.features) for each in method.told] == [10, 11, 12, 13]
+
+
+@pytest.mark.parametrize("answer", [None, np.zeros((1, 1)), [3.0]])
+def test_answers_that_are_no_proposals_are_refused(answer: object) -> None:
+    class Odd:
+        def update(self, experience: Experience) -> object:
+            return answer
+
+    discovery = of(Odd())  # type: ignore[arg-type]  # that is refused
+    discovery.add(*line())
+    with pytest.raises(TypeError, match=r"^Odd.update must return a list of Region, Passage, IntrinsicReward, Repeat"):
+        discovery.search()
+
+
+@pytest.mark.parametrize(
+    ("method", "message"),
+    [(42, "got 42"), (LCut, "got the class LCut, which is not made yet"), (lambda _: [], "got <function")],
+)
+def test_what_is_no_method_is_refused(method: object, message: str) -> None:
+    with pytest.raises(TypeError, match=r"^method must be a name, or an object with update\(experience\), " + message):
+        SubgoalDiscoveryCallback(method=method)  # type: ignore[arg-type]  # that is refused
+
+
+def test_what_it_takes_grows_with_the_places_remembered() -> None:
+    method = LCut()
+    discovery = of(method)
+    costs = []
+    for start in (0, 100, 200):
+        trajectory, states = line()
+        discovery.add(trajectory, states + start)
+        discovery.search()
+        costs.append(discovery.cost)
+    assert np.diff(costs) == pytest.approx([12 * PLACE_SECONDS] * 2)

@@ -33,6 +33,16 @@ def test_recurs(d: int) -> None:
     assert not recurs(near, 0.99)
 
 
+def test_a_look_at_large_pictures_is_quick_and_is_charged() -> None:
+    rng = np.random.default_rng(0)
+    ways = [rng.integers(0, 256, (100, 3 * 84 * 84)).astype(np.float64) for _ in range(6)]
+    assert not recurs(ways, 1.5)
+    assert recurs([*ways, ways[2][50:51]], 1.5)
+    recurrence = Recurrence(2, 1.5)
+    assert recurrence.look(ways, 6, "episodes") == pytest.approx(600 * 6e-6 + 600 * 3 * 84 * 84 * 1e-8)
+    assert Recurrence(2, 1.5).look([*ways, ways[2]], 7, "episodes") == 0.0
+
+
 def test_it_says_so_once_and_searches_no_more(caplog: pytest.LogCaptureFixture) -> None:
     discovery = discovery_with(DiscoverySettings(min_passing=0.0, min_positive=4), kind="environment")
     with caplog.at_level(logging.WARNING):

@@ -334,7 +334,7 @@ class TestWithoutDistances:
     def test_a_state_is_named(self) -> None:
         assert described(np.eye(64)[57], "categorical") == "state 57"
         assert described(np.array([1.5, 2.0]), "environment") == "1.5, 2"
-        assert described(np.arange(5.0), None) == "0, 1, 2, 3, …"
+        assert described(np.arange(7.0), None) == "0, 1, 2, 3, 4, 5, …"
 
 
 class TestNothingToFind:

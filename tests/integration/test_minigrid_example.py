@@ -10,10 +10,9 @@ from experiments.minigrid import film
 from sb3_options import OptionBank
 from sb3_options.options.archive import NAME
 from tests.support import processes
-from tests.support.documents import ROOT, python_of
+from tests.support.documents import ROOT
 
 EXAMPLE = ROOT / "examples" / "minigrid_options.py"
-CHOOSING = ROOT / "docs" / "guide" / "concept-features.md"
 
 
 @pytest.fixture(scope="module")
@@ -39,11 +38,3 @@ def test_the_film_names_what_runs(model: Path, tmp_path: Path) -> None:
     assert len(pictures) >= 2
     height, width = pictures[0].shape[:2]
     assert height > width  # the strip with the name
-
-
-def test_point_maze_runs_where_it_is_installed(tmp_path: Path) -> None:
-    """The page marks its code as ``py``, which is not run without the package."""
-    pytest.importorskip("gymnasium_robotics", reason="pip install 'sb3-options[robotics]'", exc_type=ImportError)
-    (maze,) = python_of(CHOOSING, "py")
-    result = processes.python("-c", maze.replace("100_000", "600"), cwd=tmp_path)
-    assert result.returncode == 0, result.stderr

@@ -32,10 +32,10 @@ needs_zoo = pytest.mark.skipif(
 )
 
 
-def zoo(program: str, folder: Path, *arguments: str) -> str:
+def zoo(program: str, folder: Path, *arguments: str, env_id: str = ENV) -> str:
     """Run a program of rl-zoo3 as a user does, and return what it printed."""
     result = processes.python(
-        "-m", f"rl_zoo3.{program}", "--env", ENV, *arguments,
+        "-m", f"rl_zoo3.{program}", "--env", env_id, *arguments,
         cwd=folder, env={"PYTHONPATH": f"{ROOT}{os.pathsep}{EXAMPLES}", "OMP_NUM_THREADS": "1"},
     )  # fmt: skip
     assert result.returncode == 0, result.stdout[-2000:] + result.stderr[-4000:]
@@ -67,6 +67,21 @@ def test_files_name_classes_that_are_there_and_one_gamma(path: Path) -> None:
         assert wrapper == "sb3_options.zoo.ZooOptionsWrapper"
         assert arguments["gamma"] == hyperparameters["gamma"]
         assert list(hyperparameters["callback"][0]) == ["sb3_options.callbacks.ZooDiscoveryCallback"]
+
+
+@needs_zoo
+@pytest.mark.slow
+def test_the_guide_s_file_for_minigrid_trains(tmp_path: Path) -> None:
+    page = (ROOT / "docs/guide/minigrid.md").read_text(encoding="utf-8")
+    (content,) = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    (env_id,) = yaml.safe_load(content)
+    (tmp_path / "minigrid.yml").write_text(content, encoding="utf-8")
+    zoo(
+        "train", tmp_path, "--algo", "ppo", "--conf-file", "minigrid.yml", "--gym-packages", "minigrid",
+        "--n-timesteps", "2500", "--seed", "0", "--num-threads", "1", "--eval-freq", "-1", env_id=env_id,
+    )  # fmt: skip
+    (model,) = (tmp_path / "logs" / "ppo").glob("*/*.zip")
+    assert model.stem == env_id
 
 
 @needs_zoo

@@ -47,7 +47,7 @@ def test_settings_of_groups_are_told_where_they_differ(file: Path) -> None:
     [
         (
             DQNConfig(env="MiniGrid-Empty-5x5-v0"),
-            ["from sb3_options.envs.minigrid import MiniGridWrapper", "env = MiniGridWrapper(env)"],
+            ["from sb3_options.envs.minigrid import make", "env = make('MiniGrid-Empty-5x5-v0')"],
         ),
         (
             DQNConfig(env_wrapper="mine.here:Wrap", feature_map="mine:phi"),

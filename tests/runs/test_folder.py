@@ -30,8 +30,8 @@ def test_runs_of_different_seeds_share_no_environment(of: type[TrainConfig], n_e
     [
         ("ALE/Pong-v5", "The package ale-py registers it: pip install ale-py, and pass --env ale_py:ALE/Pong-v5."),
         (
-            "BabyAI-GoToObj-v0",
-            "The package minigrid registers it: pip install minigrid, and pass --env minigrid:BabyAI-GoToObj-v0.",
+            "highway-v0",
+            "The package highway-env registers it: pip install highway-env, and pass --env highway_env:highway-v0.",
         ),
         ("MiniGrid-DorKey-5x5-v0", "Did you mean 'MiniGrid-DoorKey-5x5-v0'?"),
         ("TwoRoms-v0", "Did you mean 'sb3_options/TwoRooms-v0'?"),

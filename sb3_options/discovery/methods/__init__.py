@@ -16,6 +16,8 @@ from sb3_options.discovery.methods.method import (
     Passage,
     Proposal,
     Repeat,
+    checked_method,
+    proposed_by,
 )
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
 from sb3_options.discovery.methods.repeats import RandomRepeats
@@ -69,5 +71,7 @@ __all__ = [
     "Passage",
     "Proposal",
     "Repeat",
+    "checked_method",
     "method_named",
+    "proposed_by",
 ]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,8 +19,12 @@ Accept = Callable[[FloatArray, FloatArray], FloatArray]
 Positive where it is.
 """
 
-MAX_PLACES = 20_000
-"""As many are remembered; beyond that, those not seen for longest are forgotten."""
+MAX_PLACES, MAX_NUMBERS = 20_000, 8_000_000
+"""As many places are remembered, and as many features of them, 64 MB; beyond that, those not seen for longest are
+forgotten."""
+
+PLACE_SECONDS = 2e-7
+"""Nominal time of an update, for each place that is remembered."""
 
 
 def check_counts(**counts: object) -> None:
@@ -44,6 +47,17 @@ def check_shares(**shares: object) -> None:
     for name, share in shares.items():
         if not (is_number(share) and 0 < share < 1):  # type: ignore[operator]  # it is a number
             raise ValueError(f"{name} must be in (0, 1), got {share!r}.")
+
+
+def check_positive(**numbers: object) -> None:
+    """Refuse what is no finite number above 0, by its name.
+
+    Raises:
+        ValueError: There is such a one.
+    """
+    for name, number in numbers.items():
+        if not (is_number(number) and 0 < number < np.inf):  # type: ignore[operator]  # it is a number
+            raise ValueError(f"{name} must be a finite number above 0, got {number!r}.")
 
 
 def often_enough(min_seen: int, min_share: float) -> Accept:
@@ -90,14 +104,6 @@ def more_likely(p_target: float, p_other: float, odds: float) -> Accept:
     return accept
 
 
-@dataclass
-class _Place:
-    point: FloatArray
-    seen: float = 0.0
-    hits: float = 0.0
-    allowed: bool = True
-
-
 class Candidates:
     """Counts for every place how often it was seen and how often it was a candidate.
 
@@ -107,7 +113,13 @@ class Candidates:
 
     def __init__(self, accept: Accept) -> None:
         self.accept = accept
-        self._places: OrderedDict[bytes, _Place] = OrderedDict()
+        self._row: OrderedDict[bytes, int] = OrderedDict()  # of each place, those not seen for longest first
+        self._points = np.zeros((0, 0))
+        self._counts = np.zeros((0, 3))  # seen, candidate, and whether it may be a subgoal
+
+    def __len__(self) -> int:
+        """How many places are remembered."""
+        return len(self._row)
 
     def add(self, experience: Experience, seen: IntArray, hits: IntArray) -> None:
         """Count.
@@ -118,41 +130,65 @@ class Candidates:
             hits: How often it was a candidate, (k,).
         """
         places = experience.places
-        for row in np.flatnonzero(seen):
-            key = places.bins[row].tobytes()
-            place = self._places.setdefault(key, _Place(places.points[row]))
-            place.seen += float(seen[row])
-            place.hits += float(hits[row])
-            place.allowed = bool(places.allowed[row])
-            self._places.move_to_end(key)
-        while len(self._places) > MAX_PLACES:
-            self._places.popitem(last=False)
+        those = np.flatnonzero(seen)
+        rows = self._rows_of([places.bins[row].tobytes() for row in those], places.points[those])
+        self._counts[rows, 0] += seen[those]
+        self._counts[rows, 1] += hits[those]
+        self._counts[rows, 2] = places.allowed[those]
+        self._forget()
+
+    def _rows_of(self, keys: list[bytes], points: FloatArray) -> IntArray:
+        """Rows of these places, which are those that were seen last from now on; new ones get a row."""
+        n = len(self._row)
+        rows = np.array([self._row.setdefault(key, len(self._row)) for key in keys], dtype=np.int64)
+        for key in keys:
+            self._row.move_to_end(key)
+        if len(self._row) > len(self._points):
+            more = max(2 * len(self._points), len(self._row))
+            self._points = _longer(self._points.reshape(-1, points.shape[1]), more)
+            self._counts = _longer(self._counts, more)
+        new = rows >= n
+        self._points[rows[new]] = points[new]
+        return rows
+
+    def _forget(self) -> None:
+        """Forget those not seen for longest, if they are too many."""
+        most = min(MAX_PLACES, max(MAX_NUMBERS // max(self._points.shape[1], 1), 1))
+        if len(self._row) <= most:
+            return
+        kept = list(self._row.items())[-most:]
+        rows = np.array([row for _, row in kept])
+        self._row = OrderedDict((key, i) for i, (key, _) in enumerate(kept))
+        self._points, self._counts = self._points[rows], self._counts[rows]
 
     def proposals(self, experience: Experience) -> list[Region]:
         """The places that are accepted and may be subgoals, best first."""
-        places = [place for place in self._places.values() if place.allowed]
-        if not places:
+        rows = np.fromiter(self._row.values(), np.int64, len(self._row))
+        rows = rows[self._counts[rows, 2] > 0]
+        if not len(rows):
             return []
-        seen, hits = np.array([[place.seen, place.hits] for place in places]).T
-        accepted = self.accept(seen, hits)
+        accepted = self.accept(self._counts[rows, 0], self._counts[rows, 1])
         order = np.argsort(-accepted, kind="stable")
-        return [experience.region(places[i].point) for i in order if accepted[i] > 0]
+        return [experience.region(self._points[rows[i]]) for i in order if accepted[i] > 0]
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint: the places, those not seen for longest first."""
-        places = self._places.values()
+        rows = np.fromiter(self._row.values(), np.int64, len(self._row))
         return {
-            "bins": np.array([np.frombuffer(key) for key in self._places]),
-            "points": np.array([place.point for place in places]),
-            "counts": np.array([(place.seen, place.hits, place.allowed) for place in places], dtype=np.float64),
+            "bins": np.array([np.frombuffer(key) for key in self._row]),
+            "points": self._points[rows],
+            "counts": self._counts[rows],
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave."""
-        self._places = OrderedDict(
-            (of.tobytes(), _Place(point, float(seen), float(hits), bool(allowed)))
-            for of, point, (seen, hits, allowed) in zip(state["bins"], state["points"], state["counts"], strict=True)
-        )
+        self._row = OrderedDict((of.tobytes(), row) for row, of in enumerate(state["bins"]))
+        self._points, self._counts = np.array(state["points"]), np.array(state["counts"])
+
+
+def _longer(rows: FloatArray, n: int) -> FloatArray:
+    """The same rows, and room for more of them."""
+    return np.concatenate([rows, np.zeros((n - len(rows), rows.shape[1]))])
 
 
 class CandidateMethod:
@@ -169,6 +205,11 @@ class CandidateMethod:
         """Count what `Candidates.add` counts, and propose."""
         self._candidates.add(experience, seen, hits)
         return self._candidates.proposals(experience)
+
+    def seconds(self, experience: Experience) -> float:
+        """Nominal time of an update."""
+        del experience
+        return PLACE_SECONDS * len(self._candidates)
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint."""

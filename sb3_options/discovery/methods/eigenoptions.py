@@ -13,9 +13,9 @@ from sb3_options.experience.observations import FloatArray
 class Eigenoptions(LaplacianMethod):
     """Machado, Bellemare & Bowling (2017), *A Laplacian Framework for Option Discovery in RL*.
 
-    With e an eigenvector of the Laplacian L = D − A of the graph of places, an option gains the intrinsic reward
-    r(s, s') = e(s') − e(s) (their eq. 2), and ends where no action gains more. Every eigenvector makes two options, one
-    for −e. Those of the smallest eigenvalues above 0 come first: they lead farthest.
+    With e an eigenvector of the Laplacian L = D − A of the graph of places, not normalised, an option gains the
+    intrinsic reward r(s, s') = e(s') − e(s) (their eq. 2), and ends where no action gains more. Every eigenvector makes
+    two options, one for −e. Those of the smallest eigenvalues above 0 come first: they lead farthest.
 
     An option is proposed if the place where it is bound for may be a subgoal.
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from sb3_options.density.regions import Region
-from sb3_options.discovery.methods.candidates import CandidateMethod, check_counts, often_enough
+from sb3_options.discovery.methods.candidates import CandidateMethod, check_counts, check_positive, often_enough
 from sb3_options.discovery.methods.method import Experience
 from sb3_options.experience.observations import FloatArray, IntArray
 
@@ -23,9 +23,10 @@ class LCut(CandidateMethod):
     """Şimşek, Wolfe & Barto (2005), *Identifying Useful Subgoals in RL by Local Graph Partitioning*.
 
     The last ``horizon`` transitions of a trajectory are a graph, weighted by how often each was made. It is cut in two
-    by spectral clustering (Shi & Malik 2000). If the normalised cut is below ``max_cut``, the places through which
-    transitions led from one part into the other are candidates. A subgoal is a place that was a candidate in
-    ``min_share`` of at least ``min_seen`` graphs. The defaults were set once, and not tuned.
+    by spectral clustering (Shi & Malik 2000): NCut(A, B) = cut(A, B)/vol(A) + cut(A, B)/vol(B). If this is below
+    ``max_cut``, the places through which transitions led from one part into the other are candidates. A subgoal is a
+    place that was a candidate in ``min_share`` of at least ``min_seen`` graphs. The defaults were set once, and not
+    tuned.
 
     Args:
         horizon: h, in transitions.
@@ -41,6 +42,7 @@ class LCut(CandidateMethod):
         self, *, horizon: int = 1000, max_cut: float = 0.05, min_seen: int = 10, min_share: float = 0.2
     ) -> None:
         check_counts(horizon=horizon)
+        check_positive(max_cut=max_cut)
         self.horizon, self.max_cut = horizon, max_cut
         super().__init__(often_enough(min_seen, min_share))
 
@@ -61,15 +63,17 @@ class LCut(CandidateMethod):
 
     def seconds(self, experience: Experience) -> float:
         """Nominal time of an update."""
-        return float(CUT_SECONDS * len(np.unique(experience.places.visits[-self.horizon - 1 :])) ** 3)
+        n_places = len(np.unique(experience.places.visits[-self.horizon - 1 :]))
+        return super().seconds(experience) + float(CUT_SECONDS * n_places**3)
 
 
 class Betweenness(CandidateMethod):
     """Şimşek & Barto (2008), *Skill Characterization Based on Betweenness*.
 
-    The last ``horizon`` transitions of a trajectory are a graph. A place is a candidate if shortest paths between other
-    places lead through it oftener than through any of its neighbours: a local maximum of betweenness. A subgoal is a
-    place that was a candidate in ``min_share`` of at least ``min_seen`` graphs. All pairs of places count alike.
+    The last ``horizon`` transitions of a trajectory are a graph, here without directions. The betweenness of a place v
+    is Σ σ(s, t | v)/σ(s, t) over all pairs of other places, which count alike; σ is the number of shortest paths, of
+    all and of those through v. A place is a candidate if its betweenness exceeds that of all its neighbours. A subgoal
+    is a place that was a candidate in ``min_share`` of at least ``min_seen`` graphs.
 
     Args:
         horizon: h, in transitions.
@@ -100,7 +104,7 @@ class Betweenness(CandidateMethod):
         n_places = len(np.unique(visits))
         low, high = np.minimum(visits[:-1], visits[1:]), np.maximum(visits[:-1], visits[1:])
         n_pairs = len(np.unique(low * len(experience.places.points) + high))
-        return PATH_SECONDS * n_places * (n_places + n_pairs)
+        return super().seconds(experience) + PATH_SECONDS * n_places * (n_places + n_pairs)
 
 
 def weights_of(visits: IntArray, n: int) -> FloatArray:

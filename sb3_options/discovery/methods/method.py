@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal, Re
 
 __all__ = ["DiscoveryMethod", "Experience", "IntrinsicReward", "Passage", "Places", "Proposal", "Region", "Repeat"]
 
+
+PROPOSALS = (Region, Passage, IntrinsicReward, Repeat)
+"""What an option may be made for."""
 
 SIGN = np.int64(-(1 << 63))
 """The bit of the sign."""
@@ -99,7 +102,8 @@ class DiscoveryMethod(Protocol):
     Any object with this method may be passed as ``SubgoalDiscoveryCallback(method=…)``. A checkpoint also needs
     ``get_state()``, which gives a dictionary of arrays and plain values, and ``set_state(state)``. The `Budget` also
     needs ``seconds(experience)``: how long an update takes, estimated by sizes and not by the clock. Without it the
-    method is told of every trajectory, whatever it takes.
+    method is told of every trajectory, whatever it takes. ``needs_success = True`` says that a method proposes nothing
+    before a success, and users are told so where there is none.
     """
 
     def update(self, experience: Experience) -> Sequence[Proposal]:
@@ -114,3 +118,31 @@ class DiscoveryMethod(Protocol):
             considered again.
         """
         ...
+
+
+def checked_method(method: Any) -> DiscoveryMethod | None:
+    """A user's own method; None for a name, or for nothing.
+
+    Raises:
+        TypeError: It is none: a class, say, or without ``update``.
+    """
+    if method is None or isinstance(method, str):
+        return None
+    if isinstance(method, type) or not callable(getattr(method, "update", None)):
+        what = f"the class {method.__name__}, which is not made yet" if isinstance(method, type) else repr(method)
+        raise TypeError(f"method must be a name, or an object with update(experience), got {what}.")
+    made: DiscoveryMethod = method
+    return made
+
+
+def proposed_by(method: DiscoveryMethod, experience: Experience) -> list[Proposal]:
+    """What a method proposes after one more trajectory.
+
+    Raises:
+        TypeError: It answers something else.
+    """
+    proposals = method.update(experience)
+    if not isinstance(proposals, Sequence) or not all(isinstance(each, PROPOSALS) for each in proposals):
+        names = ", ".join(kind.__name__ for kind in PROPOSALS)
+        raise TypeError(f"{type(method).__name__}.update must return a list of {names}, got {proposals!r:.200}.")
+    return list(proposals)

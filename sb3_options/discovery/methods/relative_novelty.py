@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sb3_options.density.regions import Region
-from sb3_options.discovery.methods.candidates import CandidateMethod, check_counts, more_likely
+from sb3_options.discovery.methods.candidates import CandidateMethod, check_counts, check_positive, more_likely
 from sb3_options.discovery.methods.method import Experience
 from sb3_options.experience.observations import FloatArray, IntArray
 
@@ -13,17 +13,17 @@ from sb3_options.experience.observations import FloatArray, IntArray
 class RelativeNovelty(CandidateMethod):
     """Şimşek & Barto (2004), *Using Relative Novelty to Identify Useful Temporal Abstractions in RL*.
 
-    A state's novelty is 1/√n after its n-th visit in a trajectory. The relative novelty of a time is the mean novelty
-    of the states of ``lag`` steps from it on, over that of the ``lag`` steps before it. A state is a candidate at a
-    time if this exceeds ``threshold``. A subgoal is what is a candidate oftener than other states are, by the
-    likelihood ratio of two binomial distributions. The defaults were set once, and not tuned.
+    The novelty of states is 1/√n̄, with n̄ the mean of how often each was visited in the trajectory so far. The relative
+    novelty of a time is that of the states of ``lag`` steps from it on, over that of the ``lag`` steps before it. A
+    state is a candidate at a time if this exceeds ``threshold``. A subgoal is what is a candidate oftener than other
+    states are: with n relative novelties of which k exceed it, pᵏ(1−p)ⁿ⁻ᵏ / (qᵏ(1−q)ⁿ⁻ᵏ) > ``odds``.
 
     Args:
         lag: l_n, in primitive steps.
         threshold: t_RN.
         p_target: p, how often a subgoal is a candidate when it is visited.
         p_other: q, how often another state is.
-        odds: λ_fa/λ_miss · p(N)/p(T).
+        odds: λ_fa/λ_miss · p(N)/p(T): cost of false alarms to that of misses, and prior odds of other states, 100 each.
 
     Raises:
         ValueError: An argument is out of its range.
@@ -36,9 +36,10 @@ class RelativeNovelty(CandidateMethod):
         threshold: float = 2.0,
         p_target: float = 0.0712,
         p_other: float = 0.0056,
-        odds: float = 100.0,
+        odds: float = 10_000.0,
     ) -> None:
         check_counts(lag=lag)
+        check_positive(threshold=threshold)
         self.lag, self.threshold = lag, threshold
         super().__init__(more_likely(p_target, p_other, odds))
 
@@ -62,12 +63,11 @@ def relative_novelty(visits: IntArray, lag: int) -> tuple[IntArray, FloatArray]:
     Returns:
         Those times, and their relative novelties, (n,) each.
     """
-    novelty = 1.0 / np.sqrt(_count_so_far(visits))
-    total = np.concatenate([[0.0], np.cumsum(novelty)])
+    total = np.concatenate([[0], np.cumsum(_count_so_far(visits))])
     times = np.arange(lag, len(visits) - lag)
     before = (total[times] - total[times - lag]) / lag
     after = (total[times + lag + 1] - total[times]) / (lag + 1)
-    return times, after / before
+    return times, np.sqrt(before / after)
 
 
 def _count_so_far(visits: IntArray) -> IntArray:

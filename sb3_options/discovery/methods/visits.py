@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sb3_options.density.regions import Region
-from sb3_options.discovery.methods.candidates import Candidates, check_counts
+from sb3_options.discovery.methods.candidates import PLACE_SECONDS, Candidates, check_counts, check_positive
 from sb3_options.discovery.methods.method import Experience
 from sb3_options.discovery.peaks import PeakTracker, plateau_centres
 from sb3_options.experience.observations import FloatArray
@@ -25,7 +25,12 @@ class VisitFrequency:
         threshold: Share of the limit λ/(1−λ).
         min_successes: Successful trajectories before the first place counts.
         radius: Places within this distance of each other are one, in scaled units.
+
+    Raises:
+        ValueError: An argument is out of its range.
     """
+
+    needs_success = True
 
     def __init__(
         self,
@@ -36,7 +41,10 @@ class VisitFrequency:
         min_successes: int = 8,
         radius: float = 1.5,
     ) -> None:
+        if count not in ("first", "every"):
+            raise ValueError(f"count must be 'first' or 'every', got {count!r}.")
         check_counts(min_successes=min_successes)
+        check_positive(radius=radius)
         self.count, self.min_successes, self.radius = count, min_successes, radius
         self._visited = Candidates(_most)
         self._tracker = PeakTracker(decay=decay, threshold=threshold, radius=radius)
@@ -56,6 +64,10 @@ class VisitFrequency:
         centres, _ = plateau_centres(points, experience.scale, self.radius)
         self._tracker.update(centres, experience.scale)
         return [experience.region(concept.point) for concept in self._tracker.persistent()]
+
+    def seconds(self, experience: Experience) -> float:
+        """Nominal time of an update."""
+        return PLACE_SECONDS * len(self._visited) if experience.success else 0.0
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint."""
@@ -86,6 +98,8 @@ class RandomPlaces:
         min_successes: Successful trajectories before the first proposal.
         seed: Of the generator that draws.
     """
+
+    needs_success = True
 
     def __init__(self, *, min_successes: int = 8, seed: int = 0) -> None:
         check_counts(min_successes=min_successes)

@@ -83,14 +83,17 @@ class TestRelativeNovelty:
     def test_it_is_what_the_definition_says(self, rng: np.random.Generator) -> None:
         visits, lag = rng.integers(6, size=60), 4
         counts = [int((visits[: t + 1] == visits[t]).sum()) for t in range(60)]
-        novelty = [1 / math.sqrt(n) for n in counts]
+
+        def novelty(some: list[int]) -> float:
+            return 1 / math.sqrt(np.mean(some))
+
         times, found = relative_novelty(visits, lag)
         assert times.tolist() == list(range(lag, 60 - lag))
         for t, value in zip(times, found, strict=True):
-            assert value == pytest.approx(np.mean(novelty[t : t + lag + 1]) / np.mean(novelty[t - lag : t]))
+            assert value == pytest.approx(novelty(counts[t : t + lag + 1]) / novelty(counts[t - lag : t]))
 
     def test_what_leads_to_new_places_is_proposed(self) -> None:
-        method = RelativeNovelty(lag=3)
+        method = RelativeNovelty(lag=3, odds=100.0)
         known = [0, 1, 2] * 20
         assert method.update(experience([*known, 3, *range(10, 20)])) == []  # once may be an accident
         best, *_ = method.update(experience([*known, 3, *range(10, 20)]))
@@ -202,6 +205,10 @@ class TestRules:
             once = np.ones(len(visits), dtype=np.int64)
             candidates.add(lived, once, once)
         assert sorted(float(goal_of(r).points[0, 0]) for r in candidates.proposals(lived)) == [0.0, 2.0, 3.0]
+        monkeypatch.setattr("sb3_options.discovery.methods.candidates.MAX_NUMBERS", 2)
+        candidates.add(lived, once, once)
+        assert len(candidates) == 2
+        assert candidates.get_state()["counts"].tolist() == [[2, 2, 1], [2, 2, 1]]  # 0, then 3
 
 
 @pytest.mark.parametrize("name", [name for name in METHODS if name != "random-repeats"])  # it goes nowhere
@@ -233,6 +240,10 @@ def test_graph_methods_find_the_doorway_of_two_rooms_from_random_walks(name: str
         (lambda: RelativeNovelty(p_target=0.1, p_other=0.2), "p_target must be above p_other"),
         (lambda: RelativeNovelty(p_other=math.nan), r"p_other must be in \(0, 1\), got nan."),
         (lambda: VisitFrequency(min_successes=0), "min_successes must be a whole number of at least 1, got 0."),
+        (lambda: VisitFrequency("evry"), "count must be 'first' or 'every', got 'evry'."),  # type: ignore[arg-type]
+        (lambda: VisitFrequency(radius=-1.0), "radius must be a finite number above 0, got -1.0."),
+        (lambda: LCut(max_cut="a"), "max_cut must be a finite number above 0, got 'a'."),  # type: ignore[arg-type]
+        (lambda: RelativeNovelty(threshold=math.nan), "threshold must be a finite number above 0, got nan."),
         (lambda: RandomPlaces(min_successes=True), "min_successes must be a whole number of at least 1, got True."),
     ],
 )

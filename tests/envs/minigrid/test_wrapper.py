@@ -1,10 +1,12 @@
 from typing import Any
 
 import gymnasium as gym
-import minigrid  # noqa: F401  # registers its environments
+import minigrid.wrappers
 import numpy as np
 import pytest
+import torch
 from gymnasium.utils.env_checker import check_env
+from minigrid.core.constants import COLOR_TO_IDX, OBJECT_TO_IDX
 from minigrid.wrappers import ViewSizeWrapper
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
@@ -12,9 +14,13 @@ from stable_baselines3.common.vec_env import SubprocVecEnv
 
 from sb3_options import OptionsWrapper
 from sb3_options.envs.minigrid import FEATURES, MiniGridWrapper, make, retina
+from sb3_options.envs.minigrid.cells import OBJECTS
+from sb3_options.envs.minigrid.cnn import MiniGridCNN
+from sb3_options.envs.minigrid.missions import Missions
+from sb3_options.envs.minigrid.wrapper import OTHER_IMAGES
 
 IDS = sorted(
-    name for name in gym.registry if name.startswith("MiniGrid-") and "WFC" not in name  # those need networkx
+    name for name in gym.registry if name.startswith("MiniGrid-") and "WFC" not in name  # their files are in no wheel
 )  # fmt: skip
 
 
@@ -25,12 +31,15 @@ def test_every_environment_is_one_vector(env_id: str) -> None:
     for seed in range(3):
         observation, _ = env.reset(seed=seed)
         assert env.observation_space.contains(observation)
-    assert env.concept_features(observation[None]).shape == (1, len(FEATURES))
+    assert env.concept_features(observation[None]).shape == (1, len(env.feature_names))
+    used = {n for group in env.concept_groups() for n in (*group["features"], *group["seen"]["features"])}
+    unused = {FEATURES.index("wall_ahead")}  # it tells the same as others
+    assert used == set(range(len(env.feature_names))) - unused
 
 
 def test_the_image_can_be_read_back_from_the_vector() -> None:
     inner: Any = ViewSizeWrapper(gym.make("MiniGrid-LockedRoom-v0"), agent_view_size=9)  # type: ignore[no-untyped-call]  # of minigrid
-    env = MiniGridWrapper(inner)
+    env = MiniGridWrapper(inner, asked=False)
     observation, _ = inner.reset(seed=3)
     rng = np.random.default_rng(0)
     for _ in range(50):
@@ -58,7 +67,7 @@ def test_without_the_mission_a_model_can_go_on_in_a_task_with_another() -> None:
     assert env.observation_space == make("MiniGrid-DoorKey-5x5-v0").observation_space
     assert env.observation_space.contains(env.reset(seed=0)[0])
     assert env.spec is not None
-    assert env.spec.additional_wrappers[-1].kwargs == {"mission": False}
+    assert env.spec.additional_wrappers[-1].kwargs == {"mission": False, "asked": True}
 
 
 def test_success_is_reported_at_the_end() -> None:
@@ -96,3 +105,87 @@ def test_it_is_ready_for_training_with_options(workers: bool) -> None:
 def test_other_observations_are_refused() -> None:
     with pytest.raises(TypeError, match=r"needs observations of MiniGrid.*Put it right around gymnasium.make"):
         MiniGridWrapper(gym.make("CartPole-v1"))
+
+
+@pytest.mark.parametrize("name", OTHER_IMAGES)
+def test_other_views_than_the_agent_s_are_refused(name: str) -> None:
+    env = getattr(minigrid.wrappers, name)(gym.make("MiniGrid-LavaGapS7-v0"))  # 7 by 7 cells, as the agent's view
+    with pytest.raises(TypeError, match=f"what the agent sees, v odd, got what {name} shows instead"):
+        MiniGridWrapper(env)
+
+
+def test_what_the_mission_asks_for_is_told_by_colour() -> None:
+    """The agent of Fetch stands before things of all kinds; only one is the mission's."""
+    env = make("MiniGrid-Fetch-8x8-N3-v0")
+    inner: Any = env.unwrapped
+    visible = 0
+    for seed in range(20):
+        observation, _ = env.reset(seed=seed)
+        found = dict(zip(env.feature_names, env.concept_features(observation[None])[0], strict=True))
+        image = env.images(observation[None])[0]
+        cells = [
+            (6 - row, column - 3)
+            for column, row in np.argwhere(
+                (image[..., 0] == OBJECT_TO_IDX[inner.targetType]) & (image[..., 1] == COLOR_TO_IDX[inner.targetColor])
+            )
+        ]
+        assert found["asked_visible"] == bool(cells)
+        if cells:
+            nearest = min(abs(forward) + abs(lateral) for forward, lateral in cells)
+            assert (found["asked_forward"], found["asked_lateral"]) in cells
+            assert found["asked_forward"] + abs(found["asked_lateral"]) == nearest
+            visible += 1
+    assert 5 < visible < 20
+    assert env.concept_groups()[-1]["name"] == "asked"
+    assert env.concept_groups()[-1]["seen"]["coordinates"] == [28, 29]
+    assert make("MiniGrid-Fetch-8x8-N3-v0", asked=False).feature_names == FEATURES
+    assert make("MiniGrid-Fetch-8x8-N3-v0", mission=False).feature_names == FEATURES
+
+
+@pytest.mark.parametrize(
+    ("env_id", "mission", "things"),
+    [
+        ("MiniGrid-RedBlueDoors-6x6-v0", None, [(4, 0), (4, 2)]),
+        ("MiniGrid-GoToDoor-5x5-v0", "go to the grey door", [(4, 5)]),
+        ("MiniGrid-PutNear-6x6-N2-v0", "put the red ball near the blue key", [(6, 0), (5, 2)]),
+        ("MiniGrid-DoorKey-5x5-v0", None, []),
+        (
+            "MiniGrid-LockedRoom-v0",
+            "get the red key from the blue room, unlock the red door and go to the goal",
+            [(5, 0), (4, 2), (4, 0)],
+        ),
+    ],
+)
+def test_things_that_missions_name(env_id: str, mission: str | None, things: list[tuple[int, int]]) -> None:
+    missions = Missions(gym.make(env_id).observation_space["mission"])  # type: ignore[index]  # a Dict
+    code = missions.codes[0] if mission is None else missions.code(mission)
+    assert code is not None
+    assert missions.things_of(code[None]).tolist() == [list(map(list, things))]
+
+
+def test_missions_that_cannot_be_listed_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"^The missions of BabyAIMissionSpace cannot be listed.*mission=False"):
+        make("BabyAI-GoToObj-v0")
+    env = make("BabyAI-GoToObj-v0", mission=False)
+    assert env.observation_space.contains(env.reset(seed=0)[0])
+
+
+def test_convolutions_read_the_cells_as_a_picture() -> None:
+    for env_id, n_words in (("MiniGrid-DoorKey-5x5-v0", 0), ("MiniGrid-Fetch-5x5-N2-v0", 13)):
+        env = make(env_id)
+        observation, _ = env.reset(seed=0)
+        network = MiniGridCNN(env.observation_space)
+        seen: list[torch.Tensor] = []
+        network.cnn.register_forward_hook(lambda _, given, __: seen.append(given[0]))  # noqa: B023  # called here
+        features = network(torch.as_tensor(observation[None], dtype=torch.float32))
+        assert features.shape == (1, network.features_dim) == (1, 64 + n_words)
+        (picture,) = seen
+        objects = picture[0, :OBJECTS].argmax(dim=0).numpy()
+        np.testing.assert_array_equal(objects, env.images(observation[None])[0, ..., 0])
+    wider = MiniGridWrapper(ViewSizeWrapper(gym.make("MiniGrid-LockedRoom-v0"), agent_view_size=9))  # type: ignore[no-untyped-call]  # of minigrid
+    assert MiniGridCNN(wider.observation_space).view == 9
+    with pytest.raises(ValueError, match="1029 numbers or more, got 500"):
+        MiniGridCNN(gym.spaces.Box(0, 1, (500,)))
+    optioned = OptionsWrapper(make("MiniGrid-DoorKey-5x5-v0"), max_options=2, gamma=0.99)
+    how = {"features_extractor_class": MiniGridCNN}
+    PPO("MlpPolicy", optioned, n_steps=16, batch_size=16, n_epochs=1, device="cpu", policy_kwargs=how).learn(32)

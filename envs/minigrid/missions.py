@@ -1,0 +1,95 @@
+"""The missions of an environment of MiniGrid: their words as numbers, and the things that they name by colour."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sb3_options.envs.minigrid.retina import BALL, BOX, DOOR, KEY
+
+MAX_MISSIONS = 4096
+"""Most missions of one environment that are told apart."""
+
+COLOURS = ("red", "green", "blue", "purple", "yellow", "grey")
+"""As ``minigrid.core.constants.COLOR_TO_IDX`` numbers them."""
+
+NAMED = {"door": DOOR, "room": DOOR, "key": KEY, "ball": BALL, "box": BOX}
+"""What a mission calls a thing that has a colour; a room is where its door is."""
+
+_THING = re.compile(rf"\b({'|'.join(COLOURS)})\b(?: ({'|'.join(NAMED)})\b)?")
+
+Vector = npt.NDArray[np.uint8]
+
+
+class Missions:
+    """All missions that an environment may give.
+
+    Args:
+        space: Its ``MissionSpace``; None where missions do not count.
+
+    Attributes:
+        codes: The variable words of each, one-hot, (n, w); w is 0 where there is only one mission.
+        things: Those that each names by colour, object and colour, (n, k, 2). The object is 0 for any of the colour,
+            and the colour is -1 where a mission names fewer than others.
+
+    Raises:
+        ValueError: They cannot be listed, or are too many.
+    """
+
+    def __init__(self, space: Any) -> None:
+        self.codes, texts = np.zeros((1, 0), dtype=np.uint8), [""]
+        if space is not None:
+            self.codes, texts = _listed(space)
+        self._number = {text: i for i, text in enumerate(texts)}
+        self._of_code = {code.tobytes(): i for i, code in enumerate(self.codes)}
+        named = [_things(text) for text in texts]
+        self.things = np.full((len(texts), max(map(len, named)), 2), (0, -1))
+        for i, things in enumerate(named):
+            self.things[i, : len(things)] = np.reshape(things, (-1, 2))
+
+    @property
+    def n_words(self) -> int:
+        """Length of a code."""
+        return int(self.codes.shape[1])
+
+    def code(self, text: str) -> Vector | None:
+        """The code of a mission, (w,); None if it is none of them."""
+        number = self._number.get(text)
+        return None if number is None else self.codes[number]
+
+    def things_of(self, codes: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
+        """The things that missions name, of a batch of codes (batch, w), (batch, k, 2)."""
+        rows = np.ascontiguousarray(codes, dtype=np.uint8)
+        return self.things[[self._of_code[row.tobytes()] for row in rows]]
+
+
+def _listed(space: Any) -> tuple[Vector, list[str]]:
+    """The codes and texts of all missions of a space."""
+    from minigrid.core.mission import MissionSpace
+
+    if type(space) is not MissionSpace:
+        raise ValueError(
+            f"The missions of {type(space).__name__} cannot be listed, so their words cannot be observed. Leave them "
+            "out by mission=False; then the agent does not know which of its tasks it is in."
+        )
+    words = [sorted(set(place)) for place in space.ordered_placeholders or ()]
+    n = int(np.prod([len(place) for place in words]))
+    if n > MAX_MISSIONS:
+        raise ValueError(f"The environment has {n} missions, at most {MAX_MISSIONS} can be told apart.")
+    eyes = [np.eye(len(place), dtype=np.uint8) for place in words]
+    texts, codes = [], []
+    for chosen in itertools.product(*words):
+        texts.append(space.mission_func(*chosen))
+        of_words = [eye[place.index(word)] for eye, place, word in zip(eyes, words, chosen, strict=True)]
+        codes.append(np.concatenate([np.zeros(0, dtype=np.uint8), *of_words]))
+    return np.array(codes), texts
+
+
+def _things(text: str) -> list[tuple[int, int]]:
+    """The things that a mission names by colour, in order, each once."""
+    found = [(NAMED.get(name, 0), COLOURS.index(colour)) for colour, name in _THING.findall(text)]
+    return list(dict.fromkeys(found))
