@@ -1,6 +1,6 @@
 """Train an agent that discovers its own options, or evaluate one: ``python train.py --help``."""
 
-from sb3_options.cli import main
+from sb3_options.__main__ import main
 
 if __name__ == "__main__":
-    main()
+    main("train.py", default=())

@@ -1,6 +1,6 @@
 """Stable-Baselines3 callbacks of sb3-options."""
 
-from sb3_options.callbacks.checkpoints import CheckpointCallback, load_checkpoint
+from sb3_options.callbacks.checkpoints import CheckpointCallback, EndedAtCheckpointError, load_checkpoint
 from sb3_options.callbacks.discovery import SubgoalDiscoveryCallback
 from sb3_options.callbacks.intrinsic import IntrinsicRewardCallback
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
@@ -12,6 +12,7 @@ __all__ = [
     "CheckpointCallback",
     "ClosedOption",
     "DiscoveredOption",
+    "EndedAtCheckpointError",
     "IntrinsicRewardCallback",
     "PrimitiveStepsCallback",
     "SubgoalDiscoveryCallback",

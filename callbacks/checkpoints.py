@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,10 @@ from sb3_options.checkpoints.tree import State
 logger = logging.getLogger("sb3_options")
 
 
+class EndedAtCheckpointError(Exception):
+    """Training has ended where `CheckpointCallback` was asked to end it."""
+
+
 class CheckpointCallback(BaseCallback):
     """Writes everything that training is to the disk, from where `load_checkpoint` lets it go on as if never ended.
 
@@ -33,17 +37,27 @@ class CheckpointCallback(BaseCallback):
     Args:
         folder: Of the checkpoints.
         freq: Primitive steps between two of them, at least 1.
+        end_when: Asked at the start of every rollout but the first; once it says yes, a checkpoint is written there,
+            training ends, and ``learn`` raises `EndedAtCheckpointError`. None never does.
         verbose: 1 says when training goes on from one.
 
     Raises:
         ValueError: ``freq`` < 1; or, when training starts, something cannot be in a checkpoint.
     """
 
-    def __init__(self, folder: str | os.PathLike[str], freq: int = 10_000, *, verbose: int = 0) -> None:
+    def __init__(
+        self,
+        folder: str | os.PathLike[str],
+        freq: int = 10_000,
+        *,
+        end_when: Callable[[], bool] | None = None,
+        verbose: int = 0,
+    ) -> None:
         super().__init__(verbose)
         if freq < 1:
             raise ValueError(f"freq must be at least 1 primitive step, got {freq}.")
-        self.folder, self.freq = CheckpointFolder(folder), freq
+        self.folder, self.freq, self.end_when = CheckpointFolder(folder), freq, end_when
+        self._there: int | None = None
         self._resumed: State | None = None
         self._last: int | None = None
         self._best = -np.inf
@@ -77,14 +91,32 @@ class CheckpointCallback(BaseCallback):
                     raise
                 what = f"{type(error).__name__}: {' '.join(str(error).split())}"
                 raise ValueError(f"The checkpoint does not fit what is trained here: {what}") from error
+            self._there = self.model.num_timesteps
         elif (self._last is None or now - self._last >= self.freq) and not self._is_last_rollout():
             self._last = now
             best, before = checkpoint_state.best_of(self._root), self._best
             self._best = best
-            try:
-                self.folder.save(now, self.state(), best=best > before, growing=models.growing(self.model))
-            except OSError as error:
-                logger.warning("No checkpoint could be written, training goes on: %s", error)
+            self._save(best=best > before)
+        began = self.model.num_timesteps > 0
+        if self.end_when is not None and began and not self._is_last_rollout() and self.end_when():
+            self._end()
+
+    def _save(self, *, best: bool = False, then: str = "training goes on") -> None:
+        now = self.model.num_timesteps
+        try:
+            self.folder.save(now, self.state(), best=best, growing=models.growing(self.model))
+        except OSError as error:
+            logger.warning("No checkpoint could be written, %s: %s", then, error)
+        else:
+            self._there = now
+
+    def _end(self) -> None:
+        """End training here. Later checkpoints come where they would have come without it."""
+        if self._there != self.model.num_timesteps:
+            self._save(then="training ends without")
+        assert self._root is not None  # this callback is in it
+        self._root.on_training_end()
+        raise EndedAtCheckpointError
 
     def _is_last_rollout(self) -> bool:
         """Whether training ends with this rollout of an off-policy algorithm, which may be shortened therefore."""

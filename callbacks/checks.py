@@ -28,12 +28,18 @@ from sb3_options.learning.macro_q import MacroQ
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 
 
-def check_numbers(max_new_options: int | None, min_reached: float, seed: int) -> None:
+def check_arguments(success: object, max_new_options: int | None, min_reached: float, seed: int) -> None:
     """Refuse arguments of `SubgoalDiscoveryCallback` that are out of their range.
 
     Raises:
-        ValueError: One is.
+        TypeError: The rule of success cannot be called.
+        ValueError: Another one is.
     """
+    if not callable(success):
+        raise TypeError(
+            f"success must be a function from a Trajectory to whether it succeeded, got {success!r}: success_by_return"
+            "(threshold) of sb3_options.experience.success is one."
+        )
     if max_new_options is not None and not whole(max_new_options, 0):
         raise ValueError(f"max_new_options must be at least 0, got {max_new_options!r}.")
     if not (is_number(min_reached) and 0.0 <= min_reached <= 1.0):
@@ -65,6 +71,33 @@ def trial_given(trial: TrialSettings | Mapping[str, Any] | None, settings: Disco
     if given is not None and settings.segmentation == "peaks":
         raise ValueError("A trial compares episodes, and a continuing task has none: pass trial=None with peaks.")
     return given
+
+
+def check_training(
+    model: BaseAlgorithm, venv: VecEnv, settings: DiscoverySettings, before: BaseAlgorithm | None, made: set[int]
+) -> None:
+    """Refuse to begin where no options can be discovered, or a callback that knows another model.
+
+    Args:
+        model: About to be trained.
+        venv: Its environment.
+        settings: Of discovery.
+        before: The model that the callback was with, if any.
+        made: Slots of the options that it made there. A model that was loaded again has them.
+
+    Raises:
+        TypeError: As `check_model`.
+        ValueError: Likewise; or a limit of an episode is set where there are none, or the model is another one.
+    """
+    check_model(model, venv)
+    again = before is None or before is model or (made and made <= set(venv.get_attr("bank", [0])[0].filled))
+    if not again:
+        raise ValueError(
+            "This SubgoalDiscoveryCallback was with another model, whose episodes and options it knows: make a new one "
+            "for each model."
+        )
+    if settings.segmentation == "peaks" and set(venv.get_attr("max_runs")) != {None}:
+        raise ValueError("max_runs counts in an episode, and a continuing task has none: leave it out with peaks.")
 
 
 def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:

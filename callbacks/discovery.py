@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from sb3_options.callbacks.checks import check_model, check_numbers, groups_given, trial_given
+from sb3_options.callbacks.checks import check_arguments, check_training, groups_given, trial_given
 from sb3_options.callbacks.counting import monitor_primitive_steps
 from sb3_options.callbacks.discovery_log import DiscoveryClock, draw_discovery, log_discovery
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.learned_features import GivenFeatures, check_learned, features_for
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
-from sb3_options.callbacks.records import ClosedOption, DiscoveredOption, OptionStatistics, saved_for
+from sb3_options.callbacks.records import ClosedOption, Complaints, DiscoveredOption, OptionStatistics, saved_for
 from sb3_options.callbacks.summaries import describe_options, log_results, settings_of
 from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.checked import given_as
@@ -123,7 +123,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             self.settings = dataclasses.replace(self.settings, method=method)
         self.method = checked_method(method)
         self.option_settings = given_as(OptionLearningSettings, {} if option_settings is None else option_settings)
-        check_numbers(max_new_options, min_reached, seed)
+        check_arguments(success, max_new_options, min_reached, seed)
         self.success, self.static_filter, self.min_reached = success, static_filter, min_reached
         self.groups = groups_given(groups)
         self.max_new_options, self.interruption = max_new_options, interruption
@@ -131,13 +131,12 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.max_option_exploration = checked_share(max_option_exploration)
         self.opening_share = checked_share(max_option_exploration if opening_share is None else opening_share)
         self.save_path, self.hparams = save_path, hparams
-        self.episodes = 0
+        self.episodes, self.seed, self._complaints = 0, seed, Complaints()
         self.history: list[EpisodeRecord] = []
         self.discoveries: list[DiscoveredOption] = []
         self.discovery: SubgoalDiscovery | None = None
         self.closed: list[ClosedOption] = []
         self._made_here: set[int] = set()
-        self.seed = seed
         self._trials: OptionTrials | None = None
         self._generator = torch.Generator().manual_seed(seed)
         self._statistics, self._growth = OptionStatistics(min_reached), OptionGrowth()
@@ -153,7 +152,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     def _on_training_start(self) -> None:
         self._ended, venv = False, self.training_env
-        check_model(self.model, venv)
+        before = None if self._installer is None else self._installer.model
+        check_training(self.model, venv, self.settings, before, self._made_here)
         self._start_counting()
         monitor_primitive_steps(venv)
         self._installer = OptionInstaller(
@@ -182,8 +182,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         for slot, option in enumerate(self.bank.slots):
             if isinstance(option, SubgoalOption) and slot not in self._made_here and not option.fixed:
                 self._growth.adopted(slot)
-        if self.settings.segmentation == "peaks" and set(venv.get_attr("max_runs")) != {None}:
-            raise ValueError("max_runs counts in an episode, and a continuing task has none: leave it out with peaks.")
         venv.env_method("record_trajectories", True, self.settings.reward_peaks())
         self._trials = None if self.trial is None else OptionTrials(venv, self.trial, self.seed)
         self._clock = DiscoveryClock(self._search.seconds)
@@ -233,7 +231,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             self._learn_from(trajectory, success)
         except ValueError as error:
             # One episode that cannot be used is no reason to end training.
-            logger.warning("No discovery after episode %d: %s", self.episodes, error)
+            self._complaints.say(self.episodes, error)
         self._log()
 
     def _learn_from(self, trajectory: Trajectory, success: bool) -> None:
@@ -395,6 +393,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.draw()
         self._describe()
         settings = self.hparams or settings_of(self.model, discovery=self.settings, option=self.option_settings)
-        log_results(self.logger, settings, self.history)
+        log_results(self.logger, settings, self.history, self.num_timesteps)
         if self.logger.name_to_value:  # an empty dump warns
             self.logger.dump(self.num_timesteps)

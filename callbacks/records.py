@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import Counter, deque
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +15,8 @@ from sb3_options.execution.trials import Verdict
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.trajectories import TrajectoryDatabase
+
+logger = logging.getLogger("sb3_options")
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,20 @@ class DiscoveredOption:
 def saved_for(subgoal: Region, trajectories: TrajectoryDatabase) -> tuple[int, int]:
     """How many trajectories are saved, and how many of them visit a subgoal."""
     return len(trajectories), sum(bool(subgoal.contains(each.features).any()) for each in trajectories)
+
+
+class Complaints:
+    """Warns of episodes that cannot be used: of the first, the second, the fourth and so on."""
+
+    def __init__(self) -> None:
+        self._n = 0
+
+    def say(self, episode: int, why: Exception) -> None:
+        """Warn, unless it would be too often."""
+        self._n += 1
+        if self._n & (self._n - 1) == 0:
+            times = "" if self._n == 1 else f" (so far {self._n} times)"
+            logger.warning("No discovery after episode %d%s: %s", episode, times, why)
 
 
 @dataclass(frozen=True)

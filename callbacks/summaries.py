@@ -124,14 +124,16 @@ def settings_of(model: BaseAlgorithm, **others: Any) -> dict[str, Setting]:
     return flat_settings({"algo": type(model).__name__, "n_envs": model.n_envs, **own, **nested})
 
 
-def log_results(log: Logger, settings: Mapping[str, Any], history: Sequence[EpisodeRecord]) -> None:
+def log_results(log: Logger, settings: Mapping[str, Any], history: Sequence[EpisodeRecord], n_timesteps: int) -> None:
     """Record settings and how the run ended for TensorBoard's HParams tab, with the next dump of the log.
 
     Args:
         log: SB3's. Without an output that takes them, nothing is recorded.
         settings: By name, flat or nested.
         history: As for `results_of`.
+        n_timesteps: Primitive steps of the whole run; the last episode that ended did not know all.
     """
+    log.record("time/primitive_steps", n_timesteps)
     if not takes_more_than_numbers(log):
         return
     for tag, value in results_of(history).items():

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
+
+from sb3_options.extras import how_to_install
 
 
-def main() -> None:
-    """Run the command line; without arguments show its help."""
+def main(program: str = "sb3-options", default: Sequence[str] = ("--help",)) -> None:
+    """Run the command line.
+
+    Args:
+        program: What needs the package that is missing, for the one line that says so.
+        default: Arguments where there are none.
+    """
     try:
         from sb3_options import cli
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("sb3_options"):
             raise
-        sys.exit(f"sb3-options needs the package {error.name}: pip install 'sb3-options[train,contrib]'")
-    cli.main(sys.argv[1:] or ["--help"])
+        sys.exit(f"{program} needs the package {error.name}: {how_to_install('train', 'contrib')}")
+    cli.main(sys.argv[1:] or default)
 
 
 if __name__ == "__main__":

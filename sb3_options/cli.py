@@ -6,7 +6,7 @@ import dataclasses
 import shutil
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import closing, suppress
+from contextlib import closing, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
@@ -24,11 +24,12 @@ from stable_baselines3.common.vec_env import VecEnv
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options.atomic import atomic_write
 from sb3_options.callbacks import CheckpointCallback, IntrinsicRewardCallback, SubgoalDiscoveryCallback
-from sb3_options.callbacks.checkpoints import load_checkpoint
+from sb3_options.callbacks.checkpoints import EndedAtCheckpointError, load_checkpoint
 from sb3_options.checkpoints.environments import refusal
 from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.execution.trials import TrialSettings
 from sb3_options.execution.workers import WorkerLostError, end_workers
+from sb3_options.extras import how_to_install
 from sb3_options.options.bank import OptionBank
 from sb3_options.runs import config as configs
 from sb3_options.runs import evaluation
@@ -36,27 +37,24 @@ from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import callback_settings, check_device, make_model
 from sb3_options.runs.budget import KeepToBudget, memory_is_short
 from sb3_options.runs.card import CARD, write_card
-from sb3_options.runs.closing import closing_table, how_to_resume, next_commands, program_name, unit_of
+from sb3_options.runs.closing import after_interrupt, closing_table, how_to_resume, next_commands, program_name, unit_of
 from sb3_options.runs.compare import CompareConfig, show_comparison
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.eval_callback import eval_callback_class
 from sb3_options.runs.flags import parse
 from sb3_options.runs.hparams import hparams_of
-from sb3_options.runs.in_turn import Series, Trained, go_on, train_in_turn
-from sb3_options.runs.in_turn import read as read_series
+from sb3_options.runs.in_turn import Series, Trained, train_in_turn
 from sb3_options.runs.inspection import InspectConfig, show_options
-from sb3_options.runs.interrupts import Interrupts, StopWhenNoted
+from sb3_options.runs.interrupts import PATIENCE, Interrupts, StopWhenNoted
+from sb3_options.runs.keywords import NUMBERS
 from sb3_options.runs.logs import KeepTraining, without
-from sb3_options.runs.resume import ResumeConfig, config_of, options_of
+from sb3_options.runs.resume import ResumeConfig, lengthen, mark_finished, options_of, resume_run
 from sb3_options.runs.series import StopWhenLearned
 from sb3_options.runs.tune_config import TuneConfig
-from sb3_options.runs.users_code import IMPORTING
+from sb3_options.runs.under_way import held
 
 console = Console(highlight=False, soft_wrap=True)
 errors = Console(highlight=False, soft_wrap=True, stderr=True)
-
-INTERRUPTED = 130
-"""Exit status where an interrupt left nothing; shells use it for a process that SIGINT ended."""
 
 TRY_AGAIN = 75
 """Exit status where a worker process was killed: ``EX_TEMPFAIL`` of sysexits.h."""
@@ -69,18 +67,19 @@ def main(args: Sequence[str] | None = None) -> None:
         args: Without the program's name; by default those of the process.
     """
     args = sys.argv[1:] if args is None else list(args)
-    command, prog = (args or [""])[0], program_name()
+    command, prog, interrupts = (args or [""])[0], program_name(), Interrupts()
     try:
         if command in COMMANDS:
             of, run = COMMANDS[command]
-            run(tyro.cli(of, prog=f"{prog} {command}", args=args[1:]))
+            run = partial(resume, interrupts=interrupts) if run is resume else run
+            run(tyro.cli(of, prog=f"{prog} {command}", args=args[1:], registry=NUMBERS))
         elif (config := parse(args[1:] if command == "train" else args, prog)).series:
-            train_series(config)
+            train_series(config, interrupts)
         else:
-            train(config)
+            train(config, interrupts)
     except KeyboardInterrupt as interrupt:
         errors.print(" ".join(["Interrupted", *interrupt.args]) + ".")
-        sys.exit(INTERRUPTED)
+        sys.exit(interrupts.status)
     except WorkerLostError as error:
         _stop(error, error.what, TRY_AGAIN if error.killed else 1)
     except (ValueError, TypeError, OSError, ModuleNotFoundError, gym.error.Error) as error:
@@ -89,6 +88,8 @@ def main(args: Sequence[str] | None = None) -> None:
         if (text := memory_is_short(error)) is None:
             raise
         _stop(error, text)
+    if interrupts.noted:
+        sys.exit(interrupts.status)
 
 
 def _stop(error: BaseException, text: str, status: int = 1) -> NoReturn:
@@ -97,7 +98,7 @@ def _stop(error: BaseException, text: str, status: int = 1) -> NoReturn:
     sys.exit(status)
 
 
-def train(config: TrainConfig) -> Path:
+def train(config: TrainConfig, interrupts: Interrupts | None = None) -> Path:
     """Train, and leave a run folder.
 
     An interrupt or an error ends training early; what was learned until then is kept. Before the first step there is
@@ -105,6 +106,7 @@ def train(config: TrainConfig) -> Path:
 
     Args:
         config: Of the run.
+        interrupts: Notes them; by default one of its own.
 
     Returns:
         The run folder.
@@ -115,14 +117,15 @@ def train(config: TrainConfig) -> Path:
         OSError: The run folder cannot be written.
         WorkerLostError: A worker process of ``--vec-env subproc`` has ended.
     """
-    return _train(config).folder
+    return _train(config, interrupts=interrupts).folder
 
 
-def train_series(config: TrainConfig) -> list[Path]:
+def train_series(config: TrainConfig, interrupts: Interrupts | None = None) -> list[Path]:
     """Train in one task after another; see `train_in_turn`.
 
     Args:
         config: With a ``series``.
+        interrupts: As for `train`.
 
     Returns:
         The run folder of each task that was begun.
@@ -130,55 +133,61 @@ def train_series(config: TrainConfig) -> list[Path]:
     Raises:
         As `train`.
     """
-    return train_in_turn(config, _train, console)
+    return train_in_turn(config, partial(_train, interrupts=interrupts), console)
 
 
-def resume(resumed: ResumeConfig) -> None:
-    """Go on with a run that was cut off, and with the series that it is in.
+def resume(resumed: ResumeConfig, interrupts: Interrupts | None = None) -> None:
+    """Go on with a run that was cut off, and with the series that it is in; see `resume_run`.
 
     Raises:
-        As `train`; and FileNotFoundError: There is no run, or no checkpoint in it.
+        As `train`, and as `resume_run`.
     """
-    config = config_of(resumed)
-    series = read_series(resumed.run, {name: getattr(resumed, name) for name in IMPORTING})
-    if series is None:
-        _train(config, resumed=resumed.run)
-    else:
-        run = resumed.run.absolute()  # the next tasks come beside it, wherever it is now
-        whole = dataclasses.replace(series.config, progress=resumed.progress, tensorboard_log=run.parents[1])
-        go_on(dataclasses.replace(series, config=whole), config, run, _train, console)
+    resume_run(resumed, partial(_train, interrupts=interrupts), console)
 
 
-def _train(config: TrainConfig, *, series: Series | None = None, resumed: Path | None = None) -> Trained:
+def _train(
+    config: TrainConfig,
+    *,
+    series: Series | None = None,
+    resumed: Path | None = None,
+    interrupts: Interrupts | None = None,
+) -> Trained:
     torch.set_num_threads(config.num_threads)
     runs.check_env_id(config.env)
     check_device(config.device)
     stock: SubgoalDiscoveryCallback | None = None
-    with Interrupts() as interrupts:
+    with interrupts or Interrupts() as interrupts:
         with closing(runs.make_env(config, 1, config.seed)) as env:  # what cannot be made leaves no folder
             runs.check_observations(env, config.env)
             bank: OptionBank = env.get_attr("bank")[0]
             started_with = [f"{slot} ({option.name})" for slot, option in enumerate(bank.slots) if option is not None]
         discovery = _discovery(config, resumed)
-        folder = runs.new_run_folder(config) if resumed is None else resumed
-        _learn(config, discovery, folder, interrupts, series=series, resume=resumed is not None)
+        folder = last = runs.new_run_folder(config) if resumed is None else resumed
+        with nullcontext() if resumed else held(folder):  # who resumes holds it already
+            finished = _learn(config, discovery, folder, interrupts, series=series, resume=resumed is not None)
         if config.compare and config.discover and not interrupts.noted:
             no_discovery = dataclasses.replace(config, discover=False, compare=False, options=None)
             console.print("Once more, without discovery:")
-            stock = _discovery(no_discovery)
-            _learn(no_discovery, stock, runs.new_run_folder(no_discovery), interrupts)
+            stock, last = _discovery(no_discovery), runs.new_run_folder(no_discovery)
+            with held(last):
+                if _learn(no_discovery, stock, last, interrupts):
+                    mark_finished(no_discovery, last)
     if not folder.exists():
         raise KeyboardInterrupt("before the first step: there is nothing to keep")
     _draw(config, discovery, folder)
     with without(folder / CARD):
         write_card(folder, config, discovery.history, {d.slot: d.timestep for d in discovery.discoveries})
+    if finished:
+        mark_finished(config, folder)  # last: who was killed before does the end again
     unit = unit_of(config)
     took = f"{discovery.num_timesteps:,} primitive steps, {discovery.episodes:,} {unit}s"
-    console.print(f"\n[bold]{'Interrupted' if interrupts.noted else 'Finished'}[/] after {took}.")
+    console.print(f"\n[bold]{'Interrupted' if interrupts.ended else 'Finished'}[/] after {took}.")
     if config.options is not None:
         what = ", ".join(started_with) or "none"
         console.print(f"Started with the options of {escape(str(config.options))}: {escape(what)}.")
     _report(config, discovery, stock, folder, in_series=series is not None)
+    if interrupts.ended:
+        after_interrupt(console, config, last, (stock or discovery).num_timesteps)
     return Trained(folder, discovery, interrupts.noted)
 
 
@@ -205,9 +214,13 @@ def _learn(
     *,
     series: Series | None = None,
     resume: bool = False,
-) -> None:
-    """Train, and save what was learned, however training ends; without a step taken, remove a new folder."""
-    interrupts.saving = False
+) -> bool:
+    """Train, and save what was learned, however training ends; without a step taken, remove a new folder.
+
+    Returns:
+        Whether training came to its end.
+    """
+    interrupts.saving, interrupts.patience = False, 0.0
     discovery.save_path = folder / runs.OPTIONS
     model: BaseAlgorithm | None = None
     envs: list[VecEnv] = []
@@ -237,16 +250,19 @@ def _learn(
         if series is not None and not series.is_last:
             callbacks.append(StopWhenLearned(discovery.history))
         if config.checkpoint_freq > 0:
-            callbacks += _checkpoints(config, folder, model, callbacks, resume=resume)
+            callbacks += _checkpoints(config, folder, model, callbacks, interrupts, resume=resume)
+        interrupts.ended = interrupts.noted
         if not interrupts.noted:
             what = f"{config.algo.upper()} on {config.env} for {config.n_timesteps:,} primitive steps"
             console.print(f"Training {escape(what)}.")
             # A model that was not trained yet counts from 0 all the same, but goes on in the same TensorBoard folder.
             log: dict[str, Any] = {"tb_log_name": "tensorboard", "reset_num_timesteps": not resume}
             model.learn(config.n_timesteps, callbacks, progress_bar=config.progress, **log)
-        finished = not interrupts.noted
+        finished = not interrupts.ended
+    except EndedAtCheckpointError:
+        interrupts.ended = True
     except KeyboardInterrupt:
-        interrupts.noted = True
+        interrupts.noted = interrupts.ended = True
     except Exception as error:
         # An interrupt that was sent to the worker processes, too, has ended them.
         if not (interrupts.noted and isinstance(error, WorkerLostError | EOFError | ConnectionError)):
@@ -255,6 +271,7 @@ def _learn(
             if isinstance(error, WorkerLostError) and (resume or (model is not None and model.num_timesteps > 0)):
                 error.add_note(how_to_resume(config, folder))
             raise
+        interrupts.ended = True
     finally:
         interrupts.saving = True  # before anything else: from now on no interrupt is raised
         try:
@@ -273,20 +290,31 @@ def _learn(
                         env.close()
                 else:
                     end_workers(env)  # which may be in the middle of a step
+    return finished
 
 
 def _checkpoints(
-    config: TrainConfig, folder: Path, model: BaseAlgorithm, callbacks: list[BaseCallback], *, resume: bool
+    config: TrainConfig,
+    folder: Path,
+    model: BaseAlgorithm,
+    callbacks: list[BaseCallback],
+    interrupts: Interrupts,
+    *,
+    resume: bool,
 ) -> list[BaseCallback]:
     """The callback that writes them, if the environment allows it; training goes on from the last one to ``resume``."""
     why = refusal(model.get_env())
     if why is not None and not resume:
         console.print(f"[yellow]No checkpoints:[/] {escape(why)}")
         return []
-    checkpoints = CheckpointCallback(folder / runs.CHECKPOINTS, config.checkpoint_freq)
+    interrupts.patience = PATIENCE
+    where = folder / runs.CHECKPOINTS
+    checkpoints = CheckpointCallback(where, config.checkpoint_freq, end_when=lambda: interrupts.noted)
     if resume:
-        steps = load_checkpoint(folder / runs.CHECKPOINTS, model, [*callbacks, checkpoints])
-        console.print(f"Going on after {steps:,} primitive steps.")
+        steps = load_checkpoint(where, model, [*callbacks, checkpoints])
+        anew = "" if steps else " There is no later checkpoint."
+        console.print(f"Going on after {steps:,} primitive steps.{anew}")
+        lengthen(folder, config.n_timesteps)
     return [checkpoints]
 
 
@@ -344,28 +372,6 @@ def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path
         figure.savefig(temporary, dpi=110)
 
 
-def evaluate(config: evaluation.EvaluateConfig) -> evaluation.Evaluation:
-    """Evaluate a run, print the result, and write it to ``evaluation.json`` in the run folder.
-
-    Args:
-        config: Which run, and how.
-
-    Returns:
-        The evaluation.
-
-    Raises:
-        ValueError: Something does not fit.
-        OSError: A file is missing or cannot be written.
-    """
-    how = {name: value for name, value in dataclasses.asdict(config).items() if name != "run"}
-    result = evaluation.evaluate_run(config.run, **how)
-    console.print(evaluation.table(result, escape(str(config.run))))
-    evaluation.save(result, config.seed, config.run / "evaluation.json")
-    if config.video is not None:
-        console.print(f"Video: {escape(str(config.video))}")
-    return result
-
-
 def tune(config: TuneConfig) -> None:
     """Search for settings.
 
@@ -376,9 +382,11 @@ def tune(config: TuneConfig) -> None:
     try:
         from sb3_options.runs import tune as tuning  # Optuna is in an extra
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(f"{error}. Searching takes Optuna: pip install 'sb3-options[tune]'.") from error
+        raise ModuleNotFoundError(f"{error}. Searching takes Optuna: {how_to_install('tune')}.") from error
     tuning.tune(config, console=console)
 
+
+evaluate = partial(evaluation.show_evaluation, console=console)
 
 COMMANDS: dict[str, tuple[type[Any], Callable[[Any], object]]] = {
     "evaluate": (evaluation.EvaluateConfig, evaluate),

@@ -13,6 +13,7 @@ from sb3_options.envs.minigrid.cells import COLOURS, DEPTH, OBJECTS, STATES
 from sb3_options.envs.minigrid.missions import Missions
 from sb3_options.envs.minigrid.retina import concept_groups, feature_names, retina
 from sb3_options.envs.minigrid.view import see_quickly
+from sb3_options.extras import how_to_install
 
 OTHER_IMAGES = (
     "FullyObsWrapper", "OneHotPartialObsWrapper", "RGBImgObsWrapper", "RGBImgPartialObsWrapper", "SymbolicObsWrapper",
@@ -173,5 +174,5 @@ def require() -> None:
         if error.name != "minigrid":
             raise
         raise ModuleNotFoundError(
-            'MiniGrid is not installed: pip install "sb3-options[minigrid]"', name="minigrid"
+            f"MiniGrid is not installed: {how_to_install('minigrid')}", name="minigrid"
         ) from error

@@ -13,6 +13,7 @@ import gymnasium
 
 from sb3_options.envs.pioneer.arena import Box, Cylinder
 from sb3_options.envs.pioneer.body import GRAVITY
+from sb3_options.extras import how_to_install
 
 __all__ = ["Bullet", "load_pybullet"]
 
@@ -30,10 +31,10 @@ def load_pybullet() -> ModuleType:
     except ImportError as error:
         raise gymnasium.error.DependencyNotInstalled(
             "this environment needs PyBullet, which cannot be imported: install it with "
-            f'pip install "sb3-options[pioneer]" ({error}). '
+            f"{how_to_install('pioneer')}: {error}. "
             "PyBullet has wheels up to CPython 3.11; on a later Python pip builds it from source, which takes a "
             "compiler and many minutes. sb3_options/PioneerMuJoCo-v0 is the same robot in MuJoCo, which has wheels for "
-            'every Python: pip install "sb3-options[mujoco]"'
+            f"every Python: {how_to_install('mujoco')}"
         ) from error
     module: ModuleType = pybullet
     return module

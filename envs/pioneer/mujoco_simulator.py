@@ -24,6 +24,7 @@ from sb3_options.envs.pioneer.body import (
 )
 from sb3_options.envs.pioneer.mjcf import BODY_GEOMS, SOLID_GROUP, ball_name, grip_name, mjcf, solid_name
 from sb3_options.envs.pioneer.simulator import Point, Simulator
+from sb3_options.extras import how_to_install
 
 __all__ = ["MuJoCoSimulator", "load_mujoco"]
 
@@ -49,7 +50,7 @@ def load_mujoco() -> ModuleType:
     except ImportError as error:
         raise gymnasium.error.DependencyNotInstalled(
             "PioneerMuJoCo-v0 needs MuJoCo, which cannot be imported: install it with "
-            f'pip install "sb3-options[mujoco]" ({error})'
+            f"{how_to_install('mujoco')}: {error}"
         ) from error
     module: ModuleType = mujoco
     return module

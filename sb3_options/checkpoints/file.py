@@ -104,7 +104,10 @@ class CheckpointFolder:
             except ValueError as error:
                 wrong = wrong or error
         if wrong is not None:
-            raise wrong
+            raise ValueError(
+                f"{str(wrong).rstrip('.')}. No other checkpoint in {self.path} is whole: train anew, in a new folder, "
+                "with the same settings."
+            ) from wrong
         raise FileNotFoundError(f"There is no checkpoint in {self.path}.")
 
     def make_room(self) -> None:

@@ -75,8 +75,13 @@ class Outcomes:
             return seen + "the rule given as success=... was true of none of them."
         if self._reported == self.n:
             return seen + 'info["is_success"] was false in all of them. If it means something else, pass success=...'
+        seen += 'the environment reports no info["is_success"], and no terminal state brought a positive reward above '
+        seen += "all earlier ones. "
+        if low == high == 0.0:
+            seen += "If the goal is a reward, it was not found so far: explore more. Else say"
+        else:
+            seen += "Say"
         return (
-            seen + 'the environment reports no info["is_success"], and no terminal state brought a positive reward '
-            "above all earlier ones. Say what success is: SubgoalDiscoveryCallback(success=lambda trajectory: "
-            "trajectory.terminated), or sb3_options.experience.success.success_by_return(threshold)."
+            f"{seen} what success is: SubgoalDiscoveryCallback(success=lambda trajectory: trajectory.terminated) where "
+            "every terminal state is a good one, or sb3_options.experience.success.success_by_return(threshold)."
         )

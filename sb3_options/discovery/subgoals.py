@@ -223,6 +223,11 @@ class SubgoalDiscovery:
                 f"{seen.successes} of {seen.n} {seen.unit}s were successful; a search needs "
                 f"{self.settings.min_positive} (min_positive) of which the filters leave something."
             )
+            if seen.successes >= self.settings.min_positive:
+                why += (
+                    " They leave out what is near start and goal (start_radius, goal_radius), near the subgoal of an "
+                    "option (spacing), and what few ways lead through (min_passing, min_cut)."
+                )
         return f"No subgoal was discovered: {why}{self._left_out()}"
 
     def _left_out(self) -> str:

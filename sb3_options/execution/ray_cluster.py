@@ -9,6 +9,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from sb3_options.extras import how_to_install
+
 OBJECT_STORE = 200 * 2**20
 """Bytes of shared memory of a cluster that is started here. Ray's default is 30 % of the machine's memory; what
 environments and studies send is small and passes it by, but for images."""
@@ -36,7 +38,7 @@ def require_ray() -> ModuleType:
         import ray
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
-            'Ray is not installed: pip install "sb3-options[cluster]", on every machine.', name=error.name
+            f"Ray is not installed: {how_to_install('cluster')}, on every machine.", name=error.name
         ) from error
     return ray
 

@@ -52,6 +52,11 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         max_runs: int | None,
         check_finite: bool,
     ) -> None:
+        if not isinstance(env, gym.Env):
+            raise TypeError(
+                f"OptionsWrapper needs one environment, as gymnasium.make(...) gives it, got {env!r}. For several: "
+                "make_vec_env(..., wrapper_class=OptionsWrapper, wrapper_kwargs={...})."
+            )
         # Not copied: a feature map may be a method of the environment, which would be copied with it.
         RecordConstructorArgs.__init__(
             self,

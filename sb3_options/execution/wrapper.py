@@ -215,7 +215,13 @@ class OptionsWrapper(OptionSlots):
         mask: BoolArray = self.bank.available(batch_of_one(self._current_observation("action_masks()")))[0]
         primitives, slots = mask[: self.n_primitive], mask[self.n_primitive :]
         if self.env.has_wrapper_attr("action_masks"):
-            primitives &= np.asarray(self.env.get_wrapper_attr("action_masks")(), dtype=bool)
+            own = np.asarray(self.env.get_wrapper_attr("action_masks")(), dtype=bool)
+            if own.shape != primitives.shape:
+                raise ValueError(
+                    f"action_masks() of the environment must have an entry for each of its {self.n_primitive} actions, "
+                    f"got shape {own.shape}."
+                )
+            primitives &= own
         self._limit.forbid(slots)
         if self._withholding is not None:
             slots[self._withholding.withheld()] = False

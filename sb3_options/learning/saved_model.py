@@ -46,9 +46,19 @@ def load_model(algorithm: type[M], path: str | os.PathLike[str], env: gym.Env[An
         FileNotFoundError: There is no such file.
         ValueError: It holds no options, or these do not fit the environment.
     """
-    path = Path(path) if Path(path).is_file() else Path(f"{os.fspath(path)}.zip")  # as SB3 does
+    path = Path(path)
+    if not path.is_file() and path.suffix != ".zip":
+        path = Path(f"{os.fspath(path)}.zip")  # as SB3 does
     content = content_in(path)
-    model = algorithm.load(path, env=env, **kwargs)
+    try:
+        model = algorithm.load(path, env=env, **kwargs)
+    except ValueError as error:
+        if "spaces do not match" not in str(error):
+            raise
+        raise ValueError(
+            f"{path} does not fit the environment: {error}. It needs OptionsWrapper(env, max_options=...) with as many "
+            "slots as in training, and the same environment beneath."
+        ) from error
     model.__dict__.pop(CARRIED, None)
     load_options(content, _env_of(model))
     keep_options(model)

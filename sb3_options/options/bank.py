@@ -51,7 +51,7 @@ class OptionBank:
         if not whole(n_primitive, 1):
             raise ValueError(f"n_primitive must be at least 1, got {n_primitive!r}.")
         if not whole(max_options, 0):
-            raise ValueError(f"max_options must be at least 0, got {max_options!r}.")
+            raise ValueError(f"max_options must be a whole number of at least 0, got {max_options!r}.")
         if max_options > MAX_SLOTS:
             raise ValueError(f"max_options must be at most {MAX_SLOTS:,}, got {max_options:,}.")
         self.n_primitive = n_primitive

@@ -12,6 +12,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import VecEnv
 
+from sb3_options.extras import how_to_install
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.runs.config import COMMON, DQNConfig, TrainConfig
 
@@ -98,4 +99,4 @@ def _class_of(name: str) -> Any:
     try:
         return getattr(importlib.import_module(module), class_name)
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(f"{class_name} needs sb3-contrib: pip install 'sb3-options[contrib]'") from error
+        raise ModuleNotFoundError(f"{class_name} needs sb3-contrib: {how_to_install('contrib')}") from error

@@ -97,6 +97,24 @@ def next_commands(console: Console, config: TrainConfig, folder: Path) -> None:
         console.print("Best model:   add --best; it is the one whose evaluation gave the highest return")
 
 
+def after_interrupt(console: Console, config: TrainConfig, folder: Path, steps: int) -> None:
+    """Print how to go on, where there is a checkpoint.
+
+    Args:
+        console: Where to.
+        config: Of the run.
+        folder: The run folder.
+        steps: Primitive steps that were trained.
+    """
+    there = next(iter(CheckpointFolder(folder / runs.CHECKPOINTS)), None)
+    if there is None:
+        return
+    since = int(there.stem)
+    if since < steps:
+        console.print(f"The last checkpoint is of {since:,} primitive steps: what came after it is trained again.")
+    console.print(f"Resume:       {escape(_resume(config, folder))}")
+
+
 def how_to_resume(config: TrainConfig, folder: Path) -> str:
     """The command that goes on from a run's last checkpoint; empty where there is none.
 
@@ -106,8 +124,11 @@ def how_to_resume(config: TrainConfig, folder: Path) -> str:
     """
     if not any(CheckpointFolder(folder / runs.CHECKPOINTS)):
         return ""
-    command = f"{_command()} resume {shlex.quote(_shortest(str(folder)))}{_importing(config)}"
-    return f"Go on from its last checkpoint: {command}"
+    return f"Go on from its last checkpoint: {_resume(config, folder)}"
+
+
+def _resume(config: TrainConfig, folder: Path) -> str:
+    return f"{_command()} resume {shlex.quote(_shortest(str(folder)))}{_importing(config)}"
 
 
 def _importing(config: TrainConfig) -> str:

@@ -27,6 +27,15 @@ N_POINTS = 200
 END = 0.1
 """Share of training whose mean is what an agent has learned at the end."""
 
+AUTO = "auto"
+"""Of ``--reach``: success, or a length where success comes at once."""
+
+USUAL = "success=0.9"
+"""What `AUTO` takes first, and what a search waits for."""
+
+LONGER = 1.25
+"""A length that is waited for, as a multiple of the shortest that a group has at the end."""
+
 COLOURS = ("#d62728", "0.45", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b")
 CAPTION = (
     "Interquartile means with 95 % stratified bootstrap intervals. A run that never gets there counts with the whole "
@@ -40,16 +49,17 @@ class CompareConfig:
     """Compare runs, or groups of runs, by what they logged to TensorBoard: a table and a picture.
 
     Attributes:
-        runs: Run folders. Those that differ in their seed alone make a group; NAME=PATTERN makes a group by hand.
+        runs: Run folders, or folders that hold some. Those that differ in their seed alone make a group; NAME=PATTERN
+            makes a group by hand.
         out: The picture.
         reach: What is waited for: "success", "return" or "length" and a value. It counts from the first of two
-            entries in a row that have it.
+            entries in a row that have it. "auto": success=0.9; where most runs have that from the start, a length.
         source: Evaluations or training episodes; by default evaluations if every run has them.
     """
 
     runs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")]
     out: Path = Path("compare.png")
-    reach: str = "success=0.9"
+    reach: str = AUTO
     source: Literal["auto", "eval", "rollout"] = "auto"
 
 
@@ -66,11 +76,14 @@ def show_comparison(config: CompareConfig, *, console: Console) -> None:
     """
     if not config.runs:
         raise ValueError("Name the run folders that are to be compared.")
-    goal = Goal.parsed(config.reach)
+    asked = None if config.reach == AUTO else Goal.parsed(config.reach)
     format = format_of(config.out)
-    groups = groups_of(config.runs)
+    groups = groups_of(config.runs, lambda text: console.print(escape(text)))
     source = source_of([run for members in groups.values() for run in members], config.source)
+    goal, said = goal_of(asked, groups, source)
     console.print(table_of(compared(groups, goal, source), goal))
+    if said:
+        console.print(escape(said))
     with atomic_write(config.out) as temporary:
         figure_of(groups, source).savefig(temporary, dpi=DPI, format=format)
     console.print(f"Picture: {escape(str(config.out))}")
@@ -109,6 +122,48 @@ class Goal(NamedTuple):
         sign = "≤" if self.measure == "length" else "≥"
         what = "episode length" if self.measure == "length" else UNITS[self.measure]
         return f"{what} {sign} {self.value:g}"
+
+
+def goal_of(asked: Goal | None, groups: Mapping[str, Sequence[Run]], source: str) -> tuple[Goal, str]:
+    """What is waited for, and what is to be said of it.
+
+    Args:
+        asked: By the user; None for success, or for a length where most runs have success from their first entry on.
+        groups: Runs by the name of their group.
+        source: ``eval`` or ``rollout``.
+    """
+    everything = [run for runs in groups.values() for run in runs]
+    goal = asked or Goal.parsed(USUAL)
+    if not at_once(goal, everything, source):
+        return goal, ""
+    length = short_enough(groups, source)
+    said = f"Most runs have {goal} at their first entry already, so it does not tell them apart"
+    if asked is None and length is not None:
+        goal = length
+        if not at_once(goal, everything, source):
+            what = f"a quarter more than the shortest at the end. Say --reach {USUAL} to wait for success all the same."
+            return goal, f"Most runs succeed from their first entry on, so {goal} is waited for: {what}"
+        said = f"Most runs have {goal} and success at their first entry already, so it does not tell them apart"
+    other = "" if length in (None, goal) else f", {length.measure}={length.value:g} say"
+    return goal, f"{said}: choose another --reach{other}."
+
+
+def at_once(goal: Goal, runs: Sequence[Run], source: str) -> bool:
+    """Whether more than half of the runs have it at their first entry, so that it tells nothing apart."""
+    curves = [run.curves[source].get(goal.measure) for run in runs]
+    return 2 * sum(curve is not None and goal.reached(curve) == 0 for curve in curves) > len(curves)
+
+
+def short_enough(groups: Mapping[str, Sequence[Run]], source: str) -> Goal | None:
+    """A quarter more than the least mean length that a group has over the last tenth; None if none was logged."""
+    everything = [run for runs in groups.values() for run in runs]
+    if not all("length" in run.curves[source] for run in everything):
+        return None
+    limit = budget(everything, source)
+    ends = [
+        np.mean([at_the_end(cut(run.curves[source]["length"], limit), limit) for run in g]) for g in groups.values()
+    ]
+    return Goal("length", float(f"{LONGER * min(ends):.2g}"))
 
 
 class Compared(NamedTuple):

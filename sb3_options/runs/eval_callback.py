@@ -57,6 +57,7 @@ class WatchedEvalCallback(EvalCallback):
         try:
             goes_on = super()._on_step()
         except _InterruptedError:
+            self.interrupts.ended = True
             return False
         if content := self.log_path.getvalue():
             self._write(content)
@@ -70,7 +71,7 @@ class WatchedEvalCallback(EvalCallback):
     def _log_success_callback(self, locals_: dict[str, Any], globals_: dict[str, Any]) -> None:
         # SB3 calls it after every decision of an evaluation.
         super()._log_success_callback(locals_, globals_)
-        if self.interrupts.noted:
+        if self.interrupts.due():
             raise _InterruptedError
         if self._decisions % SHOWN_EVERY == 0:
             episode = min(sum(locals_["episode_counts"]) + 1, self.n_eval_episodes)

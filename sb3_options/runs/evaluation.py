@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from contextlib import closing
-from dataclasses import dataclass, replace
+from contextlib import closing, suppress
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Annotated, Any, NamedTuple
@@ -13,6 +13,8 @@ from typing import Annotated, Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 import tyro
+from rich.console import Console
+from rich.markup import escape
 from rich.progress import track
 from rich.table import Table
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -25,9 +27,12 @@ from sb3_options.experience.success import reported_success
 from sb3_options.learning.value_snapshot import interrupt_options
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
+from sb3_options.runs import yaml_file
 from sb3_options.runs.algorithms import make_model
-from sb3_options.runs.config import DQNConfig, TrainConfig
+from sb3_options.runs.closing import how_to_resume
+from sb3_options.runs.config import DQNConfig, TrainConfig, made
 from sb3_options.runs.intervals import Interval, mean_interval, share_interval
+from sb3_options.runs.users_code import importing
 from sb3_options.runs.video import RecordFrames, Video, render_mode_of, video_file
 
 EVAL_SEED = 10_000
@@ -100,6 +105,29 @@ def save(result: Evaluation, seed: int, path: Path) -> None:
     with atomic_write(path) as temporary:
         content = json.dumps({"episodes": result.episodes, "seed": seed, **found}, indent=2)
         temporary.write_text(content + "\n", encoding="utf-8")
+
+
+def show_evaluation(config: EvaluateConfig, console: Console) -> Evaluation:
+    """Evaluate a run, print the result, and write it to ``evaluation.json`` in the run folder.
+
+    Args:
+        config: Which run, and how.
+        console: Where to print.
+
+    Returns:
+        The evaluation.
+
+    Raises:
+        ValueError: Something does not fit.
+        OSError: A file is missing or cannot be written.
+    """
+    how = {name: value for name, value in asdict(config).items() if name != "run"}
+    result = evaluate_run(config.run, **how)
+    console.print(table(result, escape(str(config.run))))
+    save(result, config.seed, config.run / "evaluation.json")
+    if config.video is not None:
+        console.print(f"Video: {escape(str(config.video))}")
+    return result
 
 
 def greedy_episodes(
@@ -189,20 +217,65 @@ def evaluate_run(
     model = runs.BEST if best else runs.MODEL
     if best and (run / runs.CONFIG).is_file() and not (run / model).is_file():
         raise FileNotFoundError(f"{run} has no {model}: train with --eval-freq, which keeps it.")
-    for name in (runs.CONFIG, model, runs.OPTIONS):
-        if not (run / name).is_file():
-            raise FileNotFoundError(f"{run} is no run folder: it lacks {name}.")
+    _check_complete(run, model)
     if video is not None and video.suffix.lower() not in (".mp4", ".gif"):
         raise ValueError(f"--video must end in .mp4 or .gif, got {video}.")
     # What the run started with is in its own options file, too.
     trusted = {"env": env, "env_wrapper": env_wrapper, "feature_map": feature_map}
     config = replace(configs.load(run / runs.CONFIG, trusted), options=None)
     runs.check_env_id(config.env)
+    _check_spaces(run, config)
     if video is not None:
         mode, fps = render_mode_of(config.env, config.env_kwargs)
         with video_file(video, fps) as film:
             _play(run / model, config, min(episodes, VIDEO_EPISODES), seed, film, mode)
     return _play(run / model, config, episodes, seed)
+
+
+def _check_complete(run: Path, model: str) -> None:
+    """Refuse a folder that lacks a file.
+
+    Raises:
+        FileNotFoundError: It does; a note says how to go on with a run that was cut off.
+    """
+    lacking = [name for name in (runs.CONFIG, model, runs.OPTIONS) if not (run / name).is_file()]
+    if not lacking:
+        return
+    if lacking[0] == runs.CONFIG:
+        raise FileNotFoundError(f"{run} is no run folder: it lacks {runs.CONFIG}.")
+    error = FileNotFoundError(f"{run} has no {lacking[0]}: its training was cut off, or has not ended yet.")
+    with suppress(ValueError):  # what is in its configuration is refused elsewhere
+        how = how_to_resume(made(yaml_file.read_mapping(run / runs.CONFIG), run / runs.CONFIG), run)
+        error.add_note(how or "There is no checkpoint to go on from: train anew.")
+    raise error
+
+
+def _check_spaces(run: Path, config: TrainConfig) -> None:
+    """Refuse an environment whose spaces are not those of the run's own, where that can be made.
+
+    Raises:
+        ValueError: They are others.
+    """
+    own = yaml_file.read_mapping(run / runs.CONFIG).get("env", config.env)
+    if own == config.env or importing({"env": own}):
+        return
+    here = _spaces(config)
+    try:
+        there = _spaces(replace(config, env=str(own)))
+    except Exception:  # whatever it takes is not here; the weights will tell
+        return
+    if here != there:
+        (observed, n_actions), (others, n_others) = ((" ".join(str(space).split()), n) for space, n in (there, here))
+        raise ValueError(
+            f"{run} was trained in {own}, with observations {observed} and {n_actions} actions; {config.env} has "
+            f"observations {others} and {n_others} actions. Choose an environment with the same."
+        )
+
+
+def _spaces(config: TrainConfig) -> tuple[gym.Space[Any], int]:
+    """Observations, and how many primitive actions there are."""
+    with closing(runs.make_env(config, 1, config.seed)) as venv:
+        return venv.observation_space, venv.get_attr("bank")[0].n_primitive
 
 
 def _play(
@@ -225,7 +298,9 @@ def _play(
         try:
             model.set_parameters(str(saved), device=model.device)
         except (RuntimeError, ValueError, UnpicklingError) as error:
-            raise ValueError(f"{saved} is damaged, or does not fit {saved.with_name(runs.CONFIG)}: {error}") from error
+            # torch has a heading, and a line for every array.
+            first = next((line.strip() for line in str(error).splitlines() if line.startswith("\t")), error)
+            raise ValueError(f"{saved} is damaged, or does not fit {saved.with_name(runs.CONFIG)}: {first}") from error
         # A model of 0.1 holds no options.
         venv.get_attr("bank")[0].load(saved.with_name(runs.OPTIONS) if saved.name == runs.MODEL else saved)
         if isinstance(config, DQNConfig) and config.interruption:

@@ -9,13 +9,16 @@ import re
 import sys
 from collections.abc import Sequence
 from functools import partial
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 import tyro
 
 from sb3_options.runs import config as configs
-from sb3_options.runs.config import GROUPS, TrainConfig
+from sb3_options.runs.config import CLASSES, GROUPS, TrainConfig
+from sb3_options.runs.keywords import NUMBERS, check_keywords
+from sb3_options.runs.other_algorithm import carried_over
 from sb3_options.runs.users_code import IMPORTING
 
 FIRST = (
@@ -55,8 +58,17 @@ METHOD = "discovery.method"
 SHORT = re.compile(r"--method(=|$)")
 """How `METHOD` may be spelt for short."""
 
-INTRODUCTION = """Train an agent that discovers its own options, or evaluate one.
-  ALGORITHM         maskableppo (default), ppo, a2c, trpo, recurrentppo, dqn,
+SWITCHES = frozenset({"help", "version"}).union(
+    *({f.name for f in dataclasses.fields(of) if isinstance(f.default, bool)} for of in CLASSES.values()),
+    *({f"{g}.{f.name}" for f in dataclasses.fields(of) if isinstance(f.default, bool)} for g, of in GROUPS.items()),
+)
+"""Flags that take no value."""
+
+ELSEWHERE = {"lr": "learning-rate", "timesteps": "n-timesteps", "total-timesteps": "n-timesteps"}
+"""What others call a flag, and what it is called here."""
+
+INTRODUCTION = """Train an agent that discovers its own options, or evaluate one. Or --version.
+  [train] ALGORITHM maskableppo (default), ppo, a2c, trpo, recurrentppo, dqn,
                     qrdqn, optiondqn. Its settings: `{prog} ppo --help`
   evaluate RUN      plays a run again; `resume RUN` goes on with one
   compare RUN ...   sets runs side by side; `options RUN` shows its options
@@ -69,36 +81,81 @@ def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
     """The configuration that a command line describes. Exits with a message where it makes no sense.
 
     Args:
-        args: Without the program's name: the algorithm or nothing, then flags.
+        args: Without the program's name: flags, and the algorithm or nothing.
         prog: For the help text.
 
     Returns:
         The configuration: flags over the file of ``--config`` over the defaults of environment and algorithm.
+
+    Raises:
+        ValueError: The environment has no such keyword argument.
     """
     early = argparse.ArgumentParser(prog=prog, add_help=False, allow_abbrev=False)
     for name in ("--algo", "--env", "--env-wrapper", "--feature-map", "--config"):
         early.add_argument(name)
     early.add_argument("-h", "--help", nargs="?", const=True, choices=(*GROUPS, "all"))
-    first = [word for word in args[:1] if not word.startswith("-")]
-    given, flags = early.parse_known_args(args[len(first) :])
+    early.add_argument("--version", action="version", version=f"sb3-options {_version()}")
+    named, words = _algorithms_apart(args)
+    given, flags = early.parse_known_args(words)
     flags = [f"--{METHOD}{word.removeprefix('--method')}" if SHORT.match(word) else word for word in flags]
     try:
+        if len(set(named)) > 1:
+            raise ValueError(f"One algorithm is trained at a time: {' or '.join(named)}?")
         trusted = {name: value for name in IMPORTING if (value := getattr(given, name)) is not None}
         values = {} if given.config is None else configs.read(Path(given.config), trusted)
         values |= trusted
         # A file that names no algorithm was written for DQN.
         unnamed = configs.default_algo(given.env or TrainConfig.env) if given.config is None else "dqn"
-        algo = given.algo or (first or [str(values.get("algo", unnamed))])[0]
+        algo = (given.algo or (named or [str(values.get("algo", unnamed))])[0]).lower()
+        names = [_name_of(flag) for flag in flags if flag.startswith("--")]
+        values = carried_over(values, algo, names, given.config or prog)
         default = configs.made({**values, "algo": algo}, given.config or prog)
-        for flag in flags:
-            name = flag.removeprefix("--").removeprefix("no-").partition("=")[0].replace("-", "_")
-            if flag.startswith("--") and name in configs.HAD_BY_ALL and name not in configs.names_of(algo):
+        for name in names:
+            if (spelt := name.replace("_", "-")) in ELSEWHERE:
+                raise ValueError(f"There is no flag --{spelt}. Did you mean --{ELSEWHERE[spelt]}?")
+            if name in configs.HAD_BY_ALL and name not in configs.names_of(algo):
                 raise ValueError(configs.no_effect(name, algo))
     except (ValueError, OSError) as error:
         sys.exit(f"{prog}: {error}")
     if given.help is not None:
         _show_help(default, given.help, f"{prog} [ALGORITHM]")
-    return tyro.cli(type(default), prog=f"{prog} {algo}", default=default, args=flags)
+    config = tyro.cli(type(default), prog=f"{prog} {algo}", default=default, args=flags, registry=NUMBERS)
+    check_keywords(config.env, config.env_kwargs)
+    for number, task in enumerate(config.series, 1):
+        try:
+            check_keywords(config.env, task, "--series")
+        except ValueError as error:
+            error.add_note(f"This is task {number} of the series.")
+            raise
+    return config
+
+
+def _version() -> str:
+    """Of the library, as it was installed."""
+    try:
+        return version("sb3-options")
+    except PackageNotFoundError:
+        return "that is not installed"
+
+
+def _name_of(flag: str) -> str:
+    """The setting that a flag is of, or switches off."""
+    return flag.removeprefix("--").removeprefix("no-").partition("=")[0].replace("-", "_").replace(".no_", ".")
+
+
+def _algorithms_apart(args: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Set the algorithm apart, wherever it stands: the words that name one, and the others.
+
+    A word behind a flag that takes a value is that value. No flag that takes several values takes an algorithm.
+    """
+
+    def is_value(i: int) -> bool:
+        flag = args[i - 1] if i else ""
+        return flag.startswith("--") and "=" not in flag and _name_of(flag) not in SWITCHES
+
+    at = {i for i, word in enumerate(args) if word.lower() in CLASSES and not is_value(i)}
+    at |= {i for i, word in enumerate(args[:1]) if not word.startswith("-")}
+    return [args[i].lower() for i in sorted(at)], [word for i, word in enumerate(args) if i not in at]
 
 
 def _show_help(default: TrainConfig, section: str | bool, prog: str) -> None:

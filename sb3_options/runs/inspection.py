@@ -94,8 +94,9 @@ def contents_of(path: Path) -> Contents:
         FileNotFoundError: There is no such file.
         ValueError: It is damaged, or something else.
     """
-    content = content_in(path / NAME if path.is_dir() else path)
-    about, _ = option_file.read(content)
+    file = path / NAME if path.is_dir() else path
+    content = content_in(file)
+    about, _ = option_file.read(file)
     try:
         n_primitive, max_options = int(about["n_primitive"]), int(about["max_options"])
         by_hand = {int(slot): str(e["name"]) for slot, e in about["slots"].items() if e.get("hand_made")}

@@ -1,4 +1,4 @@
-"""Training that an interrupt ends between two steps, with everything saved.
+"""Training that an interrupt ends between two steps, with everything saved, where it can go on from if that is near.
 
 Python raises `KeyboardInterrupt` wherever the program happens to be, and there are places that lose it: SB3's
 ``DummyVecEnv.step`` deep-copies an ``OrderedDict``, in which CPython's ``copyreg`` takes any exception for a missing
@@ -8,9 +8,11 @@ attribute. A handler that only sets a flag cannot be lost, and leaves no step ha
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from types import FrameType
 from typing import Any
@@ -20,22 +22,41 @@ from stable_baselines3.common.callbacks import BaseCallback
 TERMINAL = [signal.SIGINT] + ([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])
 """What a terminal sends to all its processes: for Ctrl-C, and when it is closed."""
 
+PATIENCE = 5.0
+"""Seconds for which training goes on to where a checkpoint can be written; Docker kills 10 s after SIGTERM."""
+
 
 class Interrupts:
     """Takes SIGINT, SIGTERM and SIGHUP while its ``with`` block runs, and gives the handlers back afterwards.
 
-    The first signal sets `noted`, for `StopWhenNoted` to end training after the step that is under way, in the middle
-    of an evaluation too. A second one raises `KeyboardInterrupt`, for a user who does not want to wait. Once `saving`
-    is set, a signal changes nothing. Each time the user is told.
+    The first signal sets `noted`, for training to end where a checkpoint of it can be written, or for `StopWhenNoted`
+    to end it `patience` seconds later after the step that is under way, in the middle of an evaluation too. A second
+    one raises `KeyboardInterrupt`, for a user who does not want to wait. Once `saving` is set, a signal changes
+    nothing. Each time the user is told.
 
     SIGINT is taken even where it was ignored, as it is in the background processes of a shell script; SIGHUP is left to
     ``nohup``. Outside the main thread, where Python allows no handlers, nothing happens.
+
+    `ended` is for whoever ends training: training may also come to its end while an interrupt waits.
     """
 
     def __init__(self) -> None:
         self.noted = False
         self.saving = False
+        self.ended = False
+        self.patience = 0.0
+        self._number: int = signal.SIGINT
+        self._at = -math.inf
         self._before: dict[signal.Signals, Any] = {}
+
+    @property
+    def status(self) -> int:
+        """Exit status of what was interrupted, as shells have it: 130 for SIGINT, 143 for SIGTERM."""
+        return 128 + self._number
+
+    def due(self, ahead: float = 0.0) -> bool:
+        """Whether training is to end now, wherever it is; or whether that is so in ``ahead`` seconds."""
+        return self.noted and time.monotonic() + ahead >= self._at + self.patience
 
     def __enter__(self) -> Interrupts:
         if threading.current_thread() is threading.main_thread():
@@ -56,12 +77,15 @@ class Interrupts:
         elif self.noted:
             raise KeyboardInterrupt
         else:
-            self.noted = True
-            _say("Interrupted: training ends after this step and is saved. Once more to end it at once.")
+            self.noted, self._number, self._at = True, number, time.monotonic()
+            where = f"where it can go on from, or after {self.patience:.0f} s," if self.patience else "after this step"
+            _say(f"Interrupted: training ends {where} and is saved. Once more to end it at once.")
 
 
 class StopWhenNoted(BaseCallback):
-    """Ends training after the step in which an interrupt came.
+    """Ends training after a step, once an interrupt is due.
+
+    A rollout whose update would take longer than there is time for is not waited for.
 
     Args:
         interrupts: Notes it.
@@ -72,9 +96,20 @@ class StopWhenNoted(BaseCallback):
     def __init__(self, interrupts: Interrupts) -> None:
         super().__init__()
         self.interrupts = interrupts
+        self._rollout_ended: float | None = None
+        self._update = 0.0  # seconds
+
+    def _on_rollout_start(self) -> None:
+        if self._rollout_ended is not None:
+            self._update = time.monotonic() - self._rollout_ended
+
+    def _on_rollout_end(self) -> None:
+        self._rollout_ended = time.monotonic()
 
     def _on_step(self) -> bool:
-        return not self.interrupts.noted
+        if self.interrupts.due(self._update):
+            self.interrupts.ended = True
+        return not self.interrupts.ended
 
 
 @contextlib.contextmanager

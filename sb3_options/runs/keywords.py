@@ -1,13 +1,22 @@
-"""Keyword arguments on the command line: of an environment, or of each task of a series."""
+"""Values on the command line: keyword arguments of an environment or of each task of a series, and whole numbers."""
 
 from __future__ import annotations
 
+import difflib
+import inspect
 import json
+from collections.abc import Mapping
 from typing import Any
 
+import gymnasium as gym
 import tyro
+from gymnasium.envs.registration import load_env_creator
 
+from sb3_options.envs.minigrid import is_minigrid
 from sb3_options.runs import yaml_file
+
+OF_MAKE = frozenset(inspect.signature(gym.make).parameters)
+"""Keyword arguments that ``gymnasium.make`` takes for itself."""
 
 
 def keywords_of(pairs: Any, given_for: str = "--env-kwargs") -> Any:
@@ -75,3 +84,69 @@ SERIES = tyro.constructors.PrimitiveConstructorSpec[tuple[dict[str, Any], ...]](
     str_from_instance=lambda tasks: [json.dumps(task) for task in tasks],
 )
 """How the command line spells a series."""
+
+
+def check_keywords(env_id: str, keywords: Mapping[str, Any], given_for: str = "--env-kwargs") -> None:
+    """Refuse keyword arguments that the environment's constructor does not have, and name those that it has.
+
+    Passed over is an environment that takes any, or that cannot be found, which is refused elsewhere.
+
+    Args:
+        env_id: Gymnasium's.
+        keywords: For it.
+        given_for: The flag.
+
+    Raises:
+        ValueError: It has no such argument.
+    """
+    if not set(keywords) - OF_MAKE or is_minigrid(env_id):
+        return
+    try:
+        maker = gym.spec(env_id).entry_point
+        takes = inspect.signature(load_env_creator(maker) if isinstance(maker, str) else maker or gym.make).parameters
+    except (gym.error.Error, ImportError, AttributeError, TypeError, ValueError):
+        return
+    if any(each.kind is each.VAR_KEYWORD for each in takes.values()):
+        return
+    for name in keywords:
+        if name not in takes and name not in OF_MAKE:
+            hint = "".join(f" Did you mean {near!r}?" for near in difflib.get_close_matches(name, takes, n=1))
+            raise ValueError(f"{given_for}: {env_id} takes no {name!r}.{hint} It takes {', '.join(takes) or 'none'}.")
+
+
+def whole_number(text: str) -> int:
+    """A whole number, also written as 1e4.
+
+    Raises:
+        ValueError: It is none.
+    """
+    try:
+        return int(text)
+    except ValueError:
+        pass
+    try:
+        number = float(text)
+        if number == int(number):
+            return int(number)
+    except (ValueError, OverflowError):
+        pass
+    raise ValueError(f"a whole number is expected, such as 5000 or 5e3, not {text!r}")
+
+
+NUMBERS = tyro.constructors.ConstructorRegistry()
+"""How the command line reads numbers."""
+
+
+@NUMBERS.primitive_rule
+def _whole_numbers(
+    info: tyro.constructors.PrimitiveTypeInfo,
+) -> tyro.constructors.PrimitiveConstructorSpec[int] | None:
+    if info.type is not int:
+        return None
+    return tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="INT",
+        instance_from_str=lambda words: whole_number(words[0]),
+        is_instance=lambda value: isinstance(value, int) and not isinstance(value, bool),
+        str_from_instance=lambda value: [str(value)],
+    )

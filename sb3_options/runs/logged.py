@@ -5,7 +5,7 @@ from __future__ import annotations
 import glob
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -90,24 +90,26 @@ def read_run(folder: Path) -> Run:
     return Run(folder, yaml_file.read_mapping(config) if config.is_file() else {}, curves)
 
 
-def groups_of(words: Sequence[str]) -> dict[str, list[Run]]:
+def groups_of(words: Sequence[str], said: Callable[[str], object] = lambda _: None) -> dict[str, list[Run]]:
     """Runs by the name of their group, those with a name of their own last.
 
     Args:
         words: As `named_groups` takes them.
+        said: Likewise.
 
     Raises:
         As `named_groups` and `read_run`.
     """
-    named = {name: [read_run(folder) for folder in folders] for name, folders in named_groups(words).items()}
+    named = {name: [read_run(folder) for folder in folders] for name, folders in named_groups(words, said).items()}
     return (grouped(named.pop("")) if "" in named else {}) | named
 
 
-def named_groups(words: Sequence[str]) -> dict[str, list[Path]]:
-    """Folders by the name of their group.
+def named_groups(words: Sequence[str], said: Callable[[str], object] = lambda _: None) -> dict[str, list[Path]]:
+    """Folders by the name of their group; one that holds run folders stands for these.
 
     Args:
         words: ``NAME=PATTERN``, or a pattern without a name, whose group is still to be found.
+        said: Takes a line for every folder that holds run folders.
 
     Returns:
         Folders by name; those without one under "".
@@ -125,8 +127,27 @@ def named_groups(words: Sequence[str]) -> dict[str, list[Path]]:
             folders = [folder for folder in folders if folder.is_dir()]
             if not folders:
                 raise FileNotFoundError(f"There is no run folder {each}.")
-            groups.setdefault(name, []).extend(folders)
+            for folder in folders:
+                runs = runs_in(folder)
+                if runs != [folder]:
+                    said(f"{folder} holds {len(runs)} runs.")
+                groups.setdefault(name, []).extend(runs)
     return groups
+
+
+def runs_in(folder: Path) -> list[Path]:
+    """The run folders in a folder; the folder itself if it is one, or holds no more than one log.
+
+    A run folder has a ``config.yml``; a log that is in none is a run of its own.
+    """
+    if (folder / CONFIG).is_file():
+        return [folder]
+    runs = set()
+    for log in {file.parent for file in folder.glob(EVENTS)}:
+        above = [log, *log.parents]
+        within = above[: above.index(folder)]
+        runs.add(next((each for each in within if (each / CONFIG).is_file()), log))
+    return sorted(runs) if len(runs) > 1 else [folder]
 
 
 def grouped(runs: Sequence[Run]) -> dict[str, list[Run]]:

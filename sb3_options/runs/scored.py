@@ -15,7 +15,7 @@ from typing import Any, Literal
 from sb3_options.atomic import atomic_write
 from sb3_options.execution.ray_cluster import connect
 from sb3_options.runs import config as configs
-from sb3_options.runs.compare import Goal, at_the_end
+from sb3_options.runs.compare import Goal, at_once, at_the_end
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.logged import Run, read_run
 from sb3_options.runs.users_code import flag
@@ -164,12 +164,25 @@ def score(
     try:
         # Where a machine was lost there are two: the newest has the highest number.
         made = max(set(folder.glob("*/*/")) - before, key=lambda path: int(path.name.rpartition("_")[2]))
-        found = score_of(read_run(made), goal, objective, run.n_timesteps)
+        done = read_run(made)
+        found = score_of(done, goal, objective, run.n_timesteps)
     except (ValueError, OSError) as error:
         raise RunFailedError(str(error)) from error
     with atomic_write(folder / SCORE) as temporary:
-        temporary.write_text(json.dumps({"score": found}), encoding="utf-8")
+        content = {"score": found, "at_once": at_once(goal, [done], source_of_score(done))}
+        temporary.write_text(json.dumps(content), encoding="utf-8")
     return found
+
+
+def was_there_at_once(run: TrainConfig) -> bool:
+    """Whether a run that was scored had the goal at its first entry."""
+    file = run.tensorboard_log / SCORE
+    return file.is_file() and bool(json.loads(file.read_text(encoding="utf-8")).get("at_once", False))
+
+
+def source_of_score(run: Run) -> str:
+    """Evaluations, if it made any."""
+    return "eval" if run.curves["eval"] else "rollout"
 
 
 def score_of(run: Run, goal: Goal, objective: Objective, n_timesteps: int) -> float:
@@ -187,7 +200,7 @@ def score_of(run: Run, goal: Goal, objective: Objective, n_timesteps: int) -> fl
     Raises:
         ValueError: The run did not log it.
     """
-    source = "eval" if run.curves["eval"] else "rollout"
+    source = source_of_score(run)
     if goal.measure not in run.curves[source]:
         raise ValueError(f"{run.folder} did not log {goal.measure}: choose --reach {', '.join(run.curves[source])}.")
     curve = run.curves[source][goal.measure]

@@ -30,7 +30,7 @@ from sb3_options.runs.compare import Goal
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.interrupts import raised
 from sb3_options.runs.pictures import DPI
-from sb3_options.runs.scored import ClusterProcesses, Processes, score
+from sb3_options.runs.scored import ClusterProcesses, Processes, score, was_there_at_once
 from sb3_options.runs.search import Search, best_of, opened, short, work
 from sb3_options.runs.search_space import SearchSpace, Value, read_space
 from sb3_options.runs.tune_config import TuneConfig
@@ -43,6 +43,11 @@ SEED_OF_WORKER = 10_000
 
 N_SHOWN = 5
 """Trials in the table."""
+
+AT_ONCE = (
+    "{goal} was there at the first log entry of {folder}. Where it is in most runs, the search chooses by chance: "
+    "interrupt it and choose another --reach, length=40 say, and another --out."
+)
 
 IMPORTANCES = "importances.png"
 PICTURES: dict[str, Callable[..., Any]] = {
@@ -74,7 +79,7 @@ def tune(config: TuneConfig, *, console: Console) -> TrainConfig:
     goal = Goal.parsed(config.reach)
     space = read_space(config.space, {name: getattr(config, name) for name in IMPORTING})
     processes = Processes() if config.cluster is None else ClusterProcesses(config.cluster)
-    search = _search(config, space, goal, processes)
+    search = _search(config, space, goal, processes, console)
     study = opened(search)
     with raised(), ThreadPoolExecutor(config.jobs) as threads:
         jobs = [threads.submit(work, study, search, console) for _ in range(config.jobs)]
@@ -96,13 +101,19 @@ def tune(config: TuneConfig, *, console: Console) -> TrainConfig:
     return best
 
 
-def _search(config: TuneConfig, space: SearchSpace, goal: Goal, processes: Processes) -> Search:
+def _search(config: TuneConfig, space: SearchSpace, goal: Goal, processes: Processes, console: Console) -> Search:
     trusted = {name: getattr(config, name) for name in IMPORTING}
+    warned: list[Path] = []
 
     def scores(place: str, proposed: dict[str, Value]) -> Iterator[float]:
         for seed in range(config.first_seed, config.first_seed + config.seeds):
             run = space.config(proposed, seed, config.out / RUNS / place / str(seed))
-            yield score(run, goal, config.objective, trusted, processes)
+            found = score(run, goal, config.objective, trusted, processes)
+            if config.objective == "steps" and not warned and was_there_at_once(run):
+                warned.append(run.tensorboard_log)
+                text = AT_ONCE.format(goal=goal, folder=run.tensorboard_log)
+                console.print(f"[yellow]Warning:[/] {escape(text)}", soft_wrap=True)
+            yield found
 
     return Search(
         config.out,

@@ -21,7 +21,7 @@ class TuneConfig:
         first_seed: Seeds count up from here. Judge what was chosen on others.
         objective: "steps": fewest primitive steps to what --reach says, mean of logarithms; "end": best of what --reach
             names over the last tenth of training.
-        reach: As of ``compare``: success=0.9, return=1.5 or length=40.
+        reach: As of ``compare``: success=0.9, return=1.5 or length=40; nothing that runs have from their start.
         jobs: Trials at a time.
         cluster: Train on the Ray cluster at HOST:PORT, or "auto": of this machine, or of the variable RAY_ADDRESS.
             All machines share the folder.

@@ -1,13 +1,17 @@
 """A second training: nothing of the first stays behind in the environments that was not asked for again."""
 
+import csv
+import logging
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.callbacks import ConvertCallback, EvalCallback
+from stable_baselines3.common.logger import configure
 
-from sb3_options import MacroQ, OptionReplayBuffer, OptionsWrapper
+from sb3_options import MacroQ, OptionReplayBuffer, OptionsWrapper, load_model
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback, TrialSettings
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.trials import OptionTrials
@@ -138,3 +142,44 @@ def test_a_trial_that_an_exception_ended_withholds_nothing_in_the_next_training(
     model.learn(1, callback=callback(), reset_num_timesteps=False)
     env.reset()
     assert env.withheld_slots() == []
+
+
+def test_a_callback_is_for_one_model(tmp_path: Path) -> None:
+    """A model that was loaded with the options that the callback made goes on with it."""
+    callback = fast_callback()
+    model = model_of(optioned_rooms(2))
+    model.learn(3000, callback=callback)
+    made = callback.bank.filled
+    assert made
+    with pytest.raises(ValueError, match=r"^This SubgoalDiscoveryCallback was with another model, .*for each model\.$"):
+        model_of(optioned_rooms(2)).learn(100, callback=callback)
+    model.save(tmp_path / "model.zip")
+    load_model(DQN, tmp_path / "model", optioned_rooms(2)).learn(100, callback=callback, reset_num_timesteps=False)
+    assert set(made) <= set(callback.bank.filled)
+
+
+def test_episodes_that_cannot_be_used_are_told_of_seldom(caplog: pytest.LogCaptureFixture) -> None:
+    def ambiguous(_: Any) -> bool:
+        raise ValueError("neither good nor bad")
+
+    callback = SubgoalDiscoveryCallback(success=ambiguous)
+    with caplog.at_level(logging.WARNING, "sb3_options"):
+        model_of(optioned_rooms(2)).learn(2000, callback=callback)
+    said = [record.getMessage() for record in caplog.records if "No discovery" in record.getMessage()]
+    assert callback.episodes > 8
+    assert said[:3] == [
+        "No discovery after episode 1: neither good nor bad",
+        "No discovery after episode 2 (so far 2 times): neither good nor bad",
+        "No discovery after episode 4 (so far 4 times): neither good nor bad",
+    ]
+    assert len(said) == callback.episodes.bit_length()
+
+
+def test_the_log_ends_with_all_primitive_steps(tmp_path: Path) -> None:
+    model = model_of(optioned_rooms(2))
+    model.set_logger(configure(str(tmp_path), ["csv"]))
+    model.learn(1234, callback=SubgoalDiscoveryCallback())
+    model.logger.close()
+    with (tmp_path / "progress.csv").open(encoding="utf-8") as file:
+        *_, last = csv.DictReader(file)
+    assert int(last["time/primitive_steps"]) == model.num_timesteps >= 1234

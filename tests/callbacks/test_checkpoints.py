@@ -15,13 +15,14 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv,
 from sb3_options import OptionReplayBuffer
 from sb3_options.callbacks import (
     CheckpointCallback,
+    EndedAtCheckpointError,
     IntrinsicRewardCallback,
     SubgoalDiscoveryCallback,
     load_checkpoint,
 )
 from sb3_options.checkpoints import file as checkpoint_file
 from sb3_options.checkpoints.comparison import differing
-from sb3_options.checkpoints.file import read
+from sb3_options.checkpoints.file import CheckpointFolder, read
 from sb3_options.checkpoints.tree import State
 from sb3_options.discovery.methods import DiscoveryMethod, Experience, Proposal
 from sb3_options.discovery.methods.covering import CoveringOptions
@@ -339,6 +340,38 @@ class TestCheckpointCallback:
         monkeypatch.setattr(checkpoints.folder, "save", full)
         model_of("PPO", venv_of()).learn(64, [discovering(), checkpoints])
         assert caplog.messages == ["No checkpoint could be written, training goes on: No space left on device"]
+
+    @pytest.mark.parametrize("name", ["PPO", "DQN"])
+    def test_ends_training_at_one_where_it_is_asked_to(self, name: str, tmp_path: Path) -> None:
+        model, asked = model_of(name, venv_of()), [0]
+
+        def when() -> bool:
+            asked[0] += 1
+            return asked[0] == 3
+
+        discovery = discovering()
+        with pytest.raises(EndedAtCheckpointError):
+            model.learn(5_000, [discovery, CheckpointCallback(tmp_path, 10**9, end_when=when)])
+        file, state = CheckpointFolder(tmp_path).newest()
+        assert int(file.stem) == state["model"]["counters"]["num_timesteps"] == model.num_timesteps > 0
+        assert discovery._ended
+
+    def test_ends_training_where_the_disk_is_full(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        checkpoints = CheckpointCallback(tmp_path, 10**9, end_when=lambda: True)
+        save = checkpoints.folder.save
+
+        def full(steps: int, *args: Any, **kwargs: Any) -> Path:
+            if steps > 0:
+                raise OSError("No space left on device")
+            return save(steps, *args, **kwargs)
+
+        monkeypatch.setattr(checkpoints.folder, "save", full)
+        with pytest.raises(EndedAtCheckpointError):
+            model_of("PPO", venv_of()).learn(5_000, [discovering(), checkpoints])
+        assert caplog.messages == ["No checkpoint could be written, training ends without: No space left on device"]
+        assert [file.name for file in CheckpointFolder(tmp_path)] == ["000000000000.safetensors"]
 
     def test_refuses_a_frequency_of_nothing(self, tmp_path: Path) -> None:
         with pytest.raises(ValueError, match=r"^freq must be at least 1 primitive step, got 0\.$"):

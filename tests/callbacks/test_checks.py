@@ -151,6 +151,15 @@ class TestArguments:
         with pytest.raises(ValueError, match="max_duration should be greater than or equal to 1, got 0"):
             SubgoalDiscoveryCallback(option_settings={"max_duration": 0})
 
+    def test_the_class_in_place_of_an_object(self) -> None:
+        with pytest.raises(TypeError, match=r"got no settings. Pass an object, callback=NAME\(\), and not the class"):
+            dqn(optioned_rooms(2)).learn(10, callback=SubgoalDiscoveryCallback)
+
+    @pytest.mark.parametrize("success", [100, "is_success"])
+    def test_a_rule_that_is_none(self, success: Any) -> None:
+        with pytest.raises(TypeError, match=f"^success must be a function from a Trajectory .*, got {success!r}"):
+            SubgoalDiscoveryCallback(success=success)
+
     def test_max_new_options(self) -> None:
         with pytest.raises(ValueError, match="max_new_options must be at least 0, got -1"):
             SubgoalDiscoveryCallback(max_new_options=-1)

@@ -30,8 +30,17 @@ def add(discovery: SubgoalDiscovery, n: int = 1, **kwargs: Any) -> None:
             "none of the 20 episodes seen counts as a success. 20 ended in a terminal state, 0 were cut off, with "
             'returns from -101 to -101; the environment reports no info["is_success"], and no terminal state brought '
             "a positive reward above all earlier ones. Say what success is: "
-            "SubgoalDiscoveryCallback(success=lambda trajectory: trajectory.terminated), or "
-            "sb3_options.experience.success.success_by_return(threshold).",
+            "SubgoalDiscoveryCallback(success=lambda trajectory: trajectory.terminated) where every terminal state is "
+            "a good one, or sb3_options.experience.success.success_by_return(threshold).",
+        ),
+        (
+            {},
+            {"terminated": True, "rewards": [0.0, 0.0]},
+            "none of the 20 episodes seen counts as a success. 20 ended in a terminal state, 0 were cut off, with "
+            'returns from 0 to 0; the environment reports no info["is_success"], and no terminal state brought a '
+            "positive reward above all earlier ones. If the goal is a reward, it was not found so far: explore more. "
+            "Else say what success is: SubgoalDiscoveryCallback(success=lambda trajectory: trajectory.terminated) "
+            "where every terminal state is a good one, or sb3_options.experience.success.success_by_return(threshold).",
         ),
         (
             {},
@@ -53,7 +62,7 @@ def add(discovery: SubgoalDiscovery, n: int = 1, **kwargs: Any) -> None:
             "DiscoverySettings for this task.",
         ),
     ],
-    ids=["nothing reported", "reported", "a rule of the user", "segments"],
+    ids=["nothing reported", "no reward", "reported", "a rule of the user", "segments"],
 )
 def test_there_is_one_warning_where_nothing_succeeds(
     kwargs: Any, outcome: Any, text: str, caplog: pytest.LogCaptureFixture
@@ -79,6 +88,17 @@ def test_there_is_none_where_one_succeeds(caplog: pytest.LogCaptureFixture) -> N
     assert discovery.why_nothing() == (
         "No subgoal was discovered: 1 of 61 episodes were successful; a search needs 8 (min_positive) of which the "
         "filters leave something."
+    )
+
+
+def test_filters_that_leave_nothing_are_named() -> None:
+    discovery = SubgoalDiscovery(DiscoverySettings(min_positive=2, start_radius=99.0))
+    add(discovery, 3, is_success=True)
+    assert discovery.search() is None
+    assert discovery.why_nothing().endswith(
+        "3 of 3 episodes were successful; a search needs 2 (min_positive) of which the filters leave something. They "
+        "leave out what is near start and goal (start_radius, goal_radius), near the subgoal of an option (spacing), "
+        "and what few ways lead through (min_passing, min_cut)."
     )
 
 

@@ -39,7 +39,7 @@ def test_a_look_at_large_pictures_is_quick_and_is_charged() -> None:
     assert not recurs(ways, 1.5)
     assert recurs([*ways, ways[2][50:51]], 1.5)
     recurrence = Recurrence(2, 1.5)
-    assert recurrence.look(ways, 6, "episodes") == pytest.approx(600 * 6e-6 + 600 * 3 * 84 * 84 * 1e-8)
+    assert recurrence.look(ways, 6, "episodes") == pytest.approx(600 * 6e-6 + 600 * 3 * 84 * 84 * 1e-9)
     assert Recurrence(2, 1.5).look([*ways, ways[2]], 7, "episodes") == 0.0
 
 

@@ -12,7 +12,7 @@ from sb3_options.execution.ray_cluster import connect, emptiest, require_ray
 
 def test_without_ray_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    text = r'^Ray is not installed: pip install "sb3-options\[cluster\]", on every machine\.$'
+    text = r"^Ray is not installed: pip install 'sb3-options\[cluster\]' \(in a checkout .*\), on every machine\.$"
     with pytest.raises(ModuleNotFoundError, match=text):
         require_ray()
     with pytest.raises(ModuleNotFoundError, match=text):

@@ -7,6 +7,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium import spaces
+from stable_baselines3.common.vec_env import DummyVecEnv
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import OptionsWrapper
@@ -132,7 +133,7 @@ def test_gamma(gamma: float) -> None:
 
 
 def test_max_options() -> None:
-    with pytest.raises(ValueError, match=r"^max_options must be at least 0, got -1\.$"):
+    with pytest.raises(ValueError, match=r"^max_options must be a whole number of at least 0, got -1\.$"):
         OptionsWrapper(CountingEnv(), max_options=-1)
 
 
@@ -169,3 +170,23 @@ def test_an_episode_that_began_with_another_option_tells_nothing_of_the_new_one(
     assert info["option_trial"]["withheld"] == {1: True}
     wrapped.reset()
     assert wrapped.withheld_slots() == [0, 1]
+
+
+@pytest.mark.parametrize("env", ["CartPole-v1", DummyVecEnv([CountingEnv])])
+def test_what_is_no_environment_is_refused(env: Any) -> None:
+    with pytest.raises(TypeError, match=r"^OptionsWrapper needs one environment, .*wrapper_class=OptionsWrapper"):
+        OptionsWrapper(env)
+
+
+class Masking(CountingEnv):
+    """Masks more actions than it has."""
+
+    def action_masks(self) -> Any:
+        return np.ones(5, dtype=bool)
+
+
+def test_a_mask_of_other_actions_is_refused() -> None:
+    env = OptionsWrapper(Masking())
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"must have an entry for each of its 2 actions, got shape \(5,\)\.$"):
+        env.action_masks()

@@ -155,6 +155,7 @@ class TestSummary:
         assert lines[4].endswith(", 1 never | 1.00 |")
         assert lines[5].startswith("| none | – | 0.80")
         assert "2,000" in lines[5]
+        assert parts["overview"].splitlines() == ["| | TwoRooms |", "|---|---|", "| l-cut | 0.50, 6.00* |"]
 
 
 def test_a_run_of_a_control_carries_its_options_over() -> None:
@@ -187,6 +188,9 @@ def test_the_tables_of_the_page() -> None:
     results = json.loads(Path("docs/results/methods.json").read_text())
     page = Path("docs/studies/methods.md").read_text()
     assert all(part in page for part in parts_of(results).values())
+    tuned = parts_of(json.loads(Path("docs/results/methods-tuned.json").read_text()))
+    assert tuned["command"] in page
+    assert tuned["overview"] in page
 
 
 def refuse(*args: object) -> None:

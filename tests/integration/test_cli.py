@@ -96,6 +96,7 @@ class TestTrain:
         assert names - events == {
             "config.yml", "model.zip", "best_model.zip", "options.safetensors", "subgoals.png", "evaluations.npz",
             "README.md", "monitor/0.monitor.csv", "checkpoints/000000000000.safetensors",
+            "checkpoints/finished.yml",
         }  # fmt: skip
 
     def test_with_a_card_whose_program_loads_the_model(self, run: Run) -> None:
@@ -260,7 +261,9 @@ class TestTrain:
             raise KeyboardInterrupt
 
         monkeypatch.setattr(DQN, "train", train)
-        cli.main(["dqn", "--tensorboard-log", str(tmp_path), "--no-progress", "--device", "cpu"])
+        with pytest.raises(SystemExit) as stopped:
+            cli.main(["dqn", "--tensorboard-log", str(tmp_path), "--no-progress", "--device", "cpu"])
+        assert stopped.value.code == 130
         assert "Interrupted after 50" in capsys.readouterr().out
         folder = tmp_path / "dqn" / "sb3_options-TwoRooms-v0_1"
         assert all((folder / name).is_file() for name in ("model.zip", "options.safetensors", "config.yml"))
@@ -409,7 +412,7 @@ class TestErrors:
                 ["--env", "Blackjack-v1"],
                 "Blackjack-v1 has observations that Stable-Baselines3 cannot learn from, Tuple(",
             ),
-            (["--env-kwargs", "mapp:1"], "mapp"),
+            (["--env-kwargs", "mapp:1"], "takes no 'mapp'. Did you mean 'map'?"),
             (["--env-kwargs", "success_probability:2"], "success_probability must be in 0..1, got 2"),
             (["--env-kwargs", "observation:smell"], "observation"),
             (["--env", "no_such_module:Env-v0"], "no_such_module"),
@@ -459,7 +462,10 @@ class TestErrors:
         for name in {"config.yml", "model.zip", "options.safetensors"} - {missing}:
             (tmp_path / name).write_bytes((run.folder / name).read_bytes())
         text = self.stopped(capsys, "evaluate", str(tmp_path))
-        assert f"{tmp_path} is no run folder: it lacks {missing}." in text
+        if missing == "config.yml":
+            assert f"{tmp_path} is no run folder: it lacks config.yml." in text
+        else:
+            assert f"{tmp_path} has no {missing}: its training was cut off, or has not ended yet. There is no" in text
 
     @pytest.mark.parametrize(
         ("name", "spoil", "expected"),

@@ -1,8 +1,10 @@
 """A wheel, installed where there is no checkout: the console script trains, evaluates, compares and shows options."""
 
+import os
 import subprocess
 import sys
 import zipfile
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -83,8 +85,26 @@ def test_a_missing_extra_is_named(tmp_path: Path) -> None:
     code = "import sys; sys.modules['tyro'] = None; from sb3_options.__main__ import main; main()"
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 1
-    assert "pip install 'sb3-options[train,contrib]'" in done.stderr
+    assert "pip install 'sb3-options[train,contrib]' (in a checkout '.[train,contrib]')" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_the_script_of_a_checkout_says_so_too(tmp_path: Path) -> None:
+    script = ROOT / "train.py"
+    code = f"import sys, runpy; sys.modules['tyro'] = None; runpy.run_path({str(script)!r}, run_name='__main__')"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr.startswith("train.py needs the package tyro: pip install 'sb3-options[train,contrib]'")
+    assert "Traceback" not in done.stderr
+
+
+def test_it_says_its_version(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match=r"^0$"):
+        cli.main(["--version"])
+    assert capsys.readouterr().out == f"sb3-options {version('sb3-options')}\n"
 
 
 @pytest.mark.parametrize("command", list(cli.COMMANDS))

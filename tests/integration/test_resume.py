@@ -1,16 +1,25 @@
 """``train.py resume RUN``, in this process; ``experiments.kills`` kills real ones."""
 
+import dataclasses
+import json
+import os
 import shutil
+import signal
+import zipfile
 from pathlib import Path
 
 import pytest
 
 from experiments.kills.comparison import differences, scalars, texts
 from sb3_options import cli
+from sb3_options.callbacks import CheckpointCallback
 from sb3_options.checkpoints.file import CheckpointFolder
+from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
 from sb3_options.runs.in_turn import BEFORE
+from sb3_options.runs.resume import FINISHED, is_finished
 from sb3_options.runs.series import KEPT
+from sb3_options.runs.under_way import held
 
 CONFIG = """
 algo: ppo
@@ -78,6 +87,7 @@ def test_a_resumed_run_is_the_run_that_was_not_cut_off(run: Path, before_the_las
 def test_a_run_that_is_cut_off_again_and_again(run: Path, tmp_path: Path) -> None:
     copy = cut_off(run, tmp_path, before_the_last=True)
     for _ in range(2):  # what a process that was killed leaves: events and episodes after the checkpoint
+        (copy / runs.MODEL).unlink(missing_ok=True)
         (copy / "tensorboard_1" / "events.out.tfevents.9.killed").write_bytes(b"rest")
         for file in (copy / runs.MONITOR).iterdir():
             with file.open("a", encoding="utf-8") as opened:
@@ -90,6 +100,99 @@ def test_shows_how_far_it_is(run: Path, tmp_path: Path, capsys: pytest.CaptureFi
     steps = int(next(iter(CheckpointFolder(run / runs.CHECKPOINTS))).stem)
     cli.main(["resume", str(cut_off(run, tmp_path))])
     assert f"Going on after {steps:,} primitive steps." in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("algo", ["ppo", "dqn"])
+def test_an_interrupted_run_goes_on_where_it_ended(
+    algo: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flags = ["--n-timesteps", "1200", "--checkpoint-freq", "700", "--eval-freq", "150", "--eval-episodes", "1"]
+    flags += ["--env-kwargs", "max_steps:50", "--no-progress", "--device", "cpu"]
+    flags += (
+        ["--n-envs", "1", "--n-steps", "64", "--batch-size", "64"] if algo == "ppo" else ["--learning-starts", "50"]
+    )
+    alone, victim = (tmp_path / name / algo / "sb3_options-TwoRooms-v0_1" for name in ("alone", "victim"))
+    cli.main([algo, *flags, "--tensorboard-log", str(alone.parents[1])])
+
+    class Interrupted(CheckpointCallback):
+        at: int | None = 333
+
+        def _on_step(self) -> bool:
+            if Interrupted.at is not None and self.model.num_timesteps >= Interrupted.at:
+                os.kill(os.getpid(), signal.SIGTERM)
+                Interrupted.at = {333: 555}.get(Interrupted.at)
+            return super()._on_step()
+
+    Interrupted.__name__ = CheckpointCallback.__name__  # which checkpoints hold
+    monkeypatch.setattr(cli, "CheckpointCallback", Interrupted)
+    monkeypatch.setattr(cli, "PATIENCE", 600.0)  # the machine may be busy
+    for args in ([algo, *flags, "--tensorboard-log", str(victim.parents[1])], ["resume", str(victim), "--no-progress"]):
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as stopped:
+            cli.main(args)
+        assert stopped.value.code == 128 + signal.SIGTERM
+        assert "Resume: " in capsys.readouterr().out
+        file, _ = CheckpointFolder(victim / runs.CHECKPOINTS).newest()
+        ended = zipped_steps(victim / runs.MODEL)
+        assert ended == int(file.stem) > 300
+    cli.main(["resume", str(victim), "--no-progress"])
+    assert f"Going on after {ended:,} primitive steps." in capsys.readouterr().out
+    assert {what: those for what, those in differences(alone, victim).items() if those} == {}
+
+
+def zipped_steps(model: Path) -> int:
+    with zipfile.ZipFile(model) as archive:
+        return int(json.loads(archive.read("data"))["num_timesteps"])
+
+
+class TestFinished:
+    def test_is_said_and_left_as_it_was(self, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        copy = tmp_path / run.name
+        shutil.copytree(run, copy)
+        before = {file: file.read_bytes() for file in copy.rglob("*") if file.is_file()}
+        capsys.readouterr()
+        cli.main(["resume", str(copy), "--no-progress"])
+        said = capsys.readouterr().out
+        assert "is finished: it has trained for 2,000 primitive steps." in said
+        assert "To train on, pass --n-timesteps with a larger number." in said
+        assert {file: file.read_bytes() for file in copy.rglob("*") if file.is_file()} == before
+
+    @pytest.mark.parametrize("without", [runs.MODEL, FINISHED])
+    def test_only_with_all_that_training_leaves(self, without: str, run: Path, tmp_path: Path) -> None:
+        copy = tmp_path / run.name
+        shutil.copytree(run, copy)
+        assert is_finished(configs.load(copy / runs.CONFIG), copy)
+        (copy / without).unlink()
+        assert not is_finished(configs.load(copy / runs.CONFIG), copy)
+
+    def test_the_run_beside_it_of_compare_is_finished_too(self, run: Path) -> None:
+        other = run.with_name(run.name[:-1] + "2")
+        assert is_finished(configs.load(other / runs.CONFIG), other)
+
+    def test_goes_on_for_longer(self, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        copy = tmp_path / run.name
+        shutil.copytree(run, copy)
+        steps = int(next(iter(CheckpointFolder(run / runs.CHECKPOINTS))).stem)
+        cli.main(["resume", str(copy), "--no-progress", "--n-timesteps", "2600"])
+        said = capsys.readouterr().out
+        assert f"Going on after {steps:,} primitive steps." in said
+        assert "for 2,600 primitive steps" in said
+        assert zipped_steps(copy / runs.MODEL) >= 2600
+        kept = configs.load(copy / runs.CONFIG)
+        assert dataclasses.replace(kept, n_timesteps=2000) == configs.load(run / runs.CONFIG)
+        assert is_finished(kept, copy)
+
+    def test_from_its_start_it_is_the_longer_run(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        flags = ["ppo", "--n-envs", "1", "--n-steps", "64", "--batch-size", "64", "--env-kwargs", "max_steps:50"]
+        flags += ["--no-progress", "--device", "cpu", "--checkpoint-freq", "500", "--learning-rate", "0.01"]
+        short, long = (tmp_path / str(n) / "ppo" / "sb3_options-TwoRooms-v0_1" for n in (300, 900))
+        for run in (short, long):
+            cli.main([*flags, "--n-timesteps", run.parts[-3], "--tensorboard-log", str(run.parents[1])])
+        capsys.readouterr()
+        cli.main(["resume", str(short), "--no-progress", "--n-timesteps", "900"])
+        assert "Going on after 0 primitive steps. There is no later checkpoint." in capsys.readouterr().out
+        differ = {what: those for what, those in differences(short, long).items() if those}
+        assert differ == {}
 
 
 class TestRefuses:
@@ -108,13 +211,27 @@ class TestRefuses:
         assert "There is no checkpoint in" in self.refusal(capsys, str(copy))
         assert (copy / runs.CONFIG).is_file()
 
+    def test_fewer_steps(self, run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        said = self.refusal(capsys, str(run), "--n-timesteps", "1999")
+        assert f"--n-timesteps must be at least 2,000, as {run} has it, got 1,999." in said
+
+    def test_a_run_that_is_being_trained(self, run: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+        copy = cut_off(run, tmp_path)
+        with held(copy):
+            said = self.refusal(capsys, str(copy), "--no-progress")
+        assert f"{copy} is being trained by another process (process {os.getpid()} on " in said
+        assert not (copy / runs.MODEL).exists()
+
     def test_a_run_whose_checkpoints_are_damaged(
         self, run: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
     ) -> None:
         copy = cut_off(run, tmp_path)
         for file in CheckpointFolder(copy / runs.CHECKPOINTS):
             file.write_bytes(file.read_bytes()[:-9])
-        assert "is no checkpoint, or it is damaged" in self.refusal(capsys, str(copy), "--no-progress")
+        said = self.refusal(capsys, str(copy), "--no-progress")
+        assert "is no checkpoint, or it is damaged" in said
+        assert "No other checkpoint in" in said
+        assert "is whole: train anew, in a new folder, with the same settings." in said
         assert (copy / runs.CONFIG).is_file()
         assert not (copy / runs.MODEL).exists()
 

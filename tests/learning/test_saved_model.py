@@ -195,8 +195,17 @@ def test_a_model_that_has_none_says_so(tmp_path: Path) -> None:
     DQN("MlpPolicy", optioned_rooms(), **DQN_KIND).save(tmp_path / "model.zip")
     with pytest.raises(ValueError, match=r"model\.zip holds no options: its model was saved without a callback"):
         load_model(DQN, tmp_path / "model.zip", optioned_rooms())
-    with pytest.raises(FileNotFoundError, match="There is no options file at"):
-        load_model(DQN, tmp_path / "other", optioned_rooms())
+    for name in ("other", "other.zip"):
+        with pytest.raises(FileNotFoundError, match=r"There is no options file at .*other\.zip\.$"):
+            load_model(DQN, tmp_path / name, optioned_rooms())
+
+
+def test_other_slots_than_in_training_are_told(tmp_path: Path) -> None:
+    trained(DQN).save(tmp_path / "model.zip")
+    for env in (optioned_rooms(7), small_rooms()):
+        with pytest.raises(ValueError, match=r"model\.zip does not fit the environment: Action spaces do not match: .*"
+                           r"OptionsWrapper\(env, max_options=\.\.\.\) with as many slots"):  # fmt: skip
+            load_model(DQN, tmp_path / "model.zip", env)
 
 
 def test_environments_without_slots_are_refused(tmp_path: Path) -> None:

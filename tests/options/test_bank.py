@@ -137,7 +137,7 @@ class TestSlots:
     def test_arguments(self) -> None:
         with pytest.raises(ValueError, match=r"^n_primitive must be at least 1, got 0\.$"):
             OptionBank(0, 3)
-        with pytest.raises(ValueError, match=r"^max_options must be at least 0, got -2\.$"):
+        with pytest.raises(ValueError, match=r"^max_options must be a whole number of at least 0, got -2\.$"):
             OptionBank(3, -2)
 
     def test_available(self) -> None:

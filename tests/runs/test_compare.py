@@ -10,8 +10,17 @@ import yaml
 from rich.console import Console
 from stable_baselines3.common.logger import TensorBoardOutputFormat
 
-from sb3_options.runs.compare import Goal, compared, figure_of, source_of, table_of
-from sb3_options.runs.logged import Curve, Run, grouped, named_groups, read_run
+from sb3_options.runs.compare import (
+    CompareConfig,
+    Goal,
+    compared,
+    figure_of,
+    goal_of,
+    show_comparison,
+    source_of,
+    table_of,
+)
+from sb3_options.runs.logged import Curve, Run, grouped, groups_of, named_groups, read_run
 
 STEPS = [1000, 2000, 3000, 4000]
 
@@ -102,6 +111,23 @@ def test_groups_by_hand(tmp_path: Path) -> None:
         named_groups([f"{tmp_path}/c_*"])
 
 
+def test_a_folder_of_runs_stands_for_them(tmp_path: Path) -> None:
+    runs = [logged(tmp_path / "ppo" / f"a_{n}", [0.0, 1.0], {"algo": "ppo", "seed": n}) for n in range(2)]
+    said: list[str] = []
+    assert named_groups([str(tmp_path)], said.append) == {"": runs}
+    assert named_groups([f"ours={tmp_path / 'ppo'}"], said.append) == {"ours": runs}
+    assert said == [f"{tmp_path} holds 2 runs.", f"{tmp_path / 'ppo'} holds 2 runs."]
+    found = groups_of([str(tmp_path)])
+    assert {name: [run.folder for run in members] for name, members in found.items()} == {"ppo/a": runs}
+    assert named_groups([str(runs[0])], pytest.fail) == {"": runs[:1]}
+
+
+def test_logs_of_others_in_a_folder_are_runs_of_their_own(tmp_path: Path) -> None:
+    one, two = logged(tmp_path / "PPO_1", [0.0]), logged(tmp_path / "PPO_2", [0.0])
+    assert named_groups([str(tmp_path)]) == {"": [one / "tensorboard_1", two / "tensorboard_1"]}
+    assert named_groups([str(one)], pytest.fail) == {"": [one]}, "with one log it is a run itself"
+
+
 @pytest.mark.parametrize("text", ["0.9", "success", "success=often", "speed=1", "success=nan"])
 def test_a_goal_that_says_nothing_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="--reach"):
@@ -167,3 +193,47 @@ def test_a_picture_has_a_row_for_each_measure(tmp_path: Path) -> None:
     assert [len(axes.lines) for axes in figure.axes] == [2, 2, 2, 2]
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["a (2)", "b (2)"]
     figure.savefig(tmp_path / "compare.png")
+
+
+def lasting(name: str, success: list[float], length: list[float]) -> Run:
+    steps = np.array(STEPS, dtype=np.float64)
+    curves = {"success": np.array(success), "length": np.array(length)}
+    return Run(Path(name), {}, {"eval": {}, "rollout": {m: Curve(steps, steps, v) for m, v in curves.items()}})  # type: ignore[misc]  # measures
+
+
+def test_where_success_comes_at_once_a_length_is_waited_for() -> None:
+    at_once = [1.0, 1.0, 1.0, 1.0]
+    groups = {"a": [lasting("a", at_once, [400, 300, 200, 41])], "b": [lasting("b", at_once, [400, 90, 90, 80])]}
+    goal, said = goal_of(None, groups, "rollout")
+    assert goal == Goal("length", 51)
+    assert said == (
+        "Most runs succeed from their first entry on, so episode length ≤ 51 is waited for: a quarter more than the "
+        "shortest at the end. Say --reach success=0.9 to wait for success all the same."
+    )
+    goal, said = goal_of(Goal("success", 0.9), groups, "rollout")
+    assert goal == Goal("success", 0.9)
+    assert said == (
+        "Most runs have success rate ≥ 0.9 at their first entry already, so it does not tell them apart: choose "
+        "another --reach, length=51 say."
+    )
+
+
+def test_where_success_comes_later_it_is_waited_for() -> None:
+    learning = lasting("a", [0.0, 1.0, 1.0, 1.0], [400, 300, 200, 40])
+    groups = {"a": [learning], "b": [lasting("b", [1.0, 1.0, 1.0, 1.0], [40, 40, 40, 40])]}
+    assert goal_of(None, groups, "rollout") == (Goal("success", 0.9), "")
+    assert goal_of(Goal("length", 50), groups, "rollout") == (Goal("length", 50), "")
+
+
+def test_where_nothing_tells_runs_apart_that_is_said(tmp_path: Path) -> None:
+    groups = {"a": [lasting("a", [1.0] * 4, [40.0] * 4)]}
+    goal, said = goal_of(None, groups, "rollout")
+    assert goal == Goal("length", 50)
+    assert said.startswith("Most runs have episode length ≤ 50 and success at their first entry already")
+    assert said.endswith("choose another --reach.")
+    run = logged(tmp_path / "run", [1.0, 1.0])  # no length was logged
+    console = Console(width=200, no_color=True)
+    with console.capture() as captured:
+        show_comparison(CompareConfig((str(run),), tmp_path / "a.png"), console=console)
+    assert "primitive steps to success rate ≥ 0.9" in captured.get()
+    assert "so it does not tell them apart: choose another --reach." in captured.get()

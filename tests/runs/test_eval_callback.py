@@ -3,6 +3,7 @@
 import os
 import shutil
 import signal
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 from stable_baselines3 import DQN
 
 from sb3_options import OptionBank, cli
+from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.runs import folder as runs
 from sb3_options.runs.config import DQNConfig, MaskablePPOConfig, TrainConfig
 from sb3_options.runs.evaluation import evaluate_run
@@ -84,11 +86,29 @@ def test_an_interrupt_ends_an_evaluation_and_training(
     register: Register, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     steps = register(ends_after=10, in_step=lambda step: os.kill(os.getpid(), signal.SIGINT) if step == 75 else None)
-    folder = cli.train(settings(tmp_path, eval_episodes=1_000))
+    folder = cli.train(settings(tmp_path, eval_episodes=1_000, checkpoint_freq=0))
     assert steps == [75]
     assert "Interrupted after 50 primitive steps" in capfd.readouterr().out
     assert DQN.load(folder / "model.zip").num_timesteps == 50
     assert not (folder / "evaluations.npz").exists()
+
+
+@pytest.mark.parametrize(("patience", "ends"), [(60.0, 52), (0.3, 50)])
+def test_a_short_evaluation_is_waited_for_to_write_a_checkpoint(
+    patience: float, ends: int, register: Register, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def slow(step: int) -> None:
+        if step == 75:
+            os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01 * (step > 75))
+
+    monkeypatch.setattr(cli, "PATIENCE", patience)
+    register(ends_after=10, in_step=slow)
+    folder = cli.train(settings(tmp_path, eval_episodes=10))
+    assert DQN.load(folder / "model.zip").num_timesteps == ends
+    there = next(iter(CheckpointFolder(folder / runs.CHECKPOINTS)))
+    assert int(there.stem) == (ends if patience > 1 else 0)
+    assert (folder / "evaluations.npz").exists() == (patience > 1)
 
 
 class TestBestModel:

@@ -1,4 +1,5 @@
 import dataclasses
+import re
 from pathlib import Path
 
 import pytest
@@ -47,7 +48,7 @@ def test_a_saved_configuration_is_read_back(algo: str, tmp_path: Path) -> None:
 def test_keyword_arguments_of_the_environment(text: str, tmp_path: Path) -> None:
     path = tmp_path / "config.yml"
     path.write_text(text)
-    config = parse(["--config", str(path)])
+    config = configs.load(path)
     expected = {"map": "S#\nSG", "max_steps": 7, "goal": [1, 1], "p": 0.5, "note": "a:b"}
     assert config.env_kwargs == expected
     configs.save(config, path)
@@ -115,12 +116,37 @@ def refusal(capsys: pytest.CaptureFixture[str], args: list[str]) -> str:
         (["dqn", "--teach-head"], "--teach-head has no effect on dqn: it was removed in 0.2"),
         (["--algo", "sarsa"], "There is no algorithm 'sarsa': choose from dqn, qrdqn,"),
         (["sarsa"], "There is no algorithm 'sarsa': choose from dqn, qrdqn,"),
+        (["ppo", "--seed", "1", "dqn"], "One algorithm is trained at a time: ppo or dqn?"),
+        (["--seed", "1", "dqn", "--n-epochs", "3"], "--n-epochs has no effect on dqn"),
+        (["--lr", "0.1"], "There is no flag --lr. Did you mean --learning-rate?"),
+        (["ppo", "--total-timesteps=9"], "There is no flag --total-timesteps. Did you mean --n-timesteps?"),
+        (["--n-timesteps", "1.5"], "a whole number is expected, such as 5000 or 5e3, not '1.5'"),
+        (["--n-timesteps", "inf"], "a whole number is expected, such as 5000 or 5e3, not 'inf'"),
         (["--config"], "argument --config: expected one argument"),
         (["--help", "bags"], "invalid choice: 'bags' (choose from 'discovery', 'option', 'all')"),
     ],
 )
 def test_what_makes_no_sense_is_refused(args: list[str], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert expected in refusal(capsys, args)
+
+
+@pytest.mark.parametrize(
+    ("args", "expected"),
+    [
+        (
+            ["--env-kwargs", "gaol:[20, 0]", "max_steps:9"],
+            "--env-kwargs: sb3_options/TwoRooms-v0 takes no 'gaol'. Did you mean 'goal'? It takes map, goal, starts,",
+        ),
+        (
+            ["--env", "CartPole-v1", "--env-kwargs", "colour:red"],
+            "--env-kwargs: CartPole-v1 takes no 'colour'. It takes sutton_barto_reward, render_mode.",
+        ),
+        (["--series", "goal:[2, 0]", "gaol:[3, 0]"], "--series: sb3_options/TwoRooms-v0 takes no 'gaol'."),
+    ],
+)
+def test_keyword_arguments_that_the_environment_does_not_have(args: list[str], expected: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(expected)):
+        parse(args)
 
 
 def test_files_that_are_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -149,10 +175,74 @@ def test_an_algorithm_brings_its_own_defaults(tmp_path: Path) -> None:
     (tmp_path / "config.yml").write_text("algo: ppo\nn_steps: 64\n")
     from_file = parse(["--config", str(tmp_path / "config.yml"), "--gamma", "0.9"])
     assert from_file == dataclasses.replace(ppo, n_steps=64, gamma=0.9)
-    for args in (["a2c"], ["--algo", "a2c"]):
-        a2c = parse(["--config", str(tmp_path / "config.yml"), *args] if len(args) > 1 else [*args, "--seed", "0"])
-        assert isinstance(a2c, A2CConfig)
-        assert a2c.n_steps == (64 if len(args) > 1 else 16)
+
+
+CHANGED = "algo: ppo\nlearning_rate: 0.0003\nn_steps: 64\nn_envs: 4\ngamma: 0.9\nnet_arch: [8]\n"
+
+
+def test_a_file_for_another_algorithm_of_the_family(tmp_path: Path) -> None:
+    path = tmp_path / "config.yml"
+    path.write_text(CHANGED)
+    a2c = parse(["--config", str(path), "--algo", "a2c"])
+    assert a2c == A2CConfig(learning_rate=3e-4, n_steps=64, n_envs=4, gamma=0.9, net_arch=(8,))
+
+
+def test_what_was_chosen_for_another_family_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "config.yml"
+    path.write_text(CHANGED)
+    assert (
+        f"{path}: what was chosen for ppo says nothing of dqn: --learning-rate 0.0003 --n-steps 64. Leave it out of "
+        "the file, or choose for dqn: --learning-rate N --n-steps N."
+    ) in refusal(capsys, ["dqn", "--config", str(path)])
+    dqn = parse(["dqn", "--config", str(path), "--learning-rate", "0.01", "--n-steps=3"])
+    assert dqn == DQNConfig(learning_rate=0.01, n_steps=3, n_envs=4, gamma=0.9, net_arch=(8,))
+    path.write_text("algo: ppo\ngae_lambda: 0.8\n")
+    assert "--gae-lambda has no effect on dqn" in refusal(capsys, ["dqn", "--config", str(path)])
+
+
+@pytest.mark.parametrize("asked", CLASSES)
+@pytest.mark.parametrize("algo", CLASSES)
+def test_defaults_in_the_file_of_a_run_give_way_to_those_of_another_algorithm(
+    algo: str, asked: str, tmp_path: Path
+) -> None:
+    for env_id in (TrainConfig.env, "sb3_options/Pioneer-v0"):
+        configs.save(parse([algo, "--env", env_id, "--seed", "5"]), tmp_path / "config.yml")
+        assert parse([asked, "--config", str(tmp_path / "config.yml")]) == parse([asked, "--env", env_id, "--seed=5"])
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        ["--seed", "1", "dqn"],
+        ["--seed=1", "dqn"],
+        ["--compare", "dqn", "--no-compare", "--seed", "1"],
+        ["--discovery.no-equal-time", "DQN", "--discovery.equal-time", "--seed", "1"],
+        ["--net-arch", "64", "64", "dqn", "--seed", "1"],
+        ["dqn", "--seed", "1"],
+        ["--algo", "DQN", "--seed", "1"],
+    ],
+)
+def test_the_algorithm_stands_anywhere_in_any_case(args: list[str]) -> None:
+    assert parse(args) == DQNConfig(seed=1)
+
+
+def test_a_value_that_is_called_like_an_algorithm() -> None:
+    config = parse(["--tensorboard-log", "ppo", "--options", "dqn", "a2c"])
+    assert (config.algo, config.tensorboard_log, config.options) == ("a2c", Path("ppo"), Path("dqn"))
+
+
+def test_whole_numbers_may_have_exponents() -> None:
+    config = parse(
+        ["--n-timesteps", "1e4", "--net-arch=3e1", "--max-new-options", "None", "--discovery.capacity=1.5e2"]
+    )
+    assert (config.n_timesteps, config.net_arch, config.discovery.capacity) == (10_000, (30,), 150)
+    assert config.max_new_options is None
+
+
+def test_what_gymnasium_takes_for_itself_is_no_mistake() -> None:
+    for env_id in ("CartPole-v1", "MiniGrid-Empty-5x5-v0", "no/Such-v0"):
+        assert parse(["--env", env_id, "--env-kwargs", "max_episode_steps:9"]).env_kwargs == {"max_episode_steps": 9}
+    assert parse(["--env", "MiniGrid-Empty-5x5-v0", "--env-kwargs", "mission:false"]).env_kwargs == {"mission": False}
 
 
 @pytest.mark.parametrize("algo", CLASSES)

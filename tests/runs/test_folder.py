@@ -57,5 +57,5 @@ def test_minigrid_is_ready_for_training_and_its_workers_know_it() -> None:
 
 def test_minigrid_that_is_not_installed_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "minigrid", None)
-    with pytest.raises(ModuleNotFoundError, match=re.escape('pip install "sb3-options[minigrid]"')):
+    with pytest.raises(ModuleNotFoundError, match=re.escape("pip install 'sb3-options[minigrid]' (in a checkout")):
         runs.check_env_id("MiniGrid-Empty-5x5-v0")

@@ -161,9 +161,10 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 def stranger(whole: Path, folder: Path, make: Make, trace: Path) -> Path:
-    """A run whose only checkpoint is this one."""
+    """A run that has not ended, and whose only checkpoint is this one."""
     run = folder / "run"
     shutil.copytree(whole, run)
+    (run / runs.MODEL).unlink()
     there = list(CheckpointFolder(run / runs.CHECKPOINTS))
     content = make(read(there[0]), trace)
     for file in there:

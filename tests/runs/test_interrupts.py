@@ -1,8 +1,10 @@
-"""Interrupts end training between two steps, once, with everything saved; before the first step nothing is left."""
+"""Interrupts end training where it can go on from, or between two steps; before the first step nothing is left."""
 
 import os
+import re
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,8 +15,10 @@ import pytest
 from stable_baselines3 import DQN
 
 from sb3_options import OptionBank, cli
+from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.execution.workers import WorkerLostError
 from sb3_options.runs import config as configs
+from sb3_options.runs import folder as runs
 from sb3_options.runs.config import DQNConfig
 from sb3_options.runs.interrupts import TERMINAL, Interrupts, raised
 from tests.support.helpers import CountingEnv
@@ -61,6 +65,10 @@ def counting() -> Iterator[Callable[..., None]]:
     gym.registry.pop("Interrupted-v0", None)
 
 
+def command_line(tmp_path: Path, *more: str) -> list[str]:
+    return ["dqn", "--env", "Interrupted-v0", "--no-progress", "--tensorboard-log", str(tmp_path), *more]
+
+
 def train(tmp_path: Path, **kwargs: Any) -> Path:
     return cli.train(DQNConfig(env="Interrupted-v0", progress=False, device="cpu", tensorboard_log=tmp_path, **kwargs))
 
@@ -70,13 +78,72 @@ def test_a_signal_ends_training_after_its_step(
     number: int, counting: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     counting(lambda step: send(number) if step == AT_STEP else None)
-    folder = train(tmp_path)
+    folder = train(tmp_path, checkpoint_freq=0)
     said = capfd.readouterr()
     assert f"Interrupted after {AT_STEP} primitive steps" in said.out
     assert str(folder) in said.out
     assert "Interrupted: training ends after this step and is saved. Once more to end it at once." in said.err
     assert DQN.load(folder / "model.zip").num_timesteps == AT_STEP
     OptionBank(2, 4).load(folder / "options.safetensors")
+    assert "Resume:" not in said.out
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_ends_training_at_a_checkpoint(
+    number: int, counting: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    counting(lambda step: send(number) if step == AT_STEP + 1 else None)
+    folder = train(tmp_path)
+    said = capfd.readouterr()
+    ends = AT_STEP + 4  # train_freq
+    assert "Interrupted: training ends where it can go on from, or after 5 s, and is saved." in said.err
+    assert f"Interrupted after {ends} primitive steps" in said.out
+    assert "The last checkpoint" not in said.out
+    assert re.search(rf"^Resume: .+ resume \S*{folder.name}$", said.out, re.MULTILINE)
+    file, state = CheckpointFolder(folder / runs.CHECKPOINTS).newest()
+    assert int(file.stem) == state["model"]["counters"]["num_timesteps"] == ends
+    assert DQN.load(folder / "model.zip").num_timesteps == ends
+
+
+def test_a_rollout_that_takes_too_long_is_not_waited_for(
+    counting: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cli, "PATIENCE", 0.2)
+    counting(lambda step: send() if step == AT_STEP else time.sleep(0.05 * (step > AT_STEP)))
+    folder = train(tmp_path, train_freq=50)
+    said = capfd.readouterr().out
+    assert 100 > DQN.load(folder / "model.zip").num_timesteps > AT_STEP
+    assert "The last checkpoint is of 0 primitive steps: what came after it is trained again." in said
+    assert "Resume: " in said
+
+
+@pytest.mark.parametrize(("ahead", "due"), [(0.0, False), (60.0, True)])
+def test_an_update_that_takes_too_long_is_not_waited_for(*, ahead: float, due: bool) -> None:
+    with Interrupts() as interrupts:
+        interrupts.patience = 30.0
+        assert not interrupts.due(ahead)
+        send()
+        assert interrupts.due(ahead) == due
+
+
+def test_training_that_comes_to_its_end_meanwhile_is_finished(
+    counting: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    counting(lambda step: send() if step == AT_STEP else None)
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(command_line(tmp_path, "--n-timesteps", str(AT_STEP)))
+    assert stopped.value.code == 130
+    said = capfd.readouterr().out
+    assert f"Finished after {AT_STEP} primitive steps" in said
+    assert "Resume:" not in said
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_the_exit_status_is_that_of_shells(number: int, counting: Any, tmp_path: Path) -> None:
+    counting(lambda step: send(number) if step == AT_STEP else None)
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(command_line(tmp_path))
+    assert stopped.value.code == 128 + number
 
 
 def test_code_that_takes_all_exceptions_does_not_take_it(counting: Any, tmp_path: Path) -> None:

@@ -104,7 +104,7 @@ def test_an_interrupt_at_the_start_of_a_task_keeps_what_was_done(
     monkeypatch.setattr(cli, "_train", second_is_interrupted)
     with pytest.raises(SystemExit) as stopped:
         cli.main(command_line(tmp_path, "--series", "goal:[1, 1]", "goal:[8, 0]", "--n-timesteps", "5000"))
-    assert stopped.value.code == cli.INTERRUPTED
+    assert stopped.value.code == 130
     out = " ".join(capsys.readouterr().out.split())
     (folder,) = (tmp_path / "runs" / "maskableppo").iterdir()
     assert folder.name in out.partition("Run folders:")[2]

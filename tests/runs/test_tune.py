@@ -125,6 +125,25 @@ def test_the_best_is_found_and_kept(tmp_path: Path, trained: list[TrainConfig]) 
     assert to_hex(rcParams["axes.edgecolor"]) == "#000000", "the style of Optuna's pictures is that of no other"
 
 
+def test_a_goal_that_is_there_at_once_is_warned_of(
+    tmp_path: Path, trained: list[TrainConfig], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tune, "was_there_at_once", lambda _: True)
+    console, config = quiet(), TuneConfig(written(tmp_path), tmp_path / "out", trials=3, seeds=2)
+    tune.tune(config, console=console)
+    said = console.file.getvalue()  # type: ignore[attr-defined]  # a StringIO
+    assert said.count("success rate ≥ 0.9 was there at the first log entry of") == 1
+    assert "choose another --reach, length=40 say, and another --out." in said
+
+
+def test_a_score_says_whether_the_goal_was_there_at_once(tmp_path: Path) -> None:
+    run = configs.made({**BASE, "tensorboard_log": str(tmp_path)}, tmp_path)
+    assert not scored.was_there_at_once(run)
+    for content, expected in (({"score": 1.0}, False), ({"score": 1.0, "at_once": True}, True)):
+        (tmp_path / scored.SCORE).write_text(json.dumps(content))
+        assert scored.was_there_at_once(run) is expected
+
+
 def test_the_command_that_judges_names_what_is_trusted(tmp_path: Path, trained: list[TrainConfig]) -> None:
     console, trusted = quiet(), "gymnasium.wrappers:RecordEpisodeStatistics"
     config = TuneConfig(written(tmp_path), tmp_path / "out", trials=1, seeds=1, env_wrapper=trusted)
@@ -239,7 +258,7 @@ def test_the_search_needs_optuna(monkeypatch: pytest.MonkeyPatch, capsys: pytest
     monkeypatch.setitem(sys.modules, "optuna", None)
     with pytest.raises(SystemExit):
         cli.main(["tune", "space.yml", "--out", "out"])
-    assert "pip install 'sb3-options[tune]'" in capsys.readouterr().err
+    assert "pip install 'sb3-options[tune]' (in a checkout '.[tune]')" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -355,15 +355,19 @@ def test_close_before_reset() -> None:
 def test_without_pybullet(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pybullet", None)
     importlib.reload(sb3_options.envs)
-    with pytest.raises(gymnasium.error.DependencyNotInstalled, match=r'pip install "sb3-options\[pioneer\]"') as error:
+    with pytest.raises(gymnasium.error.DependencyNotInstalled, match=r"pip install 'sb3-options\[pioneer\]'") as error:
         Pioneer()
-    for part in ("up to CPython 3.11", "sb3_options/PioneerMuJoCo-v0", 'pip install "sb3-options[mujoco]"'):
+    for part in (
+        "up to CPython 3.11",
+        "sb3_options/PioneerMuJoCo-v0",
+        "pip install 'sb3-options[mujoco]' (in a checkout '.[mujoco]')",
+    ):
         assert part in str(error.value)
 
 
 def test_without_mujoco(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(gymnasium.error.DependencyNotInstalled, match=r'pip install "sb3-options\[mujoco\]"'):
+    with pytest.raises(gymnasium.error.DependencyNotInstalled, match=r"pip install 'sb3-options\[mujoco\]' \(in"):
         gymnasium.make("sb3_options/PioneerMuJoCo-v0")
 
 

@@ -1,0 +1,66 @@
+"""Whether a run is being trained, so that no two processes write to one run folder."""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+LOCK = ".training"
+"""File in the run folder; it is removed when training ends."""
+
+WHO = re.compile(r"(\d{1,10}) on ([\w.-]{1,255})")
+"""What is in it: the process, and its machine."""
+
+
+@contextmanager
+def held(run: Path) -> Iterator[None]:
+    """Keep other processes from training in a run folder. A process that is killed keeps none from it any more.
+
+    Where the file system has no locks, nothing is kept.
+
+    Args:
+        run: The run folder.
+
+    Raises:
+        OSError: The file of the lock cannot be made.
+        ValueError: Another process trains in it.
+    """
+    descriptor = os.open(run / LOCK, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
+    try:
+        if not _locked(descriptor):
+            who = WHO.fullmatch(os.read(descriptor, 300).decode("utf-8", "replace"))
+            named = "" if who is None else f" (process {who[1]} on {who[2]})"
+            raise ValueError(f"{run} is being trained by another process{named}: wait until it has ended, or end it.")
+        try:
+            os.ftruncate(descriptor, 0)
+            os.write(descriptor, f"{os.getpid()} on {socket.gethostname()}".encode())
+        except OSError:
+            pass  # a full disk; the lock holds without a name
+        try:
+            yield
+        finally:
+            with suppress(OSError):  # the folder may be gone, and Windows removes no file that is open
+                (run / LOCK).unlink()
+    finally:
+        os.close(descriptor)
+
+
+def _locked(descriptor: int) -> bool:
+    """Lock an open file until it is closed; False where another process has."""
+    if sys.platform == "win32":
+        return True
+    import fcntl
+
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        pass  # this file system has none
+    # Who had it may have removed the file in between.
+    return os.fstat(descriptor).st_nlink > 0
