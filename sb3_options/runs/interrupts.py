@@ -59,6 +59,7 @@ class Interrupts:
         return self.noted and time.monotonic() + ahead >= self._at + self.patience
 
     def __enter__(self) -> Interrupts:
+        self.saving = False  # of the task before
         if threading.current_thread() is threading.main_thread():
             for number in (*TERMINAL, signal.SIGTERM):
                 before = signal.getsignal(number)
