@@ -62,9 +62,10 @@ class Missions:
         return None if number is None else self.codes[number]
 
     def things_of(self, codes: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
-        """The things that missions name, of a batch of codes (batch, w), (batch, k, 2)."""
+        """The things that missions name, of a batch of codes (batch, w), (batch, k, 2); none of what is no code."""
         rows = np.ascontiguousarray(codes, dtype=np.uint8)
-        return self.things[[self._of_code[row.tobytes()] for row in rows]]
+        numbers = [self._of_code.get(row.tobytes(), -1) for row in rows]
+        return np.where(np.array(numbers)[:, None, None] < 0, (0, -1), self.things[numbers])
 
 
 def _listed(space: Any) -> tuple[Vector, list[str]]:

@@ -144,7 +144,7 @@ class Candidates:
         for key in keys:
             self._row.move_to_end(key)
         if len(self._row) > len(self._points):
-            more = max(2 * len(self._points), len(self._row))
+            more = max(min(2 * len(self._points), most_places(points.shape[1])), len(self._row))
             self._points = _longer(self._points.reshape(-1, points.shape[1]), more)
             self._counts = _longer(self._counts, more)
         new = rows >= n
@@ -153,7 +153,7 @@ class Candidates:
 
     def _forget(self) -> None:
         """Forget those not seen for longest, if they are too many."""
-        most = min(MAX_PLACES, max(MAX_NUMBERS // max(self._points.shape[1], 1), 1))
+        most = most_places(self._points.shape[1])
         if len(self._row) <= most:
             return
         kept = list(self._row.items())[-most:]
@@ -184,6 +184,11 @@ class Candidates:
         """Go on with what `get_state` gave."""
         self._row = OrderedDict((of.tobytes(), row) for row, of in enumerate(state["bins"]))
         self._points, self._counts = np.array(state["points"]), np.array(state["counts"])
+
+
+def most_places(n_features: int) -> int:
+    """How many places are remembered, at least 1."""
+    return min(MAX_PLACES, max(MAX_NUMBERS // max(n_features, 1), 1))
 
 
 def _longer(rows: FloatArray, n: int) -> FloatArray:

@@ -161,6 +161,8 @@ def test_things_that_missions_name(env_id: str, mission: str | None, things: lis
     code = missions.codes[0] if mission is None else missions.code(mission)
     assert code is not None
     assert missions.things_of(code[None]).tolist() == [list(map(list, things))]
+    if mission is not None:
+        assert missions.things_of(np.ones_like(code)[None]).tolist() == [[[0, -1]] * len(things)]
 
 
 def test_missions_that_cannot_be_listed_are_refused() -> None:
