@@ -8,7 +8,9 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_options import OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
-from sb3_options.envs.minigrid import make
+from sb3_options.envs.minigrid import DISCOVERY, make
+
+PPO = {"n_steps": 128, "batch_size": 256, "n_epochs": 4, "learning_rate": 1e-3, "ent_coef": 0.01, "gamma": 0.99}
 
 
 def rooms(env_id: str, options_file: str | None = None) -> VecEnv:
@@ -19,15 +21,12 @@ def rooms(env_id: str, options_file: str | None = None) -> VecEnv:
 
 def main(steps_in_two: int = 40_000, steps_in_four: int = 80_000, options_file: str = "options.safetensors") -> None:
     """Train in two rooms, keep the options and the weights, and go on in four."""
-    found = {"capacity": 500, "start_radius": 0.5, "goal_radius": 0.5, "salient_share": 0.6, "decay": 0.8}
-    how = ({**found, "max_share": None}, {"grow": True})  # settings of discovery, and of options
-    ppo = {"n_steps": 128, "batch_size": 256, "n_epochs": 4, "learning_rate": 1e-3, "ent_coef": 0.01, "gamma": 0.99}
-    model = MaskablePPO("MlpPolicy", rooms("MiniGrid-MultiRoom-N2-S4-v0"), seed=0, device="cpu", verbose=1, **ppo)
-    callback = SubgoalDiscoveryCallback(*how, opening_share=0.5, min_reached=0.5, verbose=1)
+    model = MaskablePPO("MlpPolicy", rooms("MiniGrid-MultiRoom-N2-S4-v0"), seed=0, device="cpu", verbose=1, **PPO)
+    callback = SubgoalDiscoveryCallback(**DISCOVERY, opening_share=0.5, verbose=1)
     model.learn(steps_in_two, callback=callback)
     callback.bank.save(options_file)
     model.set_env(rooms("MiniGrid-MultiRoom-N4-S5-v1", options_file))
-    model.learn(steps_in_four, callback=SubgoalDiscoveryCallback(*how, max_new_options=0, min_reached=0.5))
+    model.learn(steps_in_four, callback=SubgoalDiscoveryCallback(**DISCOVERY, max_new_options=0))
     model.save("minigrid.zip")
 
 

@@ -4,12 +4,15 @@ Needs the package ``minigrid`` (``pip install "sb3-options[minigrid]"``).
 """
 
 from sb3_options.envs.minigrid.retina import FEATURES, KINDS, concept_groups, feature_names, retina
-from sb3_options.envs.minigrid.wrapper import KEYWORDS, MiniGridWrapper, is_minigrid, make, qualified, require
+from sb3_options.envs.minigrid.settings import DISCOVERY
+from sb3_options.envs.minigrid.wrapper import KEYWORDS, MODULE, MiniGridWrapper, is_minigrid, make, qualified, require
 
 __all__ = [
+    "DISCOVERY",
     "FEATURES",
     "KEYWORDS",
     "KINDS",
+    "MODULE",
     "MiniGridWrapper",
     "concept_groups",
     "feature_names",

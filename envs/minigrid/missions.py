@@ -20,7 +20,8 @@ COLOURS = ("red", "green", "blue", "purple", "yellow", "grey")
 NAMED = {"door": DOOR, "room": DOOR, "key": KEY, "ball": BALL, "box": BOX}
 """What a mission calls a thing that has a colour; a room is where its door is."""
 
-_THING = re.compile(rf"\b({'|'.join(COLOURS)})\b(?: ({'|'.join(NAMED)})\b)?")
+_THING = re.compile(rf"\b({'|'.join(COLOURS)})\b(?! goal\b)(?: ({'|'.join(NAMED)})\b)?")
+"""A goal is always green, and is a kind of its own."""
 
 Vector = npt.NDArray[np.uint8]
 

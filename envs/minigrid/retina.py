@@ -29,6 +29,9 @@ FEATURES = (*(f"{kind}_{what}" for kind in KINDS for what in ("visible", "forwar
 the right positive. Both are 0 where nothing of the kind is visible. The nearest thing is the one fewest steps away, so
 one that is carried hides all others of its kind."""
 
+SHUNNED = ("lava",)
+"""Kinds that make no group: what an agent must keep away from is rare too, and an option would lead there."""
+
 COLOURED = (DOOR, KEY, BALL, BOX)
 """Objects that a mission may mean that names a colour alone."""
 
@@ -116,6 +119,8 @@ def feature_names(n_asked: int = 0) -> tuple[str, ...]:
 def concept_groups(n_asked: int = 0) -> list[dict[str, Any]]:
     """Which features make a concept together: each kind of thing, `PAIRS` of them, a doorway, and what is asked for.
 
+    What is to be shunned, lava, makes none; its features are for groups of your own.
+
     In a doorway one is ``between_walls``, whatever is in view: not the door that one stands in, perhaps the next.
 
     An option sees ``free_ahead`` besides, so that it can go around a wall. One into a doorway sees open doors, and one
@@ -128,7 +133,7 @@ def concept_groups(n_asked: int = 0) -> list[dict[str, Any]]:
     Returns:
         Of each group the fields of `sb3_options.density.groups.FeatureGroup`.
     """
-    groups = [_group(kind) for kind in (*KINDS, "doorway")]
+    groups = [_group(kind) for kind in (*KINDS, "doorway") if kind not in SHUNNED]
     groups += [_joined(_group(one), _group(other)) for one, other in PAIRS]
     asked = [name.removesuffix("_visible") for name in feature_names(n_asked)[len(FEATURES) :: 3]]
     return [_seeing(group) for group in groups + [_thing(name, len(FEATURES) + 3 * i) for i, name in enumerate(asked)]]

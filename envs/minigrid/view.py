@@ -5,8 +5,7 @@ MiniGrid copies the cells in view into a new grid, and again for every quarter t
 
 from __future__ import annotations
 
-from functools import lru_cache
-from types import MethodType
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ def see_quickly(env: Any) -> None:
 
     kept = (getattr(type(env), name, None) is getattr(MiniGridEnv, name) for name in ("gen_obs", "gen_obs_grid"))
     if all(kept):
-        env.gen_obs = MethodType(_observation, env)
+        env.gen_obs = partial(_observation, env)  # a method under another name could not be pickled
 
 
 def _observation(env: Any) -> dict[str, Any]:

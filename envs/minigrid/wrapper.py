@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, SupportsFloat
 
 import gymnasium as gym
@@ -19,6 +20,9 @@ OTHER_IMAGES = (
     "FullyObsWrapper", "OneHotPartialObsWrapper", "RGBImgObsWrapper", "RGBImgPartialObsWrapper", "SymbolicObsWrapper",
 )  # fmt: skip
 """Wrappers of MiniGrid whose images are not what the agent sees, cell by cell."""
+
+OTHER_REWARDS = ("ActionBonus", "PositionBonus")
+"""Wrappers of MiniGrid that add a bonus to rewards, so that a death may end with one above 0."""
 
 PREFIXES, MODULE = ("MiniGrid-", "BabyAI-"), "minigrid:"
 """How the ids of MiniGrid begin, and how one names the module that registers it."""
@@ -47,13 +51,14 @@ class MiniGridWrapper(
         env: An environment of MiniGrid; its observations have an ``image`` (v, v, 3) and a ``mission``.
         mission: Whether the words of the mission are in the observation. Without them a model can go on in a task whose
             missions are others.
-        asked: Whether φ says where the things are that the mission names by their colour, "the red ball".
+        asked: Whether φ says where the things are that the mission names by their colour, "the red ball". Without the
+            words of the mission it cannot.
 
     Attributes:
         feature_names: Of φ, in order.
 
     Raises:
-        TypeError: ``env`` has other observations.
+        TypeError: ``env`` has other observations, or a wrapper beneath changes its rewards.
         ValueError: Its missions cannot be listed, or are too many.
     """
 
@@ -62,6 +67,7 @@ class MiniGridWrapper(
         gym.ObservationWrapper.__init__(self, env)
         space: Any = env.observation_space
         self._view = _view_of(env)
+        _check_rewards(env)
         self._missions = Missions(space["mission"] if mission and "mission" in space.spaces else None)
         self._n_asked = self._missions.things.shape[1] if asked else 0
         self.feature_names = feature_names(self._n_asked)
@@ -122,10 +128,7 @@ def _view_of(env: gym.Env[Any, Any]) -> int:
     space = env.observation_space
     shape = space["image"].shape if isinstance(space, gym.spaces.Dict) and "image" in space.spaces else None
     own = shape is not None and len(shape) == 3 and shape[0] == shape[1] and shape[0] % 2 == 1 and shape[2] == 3
-    others, beneath = [], env
-    while isinstance(beneath, gym.Wrapper):
-        others += [name for name in OTHER_IMAGES if type(beneath).__name__ == name]
-        beneath = beneath.env
+    others = [name for name in (type(each).__name__ for each in _wrappers(env)) if name in OTHER_IMAGES]
     if others or not own:
         instead = f"what {others[0]} shows instead" if others else str(space)
         raise TypeError(
@@ -134,6 +137,28 @@ def _view_of(env: gym.Env[Any, Any]) -> int:
         )
     assert shape is not None  # an image
     return int(shape[0])
+
+
+def _check_rewards(env: gym.Env[Any, Any]) -> None:
+    """Refuse rewards that are not the environment's own, by which success is told.
+
+    Raises:
+        TypeError: A wrapper changes them.
+    """
+    for each in _wrappers(env):
+        name = type(each).__name__
+        if isinstance(each, gym.RewardWrapper) or name in OTHER_REWARDS:
+            raise TypeError(
+                "MiniGridWrapper needs the rewards of MiniGrid, for an episode that ends with one above 0 is a "
+                f"success, got those of {name}. Put {name} above it: {name}(MiniGridWrapper(gymnasium.make(...)), ...)."
+            )
+
+
+def _wrappers(env: gym.Env[Any, Any]) -> Iterator[gym.Wrapper[Any, Any, Any, Any]]:
+    """The wrappers of an environment, from outside."""
+    while isinstance(env, gym.Wrapper):
+        yield env
+        env = env.env
 
 
 def make(env_id: str, *, mission: bool = True, asked: bool = True, **kwargs: Any) -> MiniGridWrapper:

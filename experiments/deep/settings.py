@@ -94,7 +94,7 @@ class DeepSettings:
     n_envs: int = 8
     max_options: int = 4
     max_new_options: int = 2
-    discovery: dict[str, Any] = field(default_factory=lambda: {"decay": 0.75, "min_positive": 5})
+    discovery: dict[str, Any] = field(default_factory=lambda: {"decay": 0.75, "min_positive": 5, "search_growth": 0.0})
     option: dict[str, Any] = field(default_factory=lambda: {"grow": True})
     callback: dict[str, Any] = field(default_factory=lambda: {"interruption": True})
     buffer: dict[str, Any] = field(default_factory=lambda: {"intra_option": False})

@@ -81,6 +81,7 @@ class PaperSettings:
             negative_bags=negative_strength is not None,
             negative_strength=negative_strength or 1.0,
             search=self.search,
+            search_growth=0.0,  # Table 1: after every trajectory
             scale=self.gaussian_scale,
             start_radius=self.start_radius,
             goal_radius=self.goal_radius,

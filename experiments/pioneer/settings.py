@@ -69,6 +69,7 @@ class PioneerSettings:
             leak=0.0,
             max_places=2,
             search="exhaustive",
+            search_growth=0.0,
             scale=1 / self.gaussian_width,
             decay=self.decay,
             threshold=self.threshold,

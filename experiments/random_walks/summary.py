@@ -21,7 +21,8 @@ def summarise(results: Mapping[str, Sequence[Result]]) -> Summary:
 
     Returns:
         By the same names: ``first`` and ``all`` with ``n_bottlenecks``, ``n`` and the 95 % interval of the share.
-        A run that found nothing counts against ``first``. ``median_episode`` of the first subgoals.
+        A run that found nothing counts against ``first``. ``median_episode`` of the first subgoals. ``instances``,
+        where the results have them: likewise of those in positive bags, over which diverse density is searched.
     """
     summary: Summary = {}
     for name, runs in results.items():
@@ -32,6 +33,9 @@ def summarise(results: Mapping[str, Sequence[Result]]) -> Summary:
             "all": _share(sum(f["bottleneck"] for f in every), len(every)),
             "median_episode": float(np.median([f["episode"] for f in firsts])) if firsts else None,
         }
+        if all("instances" in run for run in runs):
+            n_good, n = (sum(run["instances"][key] for run in runs) for key in ("n_bottlenecks", "n"))
+            summary[name]["instances"] = _share(n_good, n)
     return summary
 
 

@@ -17,9 +17,6 @@ from sb3_options.discovery.salience import Salience
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray
 
-SEARCH_GROWTH = 0.05
-"""A search waits until this share of the successful trajectories is new: fewer hardly change what is common to all."""
-
 
 @dataclass
 class GroupedDiscovery(SubgoalDiscovery):
@@ -29,7 +26,7 @@ class GroupedDiscovery(SubgoalDiscovery):
     `goal_radius` and `spacing` count in these. It holds all of them: seen from an agent that moves, the same state
     twice need not be a loop (``loops``), nor do ways lead through it (``min_passing``). Instead an instance of a
     successful trajectory must stand out by its `Contrast`. There is a search when a trajectory has succeeded, and later
-    when a few have (`SEARCH_GROWTH`). Until enough have, what came upon something rare may count as one (`Salience`).
+    when a few have (``search_growth``). Until enough have, what came upon something rare may count as one (`Salience`).
 
     Args:
         groups: Of features, at least one.
@@ -72,7 +69,7 @@ class GroupedDiscovery(SubgoalDiscovery):
             are persistent come with later searches.
         """
         n_positive = self.database.n_successful
-        if self.database.n_entered - self._searched < max(1.0, SEARCH_GROWTH * n_positive):
+        if self.database.n_entered - self._searched < max(1.0, self.settings.search_growth * n_positive):
             return None
         if not self.budget.affords():
             return None
@@ -141,7 +138,7 @@ class GroupedDiscovery(SubgoalDiscovery):
 
     def why_nothing(self) -> str:
         """Why there is no option, in a sentence; where there are some, that there are."""
-        enough = self.outcomes.successes >= self.settings.min_positive
+        enough = self._n_positive >= self.settings.min_positive
         if (
             not self.found
             and enough
@@ -149,6 +146,19 @@ class GroupedDiscovery(SubgoalDiscovery):
         ):
             return (
                 "No subgoal was discovered: successful trajectories visit no state of a group of features much oftener "
-                f"than the others do; min_contrast is {self.settings.min_contrast:g}."
+                f"than the others do; min_contrast is {self.settings.min_contrast:g}.{self._stood_for_successes()}"
             )
         return super().why_nothing()
+
+    @property
+    def _n_positive(self) -> int:
+        return self.database.n_successful
+
+    def _stood_for_successes(self) -> str:
+        n = sum(each.whole is not None for each in self.database)
+        if not n:
+            return ""
+        stood = "failure that came upon something rare stands for a success"
+        if n > 1:
+            stood = "failures that came upon something rare stand for successes"
+        return f" {n} {stood} (salient_share)."

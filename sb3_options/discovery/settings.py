@@ -51,6 +51,9 @@ class DiscoverySettings:
         search: ``gradient`` ascent from many starts, ``exhaustive`` over the instances of positive bags, or
             ``incremental``: ascent from the peaks of the last search and the best instances of the newest positive
             bag, over bags that are packed once. With many or long trajectories it takes a small part of the time.
+        search_growth: A search waits for so many new trajectories for each success that is kept: fewer hardly change
+            what is common to all. With 0.05 every trajectory is searched for until there are twenty successes; 0
+            searches after every one, as the paper does.
         scale: Factor for every feature, 1/width of the Gaussians; None takes `default_scale`.
         start_radius: The default static filter keeps subgoals farther than this from where a trajectory began. Where
             features are one-hot codes, which have no distances, it counts steps along the trajectory.
@@ -74,7 +77,7 @@ class DiscoverySettings:
     max_share: Annotated[float, Field(gt=0, le=1)] | None = 0.05
     capacity: Annotated[int, Field(ge=1)] = 100
     max_bytes: Annotated[int, Field(ge=1)] = 1 << 30
-    min_positive: Annotated[int, Field(ge=1)] = 8
+    min_positive: Annotated[int, Field(ge=1)] = 4
     loops: Literal["erase", "keep"] = "erase"
     min_passing: Annotated[float, Field(ge=0, lt=1)] = 0.7
     min_cut: Annotated[float, Field(ge=0, lt=0.5)] = 0.1
@@ -85,10 +88,11 @@ class DiscoverySettings:
     negative_strength: Annotated[float, Field(gt=0, le=1)] = 0.1
     leak: Annotated[float, Field(ge=0, lt=1)] = 0.3
     search: Literal["gradient", "exhaustive", "incremental"] = "gradient"
+    search_growth: Annotated[float, Field(ge=0, lt=1)] = 0.05
     scale: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
     start_radius: Annotated[float, Field(ge=0)] = 2.0
     goal_radius: Annotated[float, Field(ge=0)] = 2.0
-    decay: Annotated[float, Field(gt=0, lt=1)] = 0.9
+    decay: Annotated[float, Field(gt=0, lt=1)] = 0.75
     threshold: Annotated[float, Field(ge=0, lt=1)] = 0.6
     peak_radius: Annotated[float, Field(ge=0)] = 1.5
     peak_tolerance: Annotated[float, Field(ge=0)] = 1e-3

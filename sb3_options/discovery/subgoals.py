@@ -72,6 +72,7 @@ class SubgoalDiscovery:
         self.budget = Budget(s.max_share)
         self.recurrence = Recurrence(s.min_positive, max(s.peak_radius, s.subgoal_radius))
         self._n_new = 0
+        self._n_since = 0
         self._maker = BagMaker(s, self.static_filter, self.kind)
         self._incremental: IncrementalSearch | None = None
 
@@ -111,19 +112,25 @@ class SubgoalDiscovery:
         self._maker.visited([labelled])
         self.budget.steps += len(trajectory)
         self._n_new += n_states
+        self._n_since += 1
         return labelled
 
     def search(self) -> Region | None:
-        """Search the bags once and update the running averages, if the `Budget` affords it.
+        """Search the bags once and update the running averages, if enough is new and the `Budget` affords it.
 
         Returns:
             A new subgoal, if a concept has become persistent. It counts as taken from then on.
         """
-        if not self.budget.affords():
+        if not (self._is_due() and self.budget.affords()):
             return None
+        self._n_since = 0
         self.update()
         self.budget.spent += self.cost
         return self._new_subgoal()
+
+    def _is_due(self) -> bool:
+        """Whether there are enough new trajectories for a search."""
+        return self._n_since >= self.settings.search_growth * sum(labelled.success for labelled in self.database)
 
     def withdraw(self) -> None:
         """Say that there is no option for the last subgoal; it counts as taken all the same."""
@@ -212,7 +219,7 @@ class SubgoalDiscovery:
         why = "no peak of diverse density persisted long enough."
         if seen.n == 0:
             why = f"no {seen.unit} has ended."
-        elif seen.successes == 0:
+        elif self._n_positive == 0:
             why = seen.why_no_success()
         elif self.found or self.n_withdrawn:
             why = "no saved trajectory leads surely enough (min_reach) to the one that was found: there is no option."
@@ -223,12 +230,21 @@ class SubgoalDiscovery:
                 f"{seen.successes} of {seen.n} {seen.unit}s were successful; a search needs "
                 f"{self.settings.min_positive} (min_positive) of which the filters leave something."
             )
-            if seen.successes >= self.settings.min_positive:
+            if self._n_positive >= self.settings.min_positive:
                 why += (
                     " They leave out what is near start and goal (start_radius, goal_radius), near the subgoal of an "
                     "option (spacing), and what few ways lead through (min_passing, min_cut)."
                 )
-        return f"No subgoal was discovered: {why}{self._left_out()}"
+        return f"No subgoal was discovered: {why}{self._stood_for_successes()}{self._left_out()}"
+
+    @property
+    def _n_positive(self) -> int:
+        """Trajectories that make positive bags."""
+        return self.outcomes.successes
+
+    def _stood_for_successes(self) -> str:
+        """What to add where failures make positive bags, too."""
+        return ""
 
     def _left_out(self) -> str:
         """What to add where searches were left out."""
@@ -319,6 +335,7 @@ class SubgoalDiscovery:
             "budget": self.budget.get_state(),
             "recurrence": self.recurrence.get_state(),
             "n_new": self._n_new,
+            "n_since": self._n_since,
             "n_withdrawn": self.n_withdrawn,
         }
 
@@ -339,7 +356,7 @@ class SubgoalDiscovery:
             self._incremental.set_state(state["incremental"])
         self.budget.set_state(state["budget"])
         self.recurrence.set_state(state["recurrence"])
-        self._n_new, self.n_withdrawn = state["n_new"], state["n_withdrawn"]
+        self._n_new, self._n_since, self.n_withdrawn = state["n_new"], state["n_since"], state["n_withdrawn"]
 
     def _new_subgoal(self) -> Region | None:
         if self.last.evidence is None:

@@ -28,6 +28,10 @@ FeatureKind = Literal["given", "environment", "categorical", "identity", "tempor
 """Where a feature map comes from: the user, the environment, one-hot codes, flat observations, or learning."""
 
 
+OF_MINIGRID = " MiniGrid's observations are made numbers by sb3_options.envs.minigrid.MiniGridWrapper."
+"""What to say of environments whose observations have a mission."""
+
+
 class Features(NamedTuple):
     """A feature map and where it comes from.
 
@@ -147,7 +151,8 @@ def flat_size(space: gym.Space[Any]) -> int:
         raise ValueError(
             f"Observations hold text ({', '.join(texts)}), from which neither options nor Stable-Baselines3 can learn: "
             "leave it out beneath OptionsWrapper, for instance by gymnasium.wrappers.FilterObservation(env, keys). "
-            "Other Dict observations and images need OptionsWrapper(env, feature_map=...)."
+            f"Other Dict observations and images need OptionsWrapper(env, feature_map=...)."
+            + (OF_MINIGRID if "mission" in texts else "")
         )
     return int(flatten(sample).shape[1])
 

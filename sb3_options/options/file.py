@@ -13,7 +13,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as from_safetensors
 from safetensors.numpy import save as to_safetensors
 
-from sb3_options.density.groups import FeatureGroup, checked_groups
+from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import HalfSpace, Region
 from sb3_options.options import policies
 from sb3_options.options.archive import Source, content_in, name_of
@@ -33,6 +33,12 @@ MAP = "feature_map"
 """Before the names of arrays of a learned feature map. Slots have numbers."""
 
 FORMATS = (FILE_FORMAT, FILE_FORMAT_HALF_SPACE, FILE_FORMAT_GROUP)
+
+FEWER_FEATURES = (
+    "Discover options on groups that both tasks have, SubgoalDiscoveryCallback(groups=...). In MiniGrid what a mission "
+    "asks for is such a group: discover with make(..., asked=False), train.py --env-kwargs asked:False"
+)
+"""What to do about an option whose features a task does not have."""
 
 Arrays = dict[str, np.ndarray[Any, Any]]
 
@@ -292,8 +298,11 @@ def _decode(
         for what, number, of in (("subgoal", n_features, group), ("initiation set", n_seen, sees)):
             if number != len(of.features):
                 raise ValueError(f"its {what} has {number} features, its group names {len(of.features)}")
-        if feature_size is not None:
-            checked_groups([group], feature_size)
+        most = max(*group.features, *sees.features)
+        if feature_size is not None and most >= feature_size:
+            raise ValueError(
+                f"its group {group.name!r} names feature {most}, the feature map gives {feature_size}. {FEWER_FEATURES}"
+            )
     elif feature_size is not None and n_features != feature_size:
         raise ValueError(f"its subgoals have {n_features} features, the feature map here gives {feature_size}")
     elif n_seen != n_features:

@@ -120,10 +120,10 @@ def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
     if given.help is not None:
         _show_help(default, given.help, f"{prog} [ALGORITHM]")
     config = tyro.cli(type(default), prog=f"{prog} {algo}", default=default, args=flags, registry=NUMBERS)
-    check_keywords(config.env, config.env_kwargs)
+    check_keywords(config.env, config.env_kwargs, wrapper=config.env_wrapper)
     for number, task in enumerate(config.series, 1):
         try:
-            check_keywords(config.env, task, "--series")
+            check_keywords(config.env, task, "--series", wrapper=config.env_wrapper)
         except ValueError as error:
             error.add_note(f"This is task {number} of the series.")
             raise

@@ -5,18 +5,21 @@ from __future__ import annotations
 import difflib
 import inspect
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
 import tyro
 from gymnasium.envs.registration import load_env_creator
 
-from sb3_options.envs.minigrid import is_minigrid
+from sb3_options.envs import minigrid
 from sb3_options.runs import yaml_file
 
-OF_MAKE = frozenset(inspect.signature(gym.make).parameters)
-"""Keyword arguments that ``gymnasium.make`` takes for itself."""
+OF_MAKE = frozenset(inspect.signature(gym.make).parameters) - {"id", "kwargs"}
+"""Keyword arguments that ``gymnasium.make`` takes for itself, besides the id."""
+
+IDS = ("id", "env_id")
+"""How a keyword argument would name another environment."""
 
 
 def keywords_of(pairs: Any, given_for: str = "--env-kwargs") -> Any:
@@ -86,32 +89,60 @@ SERIES = tyro.constructors.PrimitiveConstructorSpec[tuple[dict[str, Any], ...]](
 """How the command line spells a series."""
 
 
-def check_keywords(env_id: str, keywords: Mapping[str, Any], given_for: str = "--env-kwargs") -> None:
+def check_keywords(
+    env_id: str, keywords: Mapping[str, Any], given_for: str = "--env-kwargs", *, wrapper: str | None = None
+) -> None:
     """Refuse keyword arguments that the environment's constructor does not have, and name those that it has.
 
-    Passed over is an environment that takes any, or that cannot be found, which is refused elsewhere.
+    Passed over is an environment that takes any, or that cannot be found, which is refused elsewhere. Those of MiniGrid
+    hand what they do not take on to `MiniGridEnv`, and take the arguments of `MiniGridWrapper` too.
 
     Args:
         env_id: Gymnasium's.
         keywords: For it.
         given_for: The flag.
+        wrapper: The user's own, in place of `MiniGridWrapper`.
 
     Raises:
-        ValueError: It has no such argument.
+        ValueError: It has no such argument, or an argument would name another environment.
     """
-    if not set(keywords) - OF_MAKE or is_minigrid(env_id):
+    if not set(keywords) - OF_MAKE:
         return
+    of_minigrid = minigrid.is_minigrid(env_id)
+    for name in IDS if of_minigrid else IDS[:1]:
+        if name in keywords:
+            raise ValueError(
+                f"{given_for} takes arguments of --env {env_id}, {name} would name another environment. Train there on "
+                f"its own, and go on with the options of this run: --env {keywords[name]} --options RUN."
+            )
     try:
-        maker = gym.spec(env_id).entry_point
-        takes = inspect.signature(load_env_creator(maker) if isinstance(maker, str) else maker or gym.make).parameters
+        if of_minigrid:
+            minigrid.require()
+        maker = gym.spec(env_id.removeprefix(minigrid.MODULE)).entry_point
+        creator: Any = load_env_creator(maker) if isinstance(maker, str) else maker or gym.make
+        takes = _taken(inspect.getmro(creator) if of_minigrid else [creator])
     except (gym.error.Error, ImportError, AttributeError, TypeError, ValueError):
         return
-    if any(each.kind is each.VAR_KEYWORD for each in takes.values()):
+    if takes is None:
         return
+    if of_minigrid:
+        takes = [name for name in takes if name != "mission_space"]  # each has its own
+        takes += [] if wrapper is not None else minigrid.KEYWORDS
     for name in keywords:
         if name not in takes and name not in OF_MAKE:
             hint = "".join(f" Did you mean {near!r}?" for near in difflib.get_close_matches(name, takes, n=1))
             raise ValueError(f"{given_for}: {env_id} takes no {name!r}.{hint} It takes {', '.join(takes) or 'none'}.")
+
+
+def _taken(makers: Sequence[Callable[..., Any]]) -> list[str] | None:
+    """The arguments of the first of these, and of those that it hands others on to; None where the last takes any."""
+    taken: dict[str, None] = {}
+    for maker in makers:
+        parameters = inspect.signature(maker).parameters.values()
+        taken |= {each.name: None for each in parameters if each.kind is not each.VAR_KEYWORD}
+        if not any(each.kind is each.VAR_KEYWORD for each in parameters):
+            return list(taken)
+    return None
 
 
 def whole_number(text: str) -> int:

@@ -86,7 +86,7 @@ def test_near_a_negative_instance(distance: float, offset: float, eta: float) ->
         if offset:
             continue  # a search puts the origin into the middle of the data
         loss, slope = evidence_of(Bags.pack(positive, negative), eta=eta).loss(torch.tensor(np.r_[s * t, s])[:, None])
-        rounding = 3e-8 + 1e-15 / distance
+        rounding = 3e-8 + 1e-15 * max(1.0, float(np.linalg.norm(s * t))) / distance  # as `Evidence.loss` says
         assert -loss.item() == pytest.approx(value, rel=rounding)
         gradient = -slope[:, 0].numpy()
         assert largest(gradient[:3] - in_a, of=in_a) < rounding

@@ -86,7 +86,7 @@ def test_there_is_none_where_one_succeeds(caplog: pytest.LogCaptureFixture) -> N
     add(discovery, 3 * SILENT_TRAJECTORIES, is_success=False)
     assert not caplog.records
     assert discovery.why_nothing() == (
-        "No subgoal was discovered: 1 of 61 episodes were successful; a search needs 8 (min_positive) of which the "
+        "No subgoal was discovered: 1 of 61 episodes were successful; a search needs 4 (min_positive) of which the "
         "filters leave something."
     )
 

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -134,6 +135,38 @@ def test_a_database_goes_on_with_its_state() -> None:
         both.add(lived([NOTHING, BEHIND], success=True))
     assert [each.success for each in database] == [each.success for each in other]
     assert (database.n_successful, database.n_entered) == (other.n_successful, other.n_entered) == (8, 8)
+
+
+def why_nothing(n_rare: int, n_successes: int, **settings: Any) -> str:
+    """After 16 that came upon nothing rare."""
+    how = {"min_positive": 4, "salient_share": 0.5, "min_contrast": 0.2, "start_radius": 0, "goal_radius": 0}
+    discovery = GroupedDiscovery(DiscoverySettings(**{**how, **settings}), groups=GROUPS[:2])
+    lives = [usual() for _ in range(16)] + [rare() for _ in range(n_rare)]
+    for life in [*lives, *(lived([NOTHING, NEAR, BEHIND], success=True) for _ in range(n_successes))]:
+        discovery.add(life.trajectory, life.features)
+    assert discovery.search() is None
+    return discovery.why_nothing()
+
+
+def test_why_nothing_counts_what_stands_for_successes() -> None:
+    needs = "a search needs 4 (min_positive) of which the filters leave something."
+    stand = "failures that came upon something rare stand for successes (salient_share)."
+    none = "No subgoal was discovered: "
+    assert why_nothing(2, 1) == f"{none}1 of 19 episodes were successful; {needs} 2 {stand}"
+    assert why_nothing(3, 0) == f"{none}0 of 19 episodes were successful; {needs} 3 {stand}"
+    one = "1 failure that came upon something rare stands for a success (salient_share)."
+    assert why_nothing(1, 0) == f"{none}0 of 17 episodes were successful; {needs} {one}"
+    assert why_nothing(0, 0).startswith(f"{none}none of the 16 episodes seen counts as a success.")
+    assert why_nothing(0, 3) == f"{none}3 of 19 episodes were successful; {needs}"
+    left = why_nothing(8, 0, start_radius=99.0)
+    assert left.startswith(
+        f"{none}0 of 24 episodes were successful; {needs} They leave out what is near start and goal"
+    )
+    assert left.endswith(f" 8 {stand}")
+    assert why_nothing(8, 0, min_contrast=0.99) == (
+        f"{none}successful trajectories visit no state of a group of features much oftener than the others do; "
+        f"min_contrast is 0.99. 8 {stand}"
+    )
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])

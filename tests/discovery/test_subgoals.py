@@ -29,8 +29,9 @@ SMALL: dict[str, Any] = {
     "loops": "keep",
     "min_passing": 0.0,
     "leak": 0.0,
+    "search_growth": 0.0,
 }
-"""The paper's bags and diverse density, of few trajectories."""
+"""The paper's bags and diverse density, of few trajectories, which may be searched again and again."""
 
 
 SEARCHES: tuple[Literal["gradient", "exhaustive", "incremental"], ...] = ("gradient", "exhaustive", "incremental")
@@ -86,12 +87,12 @@ class TestTwoRooms:
     ) -> None:
         near = 0
         for trajectories in walks:
-            discovery = SubgoalDiscovery(DiscoverySettings(search=search), kind="environment")
+            discovery = SubgoalDiscovery(DiscoverySettings(search=search, search_growth=0.0), kind="environment")
             for trajectory, features in trajectories:
                 discovery.add(trajectory, features)
-            subgoals = [discovery.search() for _ in range(9)]  # 1 − λⁿ > 0.6
-            assert subgoals[:8] == [None] * 8
-            subgoal = subgoals[8]
+            subgoals = [discovery.search() for _ in range(4)]  # 1 − λⁿ > 0.6
+            assert subgoals[:3] == [None] * 3
+            subgoal = subgoals[3]
             near += subgoal is not None and bool(np.linalg.norm(subgoal.points[0] - DOORWAY) <= 1.0)
         assert near >= 5
 
@@ -274,6 +275,18 @@ class TestSearch:
             return float(density[0] - density[1])
 
         assert best(0.0) < 0 < best(0.2)
+
+    @pytest.mark.parametrize("negative_bags", [True, False])
+    def test_the_more_successes_there_are_the_rarer_are_searches(self, negative_bags: bool) -> None:
+        """With a growth of a fifth, 2 new trajectories up to 10 successes, 3 up to 15. The first here is a failure."""
+        discovery = SubgoalDiscovery(settings_of(search_growth=0.2, negative_bags=negative_bags))
+        searched = []
+        for n in range(1, 16):
+            discovery.add(*on_a_line(0, 5, 20, success=n > 1))
+            seconds = discovery.seconds
+            discovery.search()
+            searched += [n] if discovery.seconds > seconds else []
+        assert searched == [1, 2, 3, 4, 5, 6, 8, 10, 13]
 
     def test_seconds_add_up(self) -> None:
         discovery = SubgoalDiscovery(settings_of(threshold=0.9))
@@ -486,6 +499,7 @@ RANGES: list[tuple[str, tuple[Any, ...], str]] = [
             "spacing",
         )
     ),
+    ("search_growth", (-0.1, 1.0, math.nan), "should be (greater than or equal to 0|less than 1)"),
     ("scale", (0.0, -1.0, math.nan, math.inf), "should be (greater than 0|a finite number)"),
     ("negative_strength", (0.0, -0.5, 1.5, math.nan), "should be (greater than 0|less than or equal to 1)"),
     ("leak", (-0.1, 1.0, math.nan), "should be (greater than or equal to 0|less than 1)"),

@@ -141,8 +141,12 @@ def test_flat_size(space: Any, size: int) -> None:
 def test_text_is_named_by_its_key() -> None:
     """As the mission of MiniGrid, of which nothing made a number."""
     env = env_with(spaces.Dict({"image": spaces.Box(0, 255, (7, 7, 3), np.uint8), "mission": spaces.Text(20)}))
-    with pytest.raises(ValueError, match=r"Observations hold text \(mission\), from which neither"):
+    with pytest.raises(ValueError, match=r"Observations hold text \(mission\), from which neither") as error:
         OptionsWrapper(env)
+    of_minigrid = "MiniGrid's observations are made numbers by sb3_options.envs.minigrid.MiniGridWrapper."
+    assert str(error.value).endswith(of_minigrid)
+    with pytest.raises(ValueError, match=r"hold text \(name\).* OptionsWrapper\(env, feature_map=...\)\.$"):
+        OptionsWrapper(env_with(spaces.Dict({"name": spaces.Text(20)})))
 
 
 class _Grouped(gym.Wrapper[Any, Any, Any, Any]):

@@ -2,13 +2,15 @@ import json
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import pytest
 
-from experiments.random_walks.__main__ import Study, main
-from experiments.random_walks.conditions import ARMS, METHODS, TASKS, is_bottleneck, run, world_for
+from experiments.random_walks.__main__ import COMPARED, Study, main
+from experiments.random_walks.conditions import TASKS, Positions, is_bottleneck, run, world_for
 from experiments.random_walks.maps import SIDES, random_map
-from experiments.random_walks.report import table
+from experiments.random_walks.report import parts_of
 from sb3_options.envs import GridWorld
+from sb3_options.experience.observations import FloatArray
 
 
 def test_maps_are_rooms_with_a_way_from_every_start_to_the_goal() -> None:
@@ -40,21 +42,31 @@ def test_a_run_is_of_its_seed(task: str) -> None:
     assert first["seed"] != other["seed"]
 
 
-@pytest.mark.parametrize(("compare", "arms"), [("bags", ARMS), ("methods", METHODS)])
+@pytest.mark.parametrize(("compare", "noise"), [("bags", 0.0), ("methods", 0.0), ("waiting", 0.3)])
 def test_study_writes_results_and_picture(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compare: Literal["bags", "methods"], arms: dict[str, object]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compare: Literal["bags", "methods", "waiting"], noise: float
 ) -> None:
     monkeypatch.setattr("experiments.random_walks.conditions.N_EPISODES", 4)
-    main(Study(out=tmp_path, runs=1, first_seed=0, jobs=1, compare=compare))
+    main(Study(out=tmp_path, runs=1, first_seed=0, jobs=1, compare=compare, noise=noise))
     written = json.loads((tmp_path / "results.json").read_text())
-    assert written["command"].endswith(f"--compare {compare}")
-    assert set(written["summary"]) == {f"{task}: {arm}" for task in TASKS for arm in arms}
+    assert written["command"].endswith(f"--compare {compare}" + (" --noise 0.3" if noise else ""))
+    assert set(written["summary"]) == {f"{task}: {arm}" for task in TASKS for arm in COMPARED[compare]}
     assert (tmp_path / "random_walks.png").stat().st_size > 10_000
 
 
+def test_with_noise_no_position_is_seen_twice_but_all_are_near_where_the_agent_is() -> None:
+    def shown(noise: float) -> FloatArray:
+        seen = Positions(world_for("KeyDoor", 0), noise, seed=0)
+        return np.array([seen.reset(seed=0)[0], *(seen.step(i % 4)[0] for i in range(40))])
+
+    exact, noisy = shown(0.0), shown(0.3)
+    assert len(np.unique(noisy, axis=0)) == len(noisy) > len(np.unique(exact, axis=0))
+    assert 0.2 < np.abs(noisy - exact).max() <= 0.3
+    assert (noisy[:, 2] == exact[:, 2]).all(), "whether there is a key is known"
+
+
 def test_the_tables_of_the_page() -> None:
-    results = json.loads(Path("docs/results/random-walks.json").read_text())
     page = Path("docs/studies/random-walks.md").read_text()
-    assert table(results["summary"]) in page
-    methods = json.loads(Path("docs/results/random-walks-methods.json").read_text())
-    assert table(methods["summary"], "method") in page
+    names = ("random-walks", "random-walks-methods", "random-walks-waiting", "random-walks-noise")
+    summaries = [json.loads(Path(f"docs/results/{name}.json").read_text())["summary"] for name in names]
+    assert all(part in page for part in parts_of(*summaries).values())

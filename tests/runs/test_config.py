@@ -8,6 +8,7 @@ import yaml
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.envs.minigrid import DISCOVERY
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.runs import config as configs
 from sb3_options.runs.config import (
@@ -31,8 +32,8 @@ COMMON: dict[str, Any] = {
     "discovery": DiscoverySettings(
         peak_reward=0.75, max_segment=70,
         max_share=0.125, capacity=7, max_bytes=99, method="l-cut", min_positive=2, negative_bags=False,
-        negative_strength=0.5, leak=0.125, search="exhaustive",
-        scale=2.5, start_radius=1.0, goal_radius=0.0, decay=0.75, threshold=0.25, peak_radius=2.0, peak_tolerance=0.01,
+        search_growth=0.1, negative_strength=0.5, leak=0.125, search="exhaustive",
+        scale=2.5, start_radius=1.0, goal_radius=0.0, decay=0.8, threshold=0.25, peak_radius=2.0, peak_tolerance=0.01,
         subgoal_radius=1.25, spacing=1.5, max_places=6, max_extent=2.5,
         loops="keep", min_passing=0.25, min_cut=0.2, min_contrast=0.35, equal_time=False, salient_share=0.25,
     ),
@@ -148,6 +149,11 @@ def test_an_environment_brings_its_own_defaults() -> None:
         for algo in CLASSES:
             grid = configs.tuned(name, algo)
             assert (grid.env, grid.gamma, grid.max_new_options, grid.discovery.capacity) == (name, 0.99, None, 500)
+            assert grid.discovery == DiscoverySettings(**DISCOVERY["settings"])
+            assert grid.option == OptionLearningSettings(**DISCOVERY["option_settings"])
+            assert {"settings", "option_settings", "min_reached"} == set(DISCOVERY)
+            assert grid.min_reached == DISCOVERY["min_reached"]
+            assert grid.discovery.max_share is None
     assert configs.tuned("CartPole-v1") == DQNConfig(env="CartPole-v1")
 
 

@@ -142,6 +142,28 @@ def test_what_makes_no_sense_is_refused(args: list[str], expected: str, capsys: 
             "--env-kwargs: CartPole-v1 takes no 'colour'. It takes sutton_barto_reward, render_mode.",
         ),
         (["--series", "goal:[2, 0]", "gaol:[3, 0]"], "--series: sb3_options/TwoRooms-v0 takes no 'gaol'."),
+        (
+            ["--env", "MiniGrid-DoorKey-5x5-v0", "--env-kwargs", "misson:False"],
+            "--env-kwargs: MiniGrid-DoorKey-5x5-v0 takes no 'misson'. Did you mean 'mission'? It takes size,",
+        ),
+        (
+            ["--env", "minigrid:MiniGrid-LockedRoom-v0", "--series", "agent_view_sise:9"],
+            "--series: minigrid:MiniGrid-LockedRoom-v0 takes no 'agent_view_sise'. Did you mean 'agent_view_size'?",
+        ),
+        (
+            ["--env", "MiniGrid-LockedRoom-v0", "--env-wrapper", "a:b", "--env-kwargs", "asked:False"],
+            "--env-kwargs: MiniGrid-LockedRoom-v0 takes no 'asked'. It takes",
+        ),
+        (
+            ["--env", "MiniGrid-MultiRoom-N2-S4-v0", "--series", "env_id:MiniGrid-MultiRoom-N4-S5-v1"],
+            "--series takes arguments of --env MiniGrid-MultiRoom-N2-S4-v0, env_id would name another environment. "
+            "Train there on its own, and go on with the options of this run: "
+            "--env MiniGrid-MultiRoom-N4-S5-v1 --options RUN.",
+        ),
+        (
+            ["--env-kwargs", "id:CartPole-v1"],
+            "arguments of --env sb3_options/TwoRooms-v0, id would name",
+        ),
     ],
 )
 def test_keyword_arguments_that_the_environment_does_not_have(args: list[str], expected: str) -> None:
@@ -242,7 +264,9 @@ def test_whole_numbers_may_have_exponents() -> None:
 def test_what_gymnasium_takes_for_itself_is_no_mistake() -> None:
     for env_id in ("CartPole-v1", "MiniGrid-Empty-5x5-v0", "no/Such-v0"):
         assert parse(["--env", env_id, "--env-kwargs", "max_episode_steps:9"]).env_kwargs == {"max_episode_steps": 9}
-    assert parse(["--env", "MiniGrid-Empty-5x5-v0", "--env-kwargs", "mission:false"]).env_kwargs == {"mission": False}
+    taken = ["mission:false", "asked:false", "size:6", "max_steps:50", "agent_view_size:5", "max_episode_steps:9"]
+    for env_id in ("MiniGrid-Empty-5x5-v0", "minigrid:MiniGrid-Empty-5x5-v0"):
+        assert len(parse(["--env", env_id, "--env-kwargs", *taken]).env_kwargs) == len(taken)
 
 
 @pytest.mark.parametrize("algo", CLASSES)

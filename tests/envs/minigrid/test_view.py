@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
@@ -57,7 +60,7 @@ def test_other_views_and_through_walls() -> None:
 def test_make_sees_quickly_and_equally() -> None:
     quick: Any = make("MiniGrid-DoorKey-5x5-v0")
     slow = gym.make("MiniGrid-DoorKey-5x5-v0")
-    assert quick.unwrapped.gen_obs.__func__.__module__ == "sb3_options.envs.minigrid.view"
+    assert quick.unwrapped.gen_obs.func.__module__ == "sb3_options.envs.minigrid.view"
     ours, theirs = quick.env.reset(seed=3)[0], slow.reset(seed=3)[0]
     np.testing.assert_array_equal(ours["image"], theirs["image"])
     assert (ours["direction"], ours["mission"]) == (theirs["direction"], theirs["mission"])
@@ -68,3 +71,15 @@ def test_a_view_of_its_own_is_left_alone() -> None:
     env: Any = object.__new__(type("Blind", (minigrid_env.MiniGridEnv,), own))
     see_quickly(env)
     assert env.gen_obs() == {}
+
+
+@pytest.mark.parametrize("again", [lambda env: pickle.loads(pickle.dumps(env)), copy.deepcopy], ids=["pickle", "copy"])
+def test_a_copy_sees_what_is_around_itself(again: Callable[[Any], Any]) -> None:
+    env: Any = make("MiniGrid-DoorKey-5x5-v0")
+    before, _ = env.reset(seed=3)
+    copied = again(env)
+    for action in (0, 0, 2, 1):
+        after = copied.step(action)[0]
+    np.testing.assert_array_equal(env.unwrapped.gen_obs()["image"], env.images(before[None])[0])
+    np.testing.assert_array_equal(copied.unwrapped.gen_obs()["image"], copied.images(after[None])[0])
+    assert not np.array_equal(before, after)

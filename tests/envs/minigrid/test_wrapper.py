@@ -1,3 +1,4 @@
+import re
 from typing import Any
 
 import gymnasium as gym
@@ -7,6 +8,7 @@ import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
 from minigrid.core.constants import COLOR_TO_IDX, OBJECT_TO_IDX
+from minigrid.core.world_object import Lava
 from minigrid.wrappers import ViewSizeWrapper
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
@@ -33,8 +35,20 @@ def test_every_environment_is_one_vector(env_id: str) -> None:
         assert env.observation_space.contains(observation)
     assert env.concept_features(observation[None]).shape == (1, len(env.feature_names))
     used = {n for group in env.concept_groups() for n in (*group["features"], *group["seen"]["features"])}
-    unused = {FEATURES.index("wall_ahead")}  # it tells the same as others
+    unused = {n for n, name in enumerate(FEATURES) if name == "wall_ahead" or name.startswith("lava")}
     assert used == set(range(len(env.feature_names))) - unused
+
+
+@pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
+@pytest.mark.parametrize("env_id", IDS)
+def test_a_goal_square_is_nothing_that_is_asked_for(env_id: str) -> None:
+    """Though missions name its colour: "get to the green goal square"."""
+    env = make(env_id)
+    space: Any = gym.make(env_id).observation_space["mission"]  # type: ignore[index]  # a Dict
+    texts = (space.sample().replace("green goal square", "goal") for _ in range(20))
+    things = {colour for text in texts for colour in COLOR_TO_IDX if colour in text.split()}
+    assert (env.feature_names == FEATURES) == (not things)
+    assert [group["name"] for group in env.concept_groups() if "asked" in group["name"]][:1] == ["asked"] * bool(things)
 
 
 def test_the_image_can_be_read_back_from_the_vector() -> None:
@@ -114,6 +128,32 @@ def test_other_views_than_the_agent_s_are_refused(name: str) -> None:
         MiniGridWrapper(env)
 
 
+@pytest.mark.parametrize(
+    ("name", "changed"),
+    [
+        ("ActionBonus", minigrid.wrappers.ActionBonus),
+        ("PositionBonus", minigrid.wrappers.PositionBonus),
+        ("TransformReward", lambda env: gym.wrappers.TransformReward(env, lambda reward: float(reward) + 1)),
+    ],
+)
+def test_rewards_that_are_changed_are_refused_beneath_and_taken_above(name: str, changed: Any) -> None:
+    """Else a death in the lava, with a bonus, would be a success."""
+    text = (
+        "MiniGridWrapper needs the rewards of MiniGrid, for an episode that ends with one above 0 is a success, got "
+        f"those of {name}. Put {name} above it: {name}(MiniGridWrapper(gymnasium.make(...)), ...)."
+    )
+    with pytest.raises(TypeError, match=f"^{re.escape(text)}$"):
+        MiniGridWrapper(changed(gym.make("MiniGrid-LavaGapS5-v0")))
+    env = changed(make("MiniGrid-LavaGapS5-v0"))
+    env.reset(seed=0)
+    inner: Any = env.unwrapped
+    inner.grid.set(*inner.front_pos, Lava())  # type: ignore[no-untyped-call]  # of minigrid
+    _, reward, terminated, _, info = env.step(inner.actions.forward)
+    assert terminated
+    assert reward > 0
+    assert info["is_success"] is False
+
+
 def test_what_the_mission_asks_for_is_told_by_colour() -> None:
     """The agent of Fetch stands before things of all kinds; only one is the mission's."""
     env = make("MiniGrid-Fetch-8x8-N3-v0")
@@ -149,6 +189,7 @@ def test_what_the_mission_asks_for_is_told_by_colour() -> None:
         ("MiniGrid-GoToDoor-5x5-v0", "go to the grey door", [(4, 5)]),
         ("MiniGrid-PutNear-6x6-N2-v0", "put the red ball near the blue key", [(6, 0), (5, 2)]),
         ("MiniGrid-DoorKey-5x5-v0", None, []),
+        ("MiniGrid-LavaCrossingS9N1-v0", None, []),
         (
             "MiniGrid-LockedRoom-v0",
             "get the red key from the blue room, unlock the red door and go to the goal",
