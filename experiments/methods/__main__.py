@@ -20,7 +20,7 @@ from experiments.common.documents import number
 from experiments.common.seeds import Part, run_parts
 from experiments.common.study import Flags, show, write
 from experiments.methods.conditions import LENGTHS, MACROQ, SETTINGS, Entry, length_of, run
-from experiments.methods.entrants import ENTRANTS, chosen_settings
+from experiments.methods.entrants import ENTRANTS, all_settings_of, chosen_settings
 from experiments.methods.plots import draw
 from experiments.methods.summary import summarise
 from experiments.methods.tasks import TASKS
@@ -76,7 +76,11 @@ def main(study: Study) -> None:
             f"{task}, {learner}, {entrant}",
             partial(run, Entry(task, learner, entrant, chosen[entrant], lengths[task, learner])),
             study.out / learner / task.replace(" ", "-") / f"{entrant}-{study.settings}",
-            {"method": chosen[entrant], "n_timesteps": lengths[task, learner], **_learner(learner)},
+            {
+                "method": all_settings_of(entrant, chosen[entrant]),
+                "n_timesteps": lengths[task, learner],
+                **_learner(learner),
+            },
         )
         for task, learner in cells
         for entrant in study.methods
@@ -88,7 +92,10 @@ def main(study: Study) -> None:
         summaries[task][learner] = summarise(of, lengths[task, learner])
     content = {
         "command": study.command(),
-        "settings": {"methods": chosen, "lengths": {f"{task}, {learner}": n for (task, learner), n in lengths.items()}},
+        "settings": {
+            "methods": {entrant: all_settings_of(entrant, of) for entrant, of in chosen.items()},
+            "lengths": {f"{task}, {learner}": n for (task, learner), n in lengths.items()},
+        },
         "summary": summaries,
         "runs": results,
     }

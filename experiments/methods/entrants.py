@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import asdict
+from inspect import signature
 from pathlib import Path
 from typing import Any, get_args
 
@@ -41,6 +43,15 @@ def chosen_settings(entrants: tuple[str, ...], which: str) -> dict[str, dict[str
 
 TUNABLE = frozenset(ENTRANTS) - CONTROLS - {HAND_MADE, NONE}
 """Methods that have something to tune."""
+
+
+def all_settings_of(entrant: str, changed: Mapping[str, Any]) -> dict[str, Any]:
+    """All settings of an entrant, its defaults among them: what its results depend on."""
+    if entrant in METHODS:
+        made: Any = METHODS[entrant]
+        defaults = {name: p.default for name, p in signature(made).parameters.items() if name != "seed"}
+        return {**defaults, **changed}
+    return {} if entrant in (HAND_MADE, NONE) else asdict(DiscoverySettings(**{"method": entrant, **changed}))
 
 
 def discovery_of(

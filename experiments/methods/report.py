@@ -12,64 +12,82 @@ import tyro
 
 from experiments.common.documents import fill, number
 
+MANY = 0.25
+"""If this share of the runs never met the criterion, a ratio of steps is a bound."""
+
 
 @dataclass(frozen=True)
 class Report:
-    """Fill in the command and a table for each task and learner that was run.
+    """Fill in the commands and a table for each task and learner that was run.
 
     Attributes:
         results: What the race wrote.
         tuned: What it wrote with ``--settings tuned``.
+        ppo: What it wrote with ``--learners ppo``.
         document: The page.
     """
 
     results: Path = Path("docs/results/methods.json")
     tuned: Path = Path("docs/results/methods-tuned.json")
+    ppo: Path = Path("docs/results/methods-ppo.json")
     document: Path = Path("docs/studies/methods.md")
 
 
 def main(report: Report) -> None:
     """Read, and fill in."""
-    parts = parts_of(json.loads(report.results.read_text(encoding="utf-8")))
-    tuned = parts_of(json.loads(report.tuned.read_text(encoding="utf-8")))
-    fill(report.document, {**parts, "tuned-command": tuned["command"], "tuned": tuned["overview"]})
+    parts: dict[str, str] = {}
+    for prefix, path in (("", report.results), ("tuned-", report.tuned), ("ppo-", report.ppo)):
+        parts |= parts_of(json.loads(path.read_text(encoding="utf-8")), prefix)
+    fill(report.document, {name: text for name, text in parts.items() if name not in ("tuned-race", "tuned-random")})
 
 
-def parts_of(results: Mapping[str, Any]) -> dict[str, str]:
-    """What stands between the marks of the page."""
+def parts_of(results: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
+    """What stands between the marks of the page, which begin with ``prefix``."""
     tables = [
         f"**{task}, {learner}**\n\n{table(summary)}"
         for task, of in results["summary"].items()
         for learner, summary in of.items()
     ]
+    one = {task: next(iter(of.values())) for task, of in results["summary"].items()}
     return {
-        "command": f"`{results['command']}`",
-        "overview": overview({task: of["macroq"] for task, of in results["summary"].items() if "macroq" in of}),
-        "race": "\n\n".join(tables),
+        f"{prefix}command": f"`{results['command']}`",
+        f"{prefix}overview": overview(one, "of_primitives"),
+        f"{prefix}random": overview(one, "of_random"),
+        f"{prefix}race": "\n\n".join(tables),
     }
 
 
-def overview(summaries: Mapping[str, Mapping[str, Any]]) -> str:
-    """All tasks of one learner: steps in the same task and with the goal moved, of the primitives'; * where some never.
+def overview(summaries: Mapping[str, Mapping[str, Any]], ratio: str) -> str:
+    """All tasks of one learner: steps in the same task and with the goal moved, as a share of those of others.
+
+    Marked * where some run never met the criterion, ≥ where a `MANY`-th did not.
 
     Args:
         summaries: By task, then by entrant.
+        ratio: ``of_primitives`` or ``of_random``.
     """
     entrants = list(next(iter(summaries.values()), {}))
     rows = [f"| | {' | '.join(summaries)} |", "|---" * (len(summaries) + 1) + "|"]
     for entrant in entrants:
-        cells = [_both(of[entrant]) for of in summaries.values()]
+        cells = [_both(of[entrant], ratio) for of in summaries.values()]
         if any(cells):
             rows.append(f"| {entrant} | {' | '.join(cells)} |")
     return "\n".join(rows)
 
 
-def _both(of: Mapping[str, Any]) -> str:
-    """As "0.83, 0.20"; empty for primitives themselves."""
+def _both(of: Mapping[str, Any], ratio: str) -> str:
+    """As "0.83, 0.20"; empty for those that are compared with."""
     phases = [of["same"], of["moved"]]
-    if any(each["of_primitives"] is None for each in phases):
+    if any(each.get(ratio) is None for each in phases):
         return ""
-    return ", ".join(f"{each['of_primitives']['mean']:.2f}{'*' if each['never'] else ''}" for each in phases)
+    return ", ".join(_bound(of["n_runs"], each["never"], each[ratio]["mean"]) for each in phases)
+
+
+def _bound(n_runs: int, never: int, mean: float) -> str:
+    """A ratio with the mark of what it leaves out."""
+    if never >= MANY * n_runs:
+        return f"≥{mean:.2f}"
+    return f"{mean:.2f}{'*' if never else ''}"
 
 
 def table(summary: Mapping[str, Any]) -> str:

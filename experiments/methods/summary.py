@@ -10,9 +10,12 @@ import numpy as np
 from experiments.common.seeds import Result
 from experiments.methods.entrants import NONE
 from sb3_options.experience.observations import FloatArray
-from sb3_options.runs.intervals import iqm_interval, iqm_ratio, mean_interval, ratio_interval
+from sb3_options.runs.intervals import iqm_interval, iqm_ratio, mean_interval, ratio_interval, share_interval
 
 PHASES = ("same", "moved")
+
+RANDOM = "random"
+"""The control that others have to be better than."""
 
 
 def summarise(runs: Mapping[str, Sequence[Result]], n_timesteps: int) -> dict[str, dict[str, Any]]:
@@ -25,9 +28,9 @@ def summarise(runs: Mapping[str, Sequence[Result]], n_timesteps: int) -> dict[st
     Returns:
         By entrant: ``n_runs``; ``found``, subgoals a run; ``near``, the share of them at a bottleneck; ``reached``, the
         share of option runs that reach their subgoal; ``same`` and ``moved``, each with ``steps`` to the criterion
-        (interquartile mean), ``never``, how many runs did not meet it, and ``of_primitives``, the ratio to the steps of
-        `NONE`; ``discovery_seconds`` and ``discovery_share`` of training in the same task, in processor time. Each with
-        its 95 % interval; None where there is nothing to estimate.
+        (interquartile mean), ``never``, how many runs did not meet it, ``of_primitives``, the ratio to the steps of
+        `NONE`, and ``of_random``, to those of random places; ``discovery_seconds`` and ``discovery_share`` of training
+        in the same task, in processor time. Each with its 95 % interval; None where there is nothing to estimate.
     """
     steps = {
         entrant: {phase: np.array([steps_of(run[phase], n_timesteps) for run in of]) for phase in PHASES}
@@ -54,11 +57,19 @@ def summarise(runs: Mapping[str, Sequence[Result]], n_timesteps: int) -> dict[st
             summary[entrant][phase] = {
                 "steps": iqm_interval(taken)._asdict(),
                 "never": sum(run[phase]["steps"] is None for run in of),
-                "of_primitives": iqm_ratio(taken, steps[NONE][phase], paired=True)._asdict()
-                if NONE in steps and entrant != NONE
-                else None,
+                "of_primitives": _ratio(steps, phase, entrant, NONE),
+                "of_random": _ratio(steps, phase, entrant, RANDOM),
             }
     return summary
+
+
+def _ratio(
+    steps: Mapping[str, Mapping[str, FloatArray]], phase: str, entrant: str, other: str
+) -> dict[str, float] | None:
+    """Of the steps of an entrant to those of another in the same runs."""
+    if other not in steps or entrant == other:
+        return None
+    return iqm_ratio(steps[entrant][phase], steps[other][phase], paired=True)._asdict()
 
 
 def steps_of(trained: Result, n_timesteps: int) -> float:
@@ -75,6 +86,13 @@ def _column(runs: Sequence[Result], value: Callable[[Result], float]) -> FloatAr
 
 
 def _share(part: FloatArray, whole: FloatArray) -> dict[str, float] | None:
-    """Σ part / Σ whole with its interval over runs; None where there is nothing to share."""
+    """Σ part / Σ whole with its interval over runs; None where there is nothing to share.
+
+    Where the share is 0 or 1 in all runs, it is Wilson's of so many runs: resamples of them would all be the same.
+    """
     there = whole > 0
-    return ratio_interval(part[there], whole[there])._asdict() if there.any() else None
+    if not there.any():
+        return None
+    if (part[there] == whole[there]).all() or not part[there].any():
+        return share_interval(int(there.sum()) if part[there].any() else 0, int(there.sum()))._asdict()
+    return ratio_interval(part[there], whole[there])._asdict()

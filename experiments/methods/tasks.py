@@ -67,19 +67,22 @@ class RaceTask:
     evaluation_episodes: int = 20
 
 
-_GRIDS: dict[str, Cell] = {"TwoRooms": (20, 0), "FourRooms": (11, 8), "KeyDoor": (12, 0)}
-"""Where the goal moves to: another corner of its room."""
+_GRIDS = ("TwoRooms", "FourRooms", "KeyDoor")
+
+AWAY = 2
+"""Steps that the goal moves at least, without walls."""
 
 TASKS = (*_GRIDS, "random maps", "Taxi", "Pioneer")
 
 
 def task_for(name: str, seed: int) -> RaceTask:
-    """A task of `TASKS`; of random maps another one for every seed."""
+    """A task of `TASKS`; where the goal moves to in gridworlds depends on the seed, and so do random maps."""
     if name in _GRIDS:
-        return RaceTask(f"sb3_options/{name}-v0", {}, {"goal": _GRIDS[name], **MOVED})
+        env = f"sb3_options/{name}-v0"
+        return RaceTask(env, {}, {"goal": moved_goal(world_of(env), seed), **MOVED})
     if name == "random maps":
         drawn = random_map(seed, shapes=MAPS, sides=SIDES)
-        moved = {"map": drawn, "goal": farthest_in_room(GridWorld(drawn)), **MOVED}
+        moved = {"map": drawn, "goal": moved_goal(GridWorld(drawn), seed), **MOVED}
         return RaceTask("sb3_options/TwoRooms-v0", {"map": drawn}, moved)
     if name == "Taxi":
         return RaceTask(TAXI, {"destination": 0}, {"destination": 1})
@@ -97,10 +100,15 @@ def task_for(name: str, seed: int) -> RaceTask:
     )
 
 
-def farthest_in_room(world: GridWorld) -> Cell:
-    """The cell of the goal's room that is farthest from the goal."""
+def moved_goal(world: GridWorld, seed: int) -> Cell:
+    """A cell of the goal's room that is `AWAY` from it, each as likely as any other.
+
+    A corner would favour options that lead to corners: there the subgoal would be the goal.
+    """
     room = next(room for room in rooms_of(world) if world.goal in room)
-    return max(sorted(room), key=lambda cell: abs(cell[0] - world.goal[0]) + abs(cell[1] - world.goal[1]))
+    x, y = world.goal
+    cells = sorted(cell for cell in room if abs(cell[0] - x) + abs(cell[1] - y) >= AWAY)
+    return cells[int(np.random.default_rng(seed).integers(len(cells)))]
 
 
 def step_limit(task: RaceTask, kwargs: Mapping[str, Any]) -> int:
@@ -131,13 +139,14 @@ def at_bottleneck(task: RaceTask, point: Sequence[float]) -> bool | None:
     """Whether a subgoal is one; None where nobody can say.
 
     In gridworlds it is if it lies within a cell of a doorway, a door or a key; in Taxi, if the passenger gets in there:
-    at the passenger's stop, before or after.
+    at the passenger's stop, before or after. The destination is none.
     """
     if "Pioneer" in task.env:
         return None
     if task.env == TAXI:
         row, column, passenger, _ = taxi_env().decode(int(np.argmax(point)) * len(TAXI_STOPS))
-        return (row, column) in (TAXI_STOPS if passenger == ABOARD else TAXI_STOPS[passenger : passenger + 1])
+        stops = [stop for i, stop in enumerate(TAXI_STOPS) if i != task.same["destination"]]
+        return (row, column) in (stops if passenger == ABOARD else TAXI_STOPS[passenger : passenger + 1])
     return is_bottleneck(world_of(task.env, **task.same), point)
 
 

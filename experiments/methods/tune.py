@@ -27,7 +27,7 @@ from experiments.common.machines import Machines
 from experiments.common.seeds import Part, run_parts, write_json
 from experiments.common.study import show
 from experiments.methods.conditions import SETTINGS, Entry, length_of, run
-from experiments.methods.entrants import TUNED
+from experiments.methods.entrants import TUNED, all_settings_of
 from experiments.methods.spaces import SPACES, defaults_of
 from experiments.methods.summary import PHASES, steps_of
 
@@ -106,7 +106,7 @@ def score(tuning: Tuning, settings: dict[str, Any], folder: Path) -> float:
         Part(task, partial(run, Entry(task, tuning.learner, tuning.method, settings, n)), folder / task)
         for task, n in lengths.items()
     ]
-    told = {"settings": settings, "lengths": lengths}
+    told = {"settings": all_settings_of(tuning.method, settings), "lengths": lengths}
     results = run_parts(parts, range(tuning.seeds), settings=told, on=tuning, description=folder.name)
     taken = [steps_of(of[phase], lengths[task]) for task, runs in results.items() for of in runs for phase in PHASES]
     return float(np.mean([math.log(max(steps, SETTINGS.evaluate_every)) for steps in taken]))

@@ -215,14 +215,14 @@ class BagMaker:
     def _allowed(self, labelled: LabelledTrajectory, scale: FloatArray) -> BoolArray:
         """Which states the static filter leaves, (m,)."""
         s, visits = self.settings, labelled.trajectory.visits
-        if self._counts_steps:
+        if self.counts_steps:
             return steps_from_start_and_goal(visits, s.start_radius, s.goal_radius)
         static_filter = self.static_filter or near_start_and_goal(s.start_radius, s.goal_radius)
         allowed = kept_by(static_filter, self._own(labelled), int(visits[-1]), scale)
         return allowed if self.group is None else allowed & self.group.is_place(labelled.features)
 
     @property
-    def _counts_steps(self) -> bool:
+    def counts_steps(self) -> bool:
         """Whether radii are steps along the trajectory, because states have no distances."""
         return self.kind == "categorical" and self.static_filter is None and self.group is None
 
@@ -270,7 +270,7 @@ class BagMaker:
 
     def _distance(self, known: _Known, subgoal: Region) -> FloatArray:
         """How far the states of a way are from a subgoal, (k,), in the unit of the radii."""
-        if self._counts_steps:
+        if self.counts_steps:
             there = np.flatnonzero(subgoal.contains(known.labelled.features))
             return steps_from(there, known.labelled.trajectory.visits)[known.rows].astype(np.float64)
         if not len(subgoal.points):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,6 +17,7 @@ from sb3_options.discovery.grouped import GroupedDiscovery
 from sb3_options.discovery.methods import METHODS, DiscoveryMethod, Experience, Proposal, method_named, proposed_by
 from sb3_options.discovery.most_likely import MostLikelyDiscovery
 from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.static_filter import steps_from
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
@@ -65,16 +66,21 @@ class ProposedDiscovery(SubgoalDiscovery):
             self._untold = []
         return subgoal
 
+    def _is_due(self) -> bool:
+        """Always: the method is told of every trajectory when it has ended."""
+        return True
+
     def update(self) -> None:
         """Tell the method what is new; nothing as long as the scale of the features is not known."""
         began = time.perf_counter()
         self.cost = 0.0
         if self._maker.knows_scale(self.database):
-            untold, self._untold = self._untold, []  # a method that fails is not told again
-            for labelled in untold:
-                experience = self._experience(labelled)
-                self._proposals = proposed_by(self.method, experience)
-                self.cost += UPDATE_SECONDS * len(labelled.trajectory)
+            earlier: list[Proposal] = []
+            while self._untold:
+                experience = self._experience(self._untold.pop(0))  # a method that fails is not told again
+                self._proposals = [*proposed_by(self.method, experience), *earlier]
+                earlier = self._proposals
+                self.cost += UPDATE_SECONDS * (len(experience.visits) - 1)
                 if hasattr(self.method, "seconds"):
                     self.cost += float(self.method.seconds(experience))
             if self.recurrence.is_due(len(self.database)):
@@ -107,17 +113,28 @@ class ProposedDiscovery(SubgoalDiscovery):
         known = [*self.taken, *(found.subgoal for found in self.found)]
         for proposal in self._proposals:
             goal = goal_of(proposal)
-            if all(self._apart(goal, other) for other in known):
+            if self._is_apart(goal, known):
                 self.found.append(FoundSubgoal(goal, None, math.nan, None if goal is proposal else proposal))
                 self._proposals = []
                 return goal
         return None
 
-    def _apart(self, one: Region, other: Region) -> bool:
-        """Whether subgoals are farther than `spacing` from each other; what is bound for no place always is."""
+    def _is_apart(self, goal: Region, known: Sequence[Region]) -> bool:
+        """Whether a subgoal is farther than `spacing` from all others; what is bound for no place always is.
+
+        Where states have no distances, steps count along the last trajectory that came to the subgoal.
+        """
         assert self.scale is not None  # known before anything is proposed
-        away = (one.points[:1] - other.points[:1]) * self.scale
-        return bool((np.linalg.norm(away, axis=1) > self.settings.spacing).all())
+        if not self._maker.counts_steps:
+            away = [np.linalg.norm((goal.points[:1] - other.points[:1]) * self.scale, axis=1) for other in known]
+            return all((distances > self.settings.spacing).all() for distances in away)
+        for labelled in reversed(list(self.database)):
+            at = np.flatnonzero(goal.contains(labelled.features))
+            if len(at):
+                others = [np.flatnonzero(other.contains(labelled.features)) for other in known]
+                visits = labelled.trajectory.visits
+                return all(steps_from(rows, visits)[at].min() > self.settings.spacing for rows in others if len(rows))
+        return True
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint.

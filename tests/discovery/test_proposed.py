@@ -74,6 +74,41 @@ def test_a_scale_by_the_range_waits_for_trajectories() -> None:
     assert method.told[0].scale == pytest.approx(20 / 11)
 
 
+class OnlyAtFirst(Told):
+    """Proposes when it is told of its first trajectory, and never again."""
+
+    def update(self, experience: Experience) -> list[Proposal]:
+        proposals = super().update(experience)
+        return proposals if len(self.told) == 1 else []
+
+
+def test_what_was_proposed_of_trajectories_that_waited_is_not_lost() -> None:
+    discovery = of(OnlyAtFirst(5.0), kind="identity", min_positive=3)
+    found = []
+    for _ in range(3):
+        discovery.add(*line())
+        found.append(discovery.search())
+    assert [None if each is None else each.points[0, 0] for each in found] == [None, None, 5.0]
+
+
+def test_without_distances_spacing_counts_steps() -> None:
+    """One-hot codes are all equally far apart: 5, 7 and 9 in a row lie two steps from each other."""
+
+    class States(Told):
+        def update(self, experience: Experience) -> list[Proposal]:
+            self.told.append(experience)
+            return [experience.region(np.eye(12)[int(state)]) for state in self.points]
+
+    discovery = of(States(5, 7, 9), kind="categorical", spacing=3.0)
+    found = []
+    for _ in range(3):
+        trajectory, _ = line()
+        discovery.add(trajectory, np.eye(12))
+        subgoal = discovery.search()
+        found.append(None if subgoal is None else int(subgoal.points[0].argmax()))
+    assert found == [5, 9, None]
+
+
 def test_settings_name_a_method() -> None:
     discovery = discovery_with(DiscoverySettings(method="l-cut"))
     assert isinstance(discovery, ProposedDiscovery)

@@ -156,13 +156,13 @@ def test_what_makes_no_sense_is_refused(args: list[str], expected: str, capsys: 
         ),
         (
             ["--env", "MiniGrid-MultiRoom-N2-S4-v0", "--series", "env_id:MiniGrid-MultiRoom-N4-S5-v1"],
-            "--series takes arguments of --env MiniGrid-MultiRoom-N2-S4-v0, env_id would name another environment. "
+            "--series takes arguments of --env MiniGrid-MultiRoom-N2-S4-v0, 'env_id' would name another environment. "
             "Train there on its own, and go on with the options of this run: "
-            "--env MiniGrid-MultiRoom-N4-S5-v1 --options RUN.",
+            "--env ID --options RUN.",
         ),
         (
             ["--env-kwargs", "id:CartPole-v1"],
-            "arguments of --env sb3_options/TwoRooms-v0, id would name",
+            "arguments of --env sb3_options/TwoRooms-v0, 'id' would name",
         ),
     ],
 )

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Literal
 
+from sb3_options.density.regions import Region
 from sb3_options.discovery.methods.covering import CoveringOptions
 from sb3_options.discovery.methods.eigenoptions import Eigenoptions
 from sb3_options.discovery.methods.graphs import Betweenness, LCut
@@ -70,6 +71,7 @@ __all__ = [
     "MethodName",
     "Passage",
     "Proposal",
+    "Region",
     "Repeat",
     "checked_method",
     "method_named",

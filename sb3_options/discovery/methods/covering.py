@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 from scipy.sparse import csr_array
 
 from sb3_options.density.regions import Region
 from sb3_options.discovery.methods.candidates import check_counts
 from sb3_options.discovery.methods.method import Experience, Passage, Proposal
 from sb3_options.discovery.methods.place_graph import MAX_PLACES, LaplacianMethod, smoothest
+from sb3_options.experience.observations import BoolArray
 
 
 class CoveringOptions(LaplacianMethod):
@@ -40,21 +42,25 @@ class CoveringOptions(LaplacianMethod):
         if part is None:
             return []
         everywhere = Region(part.points, experience.scale, experience.radius)
-        ends = [end for pair in farthest_pairs(part.adjacency, self.n_pairs) for end in pair if part.allowed[end]]
+        if np.count_nonzero(part.allowed) < 2:
+            return []
+        ends = [end for pair in farthest_pairs(part.adjacency, self.n_pairs, part.allowed) for end in pair]
         return [Passage(experience.region(part.points[end]), everywhere) for end in dict.fromkeys(ends)]
 
 
-def farthest_pairs(adjacency: csr_array, n_pairs: int) -> list[tuple[int, int]]:
+def farthest_pairs(adjacency: csr_array, n_pairs: int, allowed: BoolArray | None = None) -> list[tuple[int, int]]:
     """The places with the largest and the smallest entry of the Fiedler vector, joined each time before the next.
 
     Args:
         adjacency: Of a connected graph, symmetric, (n, n).
         n_pairs: How many pairs.
+        allowed: Places that options may lead to, at least two, (n,); by default all.
     """
     joined, pairs = adjacency.tolil(), []
+    places = np.arange(adjacency.shape[0]) if allowed is None else np.flatnonzero(allowed)
     for _ in range(n_pairs):
-        fiedler = smoothest(csr_array(joined), 1)[:, 0]
-        one, other = int(fiedler.argmax()), int(fiedler.argmin())
+        fiedler = smoothest(csr_array(joined), 1)[places, 0]
+        one, other = int(places[fiedler.argmax()]), int(places[fiedler.argmin()])
         pairs.append((one, other))
         joined[one, other] = joined[other, one] = 1.0
     return pairs

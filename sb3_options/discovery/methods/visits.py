@@ -36,9 +36,9 @@ class VisitFrequency:
         self,
         count: Literal["first", "every"] = "first",
         *,
-        decay: float = 0.9,
+        decay: float = 0.75,
         threshold: float = 0.6,
-        min_successes: int = 8,
+        min_successes: int = 4,
         radius: float = 1.5,
     ) -> None:
         if count not in ("first", "every"):
@@ -101,7 +101,7 @@ class RandomPlaces:
 
     needs_success = True
 
-    def __init__(self, *, min_successes: int = 8, seed: int = 0) -> None:
+    def __init__(self, *, min_successes: int = 4, seed: int = 0) -> None:
         check_counts(min_successes=min_successes)
         self.min_successes = min_successes
         self._random = np.random.default_rng(seed)

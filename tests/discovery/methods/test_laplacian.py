@@ -110,6 +110,12 @@ class TestCovering:
         assert set(first) == {0, 9}
         assert set(second) != {0, 9}
 
+    def test_pairs_are_of_places_that_options_may_lead_to(self) -> None:
+        """What gets no option is not joined, so that the next pair is that of the graph that there is."""
+        allowed = np.ones(10, dtype=np.bool_)
+        allowed[[0, 9]] = False
+        assert set(farthest_pairs(path(10), 1, allowed)[0]) == {1, 8}
+
     def test_it_raises_the_second_eigenvalue_more_than_other_edges(self) -> None:
         graph = nx.barbell_graph(6, 2)
         before = nx.algebraic_connectivity(graph)
