@@ -23,22 +23,24 @@ TASKS = ("TwoRooms", "KeyDoor", "FourRooms", "random maps")
 
 PLAIN: dict[str, Any] = {
     "loops": "keep", "min_passing": 0.0, "leak": 0.0, "max_places": 2, "goal_radius": 5.0,
-    "min_positive": 8, "decay": 0.9, "search_growth": 0.0,
+    "min_positive": 8, "decay": 0.9, "search_growth": 0.0, "cut_threshold": 0.6,
 }  # fmt: skip
 ARMS: dict[str, dict[str, Any]] = {
     "paper's bags": PLAIN,
     "without loops": {**PLAIN, "loops": "erase"},
-    "without loops, passages only": {"min_positive": 8, "decay": 0.9, "search_growth": 0.0},
+    "without loops, passages only": {"min_positive": 8, "decay": 0.9, "search_growth": 0.0, "cut_threshold": 0.6},
     "the same, sooner": {},
 }
 """What is changed of the defaults."""
 
 WAITING: dict[str, dict[str, Any]] = {
-    "eight successes, decay 0.9": {"min_positive": 8, "decay": 0.9, "search_growth": 0.0},
-    "four, decay 0.75": {},
-    "four, decay 0.5": {"decay": 0.5},
+    "eight successes, decay 0.9": {"min_positive": 8, "decay": 0.9, "search_growth": 0.0, "cut_threshold": 0.6},
+    "four, decay 0.75": {"cut_threshold": 0.6},
+    "four, decay 0.5": {"decay": 0.5, "cut_threshold": 0.6},
+    "four, decay 0.75, known cuts sooner": {},
 }
-"""How many successes the first search waits for, and how long a peak must persist. The first is how it was before."""
+"""How many successes the first search waits for, and how long a peak must persist. The first is how it was before, the
+last is the default."""
 
 METHODS: dict[str, dict[str, Any]] = {
     "diverse density": {},

@@ -162,6 +162,10 @@ class BagMaker:
             allowed = allowed & (self._distance(known, subgoal) > self.settings.spacing)
         return allowed
 
+    def is_known(self, instance: FloatArray) -> bool:
+        """Whether it is known what an instance (d,) cuts off; it is `min_cut` at least, or it would be none."""
+        return self.cuts is not None and bool(self.cuts.are_known(self.cuts.numbers(instance[None]))[0])
+
     def ways(self) -> list[FloatArray]:
         """The states of each way that may be subgoals, in scaled units, as of the last bags, (k_i, d) each."""
         return [known.scaled[known.allowed] for known in self._known.values() if known.labelled.success]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sb3_options.density.arrays import row_keys
-from sb3_options.experience.observations import FloatArray, IntArray
+from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 
 STEPS = 3
 """The surroundings of a state are what lies within so many steps of it."""
@@ -71,6 +71,15 @@ class LocalCuts:
             features: Of the states, (n, d).
         """
         return np.array([self._number.get(key, -1) for key in row_keys(features)], dtype=np.int64)
+
+    def are_known(self, numbers: IntArray) -> BoolArray:
+        """Whether more than one trajectory visited each of some states, so that its share says something, (n,).
+
+        Args:
+            numbers: Of the states, (n,).
+        """
+        known: BoolArray = (numbers >= 0) & (self._n_trajectories[numbers] > 1)
+        return known
 
     def shares(self, numbers: IntArray) -> FloatArray:
         """What share of its surroundings each of some states cuts off from their largest part, (n,), in [0, 0.5].

@@ -115,9 +115,14 @@ class PeakTracker:
         """The concept with the largest average; None before the first peak."""
         return max(self.concepts, key=lambda c: c.average, default=None)
 
-    def persistent(self) -> list[TrackedConcept]:
-        """The concepts of the last search whose average exceeds the threshold, largest first."""
-        above = [c for c in self.concepts if c.found and c.average > self.threshold * self.limit]
+    def persistent(self, threshold: float | None = None) -> list[TrackedConcept]:
+        """The concepts of the last search whose average exceeds the threshold, largest first.
+
+        Args:
+            threshold: Another share of the limit than the tracker's.
+        """
+        share = self.threshold if threshold is None else threshold
+        above = [c for c in self.concepts if c.found and c.average > share * self.limit]
         return sorted(above, key=lambda c: -c.average)
 
     def get_state(self) -> dict[str, Any]:

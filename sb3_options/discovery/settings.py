@@ -60,6 +60,8 @@ class DiscoverySettings:
         goal_radius: The default static filter keeps subgoals farther than this from where a trajectory ended; likewise.
         decay: λ of the running averages.
         threshold: Share of the limit λ/(1−λ) that makes a concept persistent.
+        cut_threshold: Likewise of a state that is known to cut off ``min_cut`` of its surroundings, because more than
+            one trajectory visited it. It is hardly an accident, so that a smaller share does.
         peak_radius: A peak belongs to the nearest known concept within this distance.
         peak_tolerance: Peaks whose log diverse density is within this of the best one count as found, in nats.
         max_places: If the best diverse density is shared by more separate places than this, none counts as found: they
@@ -94,6 +96,7 @@ class DiscoverySettings:
     goal_radius: Annotated[float, Field(ge=0)] = 2.0
     decay: Annotated[float, Field(gt=0, lt=1)] = 0.75
     threshold: Annotated[float, Field(ge=0, lt=1)] = 0.6
+    cut_threshold: Annotated[float, Field(ge=0, lt=1)] = 0.4
     peak_radius: Annotated[float, Field(ge=0)] = 1.5
     peak_tolerance: Annotated[float, Field(ge=0)] = 1e-3
     max_places: Annotated[int, Field(ge=1)] | None = None

@@ -361,9 +361,12 @@ class SubgoalDiscovery:
     def _new_subgoal(self) -> Region | None:
         if self.last.evidence is None:
             return None  # what persists in one group may have lost its bags to a subgoal of another
-        for concept in self.tracker.persistent():
+        s, instances = self.settings, np.concatenate(self.last.evidence.positive)
+        for concept in self.tracker.persistent(min(s.threshold, s.cut_threshold)):
             assert self.scale is not None  # a concept is tracked only after a search
-            point = _nearest(np.concatenate(self.last.evidence.positive), concept.point, self.scale)
+            point = _nearest(instances, concept.point, self.scale)
+            if concept.average <= s.threshold * self.tracker.limit and not self._maker.is_known(point):
+                continue
             subgoal = Region(point[None], self.scale, self.settings.subgoal_radius, group=self.group)
             # Where φ is learned there are no groups, whose points have features of their own.
             there = None if self.group is not None else nearest_observations(point[None], self.database)

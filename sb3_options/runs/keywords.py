@@ -112,8 +112,8 @@ def check_keywords(
     for name in IDS if of_minigrid else IDS[:1]:
         if name in keywords:
             raise ValueError(
-                f"{given_for} takes arguments of --env {env_id}, {name!r} would name another environment. Train there on "
-                "its own, and go on with the options of this run: --env ID --options RUN."
+                f"{given_for} takes arguments of --env {env_id}, {name!r} would name another environment. Train there "
+                "on its own, and go on with the options of this run: --env ID --options RUN."
             )
     try:
         if of_minigrid:

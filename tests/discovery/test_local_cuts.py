@@ -36,6 +36,12 @@ def everywhere(world: GridWorld) -> list[list[tuple[float, ...]]]:
     return [[c, d, c] for c in cells for d in ((c[0] + 1, c[1]), (c[0], c[1] + 1)) if d in cells]
 
 
+def test_what_more_than_one_trajectory_visited_is_known() -> None:
+    cuts = walked(LocalCuts(), [[(0, 0), (1, 0)], [(1, 0), (2, 0)]])
+    numbers = cuts.numbers(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [9.0, 9.0]]))
+    assert cuts.are_known(numbers).tolist() == [False, True, False, False]
+
+
 def test_a_doorway_cuts_and_the_floor_does_not() -> None:
     world = GridWorld(ROOMS)
     (doorway,) = world.doorways

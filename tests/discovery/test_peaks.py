@@ -94,6 +94,8 @@ class TestAverages:
         assert [c.point.tolist() for c in tracker.persistent()] == [B, A]
         tracker.update(peaks(A), ONES)
         assert [c.point.tolist() for c in tracker.persistent()] == [A]
+        tracker.update(peaks(A, B), ONES)
+        assert [c.point.tolist() for c in tracker.persistent(0.7)] == [A]
 
     def test_leading(self) -> None:
         tracker = PeakTracker(decay=0.5, radius=1.0)

@@ -32,7 +32,7 @@ COMMON: dict[str, Any] = {
     "discovery": DiscoverySettings(
         peak_reward=0.75, max_segment=70,
         max_share=0.125, capacity=7, max_bytes=99, method="l-cut", min_positive=2, negative_bags=False,
-        search_growth=0.1, negative_strength=0.5, leak=0.125, search="exhaustive",
+        search_growth=0.1, cut_threshold=0.5, negative_strength=0.5, leak=0.125, search="exhaustive",
         scale=2.5, start_radius=1.0, goal_radius=0.0, decay=0.8, threshold=0.25, peak_radius=2.0, peak_tolerance=0.01,
         subgoal_radius=1.25, spacing=1.5, max_places=6, max_extent=2.5,
         loops="keep", min_passing=0.25, min_cut=0.2, min_contrast=0.35, equal_time=False, salient_share=0.25,
