@@ -227,7 +227,7 @@ def test_incremental_search(tmp_path: Path) -> None:
     def others() -> Callbacks:
         callback = discovering()
         callback.settings = type(callback.settings)(
-            min_positive=3, start_radius=0.5, goal_radius=3.0, threshold=0.99, search="incremental"
+            min_positive=3, start_radius=0.5, goal_radius=3.0, threshold=0.99, cut_threshold=0.99, search="incremental"
         )
         return [callback]
 
@@ -242,7 +242,7 @@ def test_searches_that_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
     def others() -> Callbacks:
         callback = discovering()
-        callback.settings = replace(callback.settings, threshold=0.99)
+        callback.settings = replace(callback.settings, threshold=0.99, cut_threshold=0.99)
         return [callback]
 
     callbacks, _ = check_resumes(lambda: model_of("A2C", venv_of()), others, tmp_path, cuts=(0.4, 0.8))

@@ -395,7 +395,7 @@ def test_masks_of_the_environment_itself_go_on() -> None:
     kwargs = {**KINDS["maskableppo"].kwargs, "n_epochs": 1}
     model = MaskablePPO("MlpPolicy", Masked(), gamma=GAMMA, seed=0, **kwargs).learn(128)
     expand_action_space(model, 2)
-    model.learn(256, callback=SubgoalDiscoveryCallback(), reset_num_timesteps=False)
+    model.learn(256, callback=SubgoalDiscoveryCallback(max_new_options=0), reset_num_timesteps=False)
     masks = model.rollout_buffer.action_masks.reshape(-1, 4)
     assert not masks[:, 0].all()
     assert masks[:, 1].all()
