@@ -151,7 +151,7 @@ def flat_size(space: gym.Space[Any]) -> int:
         raise ValueError(
             f"Observations hold text ({', '.join(texts)}), from which neither options nor Stable-Baselines3 can learn: "
             "leave it out beneath OptionsWrapper, for instance by gymnasium.wrappers.FilterObservation(env, keys). "
-            f"Other Dict observations and images need OptionsWrapper(env, feature_map=...)."
+            "Other Dict observations and images need OptionsWrapper(env, feature_map=...)."
             + (OF_MINIGRID if "mission" in texts else "")
         )
     return int(flatten(sample).shape[1])
