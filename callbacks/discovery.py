@@ -23,6 +23,7 @@ from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.checked import given_as
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
+from sb3_options.discovery.budget import STEP_SECONDS, TABLE_STEP_SECONDS
 from sb3_options.discovery.methods import DiscoveryMethod, MethodName, checked_method
 from sb3_options.discovery.proposed import discovery_with
 from sb3_options.discovery.settings import DiscoverySettings
@@ -34,6 +35,7 @@ from sb3_options.execution.trials import TrialReport, TrialSettings, Verdict
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.success import SuccessRule, reported_success
 from sb3_options.experience.trajectories import EpisodeRecord, LabelledTrajectory, Trajectory
+from sb3_options.learning.macro_q import MacroQ
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.creation import OptionGrowth, joined, learn_further, learn_option
 from sb3_options.options.option import SubgoalOption
@@ -179,6 +181,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                 kind=venv.env_method("feature_kind", indices=[0])[0],
                 taken=[option.subgoal for option in self.bank.slots if isinstance(option, SubgoalOption)],
             )
+        self.discovery.budget.step_seconds = TABLE_STEP_SECONDS if isinstance(self.model, MacroQ) else STEP_SECONDS
         for slot, option in enumerate(self.bank.slots):
             if isinstance(option, SubgoalOption) and slot not in self._made_here and not option.fixed:
                 self._growth.adopted(slot)

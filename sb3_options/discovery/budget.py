@@ -13,25 +13,33 @@ STEP_SECONDS = 3e-4
 """Nominal time of training for a primitive step. PPO in two rooms with 8 environments, the fastest network here, takes
 0.33 ms on one core. Where a step takes longer, discovery takes a smaller share than it may."""
 
+TABLE_STEP_SECONDS = 4.5e-5
+"""Likewise where values are in a table: MacroQ in gridworlds takes 0.045 to 0.05 ms."""
+
 ALLOWANCE = 0.5
 """Nominal seconds that discovery may take besides: where searches are cheap, none is left out."""
 
-SEARCH_SECONDS = 4e-3
-PAIR_SECONDS = 1e-9
+SEARCH_SECONDS = 3e-3
+PAIR_SECONDS = 7e-10
 """Nominal time of a search, and for each feature of each pair of an instance and a point it is compared with. Measured
 with 2 to 2,352 features and 40 to 1,800 instances, within a factor of two."""
 
 POINT_FEATURES = 4
 """Features that a pair takes the time of besides its own."""
 
-STATE_SECONDS = 3e-5
-WAY_PAIR_SECONDS = 1.5e-10
-"""Nominal time of making bags: for each new state, and for each feature of each pair of a new state and an instance."""
+EXHAUSTIVE_SHARE = 0.25
+"""An evaluation of an exhaustive search takes this share of one that has a gradient, too."""
 
-CUT_SECONDS = 1e-4
+STATE_SECONDS = 5e-6
+STATE_FEATURE_SECONDS = 2e-8
+WAY_PAIR_SECONDS = 1.5e-10
+"""Nominal time of making bags: for each new state, for each of its features, and for each feature of each pair of a new
+state and an instance."""
+
+CUT_SECONDS = 1.5e-4
 """Nominal time of computing what a state cuts off."""
 
-TRAJECTORY_SECONDS = 2e-5
+TRAJECTORY_SECONDS = 5e-6
 """Nominal time of looking at a trajectory again."""
 
 ASCENTS = 96
@@ -53,16 +61,18 @@ class Budget:
         steps: Primitive steps that were lived through.
         spent: What discovery has taken.
         skipped: Searches that were not made.
+        step_seconds: What training takes for a primitive step.
     """
 
     max_share: float | None
     steps: int = 0
     spent: float = 0.0
     skipped: int = 0
+    step_seconds: float = STEP_SECONDS
 
     def affords(self) -> bool:
         """Whether one more search may be made. One that cost too much is paid off before the next."""
-        if self.max_share is None or self.spent <= ALLOWANCE + self.max_share * STEP_SECONDS * self.steps:
+        if self.max_share is None or self.spent <= ALLOWANCE + self.max_share * self.step_seconds * self.steps:
             return True
         self.skipped += 1
         return False
@@ -85,9 +95,9 @@ def seconds_of_bags(n_trajectories: int, n_new: int, n_instances: int, n_feature
         n_instances: In all bags.
         n_features: Of an instance.
     """
-    return n_trajectories * TRAJECTORY_SECONDS + n_new * (
-        STATE_SECONDS + WAY_PAIR_SECONDS * n_instances * (n_features + POINT_FEATURES)
-    )
+    of_pairs = WAY_PAIR_SECONDS * n_instances * (n_features + POINT_FEATURES)
+    of_a_state = STATE_SECONDS + STATE_FEATURE_SECONDS * n_features + of_pairs
+    return n_trajectories * TRAJECTORY_SECONDS + n_new * of_a_state
 
 
 def seconds_of_search(n_instances: int, n_points: float, n_features: int) -> float:

@@ -38,6 +38,7 @@ class LocalCuts:
         self.n_computed = 0
         self._number: dict[bytes, int] = {}
         self._neighbours: list[set[int]] = []
+        self._edges = set[int]()  # the smaller number times `MAX_STATES`, and the larger
         # By number, and at last for states that have none.
         self._n_trajectories: IntArray = np.zeros(MAX_STATES + 1, dtype=np.int64)
         self._shares: FloatArray = np.full(MAX_STATES + 1, np.nan)  # NaN where it has to be computed
@@ -50,18 +51,20 @@ class LocalCuts:
             features: φ of its distinct states, (m, d).
             visits: Row of ``features`` at every time t = 0 … T, (T + 1,).
         """
-        numbers = np.array([self._number_of(key) for key in row_keys(features)], dtype=np.int64)
-        self._n_trajectories[np.unique(numbers)] += 1
+        known = self._number
+        numbers = np.array([known[key] if key in known else self._numbered(key) for key in row_keys(features)])
+        self._n_trajectories[numbers] += 1  # by one, however often a number is among these
         way = numbers[visits]
         low, high = np.minimum(way[:-1], way[1:]), np.maximum(way[:-1], way[1:])
-        steps = np.unique(low[(low >= 0) & (low < high)] * MAX_STATES + high[(low >= 0) & (low < high)])
-        changed = set[int]()
-        for one, other in zip((steps // MAX_STATES).tolist(), (steps % MAX_STATES).tolist(), strict=True):
-            if other not in self._neighbours[one]:
+        leads = (low >= 0) & (low < high)
+        new = set((low[leads] * MAX_STATES + high[leads]).tolist()) - self._edges
+        if new:
+            self._edges |= new
+            changed = set[int]()
+            for one, other in (divmod(edge, MAX_STATES) for edge in new):
                 self._neighbours[one].add(other)
                 self._neighbours[other].add(one)
                 changed |= {one, other}
-        if changed:
             self._shares[list(self._around(changed))] = np.nan
 
     def numbers(self, features: FloatArray) -> IntArray:
@@ -95,7 +98,7 @@ class LocalCuts:
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint."""
         known = np.flatnonzero(~np.isnan(self._shares[:-1]))
-        edges = [(i, j) for i, joined in enumerate(self._neighbours) for j in sorted(joined) if i < j]
+        edges = [divmod(edge, MAX_STATES) for edge in sorted(self._edges)]
         return {
             "states": np.array([np.frombuffer(key) for key in self._number]),
             "edges": np.array(edges, dtype=np.int64).reshape(-1, 2),
@@ -110,6 +113,7 @@ class LocalCuts:
         self.n_computed = state["n_computed"]
         self._number = {each.tobytes(): number for number, each in enumerate(state["states"])}
         self._neighbours = [set() for _ in self._number]
+        self._edges = {one * MAX_STATES + other for one, other in state["edges"].tolist()}
         for one, other in state["edges"].tolist():
             self._neighbours[one].add(other)
             self._neighbours[other].add(one)
@@ -117,13 +121,12 @@ class LocalCuts:
         self._shares[:-1] = np.nan
         self._shares[state["known"]] = state["shares"]
 
-    def _number_of(self, key: bytes) -> int:
-        number = self._number.get(key)
-        if number is None:
-            if len(self._number) >= MAX_STATES:
-                return -1
-            number = self._number[key] = len(self._number)
-            self._neighbours.append(set())
+    def _numbered(self, key: bytes) -> int:
+        """The number of a new state, −1 if there is no room."""
+        if len(self._number) >= MAX_STATES:
+            return -1
+        self._neighbours.append(set())
+        self._number[key] = number = len(self._number)
         return number
 
     def _computed(self, number: int) -> float:

@@ -16,7 +16,14 @@ from sb3_options.density.incremental import IncrementalSearch
 from sb3_options.density.regions import Region
 from sb3_options.discovery.anchors import moved, nearest_observations
 from sb3_options.discovery.bag_maker import BagMaker, FilteredBags
-from sb3_options.discovery.budget import ASCENTS, CUT_SECONDS, Budget, seconds_of_bags, seconds_of_search
+from sb3_options.discovery.budget import (
+    ASCENTS,
+    CUT_SECONDS,
+    EXHAUSTIVE_SHARE,
+    Budget,
+    seconds_of_bags,
+    seconds_of_search,
+)
 from sb3_options.discovery.found import FoundSubgoal, Search
 from sb3_options.discovery.outcomes import Outcomes
 from sb3_options.discovery.peaks import PeakTracker, plateau_centres
@@ -174,8 +181,8 @@ class SubgoalDiscovery:
         n, sizes = evidence.n_instances, [len(bag) for bag in evidence.positive]
         tried = min(sum(sorted(sizes)[:TRIED_BAGS]), max(2 * ASCENTS, MOST_PAIRS // n))
         if self.engine().method == "exhaustive":
-            tried = sum(sizes)
-        elif self.settings.search == "incremental":
+            return seconds_of_search(n, EXHAUSTIVE_SHARE * sum(sizes), evidence.positive[0].shape[1])
+        if self.settings.search == "incremental":
             tried = min(sizes[-1], MOST_PAIRS // n)
         return seconds_of_search(n, tried + ASCENTS, evidence.positive[0].shape[1])
 

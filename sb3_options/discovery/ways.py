@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from sb3_options.experience.observations import FloatArray, IntArray
+from sb3_options.density.arrays import row_keys
+from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 
 NEAR = 5.0
 """A way comes near a place within this many times the radius within which it leads through it."""
 
 AT_ONCE = 1 << 20
 """Distances, or features, that are held at once."""
+
+FEW_STATES = 256
+"""Up to so many states all distances between them at once take less time than a tree."""
 
 
 def loop_erased(features: FloatArray, visits: IntArray, radius: float) -> IntArray:
@@ -36,15 +40,25 @@ def loop_erased(features: FloatArray, visits: IntArray, radius: float) -> IntArr
     """
     if np.linalg.norm(features[visits[-1]] - features[visits[0]]) <= radius:
         visits = visits[: max(len(visits) - 1, 1)]
-    last_visit = np.zeros(len(features), dtype=np.int64)
+    last_visit = np.full(len(features), -1)
     last_visit[visits] = np.arange(len(visits))
-    last, row_at, neighbours = last_visit.tolist(), visits.tolist(), cKDTree(features)
+    row_at, last_near = visits.tolist(), _last_near(features, last_visit, radius)
     way, time = [], 0
     while time < len(row_at):
         row = row_at[time]
         way.append(row)
-        time = 1 + max(last[same] for same in neighbours.query_ball_point(features[row], radius))
+        time = 1 + last_near(row)
     return np.array(way, dtype=np.int64)
+
+
+def _last_near(features: FloatArray, last_visit: IntArray, radius: float) -> Callable[[int], int]:
+    """When a trajectory was last within a radius of the state of a row."""
+    if len(features) <= FEW_STATES:
+        same = cdist(features, features, "sqeuclidean") <= radius**2
+        last_nears: list[int] = np.where(same, last_visit, -1).max(axis=1).tolist()
+        return last_nears.__getitem__
+    last, neighbours = last_visit.tolist(), cKDTree(features)
+    return lambda row: max(last[near] for near in neighbours.query_ball_point(features[row], radius))
 
 
 class PassingShare:
@@ -59,9 +73,11 @@ class PassingShare:
     """
 
     def __init__(self, radius: float) -> None:
-        self._limits = np.array([NEAR * radius, radius])
-        self._ways: list[FloatArray] = []
-        self._counts: IntArray = np.zeros((2, 0), dtype=np.int64)  # near and through, way after way
+        self._limits = np.array([[NEAR * radius], [radius]])
+        self._ways: dict[int, tuple[FloatArray, IntArray]] = {}  # by id: each way, and the numbers of its states
+        self._number: dict[bytes, int] = {}
+        self._states: FloatArray = np.zeros((0, 0))
+        self._counts: IntArray = np.zeros((2, 0), dtype=np.int64)  # by number: ways near, ways through
 
     def update(self, ways: Sequence[FloatArray]) -> FloatArray:
         """The shares among these ways; only what is new or gone since the last call is counted.
@@ -74,44 +90,61 @@ class PassingShare:
             Those of their states, way after way, shape (Σ k_i,), in [0, 1).
         """
         current = set(map(id, ways))
-        for i in reversed([i for i, way in enumerate(self._ways) if id(way) not in current]):
-            start, way = sum(map(len, self._ways[:i])), self._ways.pop(i)
-            self._counts = np.delete(self._counts, slice(start, start + len(way)), axis=1)
-            self._count(way, -1)
-        known = set(map(id, self._ways))
+        for gone in [key for key in self._ways if key not in current]:
+            self._remove(gone)
         for way in ways:
-            if id(way) not in known:
-                own = 1 + self._count(way, 1)
-                self._ways.append(way)
-                self._counts = np.concatenate([self._counts, own], axis=1)
-        near, through = self._counts
+            if id(way) not in self._ways:
+                self._add(way)
+        near, through = self._counts[:, np.concatenate([self._ways[id(way)][1] for way in ways])]
         shares: FloatArray = through / (near + 1.0)
-        if list(map(id, self._ways)) == list(map(id, ways)):  # new ways come last
-            return shares
-        parts = np.split(shares, np.cumsum([len(way) for way in self._ways])[:-1])
-        part_of = dict(zip(map(id, self._ways), parts, strict=True))
-        return np.concatenate([part_of[id(way)] for way in ways])
+        return shares
 
-    def _count(self, way: FloatArray, sign: int) -> IntArray:
-        """Count a way at the states of all others, and return the counts of these at its own, (2, k)."""
-        limits, own, end = self._limits[:, None], np.zeros((2, len(way)), dtype=np.int64), 0
-        for others in self._in_parts(way):
-            starts = np.cumsum([0, *map(len, others[:-1])])
-            distances = cdist(way, np.concatenate(others))
-            start, end = end, end + distances.shape[1]
-            self._counts[:, start:end] += sign * (distances.min(axis=0) <= limits)
-            nearest = np.minimum.reduceat(distances, starts, axis=1)
-            own += (nearest <= limits[..., None]).sum(axis=2)
-        return own
+    def _add(self, way: FloatArray) -> None:
+        """Count a way at all states, and the ways before it at those of its states that are new."""
+        n_known = len(self._number)
+        numbers = np.array([self._number.setdefault(key, len(self._number)) for key in row_keys(way)], dtype=np.int64)
+        if len(self._number) > n_known:
+            new = np.unique(numbers[numbers >= n_known], return_index=True)[1]
+            states = way[numbers >= n_known][new]
+            self._states = np.concatenate([self._states.reshape(-1, way.shape[1]), states])
+            self._counts = np.concatenate([self._counts, self._led_by_others(states, n_known)], axis=1)
+        self._ways[id(way)] = way, numbers
+        self._counts += self._leads_by(numbers)
 
-    def _in_parts(self, way: FloatArray) -> Iterator[list[FloatArray]]:
-        """The other ways, as many at once as memory should hold distances to them, and copies of them."""
-        part, size = list[FloatArray](), 0
-        for other in self._ways:
-            if part and size + len(other) > AT_ONCE // max(way.shape):
-                yield part
-                part, size = [], 0
-            part.append(other)
-            size += len(other)
-        if part:
-            yield part
+    def _led_by_others(self, states: FloatArray, n_known: int) -> IntArray:
+        """How many of the ways before come near new states, and lead through them, (2, n)."""
+        counts = np.zeros((2, len(states)), dtype=np.int64)
+        if self._ways:
+            of_others = [of for _, of in self._ways.values()]
+            starts, others = np.cumsum([0, *map(len, of_others[:-1])]), np.concatenate(of_others)
+            for rows in self._in_parts(np.arange(len(states)), len(others)):
+                distances = cdist(states[rows], self._states[:n_known])[:, others]
+                nearest = np.minimum.reduceat(distances, starts, axis=1)
+                counts[:, rows] = (nearest <= self._limits[..., None]).sum(axis=2)
+        return counts
+
+    def _remove(self, key: int) -> None:
+        """Take a way out of the counts, and forget states that no way has, if they are most."""
+        _, numbers = self._ways.pop(key)
+        self._counts -= self._leads_by(numbers)
+        if 2 * sum(len(of) for _, of in self._ways.values()) < len(self._number):
+            used = np.unique(np.concatenate([numbers[:0], *(of for _, of in self._ways.values())]))
+            place = np.full(len(self._number), -1)
+            place[used] = np.arange(len(used))
+            keys = list(self._number)
+            self._number = {keys[number]: i for i, number in enumerate(used.tolist())}
+            self._states, self._counts = self._states[used], self._counts[:, used]
+            self._ways = {key: (way, place[of]) for key, (way, of) in self._ways.items()}
+
+    def _leads_by(self, numbers: IntArray) -> BoolArray:
+        """Which states a way comes near and leads through, (2, n)."""
+        nearest: FloatArray = np.full(len(self._states), np.inf)
+        for rows in self._in_parts(numbers, len(self._states)):
+            np.minimum(nearest, cdist(self._states[rows], self._states).min(axis=0), out=nearest)
+        leads: BoolArray = nearest <= self._limits
+        return leads
+
+    def _in_parts(self, numbers: IntArray, n_compared: int) -> Iterator[IntArray]:
+        """These, as many at once as memory should hold distances to others, and copies of them."""
+        size = max(AT_ONCE // max(n_compared, self._states.shape[1]), 1)
+        return (numbers[start : start + size] for start in range(0, len(numbers), size))

@@ -12,6 +12,7 @@ from sb3_options.density.groups import FeatureGroup
 from sb3_options.discovery.budget import (
     ALLOWANCE,
     STEP_SECONDS,
+    TABLE_STEP_SECONDS,
     Budget,
     seconds_of_bags,
     seconds_of_contrast,
@@ -33,7 +34,7 @@ def wide(n: int = 40, d: int = 300, seed: int = 0) -> tuple[Trajectory, np.ndarr
 
 
 def costly(**settings: Any) -> SubgoalDiscovery:
-    settings = {"min_positive": 2, "min_passing": 0.0, "threshold": 0.999, "search": "exhaustive", **settings}
+    settings = {"min_positive": 2, "min_passing": 0.0, "threshold": 0.9999999, "search": "exhaustive", **settings}
     return discovery_with(DiscoverySettings(**settings), kind="environment")
 
 
@@ -62,6 +63,12 @@ class TestBudget:
         budget.spent *= 1.01
         assert not budget.affords()
 
+    def test_a_step_of_a_table_takes_less(self) -> None:
+        spent = ALLOWANCE + 0.1 * 100 * TABLE_STEP_SECONDS
+        assert Budget(0.1, 100, spent, step_seconds=TABLE_STEP_SECONDS).affords()
+        assert not Budget(0.1, 99, spent, step_seconds=TABLE_STEP_SECONDS).affords()
+        assert Budget(0.1, 99, spent).affords()
+
     def test_none_sets_no_limit(self) -> None:
         budget = Budget(None)
         budget.spent = 1e9
@@ -88,11 +95,11 @@ class TestBudget:
 
 class TestSchedule:
     def test_costly_searches_become_rarer(self) -> None:
-        discovery = costly()
+        discovery = costly(max_share=0.5)
         made = searches_of(discovery)
         assert all(made[:5])  # of the allowance
         assert 0 < sum(made[-20:]) < 10
-        allowed = ALLOWANCE + 0.05 * STEP_SECONDS * discovery.budget.steps
+        allowed = ALLOWANCE + 0.5 * STEP_SECONDS * discovery.budget.steps
         assert discovery.budget.spent < allowed + discovery.cost
 
     def test_who_finds_nothing_is_told(self) -> None:

@@ -83,13 +83,32 @@ def brute_force(ways: list[Any], radius: float) -> list[float]:
     return shares
 
 
-def test_counts_on_as_ways_come_and_go(rng: np.random.Generator) -> None:
-    ways = [rng.uniform(0, 10, (int(rng.integers(1, 9)), 2)) for _ in range(30)]
+@pytest.mark.parametrize("decimals", [0, 8])
+def test_counts_on_as_ways_come_and_go(rng: np.random.Generator, decimals: int) -> None:
+    """Whether they share states or not."""
+    ways = [rng.uniform(0, 10, (int(rng.integers(1, 9)), 2)).round(decimals) for _ in range(30)]
     shares = PassingShare(1.0)
     for first, last in [(0, 1), (0, 8), (3, 12), (2, 12), (20, 30), (29, 30), (0, 30)]:
         some = ways[first:last]
         assert shares.update(some).tolist() == brute_force(some, 1.0)
     assert shares.update(some[::-1]).tolist() == brute_force(some[::-1], 1.0)
+
+
+def test_forgets_states_that_no_way_has(rng: np.random.Generator) -> None:
+    ways = [rng.uniform(0, 10, (8, 2)) for _ in range(40)]
+    shares = PassingShare(1.0)
+    for first in range(30):
+        shares.update(ways[first : first + 10])
+    assert len(shares._states) < 2 * 10 * 8 + 8
+
+
+def test_many_states_lose_the_loops_that_few_do(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Distances at once find what a tree finds."""
+    points = rng.uniform(0, 10, (100, 2))
+    visits = np.arange(100)
+    few = loop_erased(points, visits, 1.0)
+    monkeypatch.setattr("sb3_options.discovery.ways.FEW_STATES", 0)
+    assert loop_erased(points, visits, 1.0).tolist() == few.tolist()
 
 
 def test_counts_in_parts_as_at_once(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
