@@ -3,9 +3,10 @@
 Needs the package ``minigrid`` (``pip install "sb3-options[minigrid]"``).
 """
 
+from sb3_options.envs.minigrid.ids import KEYWORDS, MODULE, is_minigrid, make, qualified, require
 from sb3_options.envs.minigrid.retina import FEATURES, KINDS, concept_groups, feature_names, retina
 from sb3_options.envs.minigrid.settings import DISCOVERY
-from sb3_options.envs.minigrid.wrapper import KEYWORDS, MODULE, MiniGridWrapper, is_minigrid, make, qualified, require
+from sb3_options.envs.minigrid.wrapper import MiniGridWrapper
 
 __all__ = [
     "DISCOVERY",

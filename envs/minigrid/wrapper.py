@@ -14,7 +14,6 @@ from sb3_options.envs.minigrid.cells import COLOURS, DEPTH, OBJECTS, STATES
 from sb3_options.envs.minigrid.missions import Missions
 from sb3_options.envs.minigrid.retina import concept_groups, feature_names, retina
 from sb3_options.envs.minigrid.view import see_quickly
-from sb3_options.extras import how_to_install
 
 OTHER_IMAGES = (
     "FullyObsWrapper", "OneHotPartialObsWrapper", "RGBImgObsWrapper", "RGBImgPartialObsWrapper", "SymbolicObsWrapper",
@@ -23,12 +22,6 @@ OTHER_IMAGES = (
 
 OTHER_REWARDS = ("ActionBonus", "PositionBonus")
 """Wrappers of MiniGrid that add a bonus to rewards, so that a death may end with one above 0."""
-
-PREFIXES, MODULE = ("MiniGrid-", "BabyAI-"), "minigrid:"
-"""How the ids of MiniGrid begin, and how one names the module that registers it."""
-
-KEYWORDS = ("mission", "asked")
-"""Keyword arguments of `make` that are the wrapper's, and not the environment's."""
 
 Vector = npt.NDArray[np.uint8]
 
@@ -159,45 +152,3 @@ def _wrappers(env: gym.Env[Any, Any]) -> Iterator[gym.Wrapper[Any, Any, Any, Any
     while isinstance(env, gym.Wrapper):
         yield env
         env = env.env
-
-
-def make(env_id: str, *, mission: bool = True, asked: bool = True, **kwargs: Any) -> MiniGridWrapper:
-    """An environment of MiniGrid by its id, in a `MiniGridWrapper`.
-
-    Args:
-        env_id: Such as ``MiniGrid-DoorKey-5x5-v0``.
-        mission: As `MiniGridWrapper` has it.
-        asked: Likewise.
-        **kwargs: Of ``gymnasium.make``.
-
-    Raises:
-        ModuleNotFoundError: The package ``minigrid`` is not installed.
-    """
-    require()
-    return MiniGridWrapper(gym.make(env_id, **kwargs), mission=mission, asked=asked)
-
-
-def is_minigrid(env_id: str) -> bool:
-    """Whether it is one of MiniGrid's."""
-    return env_id.removeprefix(MODULE).startswith(PREFIXES)
-
-
-def qualified(env_id: str) -> str:
-    """An id of MiniGrid with its module, so that it is known in a process where nobody has registered it."""
-    return MODULE + env_id.removeprefix(MODULE)
-
-
-def require() -> None:
-    """Import ``minigrid``, which registers its environments.
-
-    Raises:
-        ModuleNotFoundError: It is not installed; the text names the extra.
-    """
-    try:
-        import minigrid  # noqa: F401  # registers them
-    except ModuleNotFoundError as error:
-        if error.name != "minigrid":
-            raise
-        raise ModuleNotFoundError(
-            f"MiniGrid is not installed: {how_to_install('minigrid')}", name="minigrid"
-        ) from error
