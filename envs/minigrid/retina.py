@@ -24,7 +24,10 @@ AHEAD = ("wall_ahead", "free_ahead", "between_walls")
 """Features of the cells beside the agent: 1 or 0. Between two walls, left and right, it is in a doorway or a corridor;
 MiniGrid does not draw the door that the agent stands in."""
 
-FEATURES = (*(f"{kind}_{what}" for kind in KINDS for what in ("visible", "forward", "lateral")), *AHEAD)
+THING = ("visible", "forward", "lateral")
+"""Features of a thing: whether one is in view, and where."""
+
+FEATURES = (*(f"{kind}_{what}" for kind in KINDS for what in THING), *AHEAD)
 """The names of the features, in order. ``visible`` is 1 or 0; ``forward`` is in cells, ≥ 0; ``lateral`` is in cells, to
 the right positive. Both are 0 where nothing of the kind is visible. The nearest thing is the one fewest steps away, so
 one that is carried hides all others of its kind."""
@@ -113,7 +116,7 @@ def _asked(objects: npt.NDArray[Any], colours: npt.NDArray[Any], asked: npt.NDAr
 def feature_names(n_asked: int = 0) -> tuple[str, ...]:
     """The names of all features, with those of ``n_asked`` things that a mission names: asked, asked_2 and so on."""
     asked = ("asked" if i == 0 else f"asked_{i + 1}" for i in range(n_asked))
-    return (*FEATURES, *(f"{name}_{what}" for name in asked for what in ("visible", "forward", "lateral")))
+    return (*FEATURES, *(f"{name}_{what}" for name in asked for what in THING))
 
 
 def concept_groups(n_asked: int = 0) -> list[dict[str, Any]]:
@@ -145,13 +148,15 @@ def _group(kind: str) -> dict[str, Any]:
 
 def _thing(kind: str, first: int) -> dict[str, Any]:
     features, present = [first, first + 1, first + 2], [first]
-    scale = [VISIBLE_SCALE, 1.0, 1.0]
-    return {"name": kind, "features": features, "present": [present], "scale": scale}
+    scale, labels = [VISIBLE_SCALE, 1.0, 1.0], ["", *THING[1:]]
+    return {"name": kind, "features": features, "present": [present], "scale": scale, "labels": labels}
 
 
 def _doorway() -> dict[str, Any]:
     between = FEATURES.index("between_walls")
-    return {"name": "doorway", "features": [between], "present": [[between]], "scale": [VISIBLE_SCALE]}
+    return {
+        "name": "doorway", "features": [between], "present": [[between]], "scale": [VISIBLE_SCALE], "labels": [""],
+    }  # fmt: skip
 
 
 def _seeing(group: dict[str, Any]) -> dict[str, Any]:
@@ -175,4 +180,5 @@ def _is_coordinate(number: int) -> bool:
 
 def _joined(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
     joined = {name: one[name] + other[name] for name in ("features", "present", "scale")}
-    return {"name": f"{one['name']} and {other['name']}", **joined}
+    labels = [label and f"{of['name']} {label}" for of in (one, other) for label in of["labels"]]
+    return {"name": f"{one['name']} and {other['name']}", **joined, "labels": labels}

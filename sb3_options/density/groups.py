@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,8 @@ class FeatureGroup:
         coordinates: Numbers of those of its features that say where a thing is, so that an action displaces them by the
             same vector wherever it is: from steps near a thing an option then learns those farther away
             (`options.imagined`). By default none.
+        labels: What its own features are called where a concept is told to people, k texts, empty for what goes without
+            saying; by default numbers alone are told. Groups that differ in nothing else are equal.
 
     Raises:
         ValueError: An argument is out of its range.
@@ -41,6 +43,7 @@ class FeatureGroup:
     scale: Sequence[float] | None = None
     seen: FeatureGroup | Mapping[str, Any] | None = None
     coordinates: Sequence[int] = ()
+    labels: Sequence[str] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         """Refuse arguments out of range, and make them tuples, which compare."""
@@ -66,6 +69,13 @@ class FeatureGroup:
         for name, value in (("features", features), ("present", present), ("scale", scale), ("seen", self._seen())):
             object.__setattr__(self, name, value)
         object.__setattr__(self, "coordinates", coordinates)
+        object.__setattr__(self, "labels", self._labels())
+
+    def _labels(self) -> tuple[str, ...]:
+        labels = (self.labels,) if isinstance(self.labels, str) else tuple(self.labels)
+        if labels and not (len(labels) == len(self.features) and all(isinstance(label, str) for label in labels)):
+            raise ValueError(f"group {self.name!r}: labels must be {len(self.features)} texts, got {self.labels!r}")
+        return labels
 
     def _seen(self) -> FeatureGroup | None:
         seen, features = self.seen, tuple(map(int, self.features))
@@ -96,6 +106,13 @@ class FeatureGroup:
                 f"group {self.name!r} names feature {max(self.features)}, the feature map gives {features.shape[1]}"
             )
         return features[:, list(self.features)]
+
+    def told(self, point: FloatArray) -> str | None:
+        """A point (k,) by the labels of its features, for people; None if they have none."""
+        if not self.labels:
+            return None
+        said = ", ".join(f"{label} {x:g}" for label, x in zip(self.labels, point.tolist(), strict=True) if label)
+        return f"{self.name} at {said}" if said else self.name
 
     def is_place(self, features: FloatArray) -> BoolArray:
         """Whether what the group is about is there, for features (batch, d), shape (batch,)."""

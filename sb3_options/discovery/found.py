@@ -61,5 +61,4 @@ class FoundSubgoal(NamedTuple):
         """The subgoal for people; ``kind`` says where φ comes from."""
         if not len(self.subgoal.points):
             return "no place"
-        place = described(self.centre, kind)
-        return place if self.subgoal.group is None else f"{self.subgoal.group.name} at {place}"
+        return described(self.centre, kind, self.subgoal.group)

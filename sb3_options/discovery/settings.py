@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from sb3_options.checked import Field, settings
+from sb3_options.density.groups import FeatureGroup
 from sb3_options.discovery.methods import MethodName
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.recording import RewardPeaks
@@ -123,8 +124,16 @@ SHOWN = 6
 """As many coordinates of a point are shown: those of two things, whether and where they are."""
 
 
-def described(point: FloatArray, kind: str | None) -> str:
-    """A point of concept space for people: the state behind a one-hot code, or the first `SHOWN` coordinates."""
+def described(point: FloatArray, kind: str | None, group: FeatureGroup | None = None) -> str:
+    """A point of concept space for people: the state behind a one-hot code, or the first `SHOWN` coordinates.
+
+    Args:
+        point: In the group's own features, if there is one, (k,), else in all, (d,).
+        kind: Where φ comes from.
+        group: The features that count, if not all do.
+    """
+    if group is not None:
+        return group.told(point) or f"{group.name} at {described(point, None)}"
     if kind == "categorical":
         return f"state {int(point.argmax())}"
     return ", ".join(f"{x:g}" for x in point[:SHOWN]) + (", …" if len(point) > SHOWN else "")

@@ -131,10 +131,8 @@ def subgoal_of(option: SubgoalOption, features: str | None) -> str:
     """Its subgoal for people."""
     if not len(option.subgoal.points):
         return "none"
-    point = described(option.subgoal.points[0], features if option.subgoal.group is None else None)
-    if isinstance(option.subgoal, HalfSpace):
-        return f"beyond the plane through {point}"
-    return point if option.subgoal.group is None else f"{option.subgoal.group.name} at {point}"
+    place = described(option.subgoal.points[0], features, option.subgoal.group)
+    return f"beyond the plane through {place}" if isinstance(option.subgoal, HalfSpace) else place
 
 
 def table_of(contents: Contents) -> Table:
@@ -169,7 +167,10 @@ def summary_of(contents: Contents) -> list[str]:
 
 
 def picture_of(contents: Contents) -> Figure:
-    """A panel for each discovered option: its initiation set and its subgoal, in the first two features that count."""
+    """A panel for each discovered option: its initiation set and its subgoal, in the first two features that count.
+
+    Of a group of features with labels, these are the first two that have one.
+    """
     options = {slot: o for slot, o in contents.options.items() if isinstance(o, SubgoalOption)}
     columns = min(COLUMNS, max(1, len(options)))
     rows = max(1, -(-len(options) // columns))
@@ -193,9 +194,13 @@ def _draw(axes: Axes, slot: int, option: SubgoalOption, features: str | None) ->
         side = np.ones(2)
     else:
         numbers = range(option.subgoal.points.shape[1]) if group is None else group.features
-        names = [f"feature {i + 1}" for i in list(numbers)[:2]] + [""]
-        initiation, subgoal = (_plane(p) for p in (option.initiation_set.points, option.subgoal.points))
-        side = 1.0 / _plane(np.maximum(option.subgoal.scale, 1e-9)[None])[0] if len(numbers) > 1 else np.ones(2)
+        labels = [] if group is None else list(group.labels)
+        columns = [i for i, label in enumerate(labels) if label][:2] or [0, 1][: len(numbers)]
+        names = [labels[i] if any(labels) else f"feature {numbers[i] + 1}" for i in columns] + [""]
+        initiation, subgoal = (_plane(p[:, columns]) for p in (option.initiation_set.points, option.subgoal.points))
+        side = np.ones(2)
+        if len(columns) > 1:
+            side = 1.0 / _plane(np.maximum(option.subgoal.scale[columns], 1e-9)[None])[0]
     squares = [Rectangle((float(x), float(y)), *map(float, side)) for x, y in initiation - side / 2]
     axes.add_collection(PatchCollection(squares, facecolor=INITIATION_COLOUR, edgecolor="white"))
     axes.plot(*subgoal.T, linestyle="", **SUBGOAL)

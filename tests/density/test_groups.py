@@ -34,9 +34,20 @@ def test_groups_of_lists_and_of_tuples_are_the_same() -> None:
     assert hash(DOOR) == hash(FeatureGroup("door", (3, 1), ((3,),), (10, 1)))
 
 
+def test_labels_tell_where_a_concept_is_and_make_no_other_group() -> None:
+    labelled = FeatureGroup("door", [3, 1], present=[[3]], scale=[10, 1], labels=["", "forward"])
+    assert labelled.told(np.array([1.0, 2.0])) == "door at forward 2"
+    assert FeatureGroup("doorway", [3], labels=[""]).told(np.array([1.0])) == "doorway"
+    assert DOOR.told(np.array([1.0, 2.0])) is None
+    assert labelled == DOOR
+
+
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
+        ({"features": [0, 1], "labels": ["forward"]}, "labels must be 2 texts"),
+        ({"features": [0, 1], "labels": "forward"}, "labels must be 2 texts"),
+        ({"features": [0, 1], "labels": [1, 2]}, "labels must be 2 texts"),
         ({"features": []}, "features must be distinct numbers"),
         ({"features": [1, 1]}, "features must be distinct numbers"),
         ({"features": [-1]}, "features must be distinct numbers"),

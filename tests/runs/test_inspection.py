@@ -17,7 +17,7 @@ from sb3_options.runs.inspection import contents_of, picture_of, summary_of, tab
 ONE = np.ones(2)
 
 
-def table(*states: tuple[float, float]) -> TabularPolicy:
+def table(*states: tuple[float, ...]) -> TabularPolicy:
     return TabularPolicy(np.array(states), np.zeros((len(states), 3)))
 
 
@@ -37,6 +37,9 @@ def file(tmp_path: Path) -> Path:
     group = FeatureGroup("door", (4, 7))
     own = Region(np.array([[1.0, 0.0]]), ONE, 0.0, group=group)
     bank.add(reach(own, Region(near.points, ONE, 0.5, group=group), policy_input="features"))
+    named = FeatureGroup("key", (1, 2, 3), labels=("", "forward", "lateral"))
+    ahead = Region(np.array([[1.0, 2.0, 0.0]]), np.ones(3), 0.0, group=named)
+    bank.add(reach(ahead, ahead, table((0.0, 0.0, 0.0)), policy_input="features"))
     bank.save(tmp_path / "options.safetensors")
     return tmp_path / "options.safetensors"
 
@@ -56,21 +59,26 @@ def test_every_option_has_a_row(file: Path) -> None:
     assert rows[2][2] == "beyond the plane through 3, 0"
     assert rows[2][5] == "network on the features"
     assert rows[3][2] == "door at 1, 0"
+    assert rows[4][2] == "key at forward 2, lateral 0"
 
 
 def test_what_holds_for_all(file: Path) -> None:
     contents = contents_of(file.parent)
-    assert "4 of 6 slots are taken; policies choose among 3 primitive actions." in summary_of(contents)
+    assert "5 of 6 slots are taken; policies choose among 3 primitive actions." in summary_of(contents)
     assert contents.digest in summary_of(contents)[-1]
-    assert list(contents.options) == [0, 1, 2, 3]
+    assert list(contents.options) == [0, 1, 2, 3, 4]
 
 
 def test_a_picture_has_a_panel_for_each_discovered_option(file: Path, tmp_path: Path) -> None:
     figure = picture_of(contents_of(file))
-    titles = ["slot 0: 10, 5", "slot 2: beyond the plane through 3, 0", "slot 3: door at 1, 0"]
-    assert [axes.get_title() for axes in figure.axes] == titles
+    titles = ["10, 5", "beyond the plane through 3, 0", "door at 1, 0", "key at forward 2, lateral 0"]
+    assert [axes.get_title() for axes in figure.axes] == [
+        f"slot {slot}: {title}" for slot, title in zip((0, 2, 3, 4), titles, strict=True)
+    ]
     assert figure.axes[2].get_xlabel() == "feature 5"
     assert figure.axes[2].get_ylabel() == "feature 8"
+    assert figure.axes[3].get_xlabel() == "forward"
+    assert figure.axes[3].get_ylabel() == "lateral"
     figure.savefig(tmp_path / "options.png")
 
 

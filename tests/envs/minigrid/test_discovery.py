@@ -38,7 +38,7 @@ def test_the_goal_ahead_is_discovered_and_its_option_is_good_in_another_map(work
     callback = discover(tmp_path / "options", workers=workers, max_new_options=1)
     assert isinstance(callback.discovery, GroupedDiscovery)
     (found,) = callback.discoveries
-    assert found.where == "goal at 1, 1, 0"
+    assert found.where == "goal at forward 1, lateral 0"
     option = callback.bank[0]
     assert isinstance(option, SubgoalOption)
     assert option.policy_input == "features"
