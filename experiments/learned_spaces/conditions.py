@@ -29,9 +29,6 @@ ARMS: tuple[MapName | None, ...] = ("temporal-distance", "laplacian", None)
 
 NAMES: dict[MapName | None, str] = {None: "coordinates"}
 
-DISCOVERY: dict[str, Any] = {"min_cut": 0.0}
-"""The study was run before there was a `min_cut`."""
-
 N_EPISODES = 60
 MAX_OPTIONS = 4
 
@@ -58,7 +55,7 @@ def run(task: str, arm: MapName | None, seed: int, n_episodes: int | None = None
         learner = FeatureLearner(
             LearnedMap(arm, form_of(world.observation_space), seed), EmbeddingSettings(**settings), seed
         )
-    discovery = SubgoalDiscovery(DiscoverySettings(**DISCOVERY), kind="environment" if arm is None else arm)
+    discovery = SubgoalDiscovery(DiscoverySettings(), kind="environment" if arm is None else arm)
     found: list[dict[str, Any]] = []
     world.reset(seed=seed)
     for episode in range(1, (n_episodes or N_EPISODES) + 1):
