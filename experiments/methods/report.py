@@ -12,6 +12,9 @@ import tyro
 
 from experiments.common.documents import fill, number
 
+LEFT_OUT = ("tuned-race", "tuned-random", "robot-overview", "robot-random")
+"""Tables that the page does without."""
+
 MANY = 0.25
 """If this share of the runs never met the criterion, a ratio of steps is a bound."""
 
@@ -24,21 +27,31 @@ class Report:
         results: What the race wrote.
         tuned: What it wrote with ``--settings tuned``.
         ppo: What it wrote with ``--learners ppo``.
+        dqn: What it wrote with ``--learners dqn``.
+        robot: What it wrote with ``--tasks Pioneer``.
         document: The page.
     """
 
     results: Path = Path("docs/results/methods.json")
     tuned: Path = Path("docs/results/methods-tuned.json")
     ppo: Path = Path("docs/results/methods-ppo.json")
+    dqn: Path = Path("docs/results/methods-dqn.json")
+    robot: Path = Path("docs/results/methods-robot.json")
     document: Path = Path("docs/studies/methods.md")
 
 
 def main(report: Report) -> None:
     """Read, and fill in."""
     parts: dict[str, str] = {}
-    for prefix, path in (("", report.results), ("tuned-", report.tuned), ("ppo-", report.ppo)):
+    for prefix, path in (
+        ("", report.results),
+        ("tuned-", report.tuned),
+        ("ppo-", report.ppo),
+        ("dqn-", report.dqn),
+        ("robot-", report.robot),
+    ):
         parts |= parts_of(json.loads(path.read_text(encoding="utf-8")), prefix)
-    fill(report.document, {name: text for name, text in parts.items() if name not in ("tuned-race", "tuned-random")})
+    fill(report.document, {name: text for name, text in parts.items() if name not in LEFT_OUT})
 
 
 def parts_of(results: Mapping[str, Any], prefix: str = "") -> dict[str, str]:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias, get_args, get_type_hints
 
 import tyro
-import yaml
 from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
 from sb3_options.atomic import atomic_write
@@ -281,7 +280,7 @@ def save(config: TrainConfig, path: Path) -> None:
     """Write a configuration as YAML that ``--config`` reads back."""
     content = TypeAdapter(type(config)).dump_python(config, mode="json")
     with atomic_write(path) as temporary:
-        temporary.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+        temporary.write_text(yaml_file.dump(content, sort_keys=False), encoding="utf-8")
 
 
 def read(path: Path, trusted: Mapping[str, str | None] | None = None) -> dict[str, Any]:

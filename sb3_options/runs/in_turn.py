@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeGuard
 
-import yaml
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -57,7 +56,7 @@ class Series:
         configs.save(self.config, folder / SERIES)
         content = {"before": list(self.before), "rows": [list(row) for row in self.rows]}
         with atomic_write(folder / BEFORE) as temporary:
-            temporary.write_text(yaml.safe_dump(content), encoding="utf-8")
+            temporary.write_text(yaml_file.dump(content), encoding="utf-8")
 
 
 class Discovering(Protocol):

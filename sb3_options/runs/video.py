@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,12 @@ from sb3_options.envs.minigrid import KEYWORDS, is_minigrid
 
 CAPTION_HEIGHT = 24
 """Pixels of the strip that names the running option."""
+
+CAPTION_MARGIN = (4, 2)
+"""Pixels left and right of the text, and above it."""
+
+SMALLEST_CAPTION = 10
+"""Pixels of the smallest letters that can be read."""
 
 DEFAULT_FPS = 15
 """Pictures per second where the environment does not say."""
@@ -66,10 +73,23 @@ class RecordFrames(gym.Wrapper[Any, Any, Any, Any]):
 
 
 def captioned(picture: Any, text: str) -> npt.NDArray[np.uint8]:
-    """A picture, shape (height, width, 3), above a strip of `CAPTION_HEIGHT` rows with a text in it."""
-    strip = Image.new("RGB", (picture.shape[1], CAPTION_HEIGHT), "white")
-    ImageDraw.Draw(strip).text((4, 2), text, fill="black", font=ImageFont.load_default(CAPTION_HEIGHT - 8))
+    """A picture, shape (height, width, 3), above a strip of `CAPTION_HEIGHT` rows with a text in it.
+
+    A text that is too long for the picture is written smaller, and one that stays too long ends in dots.
+    """
+    strip, (left, top) = Image.new("RGB", (picture.shape[1], CAPTION_HEIGHT), "white"), CAPTION_MARGIN
+    draw, room = ImageDraw.Draw(strip), picture.shape[1] - 2 * left
+    sizes = range(CAPTION_HEIGHT - 8, SMALLEST_CAPTION, -1)
+    font = _font(next((size for size in sizes if draw.textlength(text, _font(size)) <= room), SMALLEST_CAPTION))
+    while len(text) > 1 and draw.textlength(text, font) > room:
+        text = f"{text[:-2]}…"
+    draw.text((left, top), text, fill="black", font=font)
     return np.concatenate([picture, np.asarray(strip, dtype=picture.dtype)])
+
+
+@cache
+def _font(size: int) -> Any:
+    return ImageFont.load_default(size)
 
 
 class Video:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,22 @@ MAX_CHARACTERS = 100_000
 
 MAX_DEPTH = 20
 """Deepest nesting that is read."""
+
+
+SCIENTIFIC = re.compile(r"[-+]?[0-9][0-9_]*(\.[0-9_]*)?[eE][-+]?[0-9]+$")
+"""Numbers of YAML 1.2 that PyYAML, which follows 1.1, takes for texts: 1e4, 3e-4."""
+
+
+class Loader(yaml.SafeLoader):
+    """PyYAML's safe loader, to which `SCIENTIFIC` numbers are numbers."""
+
+
+class Dumper(yaml.SafeDumper):
+    """PyYAML's safe dumper, which puts texts that `Loader` would take for numbers in quotation marks."""
+
+
+for each in (Loader, Dumper):
+    each.add_implicit_resolver("tag:yaml.org,2002:float", SCIENTIFIC, list("-+0123456789"))
 
 
 def read_mapping(path: Path) -> dict[str, Any]:
@@ -44,7 +62,7 @@ def parse(text: str) -> Any:
         raise ValueError(f"it has more than {MAX_CHARACTERS:,} characters.")
     depth = 0
     try:
-        for event in yaml.parse(text, yaml.SafeLoader):
+        for event in yaml.parse(text, Loader):
             if isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent) and event.tag is not None:
                 raise ValueError(f"it has the tag {event.tag!r}; write plain values.")
             if isinstance(event, yaml.NodeEvent) and event.anchor is not None:
@@ -52,6 +70,12 @@ def parse(text: str) -> Any:
             depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
             if depth > MAX_DEPTH:
                 raise ValueError(f"it is nested deeper than {MAX_DEPTH} levels.")
-        return yaml.safe_load(text)
+        return yaml.load(text, Loader)
     except yaml.YAMLError as error:
         raise ValueError(" ".join(str(error).split())) from error
+
+
+def dump(content: Mapping[str, Any], *, sort_keys: bool = True) -> str:
+    """Values as YAML that `parse` reads back."""
+    text: str = yaml.dump(content, Dumper=Dumper, sort_keys=sort_keys)
+    return text

@@ -10,7 +10,7 @@ from experiments.minigrid import film
 from sb3_options import OptionBank
 from sb3_options.options.archive import NAME
 from tests.support import processes
-from tests.support.documents import ROOT
+from tests.support.documents import ROOT, SHORTER
 
 EXAMPLE = ROOT / "examples" / "minigrid_options.py"
 
@@ -18,7 +18,9 @@ EXAMPLE = ROOT / "examples" / "minigrid_options.py"
 @pytest.fixture(scope="module")
 def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("example")
-    result = processes.python(str(EXAMPLE), "2_000", "2_000", cwd=folder)
+    shorter = folder / EXAMPLE.name
+    shorter.write_text(SHORTER.sub(r"\g<1>\g<3>\g<2>", EXAMPLE.read_text(encoding="utf-8")), encoding="utf-8")
+    result = processes.python(str(shorter), cwd=folder)
     assert result.returncode == 0, result.stderr
     return folder / "minigrid.zip"
 
@@ -29,7 +31,7 @@ def test_the_example_leaves_a_model_that_went_on_in_four_rooms(model: Path) -> N
     assert loaded.n_envs == 16
     OptionBank(7, 4).load(model.with_name("options.safetensors"))
     assert NAME  # the options are inside the model too
-    assert len(EXAMPLE.read_text(encoding="utf-8").splitlines()) <= 40
+    assert sum(bool(line) for line in EXAMPLE.read_text(encoding="utf-8").splitlines()) <= 20
 
 
 def test_the_film_names_what_runs(model: Path, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from sb3_options import OptionsWrapper
-from sb3_options.runs.video import CAPTION_HEIGHT, RecordFrames, Video
+from sb3_options.runs.video import CAPTION_HEIGHT, RecordFrames, Video, captioned
 from tests.support.helpers import CountingEnv, steady_option
 from tests.support.sb3_helpers import read_video
 
@@ -80,6 +80,13 @@ class TestVideo:
         np.testing.assert_array_equal(taken[0][:33], 0)
         assert np.array_equal(taken[0][33:], taken[1][33:])
         assert not np.array_equal(taken[1][33:], taken[2][33:])
+
+    @pytest.mark.parametrize("n", [1, 30, 300])
+    def test_a_caption_keeps_to_the_picture(self, n: int) -> None:
+        """It is written smaller, or cut: nothing of it is at the right margin."""
+        strip = captioned(np.zeros((5, 120, 3), np.uint8), "m" * n)[5:]
+        assert (strip[:, -4:] == 255).all()
+        assert (strip < 255).any()
 
     def test_of_an_environment_that_draws_nothing(self, tmp_path: Path) -> None:
         video = Video(tmp_path / "f.mp4", 10.0)

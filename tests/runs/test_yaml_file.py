@@ -1,0 +1,42 @@
+"""Numbers as people write them, by YAML 1.2, not 1.1."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sb3_options.runs.config import MaskablePPOConfig, load
+from sb3_options.runs.yaml_file import dump, parse
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("1e4", 1e4),
+        ("3e-4", 3e-4),
+        ("-2.5E+3", -2500.0),
+        ("1_0e2", 1000.0),
+        ("1.e3", 1000.0),
+        ("12", 12),
+        ("0.5", 0.5),
+        ("e4", "e4"),
+        ("1e4 steps", "1e4 steps"),
+        ("'1e4'", "1e4"),
+        ("1e", "1e"),
+        ("v1e4", "v1e4"),
+    ],
+)
+def test_numbers_with_an_exponent_are_numbers(text: str, value: Any) -> None:
+    read = parse(text)
+    assert read == value
+    assert type(read) is type(value)
+
+
+def test_a_text_stays_a_text() -> None:
+    content = {"text": "1e4", "number": 1e22, "tiny": 1e-07}
+    assert parse(dump(content)) == content
+
+
+def test_a_configuration_may_have_them(tmp_path: Path) -> None:
+    (tmp_path / "run.yaml").write_text("algo: maskableppo\nn_timesteps: 2e4\nlearning_rate: 1e-4\n")
+    assert load(tmp_path / "run.yaml") == MaskablePPOConfig(n_timesteps=20_000, learning_rate=1e-4)
