@@ -15,6 +15,7 @@ from sb3_options import MacroQ, OptionReplayBuffer, OptionsWrapper, load_model
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback, TrialSettings
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.trials import OptionTrials
+from sb3_options.discovery.budget import STEP_SECONDS, TABLE_STEP_SECONDS
 from sb3_options.learning import heads
 from tests.support.helpers import steady_option
 from tests.support.sb3_helpers import RANDOM, TINY, env_of, fast_callback, optioned_rooms
@@ -78,6 +79,15 @@ def test_macro_q_serves_the_environment_of_a_sibling() -> None:
     model = MacroQ(env, gamma=0.9, seed=0)
     model.learn(50, callback=[SubgoalDiscoveryCallback(max_new_options=0), EvalCallback(served, eval_freq=10_000)])
     assert len(served.bank) == 1
+
+
+def test_a_step_of_a_table_affords_fewer_searches_than_one_of_a_network() -> None:
+    steps = []
+    for model in (MacroQ(with_option(), gamma=0.9, seed=0), model_of(with_option())):
+        model.learn(50, callback=(callback := SubgoalDiscoveryCallback()))
+        assert callback.discovery is not None
+        steps.append(callback.discovery.budget.step_seconds)
+    assert steps == [TABLE_STEP_SECONDS, STEP_SECONDS]
 
 
 @pytest.mark.parametrize(
