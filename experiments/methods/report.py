@@ -39,17 +39,16 @@ class Report:
     robot: Path = Path("docs/results/methods-robot.json")
     document: Path = Path("docs/studies/methods.md")
 
+    def paths(self) -> dict[str, Path]:
+        """What was written, by what its marks on the page begin with."""
+        others = {"tuned-": self.tuned, "ppo-": self.ppo, "dqn-": self.dqn, "robot-": self.robot}
+        return {"": self.results, **others}
+
 
 def main(report: Report) -> None:
     """Read, and fill in."""
     parts: dict[str, str] = {}
-    for prefix, path in (
-        ("", report.results),
-        ("tuned-", report.tuned),
-        ("ppo-", report.ppo),
-        ("dqn-", report.dqn),
-        ("robot-", report.robot),
-    ):
+    for prefix, path in report.paths().items():
         parts |= parts_of(json.loads(path.read_text(encoding="utf-8")), prefix)
     fill(report.document, {name: text for name, text in parts.items() if name not in LEFT_OUT})
 
