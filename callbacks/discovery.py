@@ -13,7 +13,7 @@ import torch
 
 from sb3_options.callbacks.checks import check_arguments, check_training, groups_given, trial_given
 from sb3_options.callbacks.counting import monitor_primitive_steps
-from sb3_options.callbacks.discovery_log import DiscoveryClock, draw_discovery, log_discovery
+from sb3_options.callbacks.discovery_log import DiscoveryClock, draw_discovery, log_discovery, step_seconds_of
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.learned_features import GivenFeatures, check_learned, features_for
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
@@ -23,7 +23,6 @@ from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.checked import given_as
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
-from sb3_options.discovery.budget import STEP_SECONDS, TABLE_STEP_SECONDS
 from sb3_options.discovery.methods import DiscoveryMethod, MethodName, checked_method
 from sb3_options.discovery.proposed import discovery_with
 from sb3_options.discovery.settings import DiscoverySettings
@@ -35,7 +34,6 @@ from sb3_options.execution.trials import TrialReport, TrialSettings, Verdict
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.success import SuccessRule, reported_success
 from sb3_options.experience.trajectories import EpisodeRecord, LabelledTrajectory, Trajectory
-from sb3_options.learning.macro_q import MacroQ
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.creation import OptionGrowth, joined, learn_further, learn_option
 from sb3_options.options.option import SubgoalOption
@@ -181,7 +179,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                 kind=venv.env_method("feature_kind", indices=[0])[0],
                 taken=[option.subgoal for option in self.bank.slots if isinstance(option, SubgoalOption)],
             )
-        self.discovery.budget.step_seconds = TABLE_STEP_SECONDS if isinstance(self.model, MacroQ) else STEP_SECONDS
+        self.discovery.budget.step_seconds = step_seconds_of(self.model)
         for slot, option in enumerate(self.bank.slots):
             if isinstance(option, SubgoalOption) and slot not in self._made_here and not option.fixed:
                 self._growth.adopted(slot)

@@ -7,11 +7,14 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import Figure, Logger
 
 from sb3_options.callbacks.summaries import NUMBERS_ONLY, takes_more_than_numbers
+from sb3_options.discovery.budget import STEP_SECONDS, TABLE_STEP_SECONDS
 from sb3_options.discovery.figures import discovery_figures, options_figure
 from sb3_options.discovery.subgoals import SubgoalDiscovery
+from sb3_options.learning.macro_q import MacroQ
 from sb3_options.options.bank import OptionBank
 
 logger = logging.getLogger("sb3_options")
@@ -21,6 +24,11 @@ LONG_ENOUGH = 60.0
 
 FAR_BEYOND = 3.0
 """Times `DiscoverySettings.max_share`: there is a warning when discovery takes more."""
+
+
+def step_seconds_of(model: BaseAlgorithm) -> float:
+    """What training takes for a primitive step, in nominal seconds (`budget`)."""
+    return TABLE_STEP_SECONDS if isinstance(model, MacroQ) else STEP_SECONDS
 
 
 class DiscoveryClock:

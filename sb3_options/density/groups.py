@@ -72,7 +72,7 @@ class FeatureGroup:
         object.__setattr__(self, "labels", self._labels())
 
     def _labels(self) -> tuple[str, ...]:
-        labels = (self.labels,) if isinstance(self.labels, str) else tuple(self.labels)
+        labels = tuple(self.labels) if isinstance(self.labels, list | tuple) else (self.labels,)
         if labels and not (len(labels) == len(self.features) and all(isinstance(label, str) for label in labels)):
             raise ValueError(f"group {self.name!r}: labels must be {len(self.features)} texts, got {self.labels!r}")
         return labels
