@@ -38,7 +38,7 @@ class LocalCuts:
         self.n_computed = 0
         self._number: dict[bytes, int] = {}
         self._neighbours: list[set[int]] = []
-        self._edges = set[int]()  # the smaller number times `MAX_STATES`, and the larger
+        self._edges = set[int]()  # the same, to compare at once: the smaller number times `MAX_STATES`, and the larger
         # By number, and at last for states that have none.
         self._n_trajectories: IntArray = np.zeros(MAX_STATES + 1, dtype=np.int64)
         self._shares: FloatArray = np.full(MAX_STATES + 1, np.nan)  # NaN where it has to be computed
