@@ -26,6 +26,7 @@ from sb3_options.density.concepts import Point
 from sb3_options.density.energies import Columns, Likelihood
 from sb3_options.density.layout import Workspace
 from sb3_options.density.objective import evaluate
+from sb3_options.density.one_hot import is_one_hot, one_hot_log_density
 from sb3_options.density.search import UPDATE_PAIRS, ConceptSearch, Solution
 
 ARRIVED = 1e-5
@@ -239,10 +240,17 @@ class DiverseDensity:
         points = distinct(points)
         if not exhaustive:
             return self._ascend(points, bags)
-        value = self.log_density(points, bags)
+        value = self._exhaustive_values(points, bags)
         scale = self._scale(bags.n_features)
         ties = np.flatnonzero(value >= value.max() - self.tolerance)
         return [Peak(points[i].copy(), scale, float(value[i]), True) for i in ties]
+
+    def _exhaustive_values(self, points: FloatArray, bags: Bags) -> FloatArray:
+        """`log_density` of points, (m,); where all are one-hot codes, and weigh alike, without comparing features."""
+        scale, alike = self._scale(bags.n_features), bags.weights is None
+        if alike and (scale == scale[0]).all() and is_one_hot(points) and is_one_hot(bags.instances.cpu().numpy()):
+            return one_hot_log_density(points, float(scale[0]), bags, self.negative_strength, self.leak)
+        return self.log_density(points, bags)
 
     def _ascend(self, points: FloatArray, bags: Bags) -> list[Peak]:
         evidence = self.concepts.evidence(bags)

@@ -11,10 +11,11 @@ import numpy as np
 
 from sb3_options.density.bags import Bags, first_rows
 from sb3_options.density.groups import FeatureGroup
+from sb3_options.density.one_hot import is_one_hot
 from sb3_options.density.regions import Region
 from sb3_options.discovery.contrast import Contrast
 from sb3_options.discovery.local_cuts import LocalCuts
-from sb3_options.discovery.settings import DiscoverySettings, default_scale, is_one_hot
+from sb3_options.discovery.settings import DiscoverySettings, default_scale
 from sb3_options.discovery.static_filter import (
     StaticFilter,
     kept_by,
@@ -121,7 +122,8 @@ class BagMaker:
         self._find_scale(database)
         assert self.scale is not None  # of any trajectories
         old = {id(known.labelled): known for known in self._known.values()}  # a copied object has another id
-        self._known = {id(t): old.get(id(t)) or self._know(t, self.scale) for t in database}
+        needed = database if self.settings.negative_bags else positive
+        self._known = {id(t): old.get(id(t)) or self._know(t, self.scale) for t in needed}
         known = [self._known[id(t)] for t in positive]
         self._remake(known, self._passages(known), taken)
         positive_bags = [k.bag for k in known if len(k.bag)]

@@ -114,12 +114,6 @@ CATEGORICAL_SCALE = 6.0
 """One-hot codes of two states are then 6√2 = 8.5 units apart, farther than any default radius: equal or not."""
 
 
-def is_one_hot(features: FloatArray) -> bool:
-    """Whether features (m, d), d > 1, are one-hot codes: those of different states are all equally far apart."""
-    binary = bool(((features == 0.0) | (features == 1.0)).all())
-    return features.shape[1] > 1 and binary and bool((features.sum(axis=1) == 1.0).all())
-
-
 SHOWN = 6
 """As many coordinates of a point are shown: those of two things, whether and where they are."""
 

@@ -38,6 +38,9 @@ from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory, 
 WARM_STARTS = 4
 """A search also starts from this many peaks of the one before."""
 
+NOTHING_LEFT = 5
+"""Once subgoals were found, and the filters leave nothing else, one of so many searches is made."""
+
 TRIED_BAGS = 3
 MOST_PAIRS = 1 << 20
 """A search tries the instances of so many of the smallest positive bags, and compares about so many pairs of them with
@@ -137,7 +140,10 @@ class SubgoalDiscovery:
 
     def _is_due(self) -> bool:
         """Whether there are enough new trajectories for a search."""
-        return self._n_since >= self.settings.search_growth * sum(labelled.success for labelled in self.database)
+        growth = self.settings.search_growth
+        if self.last.evidence is None and (self.found or self.taken):
+            growth = 1.0 - (1.0 - growth) ** NOTHING_LEFT
+        return self._n_since >= growth * sum(labelled.success for labelled in self.database)
 
     def withdraw(self) -> None:
         """Say that there is no option for the last subgoal; it counts as taken all the same."""

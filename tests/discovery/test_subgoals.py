@@ -8,7 +8,7 @@ import pytest
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options.density.regions import Region
-from sb3_options.discovery.settings import CATEGORICAL_SCALE, DiscoverySettings, default_scale, described, is_one_hot
+from sb3_options.discovery.settings import CATEGORICAL_SCALE, DiscoverySettings, default_scale, described
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.recording import EpisodeRecorder
@@ -294,7 +294,8 @@ class TestSearch:
     @pytest.mark.parametrize("negative_bags", [True, False])
     def test_the_more_successes_there_are_the_rarer_are_searches(self, negative_bags: bool) -> None:
         """With a growth of a fifth, 2 new trajectories up to 10 successes, 3 up to 15. The first here is a failure."""
-        discovery = SubgoalDiscovery(settings_of(search_growth=0.2, negative_bags=negative_bags))
+        never = {"threshold": 0.99, "cut_threshold": 0.99}
+        discovery = SubgoalDiscovery(settings_of(search_growth=0.2, negative_bags=negative_bags, **never))
         searched = []
         for n in range(1, 16):
             discovery.add(*on_a_line(0, 5, 20, success=n > 1))
@@ -302,6 +303,18 @@ class TestSearch:
             discovery.search()
             searched += [n] if discovery.seconds > seconds else []
         assert searched == [1, 2, 3, 4, 5, 6, 8, 10, 13]
+
+    def test_once_nothing_is_left_searches_are_rarer(self) -> None:
+        """Only state 5 may be a subgoal. The share of new ones that a search waits for is 1 − 0.8⁵ after that."""
+        discovery = SubgoalDiscovery(settings_of(search_growth=0.2, threshold=0.1, min_positive=1))
+        found, searched = [], []
+        for n in range(1, 26):
+            discovery.add(*on_a_line(0, 5, 20))
+            seconds = discovery.seconds
+            found += [n] if discovery.search() is not None else []
+            searched += [n] if discovery.seconds > seconds else []
+        assert found == [1]
+        assert searched == [1, 2, 7, 22]
 
     def test_seconds_add_up(self) -> None:
         discovery = SubgoalDiscovery(settings_of(threshold=0.9))
@@ -343,21 +356,6 @@ class TestWithoutDistances:
         discovery = self.discovery("categorical")
         discovery._maker.static_filter = lambda f, start, end: f[:, 8] > 0
         assert self.left(discovery) == [8]
-
-    @pytest.mark.parametrize(
-        ("features", "expected"),
-        [
-            (np.eye(3), True),
-            (np.eye(2), True),
-            (np.eye(3)[[0, 0]], True),
-            (np.eye(3) * 2, False),
-            (np.array([[0.0, 1.0], [1.0, 1.0]]), False),
-            (np.array([[0.0, 0.0], [1.0, 0.0]]), False),
-            (np.ones((3, 1)), False),
-        ],
-    )
-    def test_codes_are_told_by_what_was_seen(self, features: FloatArray, expected: bool) -> None:
-        assert is_one_hot(features) is expected
 
     def test_a_state_is_named(self) -> None:
         assert described(np.eye(64)[57], "categorical") == "state 57"
