@@ -10,6 +10,7 @@ import numpy as np
 
 from experiments.common.gridworlds import cell_of, distance_to_doorway, rooms_of, world_of
 from experiments.published.graphs import climbed, cover_time, diffusion_time, grid, joined, taxi
+from experiments.published.learning import MOST, moves_of, steps_to_learn, tasks_of
 from experiments.random_walks.conditions import run, walk
 from sb3_options.discovery.methods.covering import farthest_pairs
 from sb3_options.discovery.methods.graphs import TOLERANCE
@@ -21,15 +22,24 @@ from sb3_options.discovery.settings import DiscoverySettings
 N_OPTIONS = (0, 2, 4, 8, 16, 32)
 
 
-def eigenoptions(env_id: str = "sb3_options/FourRooms-v0") -> dict[str, Any]:
-    """Diffusion time by the number of eigenoptions, and where the first four lead."""
+def eigenoptions(n_tasks: int, first_seed: int, env_id: str = "sb3_options/FourRooms-v0") -> dict[str, Any]:
+    """Diffusion time and steps of learning by the number of eigenoptions, and where the first four lead."""
     world, cells, adjacency = grid(env_id)
     vectors = smoothest(adjacency, max(N_OPTIONS) // 2).T
     options = [climbed(adjacency, sign * vector) for vector in vectors for sign in (1, -1)]
     ends = [cells[(sign * vector).argmax()].tolist() for vector in vectors[:2] for sign in (1, -1)]
     times = {n: diffusion_time(adjacency, options[:n]) for n in N_OPTIONS}
+    moves, tasks = moves_of(cells), tasks_of(world, cells, n_tasks, np.random.default_rng(first_seed))
+    steps = {n: steps_to_learn(moves, options[:n], tasks, np.random.default_rng(first_seed)) for n in N_OPTIONS}
     rooms = {i for i, room in enumerate(rooms_of(world)) for x, y in ends if (x, y) in room}
-    return {"diffusion_time": times, "ends_of_the_first_four": ends, "rooms": len(rooms)}
+    return {
+        "diffusion_time": times,
+        "steps_to_learn": {n: np.quantile(of, (0.25, 0.5, 0.75)).tolist() for n, of in steps.items()},
+        "mean_steps_to_learn": {n: float(of.mean()) for n, of in steps.items()},
+        "never_learned": {n: float((of == MOST).mean()) for n, of in steps.items()},
+        "ends_of_the_first_four": ends,
+        "rooms": len(rooms),
+    }
 
 
 def covering(runs: int, first_seed: int, env_id: str = "sb3_options/FourRooms-v0") -> dict[str, Any]:

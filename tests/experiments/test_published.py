@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
+from experiments.common.gridworlds import rooms_of
 from experiments.published import measures
 from experiments.published.__main__ import ROWS, Study, main
 from experiments.published.graphs import climbed, cover_time, diffusion_time, grid, joined
+from experiments.published.learning import moves_of, steps_to_learn, tasks_of
 
 LINE = csr_array(np.diag(np.ones(2), 1) + np.diag(np.ones(2), -1))
 """Three cells in a row."""
@@ -45,9 +47,42 @@ def test_cover_time_of_a_line() -> None:
 def test_four_eigenoptions_lead_to_four_rooms() -> None:
     _, cells, adjacency = grid("sb3_options/FourRooms-v0")
     assert adjacency.shape == (len(cells), len(cells))
-    found = measures.eigenoptions()
+    found = measures.eigenoptions(20, 0)
     assert found["rooms"] == 4
     assert found["diffusion_time"][16] < found["diffusion_time"][0]
+    assert found["steps_to_learn"][16][1] < found["steps_to_learn"][0][1]
+
+
+def test_tasks_lead_from_room_to_room() -> None:
+    world, cells, adjacency = grid("sb3_options/FourRooms-v0")
+    moves = moves_of(cells)
+    assert [set(led) - {i} for i, led in enumerate(moves.tolist())] == [
+        set(np.flatnonzero(row).tolist()) for row in adjacency.toarray()
+    ]
+    tasks = tasks_of(world, cells, 50, np.random.default_rng(0))
+    rooms = [[i for i, room in enumerate(rooms_of(world)) if tuple(cells[cell]) in room] for cell in tasks.ravel()]
+    assert tasks.shape == (50, 2)
+    assert all(len(of) == 1 for of in rooms)
+    assert all(start != goal for start, goal in zip(rooms[::2], rooms[1::2], strict=True))
+
+
+CORRIDOR = np.array([[max(i - 1, 0), min(i + 1, 9), i, i] for i in range(10)])
+"""Ten cells in a row; two of the four moves lead against walls."""
+
+
+def test_an_option_along_a_corridor_is_learned_from_sooner() -> None:
+    tasks, along = np.tile([0, 9], (20, 1)), np.minimum(np.arange(10) + 1, 9)
+    without = steps_to_learn(CORRIDOR, [], tasks, np.random.default_rng(0))
+    with_it = steps_to_learn(CORRIDOR, [along], tasks, np.random.default_rng(0))
+    assert with_it.max() <= np.median(without)
+    assert (with_it % 100 == 0).all()
+
+
+def test_what_an_option_keeps_the_agent_from_is_not_learned() -> None:
+    """Twenty options that lead back to the start, and four moves; the goal is at the other end."""
+    back = np.maximum(np.arange(10) - 1, 0)
+    steps = steps_to_learn(CORRIDOR, [back] * 20, np.tile([0, 9], (5, 1)), np.random.default_rng(0), most=1000)
+    assert (steps == 1000).all()
 
 
 def test_covering_options_cover_sooner() -> None:
@@ -83,3 +118,16 @@ def test_the_committed_rows_say_what_measured_them() -> None:
     rows = json.loads(Path("docs/results/published.json").read_text())["rows"]
     study = Study(out=Path(), runs=50)
     assert {name: row["command"] for name, row in rows.items()} == {name: study.command(name) for name in ROWS}
+
+
+def test_the_page_has_the_committed_steps_of_learning() -> None:
+    page = Path("docs/studies/published.md").read_text()
+    row = json.loads(Path("docs/results/published.json").read_text())["rows"]["eigenoptions"]
+    quartiles = list(row["steps_to_learn"].values())
+    for name, cells in {
+        "steps to learn, median": [f"{of[1]:,.0f}" for of in quartiles],
+        "lower and upper quartile": [f"{of[0]:,.0f}, {of[2]:,.0f}" for of in quartiles],
+        "mean": [f"{of:,.0f}" for of in row["mean_steps_to_learn"].values()],
+        "never learned": [f"{of:.2f}" for of in row["never_learned"].values()],
+    }.items():
+        assert f"| {' | '.join([name, *cells])} |" in page
