@@ -1,9 +1,9 @@
 """What the papers report of their methods, measured with the methods of this library.
 
 ``python -m experiments.published --out FOLDER`` writes ``results.json``: how soon agents with eigenoptions learn, their
-diffusion time and covering options' cover time in four rooms, L-cut's and relative novelty's subgoals in two rooms, betweenness on Taxi. With
-``--rows relative_novelty`` it measures that row alone. The others of ``FOLDER/results.json`` stay as they are: each row
-holds the command that measured it.
+diffusion time and covering options' cover time in four rooms, L-cut's and relative novelty's subgoals in two rooms,
+betweenness on Taxi. With ``--rows relative_novelty`` it measures that row alone. The others of ``FOLDER/results.json``
+stay as they are: each row holds the command that measured it.
 """
 
 from __future__ import annotations
