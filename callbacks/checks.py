@@ -18,7 +18,7 @@ from stable_baselines3.common.vec_env import (
 )
 
 from sb3_options.checked import given_as, is_number, whole
-from sb3_options.density.groups import FeatureGroup
+from sb3_options.density.groups import FeatureGroup, checked_groups
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.execution.trials import TrialSettings
 from sb3_options.execution.wrappers_above import ChangesSteps
@@ -58,6 +58,17 @@ def groups_given(groups: Iterable[FeatureGroup | Mapping[str, Any]] | None) -> t
     if not isinstance(groups, Iterable | None):
         raise TypeError(f"groups must be FeatureGroups, or mappings of their fields, got {groups!r}.")
     return None if groups is None else tuple(given_as(FeatureGroup, group) for group in groups)
+
+
+def groups_here(given: tuple[FeatureGroup, ...] | None, venv: VecEnv) -> tuple[FeatureGroup, ...]:
+    """The groups of features to search: those given, or else those that the environment or φ names.
+
+    Raises:
+        ValueError: One names a feature that there is not, or two have one name.
+    """
+    groups = venv.env_method("feature_groups", indices=[0])[0] if given is None else given
+    n_features = venv.env_method("concept_size", indices=[0])[0]
+    return groups if n_features is None else checked_groups(groups, n_features)
 
 
 def trial_given(trial: TrialSettings | Mapping[str, Any] | None, settings: DiscoverySettings) -> TrialSettings | None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from sb3_options.callbacks.checks import check_arguments, check_training, groups_given, trial_given
+from sb3_options.callbacks.checks import check_arguments, check_training, groups_given, groups_here, trial_given
 from sb3_options.callbacks.counting import monitor_primitive_steps
 from sb3_options.callbacks.discovery_log import DiscoveryClock, draw_discovery, log_discovery, step_seconds_of
 from sb3_options.callbacks.installer import OptionInstaller
@@ -168,10 +168,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         own = self.method is not None or bool(self.groups)
         check_learned(self._features, self.settings, self.option_settings, own=own)
         if self.discovery is None:
-            groups = venv.env_method("feature_groups", indices=[0])[0] if self.groups is None else self.groups
             self.discovery = discovery_with(
                 self.settings,
-                groups,
+                groups_here(self.groups, venv),
                 self.method,
                 seed=self.seed,
                 success=self.success,
@@ -241,6 +240,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             return
         labelled = self._search.add(trajectory, self._options.features_of(trajectory.states), success=success)
         if self._features.learn_if_due(self._search, self._options):
+            self._statistics.reliability.forget_places()
             *_, labelled = self._search.database
         if self.option_settings.goes_on:
             self._learn_further(labelled)
@@ -251,14 +251,14 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     def _learn_further(self, labelled: LabelledTrajectory) -> None:
         for slot in self.bank.filled:
             option = self.bank[slot]
-            if not isinstance(option, SubgoalOption):
+            if not isinstance(option, SubgoalOption) or option.fixed:
                 continue
             later: SubgoalOption | None = option
             if self.option_settings.grow and self._growth.is_due(slot, option.subgoal, labelled):
                 later = self._learn(option.subgoal, option.name, option.policy_input)
-                self._statistics.reliability.forget(slot)
                 if later is not None and slot not in self._made_here:
                     later = joined(option, later)
+                later = later and self._statistics.reliability.learned_anew(slot, later)
             elif self.option_settings.keep_learning:
                 later = learn_further(option, labelled, self.option_settings)
             if later is not None and later is not option:
@@ -325,6 +325,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._features.forget(slot)
         self._made_here.discard(slot)
         self._statistics.forget(slot)
+        self._growth.forget(slot)
         self.closed.append(ClosedOption(slot, self.episodes, self.num_timesteps, why))
         logger.info("The option in slot %d proved %s and is closed, after %d episodes.", slot, why, self.episodes)
         if self.verbose:
@@ -389,8 +390,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._options.on_training_end()
         if self._trials is not None:
             self._trials.end()
-        if self.closed:
-            self._save()  # without them
+        if self.closed or len(self.bank):
+            self._save()  # without those that were closed, and as the others have become
         self.draw()
         self._describe()
         settings = self.hparams or settings_of(self.model, discovery=self.settings, option=self.option_settings)

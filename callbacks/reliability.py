@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from sb3_options.callbacks.installer import OptionInstaller
-from sb3_options.experience.observations import BoolArray, FloatArray, Observations, batch_size, concatenate
+from sb3_options.experience.observations import BoolArray, FloatArray, IntArray, Observations, batch_size, concatenate
 from sb3_options.experience.option_run import OptionRun, Termination
 from sb3_options.options.option import SubgoalOption
 
@@ -51,6 +51,7 @@ class Reliability:
         self.least = least
         self._runs: dict[int, deque[tuple[Observations, Termination]]] = {}
         self._since: Counter[int] = Counter()
+        self._failed: dict[int, tuple[FloatArray, IntArray]] = {}  # centres that I lost, and what π did there
 
     def add(self, run: OptionRun) -> None:
         """Note a run that began in the initiation set."""
@@ -61,9 +62,42 @@ class Reliability:
             self._since[run.index] += 1
 
     def forget(self, slot: int) -> None:
-        """Forget the runs of an option that is closed, or that has become another."""
+        """Forget an option that is closed."""
+        self.forget_runs(slot)
+        self._failed.pop(slot, None)
+
+    def forget_runs(self, slot: int) -> None:
+        """Forget the runs of an option that has become another."""
         self._runs.pop(slot, None)
         self._since.pop(slot, None)
+
+    def forget_places(self) -> None:
+        """Forget which states initiation sets lost: φ has become another."""
+        self._failed.clear()
+
+    def learned_anew(self, slot: int, later: SubgoalOption) -> SubgoalOption | None:
+        """An option that was learned anew, without the states that I has lost, where π does what it did.
+
+        Where π does something else now, it may arrive. What is not known to be the same, as where π acts on
+        observations, is taken to be.
+
+        Args:
+            slot: Of the option.
+            later: As it was learned from saved trajectories, which do not tell how runs end.
+
+        Returns:
+            The option, whose runs count from now on; None if I has no other state.
+        """
+        if slot in self._failed:
+            region, (failed, did) = later.initiation_set, self._failed[slot]
+            does = later.option_policy.actions(failed) if later.policy_input == "features" else did
+            failed = failed[does == did]
+            kept = ~(region.points[:, None] == failed[None]).all(axis=2).any(axis=1)
+            if not kept.any():
+                return None
+            later = later.with_regions(later.subgoal, replace(region, points=region.points[kept]))
+        self.forget_runs(slot)
+        return later
 
     def ended(self, slot: int) -> float | None:
         """Share of a slot's last runs that ended before `max_duration`; None if they are fewer than `MIN_RUNS`."""
@@ -88,11 +122,21 @@ class Reliability:
             failing = self._failing(slot, option, options.features_of)
             ended = self.ended(slot)
             if failing.any() and not failing.all():
-                self.forget(slot)
                 region = option.initiation_set
+                self._note(slot, option, region.points[failing])
+                self.forget_runs(slot)
                 yield slot, option.with_regions(option.subgoal, replace(region, points=region.points[~failing]))
             elif ended is not None and ended < self.least:
                 yield slot, None
+
+    def _note(self, slot: int, option: SubgoalOption, failed: FloatArray) -> None:
+        """Remember which centres an initiation set loses."""
+        of_features = option.policy_input == "features"
+        did = option.option_policy.actions(failed) if of_features else np.zeros(len(failed), dtype=np.int64)
+        if slot in self._failed:
+            before, then = self._failed[slot]
+            failed, did = np.concatenate([before, failed]), np.concatenate([then, did])
+        self._failed[slot] = failed, did
 
     def _failing(
         self, slot: int, option: SubgoalOption, features_of: Callable[[Observations], FloatArray]
@@ -113,9 +157,11 @@ class Reliability:
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint."""
-        return {"runs": {slot: list(runs) for slot, runs in self._runs.items()}, "since": dict(self._since)}
+        runs = {slot: list(runs) for slot, runs in self._runs.items()}
+        return {"runs": runs, "since": dict(self._since), "failed": dict(self._failed)}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave."""
         self._runs = {slot: deque(map(tuple, runs), maxlen=WINDOW) for slot, runs in state["runs"].items()}
         self._since = Counter(state["since"])
+        self._failed = {slot: tuple(failed) for slot, failed in state["failed"].items()}

@@ -202,9 +202,8 @@ def text_of(option: Option, found: DiscoveredOption | None, statistics: Mapping[
     about = {tag.rpartition("/")[2]: value for tag, value in statistics.items()}
     ends = {ENDINGS[name.removeprefix("ended_")]: share for name, share in about.items() if name.startswith("ended_")}
     if ends:
-        last = min(WINDOW, round(about["runs"]))
         reached = ends.pop(ENDINGS["subgoal"], 0.0)
-        rows.append(("success rate", f"{reached:.0%} of the last {last} runs: the subgoal was reached"))
+        rows.append(("success rate", f"{reached:.0%} of the last runs, {WINDOW} at most: the subgoal was reached"))
         rows += [("", f"{share:.0%}: {why}") for why, share in ends.items() if share > 0.0]
         rows.append(("duration", f"{about['mean_duration']:.1f} primitive steps on average"))
     rows.append(("runs", f"{about.get('runs', 0):,.0f}"))

@@ -36,6 +36,7 @@ class GroupedDiscovery(SubgoalDiscovery):
 
     def __post_init__(self) -> None:
         """Set up what grows with experience, for each group."""
+        of_groups = self.taken
         super().__post_init__()
         self.outcomes.needed = self.settings.salient_share == 0
         salience = Salience(self.groups, self.settings.salient_share, self.settings.min_positive)
@@ -49,7 +50,7 @@ class GroupedDiscovery(SubgoalDiscovery):
         self._maker = BagMaker(own, self.static_filter, self.kind)  # it makes no bags: its members do
         self.members: dict[FeatureGroup, SubgoalDiscovery] = {}
         for group in self.groups:
-            taken = [region for region in self.taken if region.group == group]
+            taken = [region for region in of_groups if region.group == group]
             member = SubgoalDiscovery(own, self.success, self.static_filter, self.kind, taken, group=group)
             member.database = self.database
             member._maker = BagMaker(own, self.static_filter, self.kind, group, contrasts[group])
@@ -65,8 +66,8 @@ class GroupedDiscovery(SubgoalDiscovery):
         """Search the bags of every group once, if enough trajectories have succeeded since the last search.
 
         Returns:
-            A new subgoal, if a concept has become persistent, of the group with the largest contrast. The others that
-            are persistent come with later searches.
+            A new subgoal, if a concept has become persistent, of the first group that has one. The others that are
+            persistent come with later searches.
         """
         n_positive = self.database.n_successful
         if self.database.n_entered - self._searched < max(1.0, self.settings.search_growth * n_positive):

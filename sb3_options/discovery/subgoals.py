@@ -70,6 +70,7 @@ class SubgoalDiscovery:
     def __post_init__(self) -> None:
         """Set up what grows with experience."""
         s = self.settings
+        self.taken = [region for region in self.taken if region.group == self.group]
         self.database = TrajectoryDatabase(s.capacity, s.max_bytes)
         self.tracker = PeakTracker(decay=s.decay, threshold=s.threshold, radius=s.peak_radius)
         self.found: list[FoundSubgoal] = []

@@ -147,6 +147,10 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         """Which features make a concept together; empty where all do, or where there is no feature map."""
         return self.features.groups if self.features else ()
 
+    def concept_size(self) -> int | None:
+        """Dimensions of concept space; None without a feature map, or before the first reset where φ does not tell."""
+        return self.bank.feature_size
+
     def running_option(self) -> str:
         """What runs at this moment, for people: an option and its slot, or "primitive action"."""
         option = None if self._running is None else self.bank[self._running]

@@ -204,12 +204,12 @@ def learn_further(
         A new option; ``option`` itself if no step began in I, if its policy is not a table, or if it is fixed.
     """
     policy = option.option_policy
-    if option.fixed:
+    if option.fixed or not isinstance(policy, TabularPolicy):
         return option
     settings = replace(settings, policy_input=option.policy_input)
     task = Reaching(option.subgoal, option.initiation_set, settings)
     transitions = transitions_of(task, [trajectory], settings)
-    if transitions is None or not isinstance(policy, TabularPolicy):
+    if transitions is None:
         return option
     rows, states, values = policy.rows_for(transitions.states)
     known: BoolArray = np.any(np.isfinite(values), axis=1)
@@ -282,6 +282,11 @@ class OptionGrowth:
         """Count from now on for an option that was made elsewhere."""
         self._reached.setdefault(slot, 0)
         self._learned_from.setdefault(slot, FIRST_GROWTH)
+
+    def forget(self, slot: int) -> None:
+        """Count no longer for an option that is closed."""
+        self._reached.pop(slot, None)
+        self._learned_from.pop(slot, None)
 
     def is_due(self, slot: int, subgoal: Region, trajectory: LabelledTrajectory) -> bool:
         """Whether the option in ``slot`` is to be learned anew after one more trajectory.

@@ -158,10 +158,8 @@ def load(
         if signature is not None and "made_for" in about:
             inputs = {_policy_input(entry) for entry in entries.values()}
             check_signature(SpaceSignature(**about["made_for"]), signature, inputs)
-        return {
-            slot: _decode(entry, _arrays_of(slot, tensors), n_primitive, observation_size, feature_size)
-            for slot, entry in entries.items()
-        }
+        sizes = n_primitive, observation_size, feature_size
+        return {slot: _decoded(slot, entry, _arrays_of(slot, tensors), *sizes) for slot, entry in entries.items()}
     except (KeyError, TypeError, AttributeError, OverflowError) as error:
         raise ValueError(f"{name_of(source)} is damaged: {error!r}") from error
     except ValueError as error:
@@ -283,6 +281,14 @@ def _encode(option: SubgoalOption) -> tuple[dict[str, Any], Arrays]:
     if option.fixed:
         entry["fixed"] = True
     return entry, {name: np.ascontiguousarray(array, dtype=np.float64) for name, array in arrays.items()}
+
+
+def _decoded(slot: int, entry: dict[str, Any], arrays: Arrays, *sizes: Any) -> SubgoalOption:
+    """The option of a slot, which a `ValueError` names."""
+    try:
+        return _decode(entry, arrays, *sizes)
+    except ValueError as error:
+        raise ValueError(f"the option in slot {slot}, {entry['name']!r}: {error}") from error
 
 
 def _decode(

@@ -147,6 +147,10 @@ def from_arrays(arrays: dict[str, npt.NDArray[np.float64]], observation_size: in
                 f"its table has observations of shape {states.shape} and values of shape {values.shape}, "
                 f"expected {observation_size} numbers an observation and {n_primitive} primitive actions"
             )
+        if not (np.isfinite(states).all() and np.isfinite(values.max(axis=1)).all()):
+            raise ValueError(
+                "its table has observations or values that are NaN or infinite, or no value for some state"
+            )
         return TabularPolicy(states, values)
     n_layers = sum(name.startswith("network_weight_") for name in arrays)
     try:

@@ -58,6 +58,13 @@ class OptionLearningSettings:
     step_size: Annotated[float, Field(gt=0, le=1)] = 0.1
     grow: bool = False
 
+    def __post_init__(self) -> None:
+        """Refuse rewards by which to leave I is as good as to arrive."""
+        if self.leave_reward >= self.subgoal_reward:
+            raise ValueError(
+                f"leave_reward must be below subgoal_reward, got {self.leave_reward:g} and {self.subgoal_reward:g}"
+            )
+
     @property
     def goes_on(self) -> bool:
         """Whether options change after they were made."""

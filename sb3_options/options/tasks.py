@@ -147,7 +147,7 @@ def transitions_of(
         shared_row = np.zeros(len(labelled.features), dtype=np.int64)
         for local in np.unique(np.concatenate([began, led])):
             state = obs_batch.take(seen, slice(local, local + 1))
-            row = shared_row[local] = row_of.setdefault(obs_batch.key_of(state), len(row_of))
+            row = shared_row[local] = row_of.setdefault(obs_batch.value_key_of(state), len(row_of))
             if row == len(states):
                 states.append(state)
         columns.append((shared_row[began], trajectory.actions[times], rewards, shared_row[led], ends))

@@ -121,6 +121,21 @@ def test_an_option_from_a_file_grows_where_it_is_used(tmp_path: Path) -> None:
     assert len(points) > 5
 
 
+@pytest.mark.parametrize(
+    ("groups", "message"),
+    [
+        ([{"name": "a", "features": [7]}], "7"),
+        ([{"name": "a", "features": [0], "present": [[7]]}], "7"),
+        ([{"name": "a", "features": [0]}, {"name": "a", "features": [1]}], "two groups of features have the same name"),
+    ],
+)
+def test_groups_that_do_not_fit_are_refused_before_the_first_step(groups: list[Any], message: str) -> None:
+    model = model_of()
+    with pytest.raises(ValueError, match=message):
+        model.learn(STEPS, callback=fast_callback(groups=groups))
+    assert model.num_timesteps == 0
+
+
 def test_a_share_is_refused_out_of_range() -> None:
     with pytest.raises(ValueError, match=r"min_reached must be a share, in \[0, 1\], got 2"):
         SubgoalDiscoveryCallback(min_reached=2)
@@ -348,6 +363,18 @@ class TestSavePath:
         bank.load(path)
         assert same_options([bank, callback.bank])
 
+    def test_holds_in_the_end_what_options_have_become(self, tmp_path: Path) -> None:
+        path = tmp_path / "options.safetensors"
+        callback = fast_callback(save_path=path, option_settings={"grow": True, "value_function": "table"})
+        model_of().learn(3 * STEPS, callback=callback)
+        bank = optioned_rooms().bank
+        bank.load(path)
+        assert same_options([bank, callback.bank])
+        saved, present = bank[0], callback.bank[0]
+        assert isinstance(saved, SubgoalOption)
+        assert isinstance(present, SubgoalOption)
+        assert saved.initiation_set.points.tolist() == present.initiation_set.points.tolist()
+
     def test_prints_if_asked(self, capsys: pytest.CaptureFixture[str]) -> None:
         callback = fast_callback(verbose=1)
         model_of().learn(STEPS, callback=callback)
@@ -449,7 +476,7 @@ class TestTensorBoard:
         assert last.step == model.num_timesteps
         (text,) = last.tensor_proto.string_val
         assert b"| option | reach 5, 2 |" in text
-        assert re.search(rb"% of the last \d\d runs: the subgoal was reached", text)
+        assert re.search(rb"% of the last runs, 100 at most: the subgoal was reached", text)
         told = accumulator.PluginTagToContent("hparams")
         assert "_hparams_/experiment" not in told, "TensorBoard would show the columns of one run for all"
         settings = HParamsPluginData.FromString(told["_hparams_/session_start_info"]).session_start_info.hparams

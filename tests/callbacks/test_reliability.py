@@ -10,7 +10,7 @@ from sb3_options.experience.observations import FloatArray, Observations
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option, SubgoalOption
-from sb3_options.options.policies import TabularPolicy
+from sb3_options.options.policies import PolicyInput, TabularPolicy
 
 FINE, CIRCLE, FAR = 1.0, 2.0, 3.0
 """Places on a line; the subgoal is at 0."""
@@ -109,7 +109,7 @@ def test_only_runs_that_nobody_cut_off_count() -> None:
 def test_without_a_bound_nothing_is_kept() -> None:
     reliability = Reliability(0.0)
     reliability.add(run("subgoal", FINE))
-    assert reliability.get_state() == {"runs": {}, "since": {}}
+    assert reliability.get_state() == {"runs": {}, "since": {}, "failed": {}}
 
 
 def test_a_state_goes_on() -> None:
@@ -122,3 +122,59 @@ def test_a_state_goes_on() -> None:
     ((_, narrower),) = later.judged(options)
     assert narrower is not None
     assert narrower.initiation_set.points.ravel().tolist() == [FINE]
+
+
+class TestLearnedAnew:
+    """A state that I has lost comes back only where π does something else now."""
+
+    def lost(self, policy_input: PolicyInput = "features") -> tuple[Reliability, SubgoalOption]:
+        reliability, present = Reliability(0.5), acting(policy_input, {FINE: 0, CIRCLE: 1, FAR: 0})
+        for n in range(RUNS_BETWEEN):
+            reliability.add(run("max_duration", CIRCLE) if n < MIN_PASSES else run("subgoal", FAR, FINE))
+        ((_, later),) = reliability.judged(installed(present))
+        assert later is not None
+        return reliability, later
+
+    @pytest.mark.parametrize("policy_input", ["features", "observation"])
+    def test_what_was_lost_stays_away(self, policy_input: PolicyInput) -> None:
+        reliability, _ = self.lost(policy_input)
+        anew = reliability.learned_anew(0, acting(policy_input, {FINE: 1, CIRCLE: 1, FAR: 1, 4.0: 1}))
+        assert anew is not None
+        assert anew.initiation_set.points.ravel().tolist() == [FINE, FAR, 4.0]
+
+    def test_but_where_the_policy_has_changed(self) -> None:
+        reliability, _ = self.lost()
+        anew = reliability.learned_anew(0, acting("features", {FINE: 0, CIRCLE: 0, FAR: 0}))
+        assert anew is not None
+        assert anew.initiation_set.points.ravel().tolist() == [FINE, CIRCLE, FAR]
+
+    def test_nothing_is_left(self) -> None:
+        reliability, _ = self.lost()
+        assert reliability.learned_anew(0, acting("features", {CIRCLE: 1})) is None
+
+    def test_of_other_options_nothing_is_known(self) -> None:
+        reliability, _ = self.lost()
+        circling = acting("features", {CIRCLE: 1})
+        assert reliability.learned_anew(1, circling) is circling
+        reliability.forget(0)  # it is closed
+        assert reliability.learned_anew(0, circling) is circling
+
+    def test_nor_in_another_space(self) -> None:
+        reliability, _ = self.lost()
+        reliability.forget_places()
+        circling = acting("features", {CIRCLE: 1})
+        assert reliability.learned_anew(0, circling) is circling
+
+    def test_it_is_in_a_checkpoint(self) -> None:
+        reliability, _ = self.lost()
+        resumed = Reliability(0.5)
+        resumed.set_state(reliability.get_state())
+        assert resumed.learned_anew(0, acting("features", {CIRCLE: 1})) is None
+
+
+def acting(policy_input: PolicyInput, actions: dict[float, int]) -> SubgoalOption:
+    """An option that may begin at each of some places, and what it does there."""
+    places = np.array(list(actions))[:, None]
+    policy = TabularPolicy(places, np.eye(2)[list(actions.values())])
+    region = Region(places, np.ones(1), 0.25)
+    return SubgoalOption(Region(np.zeros((1, 1)), np.ones(1), 0.25), region, policy, policy_input=policy_input)

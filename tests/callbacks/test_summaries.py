@@ -74,7 +74,7 @@ def test_a_discovered_option_with_its_statistics() -> None:
         "| discovered | after 20 episodes, 3,000 primitive steps |",
         "| learned from | 12 saved episodes, of which 9 visit the subgoal |",
         "| log diverse density | -1.23 nats |",
-        "| success rate | 75% of the last 100 runs: the subgoal was reached |",
+        "| success rate | 75% of the last runs, 100 at most: the subgoal was reached |",
         "|  | 25%: the episode was cut off |",
         "| duration | 6.5 primitive steps on average |",
         "| runs | 1,234 |",

@@ -5,6 +5,7 @@ import pytest
 
 from sb3_options import OptionBank
 from sb3_options.density.groups import FeatureGroup
+from sb3_options.density.regions import Region
 from sb3_options.discovery.contrast import NO_PLACE, Contrast
 from sb3_options.discovery.figures import discovery_figures, subgoals_figure
 from sb3_options.discovery.grouped import GroupedDiscovery
@@ -189,3 +190,14 @@ def test_a_subgoal_that_is_withdrawn_comes_again() -> None:
     other = discovery_with(SOON, [WALL, KEY])
     other.set_state(state)
     assert (other.found, other.n_withdrawn) == ([], 1)
+
+
+def test_options_on_other_features_do_not_count() -> None:
+    """A subgoal of a group has fewer features than those that discovery on all of them compares."""
+    of_group = Region(np.zeros((1, 2)), np.ones(2), 0.5, group=KEY)
+    of_all = Region(np.zeros((1, 5)), np.ones(5), 0.5)
+    assert list(discovery_with(SOON, taken=[of_group, of_all]).taken) == [of_all]
+    grouped = discovery_with(SOON, [KEY, WALL], taken=[of_group, of_all])
+    assert isinstance(grouped, GroupedDiscovery)
+    assert list(grouped.members[KEY].taken) == [of_group]
+    assert not grouped.members[WALL].taken

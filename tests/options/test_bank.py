@@ -28,9 +28,9 @@ from tests.support.helpers import steady_option
 N_PRIMITIVE, SIZE, CAPACITY = 4, 3, 5
 
 ONE_FEATURE = (
-    "does not fit: its group 'second' names feature 1, the feature map gives 1. Discover options on groups that both "
-    "tasks have, SubgoalDiscoveryCallback(groups=...). In MiniGrid what a mission asks for is such a group: discover "
-    "with make(..., asked=False), train.py --env-kwargs asked:False."
+    "does not fit: the option in slot 0, 'subgoal': its group 'second' names feature 1, the feature map gives 1. "
+    "Discover options on groups that both tasks have, SubgoalDiscoveryCallback(groups=...). In MiniGrid what a mission "
+    "asks for is such a group: discover with make(..., asked=False), train.py --env-kwargs asked:False."
 )
 
 
@@ -464,12 +464,12 @@ class TestOtherTasks:
             ({"max_options": 0}, r"it has an option in slot 1, this bank only has 0 slots"),
             (
                 {"observation_size": 2},
-                r"does not fit: its table has observations of shape \(30, 3\) and values of shape \(30, 4\), expected "
-                r"2 numbers an observation and 4 primitive actions\.$",
+                r"the option in slot 1, .*: its table has observations of shape \(30, 3\) and values of shape "
+                r"\(30, 4\), expected 2 numbers an observation and 4 primitive actions\.$",
             ),
             (
                 {"feature_size": 3},
-                r"does not fit: its subgoals have 2 features, the feature map here gives 3\.$",
+                r"the option in slot ., .*: its subgoals have 2 features, the feature map here gives 3\.$",
             ),
         ],
     )
@@ -520,12 +520,12 @@ def tensor(name: str, array: Any) -> Any:
     [
         (
             put(max_duration=0),
-            "does not fit: max_duration must be a whole number of primitive steps, at least 1, got 0",
+            "slot 1, .*: max_duration must be a whole number of primitive steps, at least 1, got 0",
         ),
-        (put(max_duration=float("inf")), "does not fit: max_duration must be a whole number"),
-        (put(max_duration=float("nan")), "does not fit: max_duration must be a whole number"),
-        (put(max_duration="10"), "does not fit: max_duration must be a whole number"),
-        (put(max_duration=None), "does not fit: max_duration must be a whole number"),
+        (put(max_duration=float("inf")), "slot 1, .*: max_duration must be a whole number"),
+        (put(max_duration=float("nan")), "slot 1, .*: max_duration must be a whole number"),
+        (put(max_duration="10"), "slot 1, .*: max_duration must be a whole number"),
+        (put(max_duration=None), "slot 1, .*: max_duration must be a whole number"),
         (put(policy_input="state"), "its policy acts on 'state', expected one of observation, features"),
         (put(radius={"subgoal": -1.0, "initiation": 1.0}), "its subgoal holds numbers that are not finite, or a neg"),
         (put(radius={"subgoal": 1.0, "initiation": float("nan")}), "its initiation holds numbers that are not finite"),

@@ -43,3 +43,8 @@ def test_every_setting_has_a_range() -> None:
     for field in dataclasses.fields(OptionLearningSettings):
         with pytest.raises(ValueError, match=f"^OptionLearningSettings: {field.name} "):
             OptionLearningSettings(**dict[str, Any]({field.name: "nonsense"}))
+
+
+def test_to_leave_is_worse_than_to_arrive() -> None:
+    with pytest.raises(ValueError, match=r"leave_reward must be below subgoal_reward, got 0 and 0$"):
+        OptionLearningSettings(leave_reward=0.0)

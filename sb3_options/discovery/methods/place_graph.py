@@ -131,7 +131,8 @@ class LaplacianMethod:
         self._graph.add(experience)
         if self._n < self.min_trajectories or len(self._graph) < LEAST_PLACES:
             return None
-        return self._graph.largest_component()
+        component = self._graph.largest_component()
+        return component if len(component.points) >= LEAST_PLACES else None
 
     def seconds(self, experience: Experience) -> float:
         """Nominal time of an update."""

@@ -185,3 +185,11 @@ def test_only_a_component_with_three_places_says_anything() -> None:
     for make in (partial(Eigenoptions, min_trajectories=1), partial(CoveringOptions, min_trajectories=1)):
         lived: Experience = experience([0, 1, 0])
         assert make().update(lived) == []
+
+
+def test_nor_do_many_that_no_step_joins() -> None:
+    """Beyond ``max_places`` the ways between places are unknown."""
+    for make in (partial(Eigenoptions, min_trajectories=1), partial(CoveringOptions, min_trajectories=1)):
+        method = make(max_places=3)
+        method._graph._points, method._graph._allowed = [np.array([float(i)]) for i in range(3)], [True] * 3
+        assert method.update(experience([7, 8, 9])) == []
