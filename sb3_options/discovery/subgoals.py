@@ -159,8 +159,7 @@ class SubgoalDiscovery:
         evidence = self._recurring_evidence()
         peaks: list[Peak] = []
         if evidence is not None:
-            engine = self.engine()
-            peaks = self._peaks(evidence, engine)
+            peaks = self._peaks(evidence, self.engine())
             assert self.scale is not None  # set with the first bags
             self.tracker.update(self._places(peaks), self.scale)
             self.cost += self._seconds_of_search(evidence)

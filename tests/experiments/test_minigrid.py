@@ -11,6 +11,7 @@ from experiments.minigrid import agents, conditions, keys, reach, settings
 from experiments.minigrid.__main__ import Study, folder_of, main
 from experiments.minigrid.conditions import stages_of
 from experiments.minigrid.hand_made import FORWARD, LEFT, RIGHT, TOGGLE, approach, options_on, to_subgoals_on
+from experiments.minigrid.ratios import ratio_of_medians, table
 from experiments.minigrid.settings import ARMS, FAMILIES, Arm, Stage
 from experiments.minigrid.summary import frames_to, median_frames, summarise
 from sb3_options import OptionsWrapper
@@ -216,3 +217,17 @@ def test_how_often_options_reach_their_subgoals(tmp_path: Path, monkeypatch: pyt
     found = {option["where"]: option for option in run["options"]}
     assert any(option["min_reach"]["first"]["reached"] > 0 for option in found.values())
     assert set(written["summary"]) == set(reach.LEASTS)
+
+
+def test_ratios_of_medians() -> None:
+    ratio, low, high = ratio_of_medians([1.0, 2.0, 3.0], [4.0] * 3)
+    assert ratio == 0.5
+    assert 0.25 <= low < 0.5 < high <= 0.75
+    assert ratio_of_medians([1.0] * 3, [2.0] * 3) == (0.5, 0.5, 0.5)
+    assert ratio_of_medians([1.0] * 3, [np.inf] * 3) == (0.0, 0.0, 0.0), "the rival never gets there"
+    assert ratio_of_medians([1.0, 1.0, np.inf], [2.0] * 3)[2] == np.inf, "nor do some of these"
+
+
+def test_the_page_has_the_ratios_of_the_committed_results() -> None:
+    page = Path("docs/studies/minigrid.md").read_text()
+    assert page.split("<!-- ratios -->")[1].split("<!-- end ratios -->")[0].strip() == table(Path("docs/results"))
