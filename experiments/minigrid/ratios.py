@@ -55,9 +55,14 @@ ROWS = (
     ),
     Row("DoorKey 8x8", Of("door-key", "discovered, RND at first"), Of("door-key", PPO), Of("door-key", AT_FIRST)),
     Row("DoorKey 8x8, no RND", Of("door-key", "discovered"), Of("door-key", PPO), Of("door-key", AT_FIRST)),
-    Row("DoorKey 16x16", Of("door-key-16", "discovered, RND at first"), Of("door-key-16", PPO), Of("door-key-16", AT_FIRST)),
+    Row(
+        "DoorKey 16x16",
+        Of("door-key-16", "discovered, RND at first"),
+        Of("door-key-16", PPO),
+        Of("door-key-16", AT_FIRST),
+    ),
     Row("DoorKey 16x16, no RND", Of("door-key-16", "discovered"), Of("door-key-16", PPO), Of("door-key-16", AT_FIRST)),
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)

@@ -158,7 +158,9 @@ def test_commands_of_studies_are_understood(page: Path) -> None:
             continue
         package = ROOT / found[1].replace(".", "/")
         module = importlib.import_module(f"{found[1]}.__main__" if package.is_dir() else found[1])
-        flags = next(getattr(module, name) for name in ("Study", "Benchmark", "Tuning") if hasattr(module, name))
+        flags = next(
+            getattr(module, name) for name in ("Study", "Benchmark", "Tuning", "Ratios") if hasattr(module, name)
+        )
         words = [word.split("|")[-1] for word in shlex.split(found[2])]
         if words:
             tyro.cli(flags, args=words if "--out" in words else [*words, "--out", "FOLDER"])
