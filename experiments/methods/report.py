@@ -105,11 +105,11 @@ def _bound(n_runs: int, never: int, mean: float) -> str:
 def table(summary: Mapping[str, Any]) -> str:
     """A row for each entrant; the steps of primitives alone stand in the last one."""
     rows = [
-        "| | subgoals at bottlenecks | runs that reach them | steps, same task | steps, goal moved | discovery, s |",
-        "|---|---|---|---|---|---|",
+        "| | options a run | subgoals at bottlenecks | runs that reach them | steps, same task | steps, goal moved | discovery, s |",
+        "|---|---|---|---|---|---|---|",
     ]
     for entrant, of in summary.items():
-        cells = [number(of["near"]) or "–", number(of["reached"]) or "–"]
+        cells = [f"{of['found']['mean']:.1f}", number(of["near"]) or "–", number(of["reached"]) or "–"]
         for phase in ("same", "moved"):
             ratio, never = of[phase]["of_primitives"], of[phase]["never"]
             text = number(ratio) or f"{number(of[phase]['steps'], form='{:,.0f}')} steps"

@@ -14,8 +14,8 @@ from sb3_options.runs.intervals import iqm_interval, iqm_ratio, mean_interval, r
 
 PHASES = ("same", "moved")
 
-RANDOM = "random"
-"""The control that others have to be better than."""
+RIVALS = {"of_primitives": NONE, "of_random": "random", "of_diverse_density": "diverse-density"}
+"""Whose steps others' are divided by: no options, the control that others have to be better than, and the default."""
 
 
 def summarise(runs: Mapping[str, Sequence[Result]], n_timesteps: int) -> dict[str, dict[str, Any]]:
@@ -29,7 +29,7 @@ def summarise(runs: Mapping[str, Sequence[Result]], n_timesteps: int) -> dict[st
         By entrant: ``n_runs``; ``found``, subgoals a run; ``near``, the share of them at a bottleneck; ``reached``, the
         share of option runs that reach their subgoal; ``same`` and ``moved``, each with ``steps`` to the criterion
         (interquartile mean), ``never``, how many runs did not meet it, ``of_primitives``, the ratio to the steps of
-        `NONE`, and ``of_random``, to those of random places; ``discovery_seconds`` and ``discovery_share`` of training
+        `NONE`, and likewise the other `RIVALS`; ``discovery_seconds`` and ``discovery_share`` of training
         in the same task, in processor time. Each with its 95 % interval; None where there is nothing to estimate.
     """
     steps = {
@@ -57,8 +57,7 @@ def summarise(runs: Mapping[str, Sequence[Result]], n_timesteps: int) -> dict[st
             summary[entrant][phase] = {
                 "steps": iqm_interval(taken)._asdict(),
                 "never": sum(run[phase]["steps"] is None for run in of),
-                "of_primitives": _ratio(steps, phase, entrant, NONE),
-                "of_random": _ratio(steps, phase, entrant, RANDOM),
+                **{name: _ratio(steps, phase, entrant, rival) for name, rival in RIVALS.items()},
             }
     return summary
 
