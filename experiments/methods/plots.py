@@ -22,6 +22,8 @@ PANEL = (3.0, 0.24)
 def draw(summaries: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Figure:
     """Steps to the criterion as a multiple of the primitives', a panel for each task and learner.
 
+    Where some agent never met the criterion the mark is hollow: the ratio is a lower bound.
+
     Args:
         summaries: Of `summary.summarise`, by task and learner.
     """
@@ -36,7 +38,7 @@ def draw(summaries: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Figure:
             _panel(axes, summaries[task].get(learner, {}), entrants)
             axes.set_title(f"{task}, {learner}", fontsize=9)
     for axes in grid[-1]:
-        axes.set_xlabel("steps to 90 %, of primitives'", fontsize=8)
+        axes.set_xlabel("steps to the criterion / primitives'", fontsize=8)
     marks = dict(zip(*reversed(grid[0, 0].get_legend_handles_labels()), strict=True))
     if marks:
         figure.legend(marks.values(), marks.keys(), loc="outside lower center", ncols=len(marks), fontsize=8)
@@ -48,7 +50,9 @@ def _panel(axes: Axes, of: Mapping[str, Mapping[str, Any]], entrants: list[str])
         for row, entrant in enumerate(entrants):
             ratio = of[entrant][phase]["of_primitives"] if entrant in of else None
             if ratio is not None:
-                axes.plot(ratio["mean"], row + offset, marker, color=colour, markersize=4, label=label)
+                face = "white" if of[entrant][phase]["never"] else colour
+                axes.plot(ratio["mean"], row + offset, marker, color=colour, markersize=4, markerfacecolor=face)
+                axes.plot([], [], marker, color=colour, markersize=4, label=label)  # what the legend shows is full
                 axes.hlines(row + offset, ratio["low"], ratio["high"], color=colour, linewidth=1.2)
     axes.axvline(1.0, color="0.6", linewidth=0.8)
     axes.set_xscale("log")

@@ -105,7 +105,8 @@ def _bound(n_runs: int, never: int, mean: float) -> str:
 def table(summary: Mapping[str, Any]) -> str:
     """A row for each entrant; the steps of primitives alone stand in the last one."""
     rows = [
-        "| | options a run | subgoals at bottlenecks | runs that reach them | steps, same task | steps, goal moved | discovery, s |",
+        "| | options a run | subgoals at bottlenecks | runs that reach them | steps, same task | steps, goal moved "
+        "| discovery, s |",
         "|---|---|---|---|---|---|---|",
     ]
     for entrant, of in summary.items():
