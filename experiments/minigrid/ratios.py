@@ -1,4 +1,4 @@
-"""``python -m experiments.minigrid.ratios``: fills the table of ratios into docs/studies/minigrid.md."""
+"""``python -m experiments.minigrid.ratios``: fills the table of ratios into docs/studies/minigrid.md, and draws it."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import tyro
+from matplotlib.figure import Figure
 
 from experiments.common.documents import fill
 from experiments.minigrid.settings import Arm
@@ -65,22 +66,105 @@ ROWS = (
 )
 
 
+PICTURE: dict[str, dict[str, Of]] = {
+    "four rooms": {
+        "options, RND": Of("four-rooms", "discovered, RND at first"),
+        "options": Of("four-rooms", "discovered"),
+        "PPO": Of("four-rooms", PPO),
+        "PPO, RND": Of("four-rooms", AT_FIRST),
+        "by hand": Of("four-rooms", "hand-made"),
+    },
+    "six rooms": {
+        "options, RND": Of("six-rooms", "discovered, RND at first"),
+        "options": Of("six-rooms", "discovered"),
+        "PPO": Of("six-rooms", PPO),
+        "PPO, RND": Of("six-rooms", AT_FIRST),
+        "by hand": Of("six-rooms", "hand-made"),
+    },
+    "six large rooms": {
+        "options": Of("six-large-rooms", "discovered"),
+        "PPO": Of("six-large-rooms", PPO),
+        "PPO, RND": Of("six-large-rooms-rnd", AT_FIRST),
+        "by hand": Of("six-large-rooms-by-hand", "hand-made"),
+    },
+    "key corridors": {
+        "options, RND": Of("key-corridor", "discovered, RND before the last"),
+        "PPO": Of("key-corridor", PPO),
+        "PPO, RND": Of("key-corridor", "stock, RND before the last"),
+        "by hand": Of("key-corridor-by-hand", "hand-made"),
+    },
+    "DoorKey 8x8": {
+        "options, RND": Of("door-key", "discovered, RND at first"),
+        "options": Of("door-key", "discovered"),
+        "PPO": Of("door-key", PPO),
+        "PPO, RND": Of("door-key", AT_FIRST),
+        "by hand": Of("door-key", "hand-made"),
+    },
+    "DoorKey 16x16": {
+        "options, RND": Of("door-key-16", "discovered, RND at first"),
+        "options": Of("door-key-16", "discovered"),
+        "PPO": Of("door-key-16", PPO),
+        "PPO, RND": Of("door-key-16", AT_FIRST),
+        "by hand": Of("door-key-16", "hand-made"),
+    },
+}
+"""What is drawn, by task and agent."""
+
+COLOURS = {"options, RND": "#d62728", "options": "#ff7f0e", "PPO": "#1f77b4", "PPO, RND": "#17becf", "by hand": "0.55"}
+NEVER = 1e7
+"""Where agents are drawn that never get there, in frames."""
+
+
 @dataclass(frozen=True)
 class Ratios:
-    """Fill in the table.
+    """Fill in the table, and draw the frames of all agents.
 
     Attributes:
         results: Folder of the results.
         document: The page.
+        picture: What is drawn.
     """
 
     results: Path = Path("docs/results")
     document: Path = Path("docs/studies/minigrid.md")
+    picture: Path = Path("docs/images/minigrid.png")
 
 
 def main(of: Ratios) -> None:
-    """Read, and fill in."""
+    """Read, fill in and draw."""
     fill(of.document, {"ratios": table(of.results)})
+    draw(of.results).savefig(of.picture, dpi=110)
+
+
+def draw(results: Path) -> Figure:
+    """Frames to 0.8 of every run, a panel for each task and a row for each agent, with the medians."""
+    figure = Figure(figsize=(10, 5), layout="constrained")
+    grid = figure.subplots(2, 3, sharex=True)
+    for axes, (task, agents) in zip(grid.flat, PICTURE.items(), strict=True):
+        for row, (agent, of) in enumerate(agents.items()):
+            frames = frames_of(results, of)
+            axes.plot(
+                np.minimum(frames, NEVER),
+                np.full(len(frames), row),
+                "o",
+                color=COLOURS[agent],
+                alpha=0.55,
+                markersize=5,
+            )
+            axes.plot(
+                [min(np.median(frames), NEVER)] * 2, [row - 0.35, row + 0.35], color=COLOURS[agent], linewidth=2.5
+            )
+        axes.set_title(task, fontsize=10)
+        axes.set_yticks(range(len(agents)), list(agents), fontsize=9)
+        axes.set_ylim(len(agents) - 0.5, -0.5)
+        axes.set_xscale("log")
+        axes.set_xticks([1e4, 1e5, 1e6, NEVER], ["10,000", "100,000", "1 million", "never"], fontsize=8)
+        axes.minorticks_off()
+        axes.grid(axis="x", alpha=0.25)
+    figure.supxlabel(
+        "frames of all tasks until training success stays at 0.8 (dots: agents; bars: medians)", fontsize=9
+    )
+    return figure
 
 
 def table(results: Path) -> str:
