@@ -236,6 +236,6 @@ def test_the_page_has_the_ratios_of_the_committed_results() -> None:
 def test_the_picture_has_a_panel_for_each_task() -> None:
     figure = draw(Ratios().results)
     assert [axes.get_title() for axes in figure.axes] == list(PICTURE)
-    for axes, agents in zip(figure.axes, PICTURE.values(), strict=True):
-        assert [label.get_text() for label in axes.get_yticklabels()] == list(agents)
+    for axes, rows in zip(figure.axes, PICTURE.values(), strict=True):
+        assert [label.get_text() for label in axes.get_yticklabels()] == list(rows)
         assert all(1e3 < x <= 1e7 for line in axes.lines for x in np.asarray(line.get_xdata(), dtype=float))
