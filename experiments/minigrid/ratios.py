@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import tyro
@@ -26,61 +26,23 @@ class Of(NamedTuple):
     arm: Arm
 
 
-class Row(NamedTuple):
-    """A task, the agent with options, and its rivals: without a bonus, and with one."""
-
-    task: str
-    options: Of
-    ppo: Of
-    bonus: Of
-
-
 PPO: Arm = "stock, curriculum"
 AT_FIRST: Arm = "stock, RND at first"
-ROWS = (
-    Row("four rooms", Of("four-rooms", "discovered, RND at first"), Of("four-rooms", PPO), Of("four-rooms", AT_FIRST)),
-    Row("four rooms, no RND", Of("four-rooms", "discovered"), Of("four-rooms", PPO), Of("four-rooms", AT_FIRST)),
-    Row("six rooms", Of("six-rooms", "discovered, RND at first"), Of("six-rooms", PPO), Of("six-rooms", AT_FIRST)),
-    Row("six rooms, no RND", Of("six-rooms", "discovered"), Of("six-rooms", PPO), Of("six-rooms", AT_FIRST)),
-    Row(
-        "six large rooms, no RND",
-        Of("six-large-rooms", "discovered"),
-        Of("six-large-rooms", PPO),
-        Of("six-large-rooms-rnd", AT_FIRST),
-    ),
-    Row(
-        "key corridors",
-        Of("key-corridor", "discovered, RND before the last"),
-        Of("key-corridor", PPO),
-        Of("key-corridor", "stock, RND before the last"),
-    ),
-    Row("DoorKey 8x8", Of("door-key", "discovered, RND at first"), Of("door-key", PPO), Of("door-key", AT_FIRST)),
-    Row("DoorKey 8x8, no RND", Of("door-key", "discovered"), Of("door-key", PPO), Of("door-key", AT_FIRST)),
-    Row(
-        "DoorKey 16x16",
-        Of("door-key-16", "discovered, RND at first"),
-        Of("door-key-16", PPO),
-        Of("door-key-16", AT_FIRST),
-    ),
-    Row("DoorKey 16x16, no RND", Of("door-key-16", "discovered"), Of("door-key-16", PPO), Of("door-key-16", AT_FIRST)),
-)
 
 
-PICTURE: dict[str, dict[str, Of]] = {
-    "four rooms": {
-        "options, RND": Of("four-rooms", "discovered, RND at first"),
-        "options": Of("four-rooms", "discovered"),
-        "PPO": Of("four-rooms", PPO),
-        "PPO, RND": Of("four-rooms", AT_FIRST),
-        "by hand": Of("four-rooms", "hand-made"),
-    },
-    "six rooms": {
-        "options, RND": Of("six-rooms", "discovered, RND at first"),
-        "options": Of("six-rooms", "discovered"),
-        "PPO": Of("six-rooms", PPO),
-        "PPO, RND": Of("six-rooms", AT_FIRST),
-        "by hand": Of("six-rooms", "hand-made"),
-    },
+def _all(file: str) -> dict[str, Of]:
+    return {
+        "options, RND": Of(file, "discovered, RND at first"),
+        "options": Of(file, "discovered"),
+        "PPO": Of(file, PPO),
+        "PPO, RND": Of(file, AT_FIRST),
+        "by hand": Of(file, "hand-made"),
+    }
+
+
+AGENTS: dict[str, dict[str, Of]] = {
+    "four rooms": _all("four-rooms"),
+    "six rooms": _all("six-rooms"),
     "six large rooms": {
         "options": Of("six-large-rooms", "discovered"),
         "PPO": Of("six-large-rooms", PPO),
@@ -93,22 +55,13 @@ PICTURE: dict[str, dict[str, Of]] = {
         "PPO, RND": Of("key-corridor", "stock, RND before the last"),
         "by hand": Of("key-corridor-by-hand", "hand-made"),
     },
-    "DoorKey 8x8": {
-        "options, RND": Of("door-key", "discovered, RND at first"),
-        "options": Of("door-key", "discovered"),
-        "PPO": Of("door-key", PPO),
-        "PPO, RND": Of("door-key", AT_FIRST),
-        "by hand": Of("door-key", "hand-made"),
-    },
-    "DoorKey 16x16": {
-        "options, RND": Of("door-key-16", "discovered, RND at first"),
-        "options": Of("door-key-16", "discovered"),
-        "PPO": Of("door-key-16", PPO),
-        "PPO, RND": Of("door-key-16", AT_FIRST),
-        "by hand": Of("door-key-16", "hand-made"),
-    },
+    "DoorKey 8x8": _all("door-key"),
+    "DoorKey 16x16": _all("door-key-16"),
 }
-"""What is drawn, by task and agent."""
+"""Who is compared, by task."""
+
+OPTIONS = {"options, RND": "", "options": ", no RND"}
+"""Agents with options, and what the table says of them beside the task."""
 
 COLOURS = {"options, RND": "#d62728", "options": "#ff7f0e", "PPO": "#1f77b4", "PPO, RND": "#17becf", "by hand": "0.55"}
 NEVER = 1e7
@@ -140,7 +93,7 @@ def draw(results: Path) -> Figure:
     """Frames to 0.8 of every run, a panel for each task and a row for each agent, with the medians."""
     figure = Figure(figsize=(10, 5), layout="constrained")
     grid = figure.subplots(2, 3, sharex=True)
-    for axes, (task, agents) in zip(grid.flat, PICTURE.items(), strict=True):
+    for axes, (task, agents) in zip(grid.flat, AGENTS.items(), strict=True):
         for row, (agent, of) in enumerate(agents.items()):
             frames = frames_of(results, of)
             axes.plot(
@@ -173,24 +126,24 @@ def table(results: Path) -> str:
         "| | of PPO's frames | of those of PPO and RND | seconds, options | seconds, PPO |",
         "|---|---|---|---|---|",
     ]
-    for row in ROWS:
-        frames = frames_of(results, row.options)
-        cells = [_text(frames, frames_of(results, rival)) for rival in (row.ppo, row.bonus)]
-        cells += [f"{seconds_of(results, of):.0f}" for of in (row.options, row.ppo)]
-        rows.append(f"| {row.task} | {' | '.join(cells)} |")
+    for task, agents in AGENTS.items():
+        for name, said in OPTIONS.items():
+            if name in agents:
+                frames = frames_of(results, agents[name])
+                cells = [_text(frames, frames_of(results, agents[rival])) for rival in ("PPO", "PPO, RND")]
+                cells += [f"{_summary(results, agents[of])['seconds']['mean']:.0f}" for of in (name, "PPO")]
+                rows.append(f"| {task}{said} | {' | '.join(cells)} |")
     return "\n".join(rows)
 
 
 def frames_of(results: Path, of: Of) -> FloatArray:
     """Frames to 0.8 of each run, infinite where it never gets there."""
-    arm = json.loads((results / f"minigrid-{of.file}.json").read_text(encoding="utf-8"))["summary"]["arms"][of.arm]
-    return np.array([np.inf if frames is None else frames for frames in arm["frames_to"]["0.8"]])
+    return np.array([np.inf if frames is None else frames for frames in _summary(results, of)["frames_to"]["0.8"]])
 
 
-def seconds_of(results: Path, of: Of) -> float:
-    """Mean processor time of a run."""
-    arm = json.loads((results / f"minigrid-{of.file}.json").read_text(encoding="utf-8"))["summary"]["arms"][of.arm]
-    return float(arm["seconds"]["mean"])
+def _summary(results: Path, of: Of) -> Any:
+    """What results.json has of an agent."""
+    return json.loads((results / f"minigrid-{of.file}.json").read_text(encoding="utf-8"))["summary"]["arms"][of.arm]
 
 
 def ratio_of_medians(frames: Sequence[float] | FloatArray, rival: Sequence[float] | FloatArray) -> tuple[float, ...]:

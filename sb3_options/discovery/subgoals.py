@@ -142,7 +142,7 @@ class SubgoalDiscovery:
     def _is_due(self) -> bool:
         """Whether there are enough new trajectories for a search."""
         growth = self.settings.search_growth
-        if self.last.evidence is None and (self.found or self.taken):
+        if self.found and self.last.evidence is None:
             growth = 1.0 - (1.0 - growth) ** NOTHING_LEFT
         return self._n_since >= growth * sum(labelled.success for labelled in self.database)
 

@@ -11,7 +11,7 @@ from experiments.minigrid import agents, conditions, keys, reach, settings
 from experiments.minigrid.__main__ import Study, folder_of, main
 from experiments.minigrid.conditions import stages_of
 from experiments.minigrid.hand_made import FORWARD, LEFT, RIGHT, TOGGLE, approach, options_on, to_subgoals_on
-from experiments.minigrid.ratios import PICTURE, Ratios, draw, ratio_of_medians, table
+from experiments.minigrid.ratios import AGENTS, Ratios, draw, ratio_of_medians, table
 from experiments.minigrid.settings import ARMS, FAMILIES, Arm, Stage
 from experiments.minigrid.summary import frames_to, median_frames, summarise
 from sb3_options import OptionsWrapper
@@ -235,7 +235,7 @@ def test_the_page_has_the_ratios_of_the_committed_results() -> None:
 
 def test_the_picture_has_a_panel_for_each_task() -> None:
     figure = draw(Ratios().results)
-    assert [axes.get_title() for axes in figure.axes] == list(PICTURE)
-    for axes, rows in zip(figure.axes, PICTURE.values(), strict=True):
+    assert [axes.get_title() for axes in figure.axes] == list(AGENTS)
+    for axes, rows in zip(figure.axes, AGENTS.values(), strict=True):
         assert [label.get_text() for label in axes.get_yticklabels()] == list(rows)
         assert all(1e3 < x <= 1e7 for line in axes.lines for x in np.asarray(line.get_xdata(), dtype=float))
