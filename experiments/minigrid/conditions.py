@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,6 +17,7 @@ from experiments.common.seeds import Result
 from experiments.minigrid import settings
 from experiments.minigrid.agents import Chooser, Notes, learned, model_of, normalised, success_rate, uniform, venv_of
 from experiments.minigrid.hand_made import MadeBy, options_on, to_subgoals_on
+from experiments.minigrid.random_subgoals import RandomSubgoalsCallback
 from experiments.minigrid.settings import FAMILIES, LATER_ARM, WITH_OPTIONS, ZOO_ARM, Arm, Stage
 from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.callbacks.records import DiscoveredOption
@@ -142,7 +143,10 @@ def _blinkered() -> list[dict[str, Any]]:
 def _callbacks(arm: Arm, seed: int, stage: int, *, is_last: bool) -> list[BaseCallback]:
     callbacks: list[BaseCallback] = []
     if arm in settings.DISCOVERING:
-        discovery = SubgoalDiscoveryCallback(
+        kind: Callable[..., SubgoalDiscoveryCallback] = SubgoalDiscoveryCallback
+        if arm in (*settings.RANDOM, *settings.CONTRASTING):
+            kind = partial(RandomSubgoalsCallback, contrasting=arm in settings.CONTRASTING)
+        discovery = kind(
             settings.DISCOVERY,
             settings.options_of(arm, stage),
             groups=_blinkered() if arm in (settings.OWN_ARM, settings.FORMER_ARM) else None,

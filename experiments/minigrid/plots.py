@@ -5,22 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from matplotlib import color_sequences
 from matplotlib.figure import Figure
 
 from experiments.common.seeds import Result
-from experiments.minigrid.settings import EPISODES, FAMILIES
+from experiments.minigrid.settings import ARMS, EPISODES, FAMILIES
 from experiments.minigrid.summary import run_frames
 
-COLOURS: dict[str, str] = {
-    "discovered": "#d62728", "discovered, RND": "#ff9896", "discovered, RND at first": "#f7b6d2",
-    "discovered, RND before the last": "#ff9896",
-    "discovered, former settings": "#8c564b", "discovered, offered later": "#e377c2",
-    "discovered, own features": "#c49c94", "hand-made": "#2ca02c", "hand-made subgoals": "#98df8a",
-    "hand-made subgoals, 3 cells": "#bcbd22", "hand-made subgoals, 2 cells": "#dbdb8d",
-    "stock, curriculum": "#1f77b4", "stock, RND": "#9467bd", "stock, RND at first": "#c5b0d5",
-    "stock, RND before the last": "#9467bd",
-    "stock, rl-zoo3's settings": "#ff7f0e", "stock": "#7f7f7f",
-}  # fmt: skip
+COLOURS = color_sequences["tab20"]
 
 
 def draw(family: str, results: Mapping[str, Sequence[Result]]) -> Figure:
@@ -29,6 +21,7 @@ def draw(family: str, results: Mapping[str, Sequence[Result]]) -> Figure:
     axes = figure.subplots()
     as_planned = all("frames" not in stage for runs in results.values() for run in runs for stage in run["stages"])
     for name, runs in results.items():
+        colour = COLOURS[ARMS.index(name) % len(COLOURS)]
         for i, run in enumerate(runs):
             before = 0
             spent = run_frames(run, family, name)  # type: ignore[arg-type]  # the names are arms
@@ -36,9 +29,9 @@ def draw(family: str, results: Mapping[str, Sequence[Result]]) -> Figure:
                 frames = [before + at for at, _ in noted["curve"]]
                 success = [rate for _, rate in noted["curve"]]
                 label = name if i == 0 and before == 0 else None
-                axes.plot(frames, success, color=COLOURS[name], linewidth=1.2, label=label)
+                axes.plot(frames, success, color=colour, linewidth=1.2, label=label)
                 if not as_planned:
-                    axes.plot(frames[:1], success[:1], ".", color=COLOURS[name], markersize=8)
+                    axes.plot(frames[:1], success[:1], ".", color=colour, markersize=8)
                 before += took
     stages = FAMILIES[family]
     if as_planned:

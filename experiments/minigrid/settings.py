@@ -7,6 +7,8 @@ from typing import Any, Literal, NamedTuple, get_args
 Arm = Literal[
     "discovered", "discovered, own features", "discovered, former settings", "discovered, offered later",
     "discovered, RND", "discovered, RND at first", "discovered, RND before the last",
+    "random subgoals", "random subgoals, RND at first", "random subgoals, RND before the last",
+    "contrasting subgoals", "contrasting subgoals, RND at first", "contrasting subgoals, RND before the last",
     "hand-made", "hand-made subgoals", "hand-made subgoals, 3 cells", "hand-made subgoals, 2 cells",
     "stock, curriculum", "stock, RND", "stock, RND at first", "stock, RND before the last",
     "stock, rl-zoo3's settings", "stock",
@@ -18,25 +20,25 @@ what is new in each task. ``discovered``: with options that are discovered in th
 ``discovered, RND``: with the bonus. ``RND at first``: with the bonus in the first task alone; ``RND before the last``:
 in all but the last. ``discovered, own features``: options see no more than their subgoal says, and are not learned
 anew. ``discovered, former settings``: likewise, rollouts count decisions, and options begin in all of I; ``discovered,
-offered later``: options may be chosen from the second stage on. ``hand-made``: options by hand from the first step on,
-the bound. ``hand-made subgoals``: by hand, to the subgoals that discovery finds in rooms, from wherever they are in
-view, or from so many cells away."""
+offered later``: options may be chosen from the second stage on. ``random subgoals``: as ``discovered``, but subgoals
+are drawn, not found; ``contrasting subgoals``: drawn from what successes visit oftener than failures. ``hand-made``:
+options by hand from the first step on, the bound. ``hand-made subgoals``: by hand, to the subgoals that discovery finds
+in rooms, from wherever they are in view, or from so many cells away."""
 
 OWN_ARM: Arm = "discovered, own features"
 FORMER_ARM: Arm = "discovered, former settings"
 LATER_ARM: Arm = "discovered, offered later"
-DISCOVERING: tuple[Arm, ...] = (
-    "discovered", OWN_ARM, FORMER_ARM, LATER_ARM,
-    "discovered, RND", "discovered, RND at first", "discovered, RND before the last",
-)  # fmt: skip
+RANDOM: tuple[Arm, ...] = tuple(arm for arm in ARMS if arm.startswith("random"))
+CONTRASTING: tuple[Arm, ...] = tuple(arm for arm in ARMS if arm.startswith("contrasting"))
+DISCOVERING: tuple[Arm, ...] = (*(arm for arm in ARMS if arm.startswith("discovered")), *RANDOM, *CONTRASTING)
 HAND_MADE: dict[Arm, int | None] = {
     "hand-made subgoals": None, "hand-made subgoals, 3 cells": 3, "hand-made subgoals, 2 cells": 2,
 }  # fmt: skip
 """From how many cells away options by hand to the subgoals begin; None from wherever these are in view."""
 
 WITH_OPTIONS: tuple[Arm, ...] = (*DISCOVERING, "hand-made", *HAND_MADE)
-BONUS_AT_FIRST: tuple[Arm, ...] = ("discovered, RND at first", "stock, RND at first")
-BONUS_BEFORE_LAST: tuple[Arm, ...] = ("discovered, RND before the last", "stock, RND before the last")
+BONUS_AT_FIRST: tuple[Arm, ...] = tuple(arm for arm in ARMS if arm.endswith("RND at first"))
+BONUS_BEFORE_LAST: tuple[Arm, ...] = tuple(arm for arm in ARMS if arm.endswith("RND before the last"))
 WITH_BONUS: tuple[Arm, ...] = ("discovered, RND", "stock, RND", *BONUS_AT_FIRST, *BONUS_BEFORE_LAST)
 ZOO_ARM: Arm = "stock, rl-zoo3's settings"
 
@@ -178,6 +180,8 @@ def of(arm: Arm) -> dict[str, Any]:
         special |= {"options": options_of(arm), "own_features_only": arm in (OWN_ARM, FORMER_ARM)}
         special |= {"growing_stages": GROWING_STAGES} if options_of(arm) == OPTIONS else {}
         special |= {"min_reached": MIN_REACHED, "discovers_in": "all stages but the last"}
+    if arm in (*RANDOM, *CONTRASTING):
+        special |= {"subgoals": "drawn" if arm in RANDOM else "drawn from what contrasts"}
     if arm in WITH_BONUS:
         special |= {"rnd_weight": RND_WEIGHT}
     if arm == ZOO_ARM:
