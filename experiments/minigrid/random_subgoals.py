@@ -53,11 +53,9 @@ class RandomGroupedDiscovery(GroupedDiscovery):
 
     def _states(self, group: FeatureGroup) -> FloatArray:
         """The distinct states of a group that may be drawn, (n, k)."""
-        member, database = self.members[group], list(self.database)
-        member._maker.knows_scale(database)
-        kept = []
-        for labelled in filter(lambda each: each.success, database):
-            allowed = member._maker.may_be_subgoals(labelled, [])
+        member, kept = self.members[group], []
+        for labelled in filter(lambda each: each.success, self.database):
+            allowed = member._maker._allowed(labelled, np.asarray(group.scale))
             if self.contrasting:
                 allowed &= self._contrasts[group].stands_out(labelled, self.settings.min_contrast)
             kept.append(group.own(labelled.features)[allowed])

@@ -117,7 +117,8 @@ def test_random_subgoals_are_states_of_random_groups(contrasting: bool) -> None:
         discovery = RandomGroupedDiscovery(apart, groups=(near, far), contrasting=contrasting, seed=seed)
         for i in range(20):
             success = i % 2 == 0
-            states = np.array([[0, 0], [1, 0], [2, success], [3, 2 * success], [4, 0]], dtype=np.float64)
+            moves = [[0, 0, 1], [1, 0, 1], [2, success, 1], [3, 2 * success, 1], [4, 0, 1]]
+            states = np.array(moves, dtype=np.float64)
             n = len(states)
             made = Trajectory(states, np.arange(n), np.zeros(n - 1, int), np.zeros(n - 1), True, False, success)
             discovery.add(made, states)
