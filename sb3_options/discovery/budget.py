@@ -7,6 +7,7 @@ through, and the sizes of what was searched.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 STEP_SECONDS = 3e-4
@@ -30,6 +31,10 @@ POINT_FEATURES = 4
 EXHAUSTIVE_SHARE = 0.25
 """An evaluation of an exhaustive search takes this share of one that has a gradient, too."""
 
+ONE_HOT_SEARCH_SECONDS = 5e-4
+ONE_HOT_SECONDS = 1.2e-8
+"""Likewise of a search among one-hot codes, and for each feature of each instance: states are counted there."""
+
 STATE_SECONDS = 5e-6
 STATE_FEATURE_SECONDS = 2e-8
 WAY_PAIR_SECONDS = 1.5e-10
@@ -44,6 +49,11 @@ TRAJECTORY_SECONDS = 5e-6
 
 ASCENTS = 96
 """Evaluations of all instances by the points that ascend: 8 of them in 12 steps."""
+
+TRIED_BAGS = 3
+MOST_PAIRS = 1 << 20
+"""A search tries the instances of so many of the smallest positive bags, and compares about so many pairs of them with
+others, as `DiverseDensity` has it."""
 
 GROUP_SECONDS = 3e-4
 COMPARED_SECONDS = 2e-5
@@ -109,6 +119,28 @@ def seconds_of_search(n_instances: int, n_points: float, n_features: int) -> flo
         n_features: Of an instance.
     """
     return SEARCH_SECONDS + PAIR_SECONDS * n_instances * n_points * (n_features + POINT_FEATURES)
+
+
+def n_compared(sizes: Sequence[int], n_instances: int, *, incremental: bool) -> int:
+    """Points that a gradient search compares with all instances.
+
+    Args:
+        sizes: Instances of each positive bag, oldest first.
+        n_instances: In all bags.
+        incremental: Whether it tries the instances of the newest bag alone.
+    """
+    tried = min(sum(sorted(sizes)[:TRIED_BAGS]), max(2 * ASCENTS, MOST_PAIRS // n_instances))
+    return ASCENTS + (min(sizes[-1], MOST_PAIRS // n_instances) if incremental else tried)
+
+
+def seconds_of_counting(n_instances: int, n_features: int) -> float:
+    """Nominal time of a search among one-hot codes.
+
+    Args:
+        n_instances: In all bags.
+        n_features: Of an instance.
+    """
+    return ONE_HOT_SEARCH_SECONDS + ONE_HOT_SECONDS * n_instances * n_features
 
 
 def seconds_of_contrast(n_trajectories: int, n_states: int) -> float:

@@ -13,7 +13,7 @@ from sb3_options.discovery.subgoals import SubgoalDiscovery
 STARTS, ROUNDS, STEPS = 32, 5, 10
 """Instances of positive bags that are started from, selections, and evaluations between two of them."""
 
-EVALUATION_SECONDS = 5e-4
+EVALUATION_SECONDS = 1e-4
 """Nominal time of an evaluation of few instances."""
 
 

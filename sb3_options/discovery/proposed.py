@@ -128,6 +128,8 @@ class ProposedDiscovery(SubgoalDiscovery):
         if not self._maker.counts_steps:
             away = [np.linalg.norm((goal.points[:1] - other.points[:1]) * self.scale, axis=1) for other in known]
             return all((distances > self.settings.spacing).all() for distances in away)
+        if len(goal.points) and any(np.array_equal(goal.points[:1], other.points[:1]) for other in known):
+            return False
         for labelled in reversed(list(self.database)):
             at = np.flatnonzero(goal.contains(labelled.features))
             if len(at):

@@ -64,13 +64,14 @@ def steps_from(rows: IntArray, visits: IntArray) -> IntArray:
     Returns:
         Steps, (m,); T + 1 where there was no visit.
     """
-    times = np.arange(len(visits))
-    at = np.flatnonzero(np.isin(visits, rows))
-    if len(at) == 0:
-        return np.full(visits.max() + 1, len(visits))
+    fewest = np.full(int(visits.max()) + 1, len(visits))
+    if len(rows) == 0:
+        return fewest
+    among = np.zeros(len(fewest), dtype=bool)
+    among[rows] = True
+    times, at = np.arange(len(visits)), np.flatnonzero(among[visits])
     place = np.searchsorted(at, times)
     after, before = at[np.minimum(place, len(at) - 1)], at[np.maximum(place - 1, 0)]
-    fewest = np.full(visits.max() + 1, len(visits))
     np.minimum.at(fewest, visits, np.minimum(np.abs(after - times), np.abs(times - before)))
     return fewest
 

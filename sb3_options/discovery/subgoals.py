@@ -17,11 +17,12 @@ from sb3_options.density.regions import Region
 from sb3_options.discovery.anchors import moved, nearest_observations
 from sb3_options.discovery.bag_maker import BagMaker, FilteredBags
 from sb3_options.discovery.budget import (
-    ASCENTS,
     CUT_SECONDS,
     EXHAUSTIVE_SHARE,
     Budget,
+    n_compared,
     seconds_of_bags,
+    seconds_of_counting,
     seconds_of_search,
 )
 from sb3_options.discovery.found import FoundSubgoal, Search
@@ -40,11 +41,6 @@ WARM_STARTS = 4
 
 NOTHING_LEFT = 5
 """Once subgoals were found, and the filters leave nothing else, one of so many searches is made."""
-
-TRIED_BAGS = 3
-MOST_PAIRS = 1 << 20
-"""A search tries the instances of so many of the smallest positive bags, and compares about so many pairs of them with
-others, as `DiverseDensity` has it."""
 
 
 @dataclass
@@ -183,14 +179,14 @@ class SubgoalDiscovery:
         return None if self.recurrence.nothing else evidence
 
     def _seconds_of_search(self, evidence: FilteredBags) -> float:
-        """What a search takes, in nominal seconds: all instances are compared with what is tried and what ascends."""
-        n, sizes = evidence.n_instances, [len(bag) for bag in evidence.positive]
-        tried = min(sum(sorted(sizes)[:TRIED_BAGS]), max(2 * ASCENTS, MOST_PAIRS // n))
-        if self.engine().method == "exhaustive":
-            return seconds_of_search(n, EXHAUSTIVE_SHARE * sum(sizes), evidence.positive[0].shape[1])
-        if self.settings.search == "incremental":
-            tried = min(sizes[-1], MOST_PAIRS // n)
-        return seconds_of_search(n, tried + ASCENTS, evidence.positive[0].shape[1])
+        sizes, d = [len(bag) for bag in evidence.positive], evidence.positive[0].shape[1]
+        if self.kind == "categorical":
+            return seconds_of_counting(evidence.n_instances, d)
+        incremental = self.settings.search == "incremental"
+        n_points = sum(sizes) * EXHAUSTIVE_SHARE
+        if self.engine().method != "exhaustive":
+            n_points = n_compared(sizes, evidence.n_instances, incremental=incremental)
+        return seconds_of_search(evidence.n_instances, n_points, d)
 
     def leading_average(self) -> float:
         """The largest running average; 0 before the first peak."""

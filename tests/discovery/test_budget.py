@@ -11,11 +11,14 @@ from experiments.random_walks.conditions import run
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.discovery.budget import (
     ALLOWANCE,
+    ASCENTS,
     STEP_SECONDS,
     TABLE_STEP_SECONDS,
     Budget,
+    n_compared,
     seconds_of_bags,
     seconds_of_contrast,
+    seconds_of_counting,
     seconds_of_search,
 )
 from sb3_options.discovery.methods import Experience, Proposal
@@ -81,7 +84,8 @@ class TestBudget:
         assert other == budget
 
     def test_estimates_grow_with_what_is_searched(self) -> None:
-        for estimate, n in ((seconds_of_bags, 4), (seconds_of_search, 3), (seconds_of_contrast, 2)):
+        estimates = ((seconds_of_bags, 4), (seconds_of_search, 3), (seconds_of_counting, 2), (seconds_of_contrast, 2))
+        for estimate, n in estimates:
             smaller = estimate(*[100] * n)
             for i in range(n):
                 assert estimate(*[200 if i == j else 100 for j in range(n)]) > smaller
@@ -91,6 +95,14 @@ class TestBudget:
     )
     def test_a_search_takes_about_what_was_measured(self, n: int, points: int, d: int, measured: float) -> None:
         assert measured / 2 < seconds_of_search(n, points, d) < 2 * measured
+
+    @pytest.mark.parametrize(("n", "d", "measured"), [(300, 500, 0.0018), (2000, 500, 0.010), (5000, 2000, 0.227)])
+    def test_a_search_among_one_hot_codes_takes_about_what_was_measured(self, n: int, d: int, measured: float) -> None:
+        assert measured / 2.5 < seconds_of_counting(n, d) < 2.5 * measured
+
+    def test_an_incremental_search_compares_the_instances_of_the_newest_bag(self) -> None:
+        assert n_compared([9, 8, 7, 50], 74, incremental=True) == ASCENTS + 50
+        assert n_compared([9, 8, 7, 50], 74, incremental=False) == ASCENTS + 9 + 8 + 7
 
 
 class TestSchedule:
