@@ -10,6 +10,7 @@ import networkx as nx
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
+from matplotlib.ticker import MaxNLocator
 
 from sb3_options.envs import GridWorld
 from sb3_options.experience.observations import FloatArray
@@ -71,6 +72,17 @@ def draw_counts(axes: Axes, world: GridWorld, counts: FloatArray, most: int) -> 
     axes.set_xticks([])
     axes.set_yticks([])
     return shown
+
+
+def add_colour_bar(shown: AxesImage, axes: Axes | Iterable[Axes], label: str) -> None:
+    """Say what the colours of counts mean, in whole numbers.
+
+    Args:
+        shown: What `draw_counts` drew.
+        axes: From which the bar takes its room.
+        label: What is counted.
+    """
+    shown.figure.colorbar(shown, ax=axes, label=label, shrink=0.5, ticks=MaxNLocator(6, integer=True))
 
 
 def frame_doorways(axes: Axes, world: GridWorld) -> None:

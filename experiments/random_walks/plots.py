@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from matplotlib.figure import Figure
 
-from experiments.common.gridworlds import counts_of, draw_counts
+from experiments.common.gridworlds import add_colour_bar, counts_of, draw_counts
 from experiments.common.seeds import Result
 from experiments.random_walks.conditions import TASKS, world_for
 
@@ -25,5 +25,5 @@ def draw(results: Mapping[str, Sequence[Result]]) -> Figure:
             counts = counts_of(world, [(round(x), round(y)) for x, y, *_ in points])
             shown = draw_counts(axes, world, counts, len(runs))
             axes.set_title(f"{task}: {arm}", fontsize=8)
-    figure.colorbar(shown, ax=grid, label="subgoals", shrink=0.5)
+    add_colour_bar(shown, grid, "subgoals")
     return figure
