@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -49,17 +49,15 @@ class Reliability:
 
     def __init__(self, least: float) -> None:
         self.least = least
-        self._runs: dict[int, deque[tuple[Observations, Termination]]] = {}
-        self._since: Counter[int] = Counter()
+        self._new: dict[int, deque[tuple[Observations, Termination]]] = {}  # since the last judgement
+        self._judged: dict[int, deque[tuple[FloatArray, Termination]]] = {}  # of those before what I sees alone
         self._failed: dict[int, tuple[FloatArray, IntArray]] = {}  # centres that I lost, and what π did there
 
     def add(self, run: OptionRun) -> None:
         """Note a run that began in the initiation set."""
         if self.least and run.termination in DECIDED:
             assert run.observations is not None  # it is that of an option
-            runs = self._runs.setdefault(run.index, deque(maxlen=WINDOW))
-            runs.append((run.observations, run.termination))
-            self._since[run.index] += 1
+            self._new.setdefault(run.index, deque(maxlen=WINDOW)).append((run.observations, run.termination))
 
     def forget(self, slot: int) -> None:
         """Forget an option that is closed."""
@@ -68,12 +66,13 @@ class Reliability:
 
     def forget_runs(self, slot: int) -> None:
         """Forget the runs of an option that has become another."""
-        self._runs.pop(slot, None)
-        self._since.pop(slot, None)
+        self._new.pop(slot, None)
+        self._judged.pop(slot, None)
 
     def forget_places(self) -> None:
-        """Forget which states initiation sets lost: φ has become another."""
+        """Forget which states initiation sets lost, and those that runs passed: φ has become another."""
         self._failed.clear()
+        self._judged.clear()
 
     def learned_anew(self, slot: int, later: SubgoalOption) -> SubgoalOption | None:
         """An option that was learned anew, without the states that I has lost, where π does what it did.
@@ -101,8 +100,8 @@ class Reliability:
 
     def ended(self, slot: int) -> float | None:
         """Share of a slot's last runs that ended before `max_duration`; None if they are fewer than `MIN_RUNS`."""
-        runs = self._runs.get(slot, ())
-        return float(np.mean([why != "max_duration" for _, why in runs])) if len(runs) >= MIN_RUNS else None
+        ends = [why for _, why in (*self._judged.get(slot, ()), *self._new.get(slot, ()))][-WINDOW:]
+        return float(np.mean([why != "max_duration" for why in ends])) if len(ends) >= MIN_RUNS else None
 
     def judged(self, options: OptionInstaller) -> Iterator[tuple[int, SubgoalOption | None]]:
         """What becomes of options after their last runs.
@@ -114,12 +113,13 @@ class Reliability:
             A slot, and its option with a smaller initiation set, whose runs count from now on; or None: it is to be
             closed.
         """
-        due = [slot for slot in options.installed() if self._since[slot] >= RUNS_BETWEEN]
+        due = [slot for slot in options.installed() if len(self._new.get(slot, ())) >= RUNS_BETWEEN]
         for slot, option in [(slot, options.bank[slot]) for slot in due]:
-            self._since[slot] = 0
+            new = self._new.pop(slot)
             if not (isinstance(option, SubgoalOption) and len(option.subgoal.points)):
                 continue
-            failing = self._failing(slot, option, options.features_of)
+            self._note_passed(slot, option, new, options.features_of)
+            failing = self._failing(slot, option)
             ended = self.ended(slot)
             if failing.any() and not failing.all():
                 region = option.initiation_set
@@ -138,16 +138,27 @@ class Reliability:
             failed, did = np.concatenate([before, failed]), np.concatenate([then, did])
         self._failed[slot] = failed, did
 
-    def _failing(
-        self, slot: int, option: SubgoalOption, features_of: Callable[[Observations], FloatArray]
-    ) -> BoolArray:
+    def _note_passed(
+        self,
+        slot: int,
+        option: SubgoalOption,
+        runs: Iterable[tuple[Observations, Termination]],
+        features_of: Callable[[Observations], FloatArray],
+    ) -> None:
+        """Keep what the initiation set sees of the states that runs passed, for observations may be pictures."""
+        observations, ends = zip(*runs, strict=True)
+        features = option.initiation_set.own(features_of(concatenate(list(observations))))
+        parts = np.split(features, np.cumsum([batch_size(each) for each in observations[:-1]]))
+        self._judged.setdefault(slot, deque(maxlen=WINDOW)).extend(zip(parts, ends, strict=True))
+
+    def _failing(self, slot: int, option: SubgoalOption) -> BoolArray:
         """Which centres of I are nearest to states from where too few runs arrive, shape (n,)."""
-        runs, region = self._runs[slot], option.initiation_set
+        runs, region = self._judged[slot], option.initiation_set
         if not len(region.points):
             return np.zeros(0, dtype=bool)
-        features = region.own(features_of(concatenate([observations for observations, _ in runs])))
+        features = np.concatenate([passed for passed, _ in runs])
         nearest = cdist(features * region.scale, region.points * region.scale).argmin(axis=1)
-        durations = [batch_size(observations) for observations, _ in runs]
+        durations = [len(passed) for passed, _ in runs]
         passed: BoolArray = np.zeros((len(runs), len(region.points)), dtype=bool)
         passed[np.repeat(np.arange(len(runs)), durations), nearest] = True
         passes = passed.sum(axis=0)
@@ -157,11 +168,14 @@ class Reliability:
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint."""
-        runs = {slot: list(runs) for slot, runs in self._runs.items()}
-        return {"runs": runs, "since": dict(self._since), "failed": dict(self._failed)}
+        new = {slot: list(runs) for slot, runs in self._new.items()}
+        judged = {slot: list(runs) for slot, runs in self._judged.items()}
+        return {"runs": new, "judged": judged, "failed": dict(self._failed)}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave."""
-        self._runs = {slot: deque(map(tuple, runs), maxlen=WINDOW) for slot, runs in state["runs"].items()}
-        self._since = Counter(state["since"])
+        self._new, self._judged = (
+            {slot: deque(map(tuple, runs), maxlen=WINDOW) for slot, runs in of.items()}
+            for of in (state["runs"], state.get("judged", {}))  # checkpoints of before have the observations of all
+        )
         self._failed = {slot: tuple(failed) for slot, failed in state["failed"].items()}

@@ -109,7 +109,18 @@ def test_only_runs_that_nobody_cut_off_count() -> None:
 def test_without_a_bound_nothing_is_kept() -> None:
     reliability = Reliability(0.0)
     reliability.add(run("subgoal", FINE))
-    assert reliability.get_state() == {"runs": {}, "since": {}, "failed": {}}
+    assert reliability.get_state() == {"runs": {}, "judged": {}, "failed": {}}
+
+
+def test_of_judged_runs_no_observation_is_kept() -> None:
+    reliability, options = Reliability(0.5), installed(option(FINE, CIRCLE))
+    for _ in range(2 * RUNS_BETWEEN):
+        reliability.add(run("subgoal", CIRCLE, FINE))
+        assert not list(reliability.judged(options))
+        assert sum(map(len, reliability.get_state()["runs"].values())) < RUNS_BETWEEN
+    (judged,) = reliability.get_state()["judged"].values()
+    assert [(passed.tolist(), why) for passed, why in judged] == [([[CIRCLE], [FINE]], "subgoal")] * 2 * RUNS_BETWEEN
+    assert reliability.ended(0) == 1.0
 
 
 def test_a_state_goes_on() -> None:
