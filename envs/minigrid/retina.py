@@ -6,7 +6,8 @@ which the agent stands in the middle of the last row and looks towards the first
 
 from __future__ import annotations
 
-from typing import Any
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -46,7 +47,7 @@ PAIRS = (("key", "locked_door"), ("key", "closed_door"), ("ball", "open_door"), 
 """Pairs of kinds that may matter together: what is carried, or lies somewhere, and what it is for or in the way of."""
 
 _NOTHING = N_KINDS
-_FAR = np.inf
+_NUMBERS = np.arange(N_KINDS)[:, None]
 
 
 def _kinds() -> npt.NDArray[np.int8]:
@@ -60,6 +61,7 @@ def _kinds() -> npt.NDArray[np.int8]:
 
 
 _KIND_OF = _kinds()
+_WALKABLE = np.isin(np.arange(256), (*FREE, GOAL))
 
 
 def retina(
@@ -82,27 +84,58 @@ def retina(
     if images.ndim != 4 or images.shape[1] != images.shape[2] or images.shape[3] != 3:
         raise ValueError(f"images must have shape (batch, v, v, 3), as MiniGrid's are, got {images.shape}")
     n, view = images.shape[:2]
+    sight = _sight(view)
+    cells = images.reshape(n, view * view, 3)
+    objects, colours, states = (cells[..., channel].astype(np.intp) for channel in range(3))
+    kind = _KIND_OF[objects, states]
+    match = kind[:, None, sight.nearest_first] == _NUMBERS  # (batch, kinds, cells)
+    if asked is not None:
+        match = np.concatenate([match, _asked(objects, colours, asked)[..., sight.nearest_first]], axis=1)
+    nearest = match.argmax(axis=2)
+    visible = np.take_along_axis(match, nearest[..., None], axis=2)[..., 0]
+    features = np.empty((n, 3 * match.shape[1] + len(AHEAD)))
+    first = 3 * N_KINDS
+    for begin, end, of in ((0, first, slice(N_KINDS)), (first + len(AHEAD), None, slice(N_KINDS, None))):
+        things, there = features[:, begin:end], visible[:, of]
+        things[:, 0::3] = there
+        things[:, 1::3] = there * sight.forward[nearest[:, of]]
+        things[:, 2::3] = there * sight.lateral[nearest[:, of]]
+    ahead = objects[:, sight.ahead]
+    features[:, first] = ahead == WALL
+    features[:, first + 1] = _WALKABLE[ahead] | (kind[:, sight.ahead] == KINDS.index("open_door"))
+    features[:, first + 2] = (objects[:, sight.left] == WALL) & (objects[:, sight.right] == WALL)
+    return features
+
+
+class _Sight(NamedTuple):
+    """The cells of a view.
+
+    Attributes:
+        nearest_first: Their numbers by steps from the agent, column by column where these are as many, (v²,).
+        forward: Of each of them in this order, in cells.
+        lateral: Likewise.
+        ahead: The number of the cell ahead.
+        left: That of the one to the left.
+        right: To the right.
+    """
+
+    nearest_first: npt.NDArray[np.intp]
+    forward: npt.NDArray[np.intp]
+    lateral: npt.NDArray[np.intp]
+    ahead: int
+    left: int
+    right: int
+
+
+@lru_cache
+def _sight(view: int) -> _Sight:
+    """The cells of a view that is so many cells wide."""
     middle, last = view // 2, view - 1
     columns, rows = np.divmod(np.arange(view * view), view)
     forward, lateral = last - rows, columns - middle
-    steps = (forward + np.abs(lateral)).astype(np.float64)
-    objects = images[..., 0].reshape(n, -1).astype(np.intp)
-    kind = _KIND_OF[objects, images[..., 2].reshape(n, -1)]
-    match = kind[:, None] == np.arange(N_KINDS)[:, None]  # (batch, kinds, cells)
-    if asked is not None:
-        match = np.concatenate([match, _asked(objects, images[..., 1].reshape(n, -1), asked)], axis=1)
-    distance = np.where(match, steps, _FAR)
-    nearest = distance.argmin(axis=2)
-    visible = np.take_along_axis(distance, nearest[..., None], axis=2)[..., 0] < _FAR
-    things = np.stack([visible, visible * forward[nearest], visible * lateral[nearest]], axis=-1, dtype=np.float64)
-    features = np.zeros((n, len(FEATURES)))
-    features[:, : 3 * N_KINDS] = things[:, :N_KINDS].reshape(n, -1)
+    order = np.argsort(forward + np.abs(lateral), kind="stable")
     ahead, left, right = middle * view + last - 1, (middle - 1) * view + last, (middle + 1) * view + last
-    features[:, -3] = objects[:, ahead] == WALL
-    walkable = np.isin(objects[:, ahead], (*FREE, GOAL)) | (kind[:, ahead] == KINDS.index("open_door"))
-    features[:, -2] = walkable
-    features[:, -1] = (objects[:, left] == WALL) & (objects[:, right] == WALL)
-    return np.concatenate([features, things[:, N_KINDS:].reshape(n, -1)], axis=1)
+    return _Sight(order, forward[order], lateral[order], ahead, left, right)
 
 
 def _asked(objects: npt.NDArray[Any], colours: npt.NDArray[Any], asked: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:

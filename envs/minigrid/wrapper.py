@@ -92,10 +92,8 @@ class MiniGridWrapper(
 
     def images(self, observations: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
         """The images (batch, v, v, 3) in a batch of observations (batch, n)."""
-        flat = np.asarray(observations)[:, : self._n_cells].reshape(-1, self._view, self._view, DEPTH)
-        ends = (OBJECTS, OBJECTS + COLOURS)
-        parts = [part.argmax(axis=-1) for part in np.split(flat, ends, axis=-1)]
-        return np.stack(parts, axis=-1).astype(np.uint8)
+        flat = np.asarray(observations, dtype=np.uint8)[:, : self._n_cells].reshape(-1, DEPTH)
+        return (flat @ _WORTH).reshape(-1, self._view, self._view, 3)
 
     def concept_features(self, observations: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
         """φ of a batch of observations: the `retina` of their images, (batch, 27), and what the mission asks for."""
@@ -108,6 +106,11 @@ class MiniGridWrapper(
         """Which features of φ make a concept together."""
         return concept_groups(self._n_asked)
 
+
+_WORTH = np.zeros((DEPTH, 3), dtype=np.uint8)
+"""What each number of the code of a cell says of its object, its colour and its state: the code is one-hot in each."""
+for _channel, _n, _first in ((0, OBJECTS, 0), (1, COLOURS, OBJECTS), (2, STATES, OBJECTS + COLOURS)):
+    _WORTH[_first : _first + _n, _channel] = np.arange(_n)
 
 _EYES = tuple(np.eye(n, dtype=np.uint8) for n in (OBJECTS, COLOURS, STATES))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,10 +21,8 @@ from experiments.minigrid.random_subgoals import RandomSubgoalsCallback
 from experiments.minigrid.settings import FAMILIES, LATER_ARM, WITH_OPTIONS, ZOO_ARM, Arm, Stage
 from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.callbacks.records import DiscoveredOption
-from sb3_options.callbacks.reliability import DECIDED
 from sb3_options.envs.minigrid import concept_groups
 from sb3_options.learning import heads
-from sb3_options.options.bank import OptionBank
 
 Judged = Literal["sampled", "greedy", "uniform"]
 JUDGED: tuple[Judged, ...] = get_args(Judged)
@@ -116,7 +114,6 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
                     result["options"] += [_about(found, discovery, number) for discovery in found.discoveries]
                     result["stages"][-1]["discovery_seconds"] = found.discovery.seconds if found.discovery else 0.0
                     how["options"] = Path(folder) / "options"
-                    result["stages"][-1]["left_behind"] = leave_behind(found.bank, notes.runs)
                     found.bank.save(how["options"])
             venv.close()
             if arm == LATER_ARM and number == 0:
@@ -130,26 +127,6 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
             model, venv, fresh, protocol.judged if slots else [how for how in protocol.judged if how != "uniform"]
         )
     return result
-
-
-def leave_behind(bank: OptionBank, runs: Mapping[str, Mapping[str, int]]) -> list[str]:
-    """Take options whose runs in a task seldom reached their subgoals out of what goes on to the next task.
-
-    Args:
-        bank: Of the task.
-        runs: Of each option, by its name, how its runs ended.
-
-    Returns:
-        Names of those that were taken out.
-    """
-    left = []
-    for slot in bank.filled:
-        name = bank[slot].name  # type: ignore[union-attr]  # it is filled
-        decided = {end: runs.get(name, {}).get(end, 0) for end in DECIDED}
-        n = sum(decided.values())
-        if n >= settings.CARRIED_RUNS and decided["subgoal"] < settings.CARRIED_REACH * n:
-            left.append(bank.remove(slot).name)
-    return left
 
 
 def _by_hand(arm: Arm) -> MadeBy | None:

@@ -156,9 +156,6 @@ OPENING_SHARE = 0.5
 MIN_REACHED = 0.5
 """Options are offered no longer where fewer of their runs reach the subgoal."""
 
-CARRIED_REACH, CARRIED_RUNS = 0.8, 20
-"""An option is left behind if fewer of its runs in a task, of at least so many, reached its subgoal."""
-
 EPISODES = 100
 """Of an evaluation, and of the training success that is reported."""
 

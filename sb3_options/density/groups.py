@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from sb3_options.density.arrays import BoolArray, FloatArray
+from sb3_options.density.arrays import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -101,11 +102,11 @@ class FeatureGroup:
         Raises:
             ValueError: There are fewer features than it names.
         """
-        if max(self.features) >= features.shape[1]:
+        if self._last >= features.shape[1]:
             raise ValueError(
-                f"group {self.name!r} names feature {max(self.features)}, the feature map gives {features.shape[1]}"
+                f"group {self.name!r} names feature {self._last}, the feature map gives {features.shape[1]}"
             )
-        return features[:, list(self.features)]
+        return features.take(self._columns, axis=1)
 
     def told(self, point: FloatArray) -> str | None:
         """A point (k,) by the labels of its features, for people; None if they have none."""
@@ -117,9 +118,21 @@ class FeatureGroup:
     def is_place(self, features: FloatArray) -> BoolArray:
         """Whether what the group is about is there, for features (batch, d), shape (batch,)."""
         there = np.ones(len(features), dtype=bool)
-        for numbers in self.present:
-            there &= np.any(features[:, list(numbers)] != 0, axis=1)
+        for columns in self._present_columns:
+            there &= (features.take(columns, axis=1) != 0).any(axis=1)
         return there
+
+    @cached_property
+    def _columns(self) -> IntArray:
+        return np.array(self.features)
+
+    @cached_property
+    def _last(self) -> int:
+        return max(self.features)
+
+    @cached_property
+    def _present_columns(self) -> list[IntArray]:
+        return [np.array(numbers) for numbers in self.present]
 
 
 def checked_groups(groups: Iterable[FeatureGroup], n_features: int) -> tuple[FeatureGroup, ...]:

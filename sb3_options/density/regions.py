@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -39,8 +40,12 @@ class Region:
         """`contains` for places given by the features that count alone, (batch, d) or (batch, k)."""
         if len(self.points) == 0:
             return np.zeros(len(points), dtype=bool)
-        nearest: FloatArray = cdist(points * self.scale, self.points * self.scale).min(axis=1)
+        nearest: FloatArray = cdist(points * self.scale, self._scaled).min(axis=1)
         return nearest <= self.radius
+
+    @cached_property
+    def _scaled(self) -> FloatArray:
+        return self.points * self.scale
 
     def own(self, features: FloatArray) -> FloatArray:
         """The features that count, of all features (batch, d)."""

@@ -14,7 +14,7 @@ from sb3_options.experience.observations import BoolArray, FeatureMap, Observati
 from sb3_options.options import file as option_file
 from sb3_options.options.archive import Source, name_of
 from sb3_options.options.file import SpaceSignature
-from sb3_options.options.option import Option, SubgoalOption
+from sb3_options.options.option import LastFeatures, Option, SingleCache, SubgoalOption
 
 MAX_SLOTS = 1_000_000
 """Each slot is an action, for which a network has an output."""
@@ -60,8 +60,10 @@ class OptionBank:
         self.observation_size = observation_size
         self.feature_size = feature_size
         self.signature = signature
+        self._shared: LastFeatures | None = None
         self._slots: list[Option | None] = [None] * max_options
         self.filled: tuple[int, ...] = ()
+        self._forget_results()
 
     @property
     def slots(self) -> tuple[Option | None, ...]:
@@ -119,6 +121,7 @@ class OptionBank:
         """Take ``feature_map`` for the discovered options there are and those to come."""
         self.feature_map = feature_map
         self._slots = [option and self._bound(option) for option in self._slots]
+        self._forget_results()
 
     def available(self, observations: Observations) -> BoolArray:
         """Which augmented actions may start in each observation.
@@ -133,6 +136,11 @@ class OptionBank:
 
     def available_slots(self, observations: Observations) -> BoolArray:
         """Which options may start in each observation, shape (batch, max_options)."""
+        if self._repeats and not isinstance(self.feature_map, LearnedMap):
+            return self._known(self._computed_slots, observations).copy()
+        return self._computed_slots(observations)
+
+    def _computed_slots(self, observations: Observations) -> BoolArray:
         mask = np.zeros((batch_size(observations), self.max_options), dtype=bool)
         for slot in self.filled:
             mask[:, slot] = cast("Option", self._slots[slot]).initiation(observations)
@@ -187,19 +195,30 @@ class OptionBank:
             self._put(slot, self._bound(option))
 
     def _bound(self, option: Option) -> Option:
-        if isinstance(option, SubgoalOption) and self.feature_map is not None:
+        if not isinstance(option, SubgoalOption) or self.feature_map is None:
+            return option
+        if isinstance(self.feature_map, LearnedMap):  # it becomes another while it is learned
             return option.bind(self.feature_map)
-        return option
+        if self._shared is None or self._shared.of != self.feature_map:
+            self._shared = LastFeatures(self.feature_map)
+        return option.bind(self._shared)
 
     def _put(self, slot: int, option: Option | None) -> None:
         self._slots[slot] = option
         self.filled = tuple(i for i, present in enumerate(self._slots) if present is not None)
+        self._forget_results()
+
+    def _forget_results(self) -> None:
+        """Of single observations, where they are kept: a hand-made option is asked anew each time."""
+        present = (option for option in self._slots if option is not None)
+        self._repeats = all(isinstance(option, SubgoalOption) for option in present)
+        self._known: SingleCache[BoolArray] = SingleCache()
 
     def __getstate__(self) -> dict[str, Any]:
         # Functions may not travel between processes; whoever receives the bank has a feature map of its own. A learned
         # one is data, and belongs to what `content` gives.
         learned = self.feature_map if isinstance(self.feature_map, LearnedMap) else None
-        return {**self.__dict__, "feature_map": learned}
+        return {**self.__dict__, "feature_map": learned, "_shared": None, "_known": SingleCache()}
 
     def _check_slot(self, slot: int) -> None:
         if not 0 <= slot < self.max_options:

@@ -1,0 +1,85 @@
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sb3_options.density.regions import Region
+from sb3_options.experience.observations import FloatArray, Observations
+from sb3_options.options.bank import OptionBank
+from sb3_options.options.option import LastFeatures, Option, SubgoalOption
+from sb3_options.options.policies import TabularPolicy
+
+
+class Counted:
+    """φ that counts how often it is asked."""
+
+    def __init__(self) -> None:
+        self.n = 0
+
+    def __call__(self, observations: Observations) -> FloatArray:
+        self.n += 1
+        return np.asarray(observations, dtype=np.float64)
+
+
+def option(*points: float) -> SubgoalOption:
+    initiation = Region(np.array(points)[:, None], np.ones(1), 0.25)
+    return SubgoalOption(
+        Region(np.zeros((1, 1)), np.ones(1), 0.25), initiation, TabularPolicy(np.ones((1, 1)), np.eye(2)[:1])
+    )
+
+
+def test_the_last_single_observation_is_remembered() -> None:
+    counted = Counted()
+    last = LastFeatures(counted)
+    for x, n in ((1.0, 1), (1.0, 1), (2.0, 2), (1.0, 3)):
+        assert last(np.array([[x]])).tolist() == [[x]]
+        assert counted.n == n
+    assert last(np.array([[3.0], [4.0]])).tolist() == [[3.0], [4.0]]
+    assert last(np.array([[1.0]])).tolist() == [[1.0]]
+    assert counted.n == 4
+
+
+def test_all_options_of_a_bank_ask_once_for_the_features_of_an_observation() -> None:
+    counted = Counted()
+    bank = OptionBank(2, 3, feature_map=counted)
+    for points in ((1.0,), (2.0,), (1.0, 2.0)):
+        bank.add(option(*points))
+    assert bank.available(np.array([[1.0]])).tolist() == [[True, True, True, False, True]]
+    assert bank.available(np.array([[1.0]])).tolist() == [[True, True, True, False, True]]
+    assert counted.n == 1
+
+
+@pytest.mark.parametrize("change", ["add", "remove", "bind"])
+def test_what_may_begin_is_computed_anew_when_the_bank_changes(change: str) -> None:
+    bank = OptionBank(2, 2, feature_map=np.asarray)
+    bank.add(option(1.0))
+    at: Any = np.array([[1.0]])
+    assert bank.available_slots(at).tolist() == [[True, False]]
+    if change == "add":
+        bank.add(option(1.0))
+        assert bank.available_slots(at).tolist() == [[True, True]]
+    elif change == "remove":
+        bank.remove(0)
+        assert bank.available_slots(at).tolist() == [[False, False]]
+    else:
+        bank.bind(lambda observations: np.asarray(observations) + 1.0)
+        assert bank.available_slots(at).tolist() == [[False, False]]
+
+
+def test_what_is_handed_out_may_be_changed() -> None:
+    bank = OptionBank(2, 1, feature_map=np.asarray)
+    bank.add(option(1.0))
+    at: Any = np.array([[1.0]])
+    bank.available_slots(at)[:] = False
+    assert bank.available_slots(at).tolist() == [[True]]
+
+
+def test_hand_made_options_are_asked_each_time() -> None:
+    open_now = [True]
+    bank = OptionBank(2, 2, feature_map=np.asarray)
+    bank.add(option(1.0))
+    bank.add(Option(lambda obs: [open_now[0]], lambda obs: [0], lambda obs: [False]))
+    at: Any = np.array([[1.0]])
+    assert bank.available_slots(at).tolist() == [[True, True]]
+    open_now[0] = False
+    assert bank.available_slots(at).tolist() == [[True, False]]
