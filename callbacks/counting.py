@@ -69,7 +69,7 @@ class PrimitiveRollouts:
     def end(self) -> None:
         """Put ``n_steps`` back."""
         self.model.n_steps = self.buffer.next_size = self.n_steps
-        del self.model.n_primitive_steps
+        self.model.__dict__.pop("n_primitive_steps", None)  # rl-zoo3 ends training twice
 
 
 def clip_schedules(model: BaseAlgorithm) -> dict[str, Schedule]:

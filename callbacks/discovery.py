@@ -163,6 +163,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             max_option_exploration=self.max_option_exploration,
             opening_share=self.opening_share,
             interruption=self.interruption,
+            earlier=self._installer,
         )
         self._features = features_for(self._features, self._installer, self.embedding, self.seed)
         own = self.method is not None or bool(self.groups)
@@ -249,7 +250,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             self._make_option(subgoal)
 
     def _learn_further(self, labelled: LabelledTrajectory) -> None:
-        for slot in self.bank.filled:
+        for slot in self._options.installed():
             option = self.bank[slot]
             if not isinstance(option, SubgoalOption) or option.fixed:
                 continue
@@ -339,8 +340,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     def draw(self) -> None:
         """Draw the pictures of discovery for TensorBoard, with the next dump of the log."""
-        newest = self.discoveries[-1].slot if self.discoveries else None
-        draw_discovery(self.logger, self._search, self.bank, newest)
+        draw_discovery(self.logger, self._search, self.bank, self.discoveries[-1].slot if self.discoveries else None)
 
     def _describe(self) -> None:
         describe_options(self.logger, self.bank.slots, self.discoveries, self._statistics.values())

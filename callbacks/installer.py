@@ -46,6 +46,7 @@ class OptionInstaller:
         max_option_exploration: Largest share of options among exploratory choices.
         opening_share: Of a first option under MaskablePPO; 1 lets it open like a primitive.
         interruption: Whether options end where going on is worth less than the best alternative (`Interruption`).
+        earlier: Of the same model, if it was trained before: an exception may have left something undone.
     """
 
     def __init__(
@@ -57,6 +58,7 @@ class OptionInstaller:
         max_option_exploration: float = 1.0,
         opening_share: float = 1.0,
         interruption: bool = False,
+        earlier: OptionInstaller | None = None,
     ) -> None:
         self.model, self.venv = model, venv
         self.eval_envs = [c.eval_env for c in all_callbacks(callbacks) if isinstance(c, EvalCallback)]
@@ -98,6 +100,16 @@ class OptionInstaller:
                 self._install_now(slot, option)
             elif self.has_heads:
                 heads.close_empty(model, slot, self.n_primitive)
+
+        if earlier is not None and earlier.model is model:
+            self._take_over(earlier)
+
+    def _take_over(self, earlier: OptionInstaller) -> None:
+        """Install what was to be installed, and empty what was to be emptied, when the next rollout starts."""
+        for slot, option in earlier._pending.items():
+            if slot not in self.bank.filled:
+                self.install(slot, option)
+        self._closing |= earlier._closing & set(self.bank.filled)
 
     def features_of(self, observations: Observations) -> FloatArray:
         """φ of a batch of observations, (batch, d); φ may exist in a worker process only."""

@@ -169,7 +169,7 @@ class IntrinsicRewardCallback(BaseCallback):
             return binned_keys(self.feature_map, self.bin_width or 1.0)
         if is_table_like(space):
             return exact_keys(space)
-        if self.training_env.has_attr("concept_features"):
+        if self.training_env.has_attr("concept_features") and not self._learns_features():
             return binned_keys(self._concept_features, self.bin_width or 1.0)
         if isinstance(space, spaces.Box) and np.prod(space.shape) <= MAX_FEATURES:
             return binned_keys(flatten, self.bin_width or bin_widths(space))
@@ -177,6 +177,11 @@ class IntrinsicRewardCallback(BaseCallback):
             f"There is nothing to count in {space}: pass IntrinsicRewardCallback(feature_map=...) a function from a "
             "batch of observations to features (batch, d), or choose 'rnd'."
         )
+
+    def _learns_features(self) -> bool:
+        """Whether φ is learned while training goes on: what was counted in it would be something else later."""
+        venv = self.training_env
+        return venv.has_attr("learned_map") and venv.env_method("learned_map", indices=[0])[0] is not None
 
     def _concept_features(self, observations: Observations) -> FloatArray:
         features: FloatArray = self.training_env.env_method("concept_features", observations, indices=[0])[0]

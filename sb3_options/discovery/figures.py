@@ -201,7 +201,7 @@ def _seen(discovery: SubgoalDiscovery) -> _Seen | None:
     if discovery.scale is None or not len(discovery.database):
         return None
     runs = list(discovery.database)
-    seen = np.unique(np.concatenate([t.features for t in runs]), axis=0)
+    seen = np.unique(np.concatenate([t.features for t in runs]) + 0.0, axis=0)  # -0.0 and 0.0 are one
     d = seen.shape[1]
     marks = Marks(
         np.unique([t.features[t.trajectory.visits[0]] for t in runs], axis=0),
@@ -232,7 +232,7 @@ def _panels(discovery: SubgoalDiscovery, bank: OptionBank) -> tuple[dict[str, Ca
         shown = np.maximum(density, min(density.max() - WORST_SHOWN, np.quantile(density, 1.0 - SHARE_SHOWN)))
         panels["diverse_density"] = lambda axes: cells.draw(axes, DENSITY, shown)
     panels["first_visits"] = lambda axes: cells.draw(axes, VISITS, visits)
-    options = [o for o in bank.slots if isinstance(o, SubgoalOption)]
+    options = [o for o in bank.slots if isinstance(o, SubgoalOption) and _is_drawn(o)]
     if options:
         panels["initiation_set"] = lambda axes: cells.draw_sets(axes, [o.initiation_set for o in options])
         panels["option_policy"] = lambda axes: _draw_policies(axes, cells, discovery, options)
@@ -245,7 +245,7 @@ def _first_visits(discovery: SubgoalDiscovery, seen: FloatArray) -> IntArray:
     row_of = {row.tobytes(): i for i, row in enumerate(seen)}
     for labelled in discovery.database:
         if labelled.success:
-            counts[[row_of[row.tobytes()] for row in np.unique(labelled.features, axis=0)]] += 1
+            counts[[row_of[row.tobytes()] for row in np.unique(labelled.features + 0.0, axis=0)]] += 1
     return counts
 
 
@@ -282,7 +282,7 @@ def _moves_of(discovery: SubgoalDiscovery, options: list[SubgoalOption]) -> tupl
             began, led = trajectory.visits[:-1], trajectory.visits[1:]
             followed = inside[began] & (trajectory.actions == greedy[began])
             for a, b in zip(features[began[followed]], features[led[followed]], strict=True):
-                moves.setdefault(plane(a).tobytes(), []).append(plane(b) - plane(a))
+                moves.setdefault((plane(a) + 0.0).tobytes(), []).append(plane(b) - plane(a))
     if not moves:
         return None
     starts = np.array([np.frombuffer(key, dtype=np.float64) for key in moves])

@@ -45,7 +45,9 @@ class GroupedDiscovery(SubgoalDiscovery):
         contrasts: dict[FeatureGroup, Contrast] = {}
         for group in sorted(self.groups, key=lambda group: len(group.features)):
             parts = [c for part, c in contrasts.items() if set(part.features) < set(group.features)]
-            contrasts[group] = Contrast(group, own.subgoal_radius, parts, equal_time=own.equal_time)
+            contrasts[group] = Contrast(
+                group, own.subgoal_radius / (own.scale or 1.0), parts, equal_time=own.equal_time
+            )
         self._contrasts = contrasts
         self._maker = BagMaker(own, self.static_filter, self.kind)  # it makes no bags: its members do
         self.members: dict[FeatureGroup, SubgoalDiscovery] = {}

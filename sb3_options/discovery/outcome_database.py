@@ -33,12 +33,15 @@ class OutcomeDatabase(TrajectoryDatabase):
         self._successful = TrajectoryDatabase(capacity, max_bytes)
         self._salience = Salience((), 0.0, 0) if salience is None else salience
         self.n_entered = 0
+        self._n_added = 0
+        self._number: dict[int, int] = {}  # of each whole trajectory, by its id, in the order in which they came
 
     def add(self, trajectory: LabelledTrajectory) -> None:
         """Append, dropping the oldest one of its kind when there are too many."""
         others: list[LabelledTrajectory] = []
+        self._note(trajectory)
         if self._salience.add(trajectory):
-            others = [each if each.whole is None else each.whole for each in self]
+            others = sorted(map(_whole, self), key=lambda each: self._number[id(each)])
             self.n_entered -= sum(each.success for each in others)
             super().clear()
             self._successful.clear()
@@ -46,10 +49,19 @@ class OutcomeDatabase(TrajectoryDatabase):
             self.n_entered += each.success
             (self._successful.add if each.success else super().add)(each)
 
+    def _note(self, trajectory: LabelledTrajectory) -> None:
+        """Note when a trajectory came."""
+        if len(self._number) > 4 * self.capacity:
+            self._number = {id(whole): self._number[id(whole)] for whole in map(_whole, self)}
+        self._number[id(trajectory)] = self._n_added
+        self._n_added += 1
+
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint: the trajectories of each kind, oldest first, and what is rare."""
         successful, salience = self._successful.get_state(), self._salience.get_state()
-        return {**super().get_state(), "successful": successful, "salience": salience, "n_entered": self.n_entered}
+        numbers = [self._number[id(_whole(each))] for each in self]
+        own = {"successful": successful, "salience": salience, "n_entered": self.n_entered, "numbers": numbers}
+        return {**super().get_state(), **own}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Hold what `get_state` gave, and nothing else."""
@@ -57,6 +69,9 @@ class OutcomeDatabase(TrajectoryDatabase):
         self._successful.set_state(state["successful"])
         self._salience.set_state(state["salience"])
         self.n_entered = state["n_entered"]
+        numbers = state.get("numbers", range(len(self)))  # checkpoints of before did not tell
+        self._number = {id(_whole(each)): number for each, number in zip(self, numbers, strict=True)}
+        self._n_added = 1 + max(numbers, default=-1)
 
     @property
     def n_successful(self) -> int:
@@ -69,3 +84,8 @@ class OutcomeDatabase(TrajectoryDatabase):
     def __iter__(self) -> Iterator[LabelledTrajectory]:
         """The unsuccessful ones, then the successful ones, each oldest first."""
         return chain(super().__iter__(), self._successful)
+
+
+def _whole(trajectory: LabelledTrajectory) -> LabelledTrajectory:
+    """What a trajectory was made of: itself, if it is no part."""
+    return trajectory if trajectory.whole is None else trajectory.whole

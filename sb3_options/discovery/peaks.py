@@ -11,6 +11,9 @@ from scipy.spatial.distance import cdist
 
 from sb3_options.experience.observations import FloatArray
 
+MOST_TIED = 1000
+"""Peaks that tie, or places that were visited equally often, are no subgoals if they are more than this."""
+
 
 def plateau_centres(points: FloatArray, scale: FloatArray, radius: float) -> tuple[FloatArray, float]:
     """Peaks that tie and touch are one plateau; the middle of each plateau.

@@ -46,7 +46,8 @@ class Salience:
             return False
         self._n += 1
         self._successes += trajectory.success
-        self._came += [group.is_place(trajectory.features).any() for group in self.groups]
+        came = [group.is_place(trajectory.features).any() for group in self.groups]
+        self._came += np.array(came, dtype=np.int64)
         before, self.rare = self.rare, ()
         if self._n >= LEAST_TRAJECTORIES and self._successes < self.enough:
             rare = (self._came > 0) & (self._came <= self.share * self._n)

@@ -27,7 +27,7 @@ from sb3_options.discovery.budget import (
 )
 from sb3_options.discovery.found import FoundSubgoal, Search
 from sb3_options.discovery.outcomes import Outcomes
-from sb3_options.discovery.peaks import PeakTracker, plateau_centres
+from sb3_options.discovery.peaks import MOST_TIED, PeakTracker, plateau_centres
 from sb3_options.discovery.recurrence import Recurrence
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.static_filter import StaticFilter
@@ -204,6 +204,8 @@ class SubgoalDiscovery:
         """The middles of the best peaks' plateaus, (n, d); none if they are too many or too wide."""
         assert self.scale is not None
         tied = [p.point for p in peaks if p.log_density >= peaks[0].log_density - self.settings.peak_tolerance]
+        if len(tied) > MOST_TIED:
+            return np.array(tied[:0]).reshape(0, len(self.scale))
         places, extent = plateau_centres(np.array(tied), self.scale, self.settings.peak_radius)
         most = self.settings.max_places
         few = (most is None or len(places) <= most) and extent <= self.settings.max_extent

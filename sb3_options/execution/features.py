@@ -92,9 +92,10 @@ def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | MapName | None) ->
         return Features(feature_map, size, "given", _groups(getattr(feature_map, "concept_groups", None), size))
     if env.has_wrapper_attr("concept_features"):
         own: FeatureMap = env.get_wrapper_attr("concept_features")
-        size = _size_of(own, space, "the environment's concept_features")
-        # Of the wrapper that has φ: another one beneath may name groups of other features.
+        # The wrapper that has φ: another one beneath may name groups of other features.
         owner = getattr(own, "__self__", None)
+        _check_seen(owner, space)
+        size = _size_of(own, space, "the environment's concept_features")
         return Features(own, size, "environment", _groups(getattr(owner, "concept_groups", None), size))
     if isinstance(space, spaces.Discrete) and space.n <= MAX_FEATURES:
         return Features(_OneHot(space), int(space.n), "categorical")
@@ -103,6 +104,21 @@ def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | MapName | None) ->
         if size <= MAX_FEATURES:
             return Features(flatten, size, "identity")
     return None
+
+
+def _check_seen(owner: Any, space: spaces.Space[Any]) -> None:
+    """Refuse φ of an environment whose observations a wrapper has changed: it would make something else of them.
+
+    Raises:
+        ValueError: It has other observations than `OptionsWrapper`.
+    """
+    of_owner = getattr(owner, "observation_space", space)
+    if of_owner != space:
+        raise ValueError(
+            f"concept_features of {type(owner).__name__} is for its own observations, {_described(of_owner)}, but a "
+            f"wrapper beneath OptionsWrapper makes {_described(space)} of them: leave that wrapper out, or pass "
+            "OptionsWrapper(env, feature_map=...) a function from a batch of these observations to features (batch, d)."
+        )
 
 
 def learned_name(name: str) -> MapName:
@@ -196,13 +212,17 @@ def signature(space: gym.Space[Any], features: Features | None) -> SpaceSignatur
         space: Of the observations.
         features: The feature map; None where there is none.
     """
-    text = " ".join(str(space).split())
-    if len(text) > LONGEST_DESCRIPTION:
-        text = text[:LONGEST_DESCRIPTION] + "…"
+    text = _described(space)
     sha256 = hashlib.sha256()
     for part in _parts(space, ""):
         sha256.update(part + b"\n")
     return SpaceSignature(text, sha256.hexdigest(), None if features is None else features.kind)
+
+
+def _described(space: gym.Space[Any]) -> str:
+    """A space in a line that is not too long."""
+    text = " ".join(str(space).split())
+    return text if len(text) <= LONGEST_DESCRIPTION else text[:LONGEST_DESCRIPTION] + "…"
 
 
 def _parts(space: gym.Space[Any], name: str) -> Iterator[bytes]:

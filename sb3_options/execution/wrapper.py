@@ -203,6 +203,10 @@ class OptionsWrapper(OptionSlots):
             raise gym.error.ResetNeeded(f"{needed_by} needs a current observation: call reset() first.")
         return self._observation
 
+    def masks_primitives(self) -> bool:
+        """Whether the environment says which of its own actions may be taken."""
+        return bool(self.env.has_wrapper_attr("action_masks"))
+
     def action_masks(self) -> BoolArray:
         """Which augmented actions may start now, shape (n_primitive + max_options,).
 
@@ -214,7 +218,7 @@ class OptionsWrapper(OptionSlots):
         """
         mask: BoolArray = self.bank.available(batch_of_one(self._current_observation("action_masks()")))[0]
         primitives, slots = mask[: self.n_primitive], mask[self.n_primitive :]
-        if self.env.has_wrapper_attr("action_masks"):
+        if self.masks_primitives():
             own = np.asarray(self.env.get_wrapper_attr("action_masks")(), dtype=bool)
             if own.shape != primitives.shape:
                 raise ValueError(

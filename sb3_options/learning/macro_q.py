@@ -19,6 +19,9 @@ from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.linear_features import LinearFeatures, OneHot
 from sb3_options.learning.masked import MaskedPrediction, n_actions_of
 
+LONGEST_ROLLOUT = 1000
+"""Decisions of each environment after which a rollout ends though no episode has: of tasks without episodes, say."""
+
 
 class LinearPolicy(BasePolicy):
     """Greedy in Q(s, a) = Σ over active features i of w[i, a].
@@ -168,8 +171,9 @@ class MacroQ(MaskedPrediction):
         self._table = self.policy.table()
         self._step_size = cast("float", self.learning_rate)  # the constructor takes no schedule
         choices = self._choices()
+        self._asks = self._n_slots > 0 and any(self.env.env_method("masks_primitives"))
         active = self._active(self._last_obs)
-        goes_on = True
+        goes_on, since = True, 0
         while goes_on and self.num_timesteps < total_timesteps:
             actions = np.array([self._explore(self._values(a), c) for a, c in zip(active, choices, strict=True)])
             new_obs, rewards, dones, infos = self.env.step(actions)
@@ -186,15 +190,19 @@ class MacroQ(MaskedPrediction):
             callback.update_locals(locals())
             goes_on = callback.on_step()
             self._update_current_progress_remaining(self.num_timesteps, total_timesteps)
-            if any(over):
+            since = 0 if any(over) else since + 1
+            if any(over) or since == LONGEST_ROLLOUT:
+                since = 0
                 self._update_info_buffer(infos, dones)
                 self._episode_num += sum(over)
-                # Between two rollouts callbacks install and remove options; here a rollout is what lies between the
-                # ends of episodes.
+                # Between two rollouts callbacks install and remove options, and write checkpoints; here a rollout is
+                # what lies between the ends of episodes, which there may be none of.
                 callback.on_rollout_end()
-                if log_interval is not None and self._episode_num % log_interval == 0:
+                if log_interval is not None and any(over) and self._episode_num % log_interval == 0:
                     self._log()  # before a checkpoint, from which nothing is logged that came before it
                 callback.on_rollout_start()
+                choices = self._choices()
+            elif self._asks:
                 choices = self._choices()
             elif self._n_slots:
                 choices = [self._choices_after(run, slots) for run, slots in zip(runs, self._withheld, strict=True)]

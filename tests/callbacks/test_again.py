@@ -193,3 +193,24 @@ def test_the_log_ends_with_all_primitive_steps(tmp_path: Path) -> None:
     with (tmp_path / "progress.csv").open(encoding="utf-8") as file:
         *_, last = csv.DictReader(file)
     assert int(last["time/primitive_steps"]) == model.num_timesteps >= 1234
+
+
+def test_an_exception_loses_no_option_that_waits_for_a_rollout() -> None:
+    """It is installed when training goes on, and a slot that was to be emptied is."""
+    env = optioned_rooms(3)
+    env.bank.add(steady_option(1, max_duration=3))
+    model = PPO("MlpPolicy", env, gamma=0.9, n_steps=64, batch_size=64, n_epochs=1)
+    callback = SubgoalDiscoveryCallback(max_new_options=0)
+
+    def stop(*_: Any) -> bool:
+        installer = callback._installer
+        assert installer is not None
+        installer.install(2, steady_option(2, max_duration=3))
+        installer.uninstall(0)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        model.learn(64, callback=[callback, ConvertCallback(stop)])
+    assert env.bank.filled == (0,)
+    model.learn(64, callback=callback)
+    assert env.bank.filled == callback.bank.filled == (2,)

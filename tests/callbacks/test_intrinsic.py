@@ -379,3 +379,12 @@ class TestErrors:
         model = OptionDQN("MlpPolicy", optioned_rooms(), gamma=0.9, replay_buffer_kwargs={"macro_q": False})
         with pytest.raises(ValueError, match=r"macro_q=False does not store: leave out replay_buffer_kwargs"):
             model.learn(10, callback=[PrimitiveStepsCallback(), IntrinsicRewardCallback()])
+
+
+def test_where_features_are_learned_observations_are_counted() -> None:
+    """What was counted in a map that is learned on would be something else later."""
+    env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0", observation="xy"), 1, gamma=GAMMA, feature_map="laplacian")
+    bonus = IntrinsicRewardCallback()
+    model = DQN("MlpPolicy", env, gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, learning_starts=10_000, seed=0)
+    model.learn(200, callback=[PrimitiveStepsCallback(), bonus])
+    assert len(visits_of(bonus)) > 10  # φ makes one and the same of all before it is learned

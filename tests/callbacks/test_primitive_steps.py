@@ -344,3 +344,13 @@ def test_decisions_for_primitive_steps() -> None:
     assert n_decisions(128, np.ones((4, 2)), multiple=16) == 128
     assert n_decisions(128, np.full((4, 2), 1000.0), multiple=16) == 16
     assert n_decisions(100, np.ones((4, 2)), multiple=16) == 96
+
+
+def test_training_may_end_twice() -> None:
+    """rl-zoo3 ends its first callback once more before it saves the model."""
+    callback = PrimitiveStepsCallback(primitive_rollouts=True)
+    model = PPO("MlpPolicy", optioned_rooms(1), gamma=0.9, n_steps=64, batch_size=64, n_epochs=1)
+    model.learn(64, callback=callback)
+    callback.on_training_end()
+    assert model.n_steps == 64
+    assert not hasattr(model, "n_primitive_steps")

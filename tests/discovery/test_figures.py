@@ -14,6 +14,8 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
+from sb3_options.density.groups import FeatureGroup
+from sb3_options.density.regions import Region
 from sb3_options.discovery.figures import discovery_figures, options_figure, subgoals_figure
 from sb3_options.discovery.maps import INITIATION_COLOUR, SUBGOAL_COLOUR
 from sb3_options.discovery.settings import DiscoverySettings
@@ -22,6 +24,7 @@ from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.creation import learn_option
 from sb3_options.options.option import SubgoalOption
+from sb3_options.options.policies import TabularPolicy
 from sb3_options.options.settings import OptionLearningSettings
 from tests.support.helpers import line, steady_option, trajectory_of
 from tests.support.sb3_helpers import n_colours, small_rooms
@@ -326,3 +329,26 @@ def test_hand_made_options_are_left_out() -> None:
     bank = OptionBank(4, 2)
     bank.add(steady_option())
     assert list(discovery_figures(discovery, bank)) == NAMES[:2]
+
+
+def test_features_that_are_0_and_minus_0_are_one_place() -> None:
+    def signed(states: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        signs: npt.NDArray[np.float64] = np.where(np.arange(len(states)) % 2, 0.0, -0.0)[:, None]
+        return np.where(states == 0.0, signs, states)
+
+    figures = discovery_figures(*discovered(None, signed))
+    assert list(figures) == list(discovery_figures(*discovered(None, xy)))
+
+
+def test_options_on_groups_of_features_are_left_out() -> None:
+    discovery, bank = discovered(None, xy)
+    both, group = OptionBank(4, 2), FeatureGroup("column", [1])
+    column = Region(np.array([[4.0]]), np.ones(1), 0.5, group=group)
+    policy = TabularPolicy(np.array([[4.0]]), np.eye(4)[:1])
+    both.add(SubgoalOption(column, column, policy, policy_input="features"))
+    assert bank[0] is not None
+    both.add(bank[0])
+    alone = OptionBank(4, 2)
+    alone.add(bank[0], 1)
+    for name, figure in discovery_figures(discovery, both).items():
+        assert np.array_equal(drawn(figure), drawn(discovery_figures(discovery, alone)[name]))

@@ -201,3 +201,10 @@ def test_options_on_other_features_do_not_count() -> None:
     assert isinstance(grouped, GroupedDiscovery)
     assert list(grouped.members[KEY].taken) == [of_group]
     assert not grouped.members[WALL].taken
+
+
+@pytest.mark.parametrize("scale", [None, 0.1, 4.0])
+def test_contrast_joins_what_a_subgoal_reaches(scale: float | None) -> None:
+    discovery = discovery_with(DiscoverySettings(**{**vars(SOON), "scale": scale}), [KEY])
+    assert isinstance(discovery, GroupedDiscovery)
+    assert discovery._contrasts[KEY].radius == SOON.subgoal_radius / (scale or 1.0)

@@ -185,3 +185,31 @@ def test_subgoals_are_found_before_anything_succeeds(share: float, caplog: pytes
     assert found[:1] == ([(DOOR, [1, 1])] if share else [])
     assert discovery.outcomes.successes == 0
     assert ("Nothing can be discovered so far" in caplog.text) == (share == 0)
+
+
+def test_groups_that_are_everywhere_are_nothing_rare() -> None:
+    everywhere = FeatureGroup("everywhere", [0])
+    salience = Salience([everywhere], 0.5, 3)
+    for _ in range(LEAST_TRAJECTORIES + 1):
+        assert not salience.add(usual())
+
+
+def test_trajectories_that_are_labelled_anew_stay_in_the_order_in_which_they_came() -> None:
+    """Else the failures that are kept would be those that came upon something rare."""
+    database = OutcomeDatabase(10, salience=Salience(GROUPS, 0.2, 3))
+    lives = [rare() if i in (0, 20) else usual() for i in range(40)]
+    lives += [lived([NOTHING, FAR, NEAR, BEHIND], success=True) for _ in range(3)]
+    for i, each in enumerate(lives):
+        if i == 30:  # a checkpoint lies between
+            content, arrays = encode(database.get_state(), RECORDS)
+            other = OutcomeDatabase(10, salience=Salience(GROUPS, 0.2, 3))
+            other.set_state(decode(json.loads(json.dumps(content)), arrays, RECORDS))
+        database.add(each)
+        if i >= 30:
+            other.add(each)
+    failures = [each for each in database if not each.success]
+    number = {id(each): i for i, each in enumerate(lives)}
+    assert [number[id(each)] for each in failures] == list(range(30, 40))
+    kept = [each for each in other if not each.success]
+    assert len(kept) == 10
+    assert all(one is other for one, other in zip(kept[-9:], failures[-9:], strict=True))

@@ -176,3 +176,13 @@ def test_groups_that_do_not_fit_the_feature_map_are_refused() -> None:
 
     with pytest.raises(ValueError, match="group 'last' names feature 3, the feature map gives 3"):
         OptionsWrapper(Wide(gym.make("sb3_options/TwoRooms-v0")))
+
+
+def test_features_of_observations_that_a_wrapper_has_changed_are_refused() -> None:
+    """The environment's own φ would make something else of them, in silence."""
+    env = gym.make("sb3_options/TwoRooms-v0", observation="xy")
+    changed = gym.wrappers.RescaleObservation(env, np.float32(0), np.float32(1))
+    with pytest.raises(ValueError, match=r"concept_features of GridWorld is for its own observations, .* leave that"):
+        OptionsWrapper(changed)
+    OptionsWrapper(changed, feature_map=env.get_wrapper_attr("concept_features"))  # whoever means it says so
+    assert OptionsWrapper(gym.wrappers.RecordEpisodeStatistics(env)).feature_kind() == "environment"

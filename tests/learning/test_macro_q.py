@@ -1,5 +1,6 @@
 """MacroQ against episodes computed by hand, against value iteration, and against itself elsewhere."""
 
+from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -19,6 +20,7 @@ from sb3_options import MacroQ, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.envs import GridWorld
 from sb3_options.learning.linear_features import OneHot, TileCoding
+from sb3_options.learning.macro_q import LONGEST_ROLLOUT
 from tests.support.helpers import CountingEnv, steady_option, table_option
 from tests.support.sb3_helpers import (
     DOORWAY,
@@ -383,3 +385,52 @@ def test_the_constructor_hands_on_what_is_sb3s() -> None:
 def test_the_folder_of_tensorboards_log_has_its_name(tmp_path: Path) -> None:
     MacroQ(Script(terminate_at=2), tensorboard_log=str(tmp_path)).learn(2)
     assert [path.name for path in tmp_path.iterdir()] == ["MacroQ_1"]
+
+
+class Ring(gym.Env[int, int]):
+    """A task without episodes, in which the last action is forbidden."""
+
+    def __init__(self) -> None:
+        self.observation_space: Any = gym.spaces.Discrete(12)
+        self.action_space: Any = gym.spaces.Discrete(3)
+        self.taken: Counter[int] = Counter()
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[int, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.place = 0
+        return self.place, {}
+
+    def step(self, action: int) -> tuple[int, float, bool, bool, dict[str, Any]]:
+        self.taken[int(action)] += 1
+        self.place = (self.place + (1 if action else -1)) % 12
+        return self.place, float(self.place == 0), False, False, {}
+
+    def action_masks(self) -> npt.NDArray[np.bool_]:
+        return np.array([True, True, False])
+
+
+class Rollouts(BaseCallback):
+    """Notes when rollouts end."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.ended: list[int] = []
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_end(self) -> None:
+        self.ended.append(self.num_timesteps)
+
+
+def test_where_no_episode_ends_rollouts_do() -> None:
+    """Between two of them options are installed and closed, and checkpoints are written."""
+    rollouts = Rollouts()
+    MacroQ(OptionsWrapper(Ring(), 1, gamma=0.9), gamma=0.9, seed=0).learn(3500, callback=rollouts)
+    assert rollouts.ended == [LONGEST_ROLLOUT, 2 * LONGEST_ROLLOUT, 3 * LONGEST_ROLLOUT, 3500]
+
+
+def test_actions_that_the_environment_forbids_are_never_taken() -> None:
+    env = Ring()
+    MacroQ(OptionsWrapper(env, 1, gamma=0.9), gamma=0.9, epsilon=0.5, seed=0).learn(500)
+    assert set(env.taken) == {0, 1}

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from sb3_options.density.regions import Region
 from sb3_options.discovery.methods.candidates import PLACE_SECONDS, Candidates, check_counts, check_positive
 from sb3_options.discovery.methods.method import Experience
-from sb3_options.discovery.peaks import PeakTracker, plateau_centres
+from sb3_options.discovery.peaks import MOST_TIED, PeakTracker, plateau_centres
 from sb3_options.experience.observations import FloatArray
 
 
@@ -60,8 +60,10 @@ class VisitFrequency:
         most = self._visited.proposals(experience)
         if self._successes < self.min_successes or not most:
             return []
-        points = np.array([region.points[0] for region in most])
-        centres, _ = plateau_centres(points, experience.scale, self.radius)
+        points = np.array([region.points[0] for region in most[: MOST_TIED + 1]])
+        centres = points[:0]
+        if len(points) <= MOST_TIED:
+            centres, _ = plateau_centres(points, experience.scale, self.radius)
         self._tracker.update(centres, experience.scale)
         return [experience.region(concept.point) for concept in self._tracker.persistent()]
 

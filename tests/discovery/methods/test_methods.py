@@ -18,6 +18,7 @@ from sb3_options.discovery.methods.graphs import Betweenness, LCut, local_maxima
 from sb3_options.discovery.methods.method import DiscoveryMethod, Experience, distinct_rows
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty, relative_novelty
 from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
+from sb3_options.discovery.peaks import MOST_TIED
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 from sb3_options.options.proposals import goal_of
 
@@ -250,3 +251,11 @@ def test_graph_methods_find_the_doorway_of_two_rooms_from_random_walks(name: str
 def test_arguments_out_of_range_are_refused_by_name(make: Callable[[], object], message: str) -> None:
     with pytest.raises(ValueError, match=f"^{message}"):
         make()
+
+
+def test_thousands_of_places_that_nobody_visits_twice_are_no_subgoals() -> None:
+    """Nothing recurs; to compare them all would take seconds after each success."""
+    method = VisitFrequency(min_successes=1)
+    for i in range(8):
+        assert method.update(experience(np.arange(i * 400, (i + 1) * 400))) == []
+    assert len(method._tracker.concepts) <= MOST_TIED
