@@ -10,7 +10,7 @@ import numpy as np
 
 from experiments.common.seeds import Result
 from experiments.minigrid.conditions import stages_of
-from experiments.minigrid.settings import DISCOVERING, REACHED, Arm
+from experiments.minigrid.settings import CONTRASTING, DISCOVERING, RANDOM, REACHED, Arm
 from sb3_options.runs.intervals import mean_interval
 
 Summary = dict[str, dict[str, Any]]
@@ -71,7 +71,8 @@ def summarise(family: str, results: Mapping[str, Sequence[Result]]) -> Summary:
         }
         if "uniform" in runs[0]["success"]:
             summary["uniform"][name] = _mean([run["success"]["uniform"] for run in runs])
-    summary["options"] = _options([run for arm in DISCOVERING for run in results.get(arm, ())])
+    found = [arm for arm in DISCOVERING if arm not in (*RANDOM, *CONTRASTING)]
+    summary["options"] = _options([run for arm in found for run in results.get(arm, ())])
     return summary
 
 
