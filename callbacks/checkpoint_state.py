@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,7 @@ KNOWN: dict[type[BaseCallback], tuple[str, ...]] = {
 """What SB3's callbacks remember besides their counters; a class derived from one may remember more."""
 
 COUNTERS = ("n_calls", "num_timesteps")
+SETTINGS = ("settings", "option_settings", "embedding")
 
 
 def get_states(root: BaseCallback | None) -> list[State]:
@@ -44,6 +46,7 @@ def get_states(root: BaseCallback | None) -> list[State]:
             "class": type(each).__name__,
             "counters": {name: getattr(each, name) for name in COUNTERS},
             "known": {name: getattr(each, name) for name in _names(each)},
+            "settings": _settings(each),
             "own": each.get_state() if _tells(each) else None,  # type: ignore[attr-defined]  # it tells
         }
         for each in _callbacks(root)
@@ -73,12 +76,36 @@ def set_states(root: BaseCallback | None, states: list[State]) -> None:
             f"The checkpoint was written with the callbacks {', '.join(there)}, here are {', '.join(here)}."
         )
     for callback, state in zip(callbacks, states, strict=True):
+        _check_settings(callback, state.get("settings", {}))  # checkpoints of before did not tell
         for name in COUNTERS:
             setattr(callback, name, state["counters"][name])
         for name in _names(callback):  # and no others that a stranger's file may name, as a path to write to
             setattr(callback, name, state["known"][name])
         if _tells(callback):
             callback.set_state(state["own"])  # type: ignore[attr-defined]  # it tells
+
+
+def _settings(callback: BaseCallback) -> State:
+    """What a callback of ours was made with."""
+    given = {name: getattr(callback, name, None) for name in SETTINGS}
+    return {name: dataclasses.asdict(of) for name, of in given.items() if dataclasses.is_dataclass(of)}  # type: ignore[arg-type]  # of an object
+
+
+def _check_settings(callback: BaseCallback, there: State) -> None:
+    """Refuse a callback that was made with other settings.
+
+    Raises:
+        ValueError: It was.
+    """
+    here = _settings(callback)
+    for name in here.keys() & there.keys():
+        for field, value in here[name].items():
+            before = there[name].get(field, value)
+            if before != value:
+                raise ValueError(
+                    f"The checkpoint was written with {name} {field}={before!r} of {type(callback).__name__}, and here it "
+                    f"is {value!r}: what goes on has the same."
+                )
 
 
 def _callbacks(root: BaseCallback | None) -> list[BaseCallback]:

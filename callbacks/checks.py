@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import inspect
+import logging
 from collections.abc import Iterable, Mapping
 from typing import Any, NoReturn
 
 import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import (
     VecEnv,
     VecEnvWrapper,
@@ -17,6 +20,7 @@ from stable_baselines3.common.vec_env import (
     is_vecenv_wrapped,
 )
 
+from sb3_options.callbacks.counting import all_callbacks
 from sb3_options.checked import given_as, is_number, whole
 from sb3_options.density.groups import FeatureGroup, checked_groups
 from sb3_options.discovery.settings import DiscoverySettings
@@ -26,6 +30,8 @@ from sb3_options.learning import heads
 from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.macro_q import MacroQ
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
+
+logger = logging.getLogger("sb3_options")
 
 
 def check_arguments(success: object, max_new_options: int | None, min_reached: float, seed: int) -> None:
@@ -109,6 +115,18 @@ def check_training(
         )
     if settings.segmentation == "peaks" and set(venv.get_attr("max_runs")) != {None}:
         raise ValueError("max_runs counts in an episode, and a continuing task has none: leave it out with peaks.")
+
+
+def warn_unmasked(model: BaseAlgorithm, callbacks: BaseCallback | None) -> None:
+    """Warn where an algorithm that masks is evaluated without masks, and so chooses options where they lead nowhere."""
+    kinds = {cls.__name__ for each in all_callbacks(callbacks) for cls in type(each).__mro__}
+    masks = "action_masks" in inspect.signature(model.policy.forward).parameters
+    if masks and "EvalCallback" in kinds and "MaskableEvalCallback" not in kinds:
+        logger.warning(
+            "EvalCallback lets %s choose options outside their initiation sets, where they do a single step each: "
+            "evaluate with sb3_contrib.common.maskable.callbacks.MaskableEvalCallback.",
+            type(model).__name__,
+        )
 
 
 def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:

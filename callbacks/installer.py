@@ -10,7 +10,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_options.callbacks.checks import check_same_slots
+from sb3_options.callbacks.checks import check_same_slots, warn_unmasked
 from sb3_options.callbacks.counting import all_callbacks, monitor_primitive_steps
 from sb3_options.callbacks.intra_option import IntraOptionUpdater
 from sb3_options.embedding.learned_map import LearnedMap
@@ -66,6 +66,7 @@ class OptionInstaller:
             watch_workers(eval_env)
             check_same_slots(venv, eval_env)
             monitor_primitive_steps(eval_env)
+        warn_unmasked(model, callbacks)
         buffer = getattr(model, "replay_buffer", None)
         self.buffer = buffer if isinstance(buffer, OptionReplayBuffer) else None
         self.has_heads = not isinstance(model, MacroQ)
@@ -211,6 +212,11 @@ class OptionInstaller:
             ValueError: A hand-made option is not in its slot.
         """
         pending = set(state["pending"])
+        if len(state["slots"]) != self.bank.max_options:
+            raise ValueError(
+                f"The checkpoint is of an environment with {len(state['slots'])} slots for options, and this one has "
+                f"{self.bank.max_options}: pass max_options={len(state['slots'])} to OptionsWrapper."
+            )
         for slot, (there, here) in enumerate(zip(state["slots"], self.bank.slots, strict=True)):
             if "name" in there:
                 if here is None or here.name != there["name"]:

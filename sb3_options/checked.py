@@ -7,6 +7,8 @@ the same class.
 
 from __future__ import annotations
 
+import dataclasses
+import difflib
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral, Real
@@ -63,6 +65,11 @@ def given_as(cls: type[T], given: T | Mapping[str, Any]) -> T:
         raise TypeError(f"{cls.__name__} must be given as one, or as a mapping of its fields, got {given!r}.")
     if isinstance(given, Mapping) and "self" in given:  # SB3 calls a class with the variables of learn()
         raise TypeError(f"{cls.__name__} got no settings. Pass an object, callback=NAME(), and not the class.")
+    names = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]  # all settings are dataclasses
+    for name in given if isinstance(given, Mapping) else ():
+        if name not in names:
+            near = difflib.get_close_matches(str(name), names, n=1, cutoff=0.0)[0]
+            raise TypeError(f"{cls.__name__}: there is no setting {name!r}. Did you mean {near!r}?")
     return cls(**given) if isinstance(given, Mapping) else given
 
 

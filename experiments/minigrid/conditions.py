@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,8 +16,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from experiments.common.seeds import Result
 from experiments.minigrid import settings
 from experiments.minigrid.agents import Chooser, Notes, learned, model_of, normalised, success_rate, uniform, venv_of
+from experiments.minigrid.contrasting import ContrastingSubgoalsCallback
 from experiments.minigrid.hand_made import MadeBy, options_on, to_subgoals_on
-from experiments.minigrid.random_subgoals import RandomSubgoalsCallback
 from experiments.minigrid.settings import FAMILIES, LATER_ARM, WITH_OPTIONS, ZOO_ARM, Arm, Stage
 from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.callbacks.records import DiscoveredOption
@@ -143,12 +143,11 @@ def _blinkered() -> list[dict[str, Any]]:
 def _callbacks(arm: Arm, seed: int, stage: int, *, is_last: bool) -> list[BaseCallback]:
     callbacks: list[BaseCallback] = []
     if arm in settings.DISCOVERING:
-        kind: Callable[..., SubgoalDiscoveryCallback] = SubgoalDiscoveryCallback
-        if arm in (*settings.RANDOM, *settings.CONTRASTING):
-            kind = partial(RandomSubgoalsCallback, contrasting=arm in settings.CONTRASTING)
+        kind = ContrastingSubgoalsCallback if arm in settings.CONTRASTING else SubgoalDiscoveryCallback
         discovery = kind(
             settings.DISCOVERY,
             settings.options_of(arm, stage),
+            method="random" if arm in settings.RANDOM else None,
             groups=_blinkered() if arm in (settings.OWN_ARM, settings.FORMER_ARM) else None,
             max_new_options=0 if is_last and stage else None,
             opening_share=settings.OPENING_SHARE,

@@ -30,10 +30,13 @@ PPO: Arm = "stock, curriculum"
 AT_FIRST: Arm = "stock, RND at first"
 
 
-def _all(file: str) -> dict[str, Of]:
+def _all(file: str, *, contrasting: bool = True) -> dict[str, Of]:
+    drawn = {"contrasting": Of(file, "contrasting subgoals, RND at first")} if contrasting else {}
     return {
         "options, RND": Of(file, "discovered, RND at first"),
         "options": Of(file, "discovered"),
+        **drawn,
+        "random": Of(file, "random subgoals, RND at first"),
         "PPO": Of(file, PPO),
         "PPO, RND": Of(file, AT_FIRST),
         "by hand": Of(file, "hand-made"),
@@ -45,25 +48,38 @@ AGENTS: dict[str, dict[str, Of]] = {
     "six rooms": _all("six-rooms"),
     "six large rooms": {
         "options": Of("six-large-rooms", "discovered"),
+        "random": Of("six-large-rooms", "random subgoals"),
         "PPO": Of("six-large-rooms", PPO),
         "PPO, RND": Of("six-large-rooms-rnd", AT_FIRST),
         "by hand": Of("six-large-rooms-by-hand", "hand-made"),
     },
     "key corridors": {
         "options, RND": Of("key-corridor", "discovered, RND before the last"),
+        "contrasting": Of("key-corridor", "contrasting subgoals, RND before the last"),
+        "random": Of("key-corridor", "random subgoals, RND before the last"),
         "PPO": Of("key-corridor", PPO),
         "PPO, RND": Of("key-corridor", "stock, RND before the last"),
         "by hand": Of("key-corridor-by-hand", "hand-made"),
     },
-    "DoorKey 8x8": _all("door-key"),
-    "DoorKey 16x16": _all("door-key-16"),
+    "DoorKey 8x8": _all("door-key", contrasting=False),
+    "DoorKey 16x16": _all("door-key-16", contrasting=False),
 }
-"""Who is compared, by task."""
+"""Who is compared, by task. ``random`` and ``contrasting``: with options to subgoals that are drawn, and RND where
+discovered options have it."""
 
 OPTIONS = {"options, RND": "", "options": ", no RND"}
 """Agents with options, and what the table says of them beside the task."""
 
-COLOURS = {"options, RND": "#d62728", "options": "#ff7f0e", "PPO": "#1f77b4", "PPO, RND": "#17becf", "by hand": "0.55"}
+RIVALS = {
+    "PPO": "PPO's", "PPO, RND": "those of PPO and RND", "random": "those with random subgoals",
+    "contrasting": "those with contrasting ones",
+}  # fmt: skip
+"""Whose frames the table compares theirs with, and what it says of them."""
+
+COLOURS = {
+    "options, RND": "#d62728", "options": "#ff7f0e", "contrasting": "#9467bd", "random": "#c49c94", "PPO": "#1f77b4",
+    "PPO, RND": "#17becf", "by hand": "0.55",
+}  # fmt: skip
 NEVER = 1e7
 """Where agents are drawn that never get there, in frames."""
 
@@ -91,7 +107,7 @@ def main(of: Ratios) -> None:
 
 def draw(results: Path) -> Figure:
     """Frames to 0.8 of every run, a panel for each task and a row for each agent, with the medians."""
-    figure = Figure(figsize=(10, 5), layout="constrained")
+    figure = Figure(figsize=(10, 6), layout="constrained")
     grid = figure.subplots(2, 3, sharex=True)
     for axes, (task, agents) in zip(grid.flat, AGENTS.items(), strict=True):
         for row, (agent, of) in enumerate(agents.items()):
@@ -122,18 +138,26 @@ def draw(results: Path) -> Figure:
 
 def table(results: Path) -> str:
     """Frames to 0.8 of agents with options as a share of each rival's, and the processor seconds of both."""
-    rows = [
-        "| | of PPO's frames | of those of PPO and RND | seconds, options | seconds, PPO |",
-        "|---|---|---|---|---|",
-    ]
+    heads = [f"of {whose}" for whose in RIVALS.values()]
+    rows = [f"| | {' | '.join(heads)} | seconds, options | seconds, PPO |", "|---" * (len(heads) + 3) + "|"]
     for task, agents in AGENTS.items():
         for name, said in OPTIONS.items():
             if name in agents:
                 frames = frames_of(results, agents[name])
-                cells = [_text(frames, frames_of(results, agents[rival])) for rival in ("PPO", "PPO, RND")]
+                fair = {
+                    rival: of
+                    for rival, of in agents.items()
+                    if rival in ("PPO", "PPO, RND") or _alike(of, agents[name])
+                }
+                cells = [_text(frames, frames_of(results, fair[rival])) if rival in fair else "–" for rival in RIVALS]
                 cells += [f"{_summary(results, agents[of])['seconds']['mean']:.0f}" for of in (name, "PPO")]
                 rows.append(f"| {task}{said} | {' | '.join(cells)} |")
     return "\n".join(rows)
+
+
+def _alike(one: Of, other: Of) -> bool:
+    """Whether both have the bonus in the same tasks, or both do without."""
+    return one.arm.partition(", ")[2] == other.arm.partition(", ")[2]
 
 
 def frames_of(results: Path, of: Of) -> FloatArray:

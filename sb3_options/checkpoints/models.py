@@ -56,6 +56,7 @@ def get_state(model: BaseAlgorithm) -> State:
     """Networks, optimizer, replay buffer and counters; a rollout buffer is empty at the start of a rollout."""
     state: State = {
         "class": type(model).__name__,
+        "gamma": getattr(model, "gamma", None),
         "policy": dict(model.policy.state_dict()),
         "optimizer": model.policy.optimizer.state_dict() if hasattr(model.policy, "optimizer") else None,
         "own": model.get_state() if hasattr(model, "get_state") else None,
@@ -103,6 +104,9 @@ def set_state(model: BaseAlgorithm, state: State) -> None:
     """
     if state["class"] != type(model).__name__:
         raise ValueError(f"The checkpoint is of {state['class']}, the model is {type(model).__name__}.")
+    gamma = getattr(model, "gamma", None)
+    if state.get("gamma", gamma) != gamma:  # those of before did not tell
+        raise ValueError(f"The checkpoint is of training with gamma={state['gamma']}, the model has gamma={gamma}.")
     model.policy.load_state_dict(state["policy"])
     if state["optimizer"] is not None:
         model.policy.optimizer.load_state_dict(state["optimizer"])

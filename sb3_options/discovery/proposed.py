@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from collections.abc import Iterable, Sequence
@@ -16,12 +17,15 @@ from sb3_options.discovery.found import FoundSubgoal, Search
 from sb3_options.discovery.grouped import GroupedDiscovery
 from sb3_options.discovery.methods import METHODS, DiscoveryMethod, Experience, Proposal, method_named, proposed_by
 from sb3_options.discovery.most_likely import MostLikelyDiscovery
+from sb3_options.discovery.random_grouped import RandomGroupedDiscovery
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.static_filter import steps_from
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.options.proposals import goal_of
+
+logger = logging.getLogger("sb3_options")
 
 UPDATE_SECONDS = 2e-6
 """Nominal time of telling a method of a trajectory, for each of its steps."""
@@ -190,16 +194,22 @@ def discovery_with(
         **how: Other arguments of `SubgoalDiscovery`.
 
     Raises:
-        ValueError: A method other than diverse density is to work on groups of features.
+        ValueError: A method other than diverse density and random places is to work on groups of features.
     """
     groups, name = tuple(groups), settings.method
+    if settings.salient_share and not groups:
+        logger.warning(
+            "salient_share=%g has no effect: it is for groups of features, and there are none.", settings.salient_share
+        )
+    if groups and method is None and name == "random":
+        return RandomGroupedDiscovery(settings, groups=groups, seed=seed, **how)
     if method is None and name in METHODS:
         method = method_named(name, seed)
     if groups and (method is not None or name != "diverse-density"):
         what = name if method is None else type(method).__name__
         raise ValueError(
-            f"{what} works on all features together, and the feature map has groups: pass groups=() to "
-            "SubgoalDiscoveryCallback, or use diverse density."
+            f"{what} works on all features together, and the feature map has groups: use diverse density, or "
+            "the control 'random'; or, in a script, pass groups=() to SubgoalDiscoveryCallback."
         )
     if method is not None:
         return ProposedDiscovery(settings, method=method, **how)

@@ -11,6 +11,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
+from sb3_options.checked import given_as
 from sb3_options.density.groups import FeatureGroup, checked_groups
 from sb3_options.embedding.encoders import ObservationForm, form_of_array
 from sb3_options.embedding.learned_map import LearnedMap
@@ -150,7 +151,7 @@ def form_of(space: gym.Space[Any]) -> ObservationForm:
 
 def _groups(named: Callable[[], Iterable[Mapping[str, Any]]] | None, size: int | None) -> tuple[FeatureGroup, ...]:
     """The groups that a ``concept_groups`` names, if there is one."""
-    groups = () if named is None else tuple(FeatureGroup(**group) for group in named())
+    groups = () if named is None else tuple(given_as(FeatureGroup, group) for group in named())
     return groups if size is None else checked_groups(groups, size)
 
 

@@ -195,6 +195,16 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
                 slot,
             )
 
+    def _warn_of_no_options(self) -> None:
+        if self.bank.max_options:
+            self._warned = True
+            logger.warning(
+                "No slot holds an option, so that masks allow primitive actions alone. If options were discovered, the "
+                'model needs them here: sb3_options.load_model(MaskablePPO, "model.zip", env) or '
+                'sb3_options.load_options("model.zip", env). To train, give learn() a SubgoalDiscoveryCallback or a '
+                "PrimitiveStepsCallback. This is said once."
+            )
+
     def set_interruption(self, interruption: Interruption | None) -> None:
         """Interrupt options by these values from now on; None lets every option run to its end."""
         self._interruption = interruption

@@ -216,6 +216,8 @@ class OptionsWrapper(OptionSlots):
         Raises:
             gymnasium.error.ResetNeeded: Before the first ``reset``.
         """
+        if not (self.bank.filled or self._expects_empty or self._warned):
+            self._warn_of_no_options()
         mask: BoolArray = self.bank.available(batch_of_one(self._current_observation("action_masks()")))[0]
         primitives, slots = mask[: self.n_primitive], mask[self.n_primitive :]
         if self.masks_primitives():

@@ -57,7 +57,7 @@ class TrainConfig:
         env_kwargs: Keyword arguments of the environment.
         series: Env kwargs of tasks in turn; options stay.
         env_wrapper: Wrapper for it, module:Class.
-        feature_map: φ: module:function, or one to learn.
+        feature_map: φ: module:function, or one that is learned: temporal-distance or laplacian.
         n_timesteps: Primitive steps of all environments.
         seed: Of everything random.
         tensorboard_log: Folder for run folders.
@@ -339,15 +339,23 @@ def made(values: Mapping[str, Any], where: str | Path) -> TrainConfig:
     algo, env_id = str(values.get("algo", "dqn")), str(values.get("env"))
     known = {"": names_of(algo)} | {f"{name}.": [f.name for f in dataclasses.fields(of)] for name, of in GROUPS.items()}
 
+    everywhere = {name: group + name for group, names in reversed(known.items()) for name in names}
+
     def kept(values: Mapping[str, Any], group: str = "") -> dict[str, Any]:
-        those = {}
+        those: dict[str, Any] = {}
         for spelt, value in values.items():
             name = str(spelt).replace("-", "_")
-            if name in known[group]:
-                those[name] = kept(value, f"{name}.") if name in GROUPS and isinstance(value, Mapping) else value
+            of, _, inner = name.partition(".")
+            if name in known[group] and name in GROUPS and isinstance(value, Mapping):
+                those[name] = {**those.get(name, {}), **kept(value, f"{name}.")}
+            elif name in known[group]:
+                those[name] = value
+            elif not group and inner and of in GROUPS:  # discovery.min_positive: 8
+                those[of] = {**those.get(of, {}), **kept({inner: value}, f"{of}.")}
             elif group + name not in HAD_BY_ALL:
-                near = difflib.get_close_matches(name, known[group], n=1, cutoff=0.0)[0]
-                raise ValueError(f"{where}: there is no setting {group + name!r}. Did you mean {group + near!r}?")
+                near = difflib.get_close_matches(name, known[group] if group else everywhere, n=1, cutoff=0.0)[0]
+                near = group + near if group else everywhere[near]
+                raise ValueError(f"{where}: there is no setting {group + name!r}. Did you mean {near!r}?")
             elif value != HAD_BY_ALL[group + name]:
                 raise ValueError(f"{where}: {no_effect(group + name, algo)}")
         return those

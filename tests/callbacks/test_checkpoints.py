@@ -303,6 +303,37 @@ class TestLoadCheckpoint:
         with pytest.raises(ValueError, match=r"^The checkpoint is of PPO, the model is A2C\.$"):
             load_checkpoint(tmp_path, model_of("A2C", venv_of()), CheckpointCallback(tmp_path))
 
+    @pytest.mark.parametrize(
+        ("changed", "text"),
+        [
+            (
+                {"settings": {"min_positive": 9}},
+                r"with settings min_positive=\d+ of SubgoalDisc.* here it is 9",
+            ),
+            (
+                {"option_settings": {"sweeps": 7}},
+                r"with option_settings sweeps=\d+ of SubgoalDisc.* here it is 7",
+            ),
+        ],
+    )
+    def test_refuses_other_settings(self, changed: dict[str, Any], text: str, tmp_path: Path) -> None:
+        model_of("PPO", venv_of()).learn(64, [SubgoalDiscoveryCallback(), CheckpointCallback(tmp_path)])
+        model, other = model_of("PPO", venv_of()), [SubgoalDiscoveryCallback(**changed), CheckpointCallback(tmp_path)]
+        load_checkpoint(tmp_path, model, other)
+        with pytest.raises(ValueError, match=text):
+            model.learn(64, other)
+
+    def test_refuses_another_discount(self, tmp_path: Path) -> None:
+        model_of("PPO", venv_of()).learn(64, [discovering(), CheckpointCallback(tmp_path)])
+        model, same = model_of("PPO", venv_of()), [discovering(), CheckpointCallback(tmp_path)]
+        load_checkpoint(tmp_path, model, same)
+        venv = model.get_env()
+        assert venv is not None
+        model.gamma = 0.5
+        venv.set_attr("gamma", 0.5)
+        with pytest.raises(ValueError, match=r"^The checkpoint is of training with gamma=.*, the model has gamma=0\.5"):
+            model.learn(64, same)
+
     def test_refuses_other_callbacks_and_environments(self, tmp_path: Path) -> None:
         model_of("PPO", venv_of()).learn(64, [discovering(), CheckpointCallback(tmp_path)])
         model, other = model_of("PPO", venv_of()), CheckpointCallback(tmp_path)

@@ -4,11 +4,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium import spaces
-from sb3_contrib import QRDQN
+from sb3_contrib import QRDQN, MaskablePPO
+from sb3_contrib.common.maskable.callbacks import MaskableEvalCallback
 from stable_baselines3 import DQN, PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from sb3_options import MacroQ, OptionDQN, OptionReplayBuffer, OptionsWrapper
@@ -208,3 +210,18 @@ def test_divided_rewards_of_an_option_are_those_of_its_steps_summed() -> None:
     assert len(starts) > 2
     for start in starts:
         np.testing.assert_allclose(rewards[start], 0.9 ** np.arange(7) @ rewards[start + 1 : start + 8], rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind", [EvalCallback, MaskableEvalCallback])
+def test_who_masks_is_to_be_evaluated_with_masks(kind: Any, caplog: pytest.LogCaptureFixture) -> None:
+    model = MaskablePPO("MlpPolicy", optioned_rooms(1), gamma=0.9, n_steps=16, batch_size=16, n_epochs=1, seed=0)
+    evaluation = kind(Monitor(optioned_rooms(1)), eval_freq=1000, verbose=0)
+    model.learn(16, callback=[SubgoalDiscoveryCallback(), evaluation])
+    assert ("MaskableEvalCallback" in caplog.text) == (kind is EvalCallback)
+
+
+def test_a_setting_that_is_none_is_told_with_the_nearest() -> None:
+    with pytest.raises(TypeError, match=r"DiscoverySettings: there is no setting 'min_pos'. Did you mean 'min_posi"):
+        SubgoalDiscoveryCallback({"min_pos": 3})
+    with pytest.raises(TypeError, match=r"FeatureGroup: there is no setting 'feature'. Did you mean 'features'\?"):
+        SubgoalDiscoveryCallback(groups=[{"name": "a", "feature": [0]}])

@@ -208,3 +208,10 @@ def test_contrast_joins_what_a_subgoal_reaches(scale: float | None) -> None:
     discovery = discovery_with(DiscoverySettings(**{**vars(SOON), "scale": scale}), [KEY])
     assert isinstance(discovery, GroupedDiscovery)
     assert discovery._contrasts[KEY].radius == SOON.subgoal_radius / (scale or 1.0)
+
+
+def test_what_is_for_groups_alone_is_told_to_have_no_effect(caplog: pytest.LogCaptureFixture) -> None:
+    discovery_with(DiscoverySettings(salient_share=0.5), [KEY])
+    assert not caplog.text
+    discovery_with(DiscoverySettings(salient_share=0.5))
+    assert "salient_share=0.5 has no effect: it is for groups of features, and there are none." in caplog.text

@@ -190,3 +190,17 @@ def test_a_mask_of_other_actions_is_refused() -> None:
     env.reset(seed=0)
     with pytest.raises(ValueError, match=r"must have an entry for each of its 2 actions, got shape \(5,\)\.$"):
         env.action_masks()
+
+
+def test_masks_of_an_environment_without_options_warn_once(caplog: pytest.LogCaptureFixture) -> None:
+    """A model that was loaded by SB3 would act without its options, and nothing else would tell."""
+    env = OptionsWrapper(CountingEnv(), max_options=2)
+    env.reset(seed=0)
+    env.action_masks()
+    env.action_masks()
+    assert caplog.text.count("No slot holds an option") == 1
+    for quiet in (OptionsWrapper(CountingEnv(), max_options=0), with_two_options(), OptionsWrapper(CountingEnv())):
+        quiet.reset(seed=0)
+        quiet.expect_empty(quiet.bank.max_options > 3)
+        quiet.action_masks()
+    assert caplog.text.count("No slot holds an option") == 1

@@ -11,16 +11,12 @@ from experiments.minigrid import agents, conditions, keys, reach, settings
 from experiments.minigrid.__main__ import Study, folder_of, main
 from experiments.minigrid.conditions import stages_of
 from experiments.minigrid.hand_made import FORWARD, LEFT, RIGHT, TOGGLE, approach, options_on, to_subgoals_on
-from experiments.minigrid.random_subgoals import RandomGroupedDiscovery
 from experiments.minigrid.ratios import AGENTS, Ratios, draw, ratio_of_medians, table
 from experiments.minigrid.settings import ARMS, FAMILIES, Arm, Stage
 from experiments.minigrid.summary import frames_to, median_frames, summarise
 from sb3_options import OptionsWrapper
 from sb3_options.callbacks import IntrinsicRewardCallback
-from sb3_options.density.groups import FeatureGroup
-from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.envs.minigrid import FEATURES
-from sb3_options.experience.trajectories import Trajectory
 
 
 def test_study_writes_results_and_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -106,28 +102,6 @@ def test_options_to_subgoals_begin_within_so_many_cells() -> None:
         door, *_ = to_subgoals_on(np.asarray, within)
         assert door.initiation(seen).tolist() == begins
         assert door.termination(seen).tolist() == [1, 0, 0, 0]
-
-
-@pytest.mark.parametrize("contrasting", [False, True])
-def test_random_subgoals_are_states_of_random_groups(contrasting: bool) -> None:
-    near, far = FeatureGroup("near", [0], present=[[0]]), FeatureGroup("far", [1], present=[[1]])
-    apart = DiscoverySettings(start_radius=0, goal_radius=0, min_positive=4, spacing=0.5, salient_share=0)
-    drawn = []
-    for seed in range(20):
-        discovery = RandomGroupedDiscovery(apart, groups=(near, far), contrasting=contrasting, seed=seed)
-        for i in range(20):
-            success = i % 2 == 0
-            moves = [[0, 0, 1], [1, 0, 1], [2, success, 1], [3, 2 * success, 1], [4, 0, 1]]
-            states = np.array(moves, dtype=np.float64)
-            n = len(states)
-            made = Trajectory(states, np.arange(n), np.zeros(n - 1, int), np.zeros(n - 1), True, False, success)
-            discovery.add(made, states)
-            discovery.search()
-        drawn.append([(found.subgoal.group, float(found.centre[0])) for found in discovery.found])
-    everywhere = {(far, 1.0), (far, 2.0)} | (set() if contrasting else {(near, 1.0), (near, 2.0), (near, 3.0)})
-    assert {each for subgoals in drawn for each in subgoals} == everywhere
-    assert all(len(set(subgoals)) == len(subgoals) == len(everywhere) for subgoals in drawn)
-    assert len({subgoals[0] for subgoals in drawn}) == len(everywhere)
 
 
 def test_arms_that_see_only_their_own_features() -> None:

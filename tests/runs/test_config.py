@@ -192,3 +192,21 @@ def test_keyword_arguments_run_nothing(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"--env-kwargs: the value of 'map' is no YAML that can be read safely"):
         DQNConfig(env_kwargs=pairs)
     assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "near"),
+    [
+        ({"min_pos": 3}, "discovery.min_positive"),
+        ({"gama": 0.9}, "gamma"),
+        ({"discovery": {"min_pos": 3}}, "discovery.min_positive"),
+    ],
+)
+def test_the_nearest_name_is_told_whatever_part_it_is_of(content: dict[str, Any], near: str) -> None:
+    with pytest.raises(ValueError, match=rf"there is no setting '.*'\. Did you mean '{near}'\?"):
+        configs.made(content, "here")
+
+
+def test_names_with_dots_are_those_of_parts() -> None:
+    made = configs.made({"discovery.min_positive": 9, "discovery": {"decay": 0.5}, "option.grow": True}, "here")
+    assert (made.discovery.min_positive, made.discovery.decay, made.option.grow) == (9, 0.5, True)

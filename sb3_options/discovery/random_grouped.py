@@ -1,4 +1,4 @@
-"""The controls of discovery: options to random subgoals, learned and looked after as those that it finds."""
+"""A control on groups of features: random subgoals, which become options as those that discovery finds."""
 
 from __future__ import annotations
 
@@ -8,14 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from sb3_options.callbacks import SubgoalDiscoveryCallback
-from sb3_options.callbacks.checks import groups_here
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.found import FoundSubgoal
 from sb3_options.discovery.grouped import GroupedDiscovery
 from sb3_options.experience.observations import FloatArray
-from sb3_options.options.option import SubgoalOption
 
 
 @dataclass
@@ -65,24 +62,18 @@ class RandomGroupedDiscovery(GroupedDiscovery):
             places = places[away > self.settings.spacing]
         return places
 
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {**super().get_state(), "random": self._random.bit_generator.state}
 
-class RandomSubgoalsCallback(SubgoalDiscoveryCallback):
-    """`SubgoalDiscoveryCallback` with `RandomGroupedDiscovery`; ``contrasting`` is its argument."""
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        super().set_state(state)
+        self._random.bit_generator.state = state["random"]
 
-    def __init__(self, *args: Any, contrasting: bool, **how: Any) -> None:
-        super().__init__(*args, **how)
-        self.contrasting = contrasting
-
-    def _on_training_start(self) -> None:
-        if self.discovery is None:
-            slots = self.training_env.get_attr("bank", [0])[0].slots
-            self.discovery = RandomGroupedDiscovery(
-                self.settings,
-                groups=groups_here(self.groups, self.training_env),
-                success=self.success,
-                kind=self.training_env.env_method("feature_kind", indices=[0])[0],
-                taken=[option.subgoal for option in slots if isinstance(option, SubgoalOption)],
-                contrasting=self.contrasting,
-                seed=self.seed,
-            )
-        super()._on_training_start()
+    def why_nothing(self) -> str:
+        """Why there is no option, in a sentence; where there are some, that there are."""
+        n = self.settings.min_positive
+        if self.found or self._n_positive < n or self.contrasting:
+            return super().why_nothing()
+        return f"No subgoal was discovered: the filters leave no state of {self._n_positive} successful trajectories."
