@@ -103,8 +103,8 @@ def _check_settings(callback: BaseCallback, there: State) -> None:
             before = there[name].get(field, value)
             if before != value:
                 raise ValueError(
-                    f"The checkpoint was written with {name} {field}={before!r} of {type(callback).__name__}, and here it "
-                    f"is {value!r}: what goes on has the same."
+                    f"The checkpoint was written with {name} {field}={before!r} of {type(callback).__name__}, "
+                    f"and here it is {value!r}: what goes on has the same."
                 )
 
 

@@ -39,7 +39,7 @@ PYTHON = [page for page in PAGES if python_of(page) and not page.name.endswith("
 """Pages that show Python. Notebooks are run whole, by test_site.py."""
 
 CHECKS = {
-    "README.md": "from pathlib import Path; assert list(Path('runs/DQN_1').glob('events*'))",
+    "README.md": "from pathlib import Path; assert list(Path('runs/MaskablePPO_1').glob('events*'))",
     "docs/guide/options-files.md": "assert slot == 0; assert info['option']['index'] == slot",
     "docs/guide/tracking.md": """
 from pathlib import Path
