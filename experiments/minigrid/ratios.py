@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import tyro
@@ -30,13 +30,16 @@ PPO: Arm = "stock, curriculum"
 AT_FIRST: Arm = "stock, RND at first"
 
 
-def _all(file: str, *, contrasting: bool = True) -> dict[str, Of]:
-    drawn = {"contrasting": Of(file, "contrasting subgoals, RND at first")} if contrasting else {}
+def _all(file: str, *drawn_from: Literal["contrasting", "random"]) -> dict[str, Of]:
+    arms: dict[str, Arm] = {
+        "contrasting": "contrasting subgoals, RND at first",
+        "random": "random subgoals, RND at first",
+    }
+    drawn: dict[str, Of] = {each: Of(file, arms[each]) for each in drawn_from}
     return {
         "options, RND": Of(file, "discovered, RND at first"),
         "options": Of(file, "discovered"),
         **drawn,
-        "random": Of(file, "random subgoals, RND at first"),
         "PPO": Of(file, PPO),
         "PPO, RND": Of(file, AT_FIRST),
         "by hand": Of(file, "hand-made"),
@@ -44,25 +47,24 @@ def _all(file: str, *, contrasting: bool = True) -> dict[str, Of]:
 
 
 AGENTS: dict[str, dict[str, Of]] = {
-    "four rooms": _all("four-rooms"),
-    "six rooms": _all("six-rooms"),
+    "four rooms": _all("four-rooms", "contrasting", "random"),
+    "six rooms": _all("six-rooms", "contrasting", "random"),
     "six large rooms": {
         "options": Of("six-large-rooms", "discovered"),
-        "random": Of("six-large-rooms", "random subgoals"),
+        "random": Of("six-large-rooms-random", "random subgoals"),
         "PPO": Of("six-large-rooms", PPO),
         "PPO, RND": Of("six-large-rooms-rnd", AT_FIRST),
         "by hand": Of("six-large-rooms-by-hand", "hand-made"),
     },
     "key corridors": {
         "options, RND": Of("key-corridor", "discovered, RND before the last"),
-        "contrasting": Of("key-corridor", "contrasting subgoals, RND before the last"),
-        "random": Of("key-corridor", "random subgoals, RND before the last"),
+        "random": Of("key-corridor-random", "random subgoals, RND before the last"),
         "PPO": Of("key-corridor", PPO),
         "PPO, RND": Of("key-corridor", "stock, RND before the last"),
         "by hand": Of("key-corridor-by-hand", "hand-made"),
     },
-    "DoorKey 8x8": _all("door-key", contrasting=False),
-    "DoorKey 16x16": _all("door-key-16", contrasting=False),
+    "DoorKey 8x8": _all("door-key", "random"),
+    "DoorKey 16x16": _all("door-key-16"),
 }
 """Who is compared, by task. ``random`` and ``contrasting``: with options to subgoals that are drawn, and RND where
 discovered options have it."""

@@ -53,7 +53,7 @@ class TrainConfig:
 
     Attributes:
         algo: Name of the algorithm.
-        env: Gymnasium id.
+        env: Gymnasium id; other defaults depend on it (--env ID --help).
         env_kwargs: Keyword arguments of the environment.
         series: Env kwargs of tasks in turn; options stay.
         env_wrapper: Wrapper for it, module:Class.
