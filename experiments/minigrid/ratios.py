@@ -48,7 +48,7 @@ def _all(file: str, *drawn_from: Literal["contrasting", "random"]) -> dict[str, 
 
 AGENTS: dict[str, dict[str, Of]] = {
     "four rooms": _all("four-rooms", "contrasting", "random"),
-    "six rooms": _all("six-rooms", "contrasting", "random"),
+    "six rooms": _all("six-rooms", "random"),
     "six large rooms": {
         "options": Of("six-large-rooms", "discovered"),
         "random": Of("six-large-rooms-random", "random subgoals"),
