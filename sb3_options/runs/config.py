@@ -53,11 +53,11 @@ class TrainConfig:
 
     Attributes:
         algo: Name of the algorithm.
-        env: Gymnasium id; other defaults depend on it (--env ID --help).
+        env: Gymnasium id.
         env_kwargs: Keyword arguments of the environment.
         series: Env kwargs of tasks in turn; options stay.
         env_wrapper: Wrapper for it, module:Class.
-        feature_map: φ: module:function, or one that is learned: temporal-distance or laplacian.
+        feature_map: φ: module:function, or one to learn.
         n_timesteps: Primitive steps of all environments.
         seed: Of everything random.
         tensorboard_log: Folder for run folders.

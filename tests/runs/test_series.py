@@ -1,6 +1,7 @@
 """``train.py --series``: options of one task are there in the next."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -67,9 +68,9 @@ def test_options_that_no_success_needs_leave_their_slots() -> None:
     (needed,) = callback.bank.filled
     option: Any = callback.bank[needed]
     assert free_slots(callback.discovery, callback.bank) == []  # every way leads through the doorway
-    elsewhere: Any = callback.bank.remove(needed)
-    object.__setattr__(elsewhere.subgoal, "points", elsewhere.subgoal.points * 0.0)
-    callback.bank.add(elsewhere)
+    callback.bank.remove(needed)
+    corner = replace(option.subgoal, points=option.subgoal.points * 0.0)
+    callback.bank.add(option.with_regions(corner, option.initiation_set))
     assert free_slots(callback.discovery, callback.bank) == [option.name]
     assert len(callback.bank) == 0
 
