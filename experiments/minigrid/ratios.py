@@ -64,7 +64,7 @@ AGENTS: dict[str, dict[str, Of]] = {
         "by hand": Of("key-corridor-by-hand", "hand-made"),
     },
     "DoorKey 8x8": _all("door-key", "random"),
-    "DoorKey 16x16": _all("door-key-16"),
+    "DoorKey 16x16": _all("door-key-16", "random"),
 }
 """Who is compared, by task. ``random`` and ``contrasting``: with options to subgoals that are drawn, and RND where
 discovered options have it."""
