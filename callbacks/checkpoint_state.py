@@ -11,6 +11,9 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from sb3_options.callbacks.counting import all_callbacks
 from sb3_options.checkpoints.tree import State
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.embedding.settings import EmbeddingSettings
+from sb3_options.options.settings import OptionLearningSettings
 
 KNOWN: dict[type[BaseCallback], tuple[str, ...]] = {
     sb3.CheckpointCallback: (),
@@ -33,6 +36,7 @@ KNOWN: dict[type[BaseCallback], tuple[str, ...]] = {
 
 COUNTERS = ("n_calls", "num_timesteps")
 SETTINGS = ("settings", "option_settings", "embedding")
+"""What `SubgoalDiscoveryCallback` was made with, by attribute; a user's callback may call other things so."""
 
 
 def get_states(root: BaseCallback | None) -> list[State]:
@@ -88,7 +92,8 @@ def set_states(root: BaseCallback | None, states: list[State]) -> None:
 def _settings(callback: BaseCallback) -> State:
     """What a callback of ours was made with."""
     given = {name: getattr(callback, name, None) for name in SETTINGS}
-    return {name: dataclasses.asdict(of) for name, of in given.items() if dataclasses.is_dataclass(of)}  # type: ignore[arg-type]  # of an object
+    ours = (DiscoverySettings, OptionLearningSettings, EmbeddingSettings)
+    return {name: dataclasses.asdict(of) for name, of in given.items() if isinstance(of, ours)}
 
 
 def _check_settings(callback: BaseCallback, there: State) -> None:

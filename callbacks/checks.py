@@ -117,11 +117,15 @@ def check_training(
         raise ValueError("max_runs counts in an episode, and a continuing task has none: leave it out with peaks.")
 
 
+def masks_actions(model: BaseAlgorithm) -> bool:
+    """Whether an algorithm chooses only among the actions that masks allow."""
+    return "action_masks" in inspect.signature(model.policy.forward).parameters
+
+
 def warn_unmasked(model: BaseAlgorithm, callbacks: BaseCallback | None) -> None:
     """Warn where an algorithm that masks is evaluated without masks, and so chooses options where they lead nowhere."""
     kinds = {cls.__name__ for each in all_callbacks(callbacks) for cls in type(each).__mro__}
-    masks = "action_masks" in inspect.signature(model.policy.forward).parameters
-    if masks and "EvalCallback" in kinds and "MaskableEvalCallback" not in kinds:
+    if masks_actions(model) and "EvalCallback" in kinds and "MaskableEvalCallback" not in kinds:
         logger.warning(
             "EvalCallback lets %s choose options outside their initiation sets, where they do a single step each: "
             "evaluate with sb3_contrib.common.maskable.callbacks.MaskableEvalCallback.",

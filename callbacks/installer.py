@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,7 +9,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_options.callbacks.checks import check_same_slots, warn_unmasked
+from sb3_options.callbacks.checks import check_same_slots, masks_actions, warn_unmasked
 from sb3_options.callbacks.counting import all_callbacks, monitor_primitive_steps
 from sb3_options.callbacks.intra_option import IntraOptionUpdater
 from sb3_options.embedding.learned_map import LearnedMap
@@ -71,8 +70,7 @@ class OptionInstaller:
         self.buffer = buffer if isinstance(buffer, OptionReplayBuffer) else None
         self.has_heads = not isinstance(model, MacroQ)
         self.has_rollouts = hasattr(model, "rollout_buffer")
-        masks = "action_masks" in inspect.signature(model.policy.forward).parameters
-        self.waits_for_rollout = self.has_rollouts and not masks
+        self.waits_for_rollout = self.has_rollouts and not masks_actions(model)
         self.opening_share = opening_share
         self._pending: dict[int, Option] = {}
         self._new: list[int] = []

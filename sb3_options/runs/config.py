@@ -351,7 +351,8 @@ def made(values: Mapping[str, Any], where: str | Path) -> TrainConfig:
             elif name in known[group]:
                 those[name] = value
             elif not group and inner and of in GROUPS:  # discovery.min_positive: 8
-                those[of] = {**those.get(of, {}), **kept({inner: value}, f"{of}.")}
+                part = those.setdefault(of, {})
+                those[of] = {**part, **kept({inner: value}, f"{of}.")} if isinstance(part, dict) else part
             elif group + name not in HAD_BY_ALL:
                 near = difflib.get_close_matches(name, known[group] if group else everywhere, n=1, cutoff=0.0)[0]
                 near = group + near if group else everywhere[near]

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,7 @@ from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
 from sb3_options.learning.dqn import OptionDQN
 from sb3_options.learning.macro_q import MacroQ
 from tests.integration.test_algorithms import ALGORITHMS, GAMMA, OFF_POLICY
-from tests.support.sb3_helpers import TINY, fast_callback, make_optioned_rooms
+from tests.support.sb3_helpers import TINY, fast_callback, make_optioned_rooms, optioned_rooms
 
 STEPS = 1950
 EVERY = 100
@@ -278,6 +278,13 @@ def test_states_of_other_seeds_differ(tmp_path: Path) -> None:
     assert any(".model.policy" in each for each in wrong)
 
 
+@dataclass
+class Anything:
+    """Settings of a user's own."""
+
+    function: Callable[..., Any]
+
+
 class TestLoadCheckpoint:
     def test_goes_on_in_a_users_own_script(self, tmp_path: Path) -> None:
         def callbacks() -> Callbacks:
@@ -333,6 +340,32 @@ class TestLoadCheckpoint:
         venv.set_attr("gamma", 0.5)
         with pytest.raises(ValueError, match=r"^The checkpoint is of training with gamma=.*, the model has gamma=0\.5"):
             model.learn(64, same)
+
+    def test_refuses_another_number_of_slots(self, tmp_path: Path) -> None:
+        model_of("PPO", venv_of()).learn(64, [discovering(), CheckpointCallback(tmp_path)])
+        fewer = DummyVecEnv([lambda: optioned_rooms(2)] * 2)
+        model, same = model_of("PPO", fewer), [discovering(), CheckpointCallback(tmp_path)]
+        load_checkpoint(tmp_path, model, same)
+        with pytest.raises(ValueError, match=r"with 4 slots for options, and this one has 2: pass max_options=4"):
+            model.learn(64, same)
+
+    def test_settings_of_a_users_callback_are_the_users(self, tmp_path: Path) -> None:
+        """They may be anything, which no checkpoint need hold."""
+
+        class Own(BaseCallback):
+            remembers_nothing = True
+
+            def __init__(self, settings: Anything) -> None:
+                super().__init__()
+                self.settings = settings
+
+            def _on_step(self) -> bool:
+                return True
+
+        model_of("PPO", venv_of()).learn(64, [discovering(), Own(Anything(print)), CheckpointCallback(tmp_path)])
+        model, other = model_of("PPO", venv_of()), [discovering(), Own(Anything(len)), CheckpointCallback(tmp_path)]
+        load_checkpoint(tmp_path, model, other)
+        model.learn(64, other)
 
     def test_refuses_other_callbacks_and_environments(self, tmp_path: Path) -> None:
         model_of("PPO", venv_of()).learn(64, [discovering(), CheckpointCallback(tmp_path)])

@@ -207,6 +207,11 @@ def test_the_nearest_name_is_told_whatever_part_it_is_of(content: dict[str, Any]
         configs.made(content, "here")
 
 
+def test_a_part_that_is_none_is_refused_beside_its_own_settings() -> None:
+    with pytest.raises(ValueError, match=r"here: discovery should be .*got 5"):
+        configs.made({"discovery": 5, "discovery.decay": 0.5}, "here")
+
+
 def test_names_with_dots_are_those_of_parts() -> None:
     made = configs.made({"discovery.min_positive": 9, "discovery": {"decay": 0.5}, "option.grow": True}, "here")
     assert (made.discovery.min_positive, made.discovery.decay, made.option.grow) == (9, 0.5, True)
