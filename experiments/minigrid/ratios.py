@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import tyro
@@ -30,16 +30,13 @@ PPO: Arm = "stock, curriculum"
 AT_FIRST: Arm = "stock, RND at first"
 
 
-def _all(file: str, *drawn_from: Literal["contrasting", "random"]) -> dict[str, Of]:
-    arms: dict[str, Arm] = {
-        "contrasting": "contrasting subgoals, RND at first",
-        "random": "random subgoals, RND at first",
-    }
-    drawn: dict[str, Of] = {each: Of(file, arms[each]) for each in drawn_from}
+def _all(file: str, contrasting: str | None = None) -> dict[str, Of]:
+    drawn = {} if contrasting is None else {"contrasting": Of(contrasting, "contrasting subgoals, RND at first")}
     return {
         "options, RND": Of(file, "discovered, RND at first"),
         "options": Of(file, "discovered"),
         **drawn,
+        "random": Of(file, "random subgoals, RND at first"),
         "PPO": Of(file, PPO),
         "PPO, RND": Of(file, AT_FIRST),
         "by hand": Of(file, "hand-made"),
@@ -47,8 +44,8 @@ def _all(file: str, *drawn_from: Literal["contrasting", "random"]) -> dict[str, 
 
 
 AGENTS: dict[str, dict[str, Of]] = {
-    "four rooms": _all("four-rooms", "contrasting", "random"),
-    "six rooms": _all("six-rooms", "random"),
+    "four rooms": _all("four-rooms", "four-rooms"),
+    "six rooms": _all("six-rooms", "six-rooms-contrasting"),
     "six large rooms": {
         "options": Of("six-large-rooms", "discovered"),
         "random": Of("six-large-rooms-random", "random subgoals"),
@@ -63,8 +60,8 @@ AGENTS: dict[str, dict[str, Of]] = {
         "PPO, RND": Of("key-corridor", "stock, RND before the last"),
         "by hand": Of("key-corridor-by-hand", "hand-made"),
     },
-    "DoorKey 8x8": _all("door-key", "random"),
-    "DoorKey 16x16": _all("door-key-16", "random"),
+    "DoorKey 8x8": _all("door-key", "door-key-contrasting"),
+    "DoorKey 16x16": _all("door-key-16"),
 }
 """Who is compared, by task. ``random`` and ``contrasting``: with options to subgoals that are drawn, and RND where
 discovered options have it."""
