@@ -240,10 +240,13 @@ class DiverseDensity:
         points = distinct(points)
         if not exhaustive:
             return self._ascend(points, bags)
-        value = self._exhaustive_values(points, bags)
-        scale = self._scale(bags.n_features)
-        ties = np.flatnonzero(value >= value.max() - self.tolerance)
-        return [Peak(points[i].copy(), scale, float(value[i]), True) for i in ties]
+        return self.best(points, self._exhaustive_values(points, bags))
+
+    def best(self, points: FloatArray, values: FloatArray) -> list[Peak]:
+        """The points (m, d) that tie for the largest of their values (m,), in their order, as peaks."""
+        scale = self._scale(points.shape[1])
+        ties = np.flatnonzero(values >= values.max() - self.tolerance)
+        return [Peak(points[i].copy(), scale, float(values[i]), True) for i in ties]
 
     def _exhaustive_values(self, points: FloatArray, bags: Bags) -> FloatArray:
         """`log_density` of points, (m,); where all are one-hot codes, and weigh alike, without comparing features."""

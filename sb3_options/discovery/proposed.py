@@ -27,8 +27,8 @@ from sb3_options.options.proposals import goal_of
 
 logger = logging.getLogger("sb3_options")
 
-UPDATE_SECONDS = 2e-6
-"""Nominal time of telling a method of a trajectory, for each of its steps."""
+TELL_SECONDS, UPDATE_SECONDS = 3e-4, 5e-7
+"""Nominal time of telling a method of a trajectory, and for each of its steps."""
 
 
 @dataclass
@@ -84,7 +84,7 @@ class ProposedDiscovery(SubgoalDiscovery):
                 experience = self._experience(self._untold.pop(0))  # a method that fails is not told again
                 self._proposals = [*proposed_by(self.method, experience), *earlier]
                 earlier = self._proposals
-                self.cost += UPDATE_SECONDS * (len(experience.visits) - 1)
+                self.cost += TELL_SECONDS + UPDATE_SECONDS * (len(experience.visits) - 1)
                 if hasattr(self.method, "seconds"):
                     self.cost += float(self.method.seconds(experience))
             if self.recurrence.is_due(len(self.database)):

@@ -12,10 +12,10 @@ from sb3_options.discovery.methods.method import Experience
 from sb3_options.experience.observations import FloatArray, IntArray
 
 GRAPH_SECONDS = 2e-4
-CUT_SECONDS = 2.5e-9
+CUT_SECONDS = (5e-8, 4e-11)
 PATH_SECONDS = 2e-8
-"""Nominal times: of a graph, of a cut for the cube of the number of places, of betweenness for each place and
-transition."""
+"""Nominal times: of a graph, of a cut for the square and for the cube of the number of places, of betweenness for each
+place and transition."""
 
 TOLERANCE = 1e-9
 """Betweenness that differs by less, relative to the largest, is equal."""
@@ -66,7 +66,8 @@ class LCut(CandidateMethod):
     def seconds(self, experience: Experience) -> float:
         """Nominal time of an update."""
         n_places = len(np.unique(experience.places.visits[-self.horizon - 1 :]))
-        return super().seconds(experience) + GRAPH_SECONDS + float(CUT_SECONDS * n_places**3)
+        of_cut = CUT_SECONDS[0] * n_places**2 + CUT_SECONDS[1] * n_places**3
+        return super().seconds(experience) + GRAPH_SECONDS + of_cut
 
 
 class Betweenness(CandidateMethod):

@@ -174,4 +174,4 @@ def smoothest(adjacency: csr_array, k: int) -> FloatArray:
 
 def seconds_of(n_places: int) -> float:
     """Nominal time of `smoothest`."""
-    return 1e-3 + 1e-8 * n_places**3 if n_places <= DENSE else 1e-2 + 2e-5 * n_places
+    return 4e-4 + 2e-8 * n_places**2 if n_places <= DENSE else 2e-3 + 6e-6 * n_places
