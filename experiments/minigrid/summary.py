@@ -52,9 +52,9 @@ def summarise(family: str, results: Mapping[str, Sequence[Result]]) -> Summary:
 
     Returns:
         ``arms``: by agent the success in fresh episodes with its 95 % interval over seeds, the frames of all stages to
-        each success of `REACHED` for every seed, and their medians, and the seconds; ``uniform``: success of a uniform
-        choice; ``options``: by subgoal, how many seeds discovered it, and the share of its runs that reached it, by
-        stage.
+        each success of `REACHED` for every seed, and their medians, and the seconds of training, by the clock and of
+        the processor; ``uniform``: success of a uniform choice; ``options``: by subgoal, how many seeds discovered it,
+        and the share of its runs that reached it, by stage.
     """
     summary: Summary = {"arms": {}, "uniform": {}, "options": {}}
     for name, runs in results.items():
@@ -68,6 +68,7 @@ def summarise(family: str, results: Mapping[str, Sequence[Result]]) -> Summary:
                 str(least): median_frames([frames_to(run, family, arm, least) for run in runs]) for least in REACHED
             },
             "seconds": _mean([sum(stage["seconds"] for stage in run["stages"]) for run in runs]),
+            "processor_seconds": _mean([sum(stage["processor_seconds"] for stage in run["stages"]) for run in runs]),
         }
         if "uniform" in runs[0]["success"]:
             summary["uniform"][name] = _mean([run["success"]["uniform"] for run in runs])
