@@ -66,6 +66,14 @@ AGENTS: dict[str, dict[str, Of]] = {
 """Who is compared, by task. ``random`` and ``contrasting``: with options to subgoals that are drawn, and RND where
 discovered options have it."""
 
+FRESH = {
+    "four rooms": "four-rooms",
+    "six rooms": "six-rooms",
+    "key corridors": "key-corridor",
+    "DoorKey 8x8": "door-key",
+}
+"""Tasks that were run again on seeds which nothing had been chosen or seen on, and their files, which end in -fresh."""
+
 OPTIONS = {"options, RND": "", "options": ", no RND"}
 """Agents with options, and what the table says of them beside the task."""
 
@@ -100,7 +108,7 @@ class Ratios:
 
 def main(of: Ratios) -> None:
     """Read, fill in and draw."""
-    fill(of.document, {"ratios": table(of.results)})
+    fill(of.document, {"ratios": table(of.results), "fresh": fresh_table(of.results)})
     draw(of.results).savefig(of.picture, dpi=110)
 
 
@@ -136,7 +144,7 @@ def draw(results: Path) -> Figure:
 
 
 def table(results: Path) -> str:
-    """Frames to 0.8 of agents with options as a share of each rival's, and the processor seconds of both."""
+    """Frames to 0.8 of agents with options as a share of each rival's, and the seconds of both by the clock."""
     heads = [f"of {whose}" for whose in RIVALS.values()]
     rows = [f"| | {' | '.join(heads)} | seconds, options | seconds, PPO |", "|---" * (len(heads) + 3) + "|"]
     for task, agents in AGENTS.items():
@@ -151,6 +159,21 @@ def table(results: Path) -> str:
                 cells = [_text(frames, frames_of(results, fair[rival])) if rival in fair else "–" for rival in RIVALS]
                 cells += [f"{_summary(results, agents[of])['seconds']['mean']:.0f}" for of in (name, "PPO")]
                 rows.append(f"| {task}{said} | {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
+def fresh_table(results: Path) -> str:
+    """Frames of agents with options and RND, and of rivals, on fresh seeds; the ratios there and with all seeds."""
+    heads = [f"of {RIVALS[rival]}{where}" for rival in ("PPO", "PPO, RND") for where in ("", ", all seeds")]
+    rows = [f"| | options | PPO | PPO and RND | {' | '.join(heads)} |", "|---" * (len(heads) + 4) + "|"]
+    for task, file in FRESH.items():
+        both = {name: (of, Of(f"{file}-fresh", of.arm)) for name, of in AGENTS[task].items()}
+        frames = {name: frames_of(results, both[name][1]) for name in ("options, RND", "PPO", "PPO, RND")}
+        every = {name: np.concatenate([frames_of(results, both[name][0]), fresh]) for name, fresh in frames.items()}
+        medians = [np.median(of) for of in frames.values()]
+        cells = [f"{median:,.0f}" if np.isfinite(median) else "never" for median in medians]
+        cells += [_text(of["options, RND"], of[rival]) for rival in ("PPO", "PPO, RND") for of in (frames, every)]
+        rows.append(f"| {task} | {' | '.join(cells)} |")
     return "\n".join(rows)
 
 

@@ -11,7 +11,7 @@ from experiments.minigrid import agents, conditions, keys, reach, settings
 from experiments.minigrid.__main__ import Study, folder_of, main
 from experiments.minigrid.conditions import stages_of
 from experiments.minigrid.hand_made import FORWARD, LEFT, RIGHT, TOGGLE, approach, options_on, to_subgoals_on
-from experiments.minigrid.ratios import AGENTS, Ratios, draw, ratio_of_medians, table
+from experiments.minigrid.ratios import AGENTS, Ratios, draw, fresh_table, ratio_of_medians, table
 from experiments.minigrid.settings import ARMS, FAMILIES, Arm, Stage
 from experiments.minigrid.summary import frames_to, median_frames, summarise
 from sb3_options import OptionsWrapper
@@ -111,7 +111,13 @@ def test_arms_that_see_only_their_own_features() -> None:
 
 
 def curve(*points: tuple[int, float], **more: Any) -> dict[str, Any]:
-    return {"curve": [list(point) for point in points], "option_runs": {}, "seconds": 1.0, **more}
+    return {
+        "curve": [list(point) for point in points],
+        "option_runs": {},
+        "seconds": 1.0,
+        "processor_seconds": 0.5,
+        **more,
+    }
 
 
 def test_frames_count_those_of_all_stages() -> None:
@@ -230,7 +236,8 @@ def test_ratios_of_medians() -> None:
 
 def test_the_page_has_the_ratios_of_the_committed_results() -> None:
     page = Path("docs/studies/minigrid.md").read_text()
-    assert page.split("<!-- ratios -->")[1].split("<!-- end ratios -->")[0].strip() == table(Path("docs/results"))
+    for name, made in {"ratios": table, "fresh": fresh_table}.items():
+        assert page.split(f"<!-- {name} -->")[1].split(f"<!-- end {name} -->")[0].strip() == made(Path("docs/results"))
 
 
 def test_the_picture_has_a_panel_for_each_task() -> None:
