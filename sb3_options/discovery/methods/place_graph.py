@@ -17,6 +17,9 @@ from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 MAX_PLACES = 2_000
 """As many are in the graph; places that come later are left out."""
 
+DENSE_SECONDS, SPARSE_SECONDS = (4e-4, 2e-8), (2e-3, 6e-6)
+"""Nominal times of `smoothest`, and for the square of the number of places, or for each."""
+
 DENSE = 300
 """Up to so many places all eigenvectors at once take less time than Lanczos iterations."""
 
@@ -174,4 +177,6 @@ def smoothest(adjacency: csr_array, k: int) -> FloatArray:
 
 def seconds_of(n_places: int) -> float:
     """Nominal time of `smoothest`."""
-    return 4e-4 + 2e-8 * n_places**2 if n_places <= DENSE else 2e-3 + 6e-6 * n_places
+    if n_places <= DENSE:
+        return DENSE_SECONDS[0] + DENSE_SECONDS[1] * n_places**2
+    return SPARSE_SECONDS[0] + SPARSE_SECONDS[1] * n_places
