@@ -1,6 +1,7 @@
 """A wheel, installed where there is no checkout: the console script trains, evaluates, compares and shows options."""
 
 import os
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -31,8 +32,13 @@ SHORT = [
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder into which the wheel was installed, without what it depends on."""
     folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"  # setuptools builds in the folder it reads, where a second process may build, too
+    for package in ("sb3_options", "envs", "callbacks"):
+        shutil.copytree(ROOT / package, source / package, symlinks=True)
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source)
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
-    wheel = [*pip, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(ROOT)]
+    wheel = [*pip, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(source)]
     subprocess.run(wheel, check=True, cwd=folder)
     (file,) = folder.glob("*.whl")
     target = folder / "site"
@@ -41,6 +47,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("wheel")  # one build for both
 def test_from_a_wheel_in_an_empty_folder(installed: Path, tmp_path: Path) -> None:
     environment = {"PYTHONPATH": str(installed), "COLUMNS": "120", "NO_COLOR": "1", "OMP_NUM_THREADS": "1"}
 
@@ -66,6 +73,7 @@ def test_from_a_wheel_in_an_empty_folder(installed: Path, tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("wheel")
 def test_the_wheel_holds_the_settings_that_ship(installed: Path) -> None:
     (file,) = installed.parent.glob("*.whl")
     names = zipfile.ZipFile(file).namelist()
