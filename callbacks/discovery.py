@@ -18,7 +18,7 @@ from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.learned_features import GivenFeatures, check_learned, features_for
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
 from sb3_options.callbacks.records import ClosedOption, Complaints, DiscoveredOption, OptionStatistics, saved_for
-from sb3_options.callbacks.summaries import describe_options, log_results, settings_of
+from sb3_options.callbacks.summaries import describe_options, log_results, settings_of, why_no_option
 from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.checked import given_as
 from sb3_options.density.groups import FeatureGroup
@@ -88,7 +88,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         save_path: File for the options, written each time one is made; None writes nothing.
         hparams: Settings for TensorBoard's HParams tab; by default those of the algorithm and of discovery.
         seed: Of option policies that are networks, and of trials.
-        verbose: 1 prints each new option.
+        verbose: 1 prints each new option, and in the end, if there is none, why.
 
     Raises:
         TypeError: ``settings`` has an unknown field, or ``method`` is none.
@@ -126,11 +126,10 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         check_arguments(success, max_new_options, min_reached, seed)
         self.success, self.static_filter, self.min_reached = success, static_filter, min_reached
         self.groups = groups_given(groups)
-        self.max_new_options, self.interruption = max_new_options, interruption
-        self.trial = trial_given(trial, self.settings)
+        self.max_new_options, self.interruption, self.save_path = max_new_options, interruption, save_path
+        self.trial, self.hparams = trial_given(trial, self.settings), hparams
         self.max_option_exploration = checked_share(max_option_exploration)
         self.opening_share = checked_share(max_option_exploration if opening_share is None else opening_share)
-        self.save_path, self.hparams = save_path, hparams
         self.episodes, self.seed, self._complaints = 0, seed, Complaints()
         self.history: list[EpisodeRecord] = []
         self.discoveries: list[DiscoveredOption] = []
@@ -230,8 +229,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                     self._close_option(slot, why)
             self._close_unreliable()
             self._learn_from(trajectory, success)
-        except ValueError as error:
-            # One episode that cannot be used is no reason to end training.
+        except ValueError as error:  # one episode that cannot be used is no reason to end training
             self._complaints.say(self.episodes, error)
         self._log()
 
@@ -300,7 +298,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             print(f"Option {slot}: {option.name}, after {self.episodes} episodes and {self.num_timesteps:,} steps")
         self._save()
         self.draw()
-        self._describe()
 
     def _save(self) -> None:
         if self.save_path is not None:
@@ -339,11 +336,13 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         log_discovery(self.logger.record, self._search, self._clock.share(self._search), others)
 
     def draw(self) -> None:
-        """Draw the pictures of discovery for TensorBoard, with the next dump of the log."""
+        """Draw discovery for TensorBoard, and describe the options, with the next dump of the log."""
         draw_discovery(self.logger, self._search, self.bank, self.discoveries[-1].slot if self.discoveries else None)
-
-    def _describe(self) -> None:
         describe_options(self.logger, self.bank.slots, self.discoveries, self._statistics.values())
+
+    def why_nothing(self) -> str | None:
+        """Why no option was made since training started; None where one was."""
+        return None if self.discoveries else why_no_option(self._search, self.bank, self.max_new_options)
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint, at the start of a rollout."""
@@ -393,7 +392,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         if self.closed or len(self.bank):
             self._save()  # without those that were closed, and as the others have become
         self.draw()
-        self._describe()
+        if self.verbose and self.max_new_options != 0 and (why := self.why_nothing()) is not None:
+            print(why)
         settings = self.hparams or settings_of(self.model, discovery=self.settings, option=self.option_settings)
         log_results(self.logger, settings, self.history, self.num_timesteps)
         if self.logger.name_to_value:  # an empty dump warns

@@ -15,7 +15,9 @@ from stable_baselines3.common.type_aliases import TrainFreq
 from sb3_options.callbacks.counting import SCHEDULES
 from sb3_options.callbacks.records import DiscoveredOption
 from sb3_options.callbacks.reliability import WINDOW
+from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.trajectories import EpisodeRecord
+from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option, SubgoalOption
 
 Setting: TypeAlias = float | str
@@ -149,6 +151,21 @@ def log_results(log: Logger, settings: Mapping[str, Any], history: Sequence[Epis
             for summary in (start, end):
                 output.writer.file_writer.add_summary(summary)
     log.record("settings", HParam(flat, dict.fromkeys(RESULTS, 0.0)), (*NUMBERS_ONLY, "tensorboard"))
+
+
+def why_no_option(search: SubgoalDiscovery, bank: OptionBank, most: int | None) -> str:
+    """Why a training has made no option, in a sentence.
+
+    Args:
+        search: Discovery.
+        bank: The present options.
+        most: Options that it might have made; None for as many as there are slots.
+    """
+    if most == 0:
+        return "Discovery was switched off."
+    if len(bank) == bank.max_options:
+        return "There was no free slot for an option."
+    return search.why_nothing()
 
 
 def describe_options(

@@ -318,18 +318,6 @@ def _checkpoints(
     return [checkpoints]
 
 
-def _why_nothing(discovery: SubgoalDiscoveryCallback) -> str | None:
-    """What to say where nothing was discovered."""
-    if discovery.discoveries:
-        return None
-    if discovery.max_new_options == 0:
-        return "Discovery was switched off."
-    if len(discovery.bank) == discovery.bank.max_options:
-        return "There was no free slot for an option."
-    assert discovery.discovery is not None  # training has started
-    return discovery.discovery.why_nothing()
-
-
 def _report(
     config: TrainConfig,
     discovery: SubgoalDiscoveryCallback,
@@ -351,8 +339,8 @@ def _report(
             )
         console.print("Subgoals discovered:")
         console.print(table)
-    else:
-        console.print(escape(_why_nothing(discovery) or ""))
+    elif discovery.max_new_options == 0:  # else the callback has said why
+        console.print(discovery.why_nothing())
     histories = {"this run": discovery.history} | ({} if stock is None else {"--no-discover": stock.history})
     console.print(closing_table(histories))
     if stock is not None:
@@ -368,7 +356,7 @@ def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path
         env = runs.make_env(config, 1, config.seed)
         discovery.bank.bind(lambda observations: env.env_method("concept_features", observations)[0])
     with without(folder / runs.SUBGOALS), atomic_write(folder / runs.SUBGOALS) as temporary:
-        figure = subgoals_figure(discovery.discovery, discovery.bank, _why_nothing(discovery))
+        figure = subgoals_figure(discovery.discovery, discovery.bank, discovery.why_nothing())
         figure.savefig(temporary, dpi=110)
 
 

@@ -1,7 +1,8 @@
 """What a new user meets first: ``python -m experiments.first_hour TASK --runs 20 --out FOLDER``.
 
 ``rooms``: does the demo's option help, and is it used where it leads? ``lake``: are subgoals of discrete states
-bottlenecks? It writes ``results.json``. Interrupted, it goes on where it was.
+bottlenecks? ``readme``: does the program in the README discover anything? It writes ``results.json``. Interrupted, it
+goes on where it was.
 """
 
 from __future__ import annotations
@@ -38,13 +39,15 @@ MEASURES = (
 class Study(Flags):
     """Train with and without discovery, with the defaults of ``train.py``, and say what became of the options.
 
+    ``readme`` trains what the program in the README trains, with its settings and others.
+
     Attributes:
         task: Where.
-        conditions: Of `CONDITIONS`; by default those of the task.
+        conditions: Of `CONDITIONS`, or of `README`; by default those of the task.
         n_timesteps: Primitive steps of each run; by default what training takes.
     """
 
-    task: Annotated[Literal["rooms", "lake"], tyro.conf.Positional]
+    task: Annotated[Literal["rooms", "lake", "readme"], tyro.conf.Positional]
     runs: int = 20
     conditions: tuple[str, ...] = ()
     n_timesteps: int | None = None

@@ -8,12 +8,19 @@ from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple, cast
 
+import gymnasium as gym
 import numpy as np
+from sb3_contrib import MaskablePPO
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import VecEnv
 
+import sb3_options.envs  # noqa: F401
 from experiments.common.seeds import Result
+from sb3_options import OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.discovery.static_filter import near_start_and_goal
 from sb3_options.experience.observations import FloatArray
@@ -48,7 +55,20 @@ CONDITIONS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 """Algorithm, and what its callback is told, by the name of the condition."""
 
-BY_DEFAULT = {"rooms": tuple(CONDITIONS)[:5], "lake": ("maskableppo", "maskableppo, filter by distances")}
+README: dict[str, dict[str, Any]] = {
+    "as shown": {"ent_coef": 0.01, "normalize_advantage": False},
+    "entropy alone": {"ent_coef": 0.01},
+    "as Stable-Baselines3 has it": {},
+}
+"""Settings of MaskablePPO in the program of the README, by the name of the condition."""
+
+README_STEPS = 50_000
+
+BY_DEFAULT = {
+    "rooms": tuple(CONDITIONS)[:5],
+    "lake": ("maskableppo", "maskableppo, filter by distances"),
+    "readme": tuple(README),
+}
 """Conditions of each task."""
 
 
@@ -70,6 +90,14 @@ def to_goal(env_id: str, subgoal: FloatArray) -> int | None:
     return 2 * (side - 1) - row - column
 
 
+class Training(NamedTuple):
+    """What learns, with which callback, for how many primitive steps."""
+
+    model: BaseAlgorithm
+    discovery: SubgoalDiscoveryCallback
+    n_timesteps: int
+
+
 class OptionUse(BaseCallback):
     """Counts what the slots ran."""
 
@@ -89,29 +117,42 @@ class OptionUse(BaseCallback):
         return True
 
 
+def made_as_train(task: str, condition: str, n_timesteps: int | None, seed: int) -> Training:
+    """What ``train.py`` trains by default, in one of `TASKS`."""
+    env_id, keywords = TASKS[task]
+    algo, told = CONDITIONS[condition]
+    config: TrainConfig = replace(configs.tuned(env_id, algo), env_kwargs=keywords, seed=seed)
+    model = make_model(config, runs.make_env(config, config.n_envs, seed))
+    given = {"max_new_options": config.max_new_options, "seed": seed, **callback_settings(config), **told}
+    discovery = SubgoalDiscoveryCallback(config.discovery, config.option, **given)
+    return Training(model, discovery, n_timesteps or config.n_timesteps)
+
+
+def made_as_in_readme(condition: str, n_timesteps: int | None, seed: int) -> Training:
+    """What the program in the README trains, with a seed, which it has not."""
+    env = OptionsWrapper(gym.make(ROOMS), max_options=4, gamma=0.99)
+    model = MaskablePPO("MlpPolicy", env, n_steps=512, seed=seed, **README[condition])
+    return Training(model, SubgoalDiscoveryCallback(seed=seed), n_timesteps or README_STEPS)
+
+
 def run(task: str, condition: str, n_timesteps: int | None, seed: int) -> Result:
-    """Train once, with the defaults of ``train.py``.
+    """Train once, with the defaults of ``train.py``, or as the README does.
 
     Args:
-        task: Of `TASKS`.
-        condition: Of `CONDITIONS`.
+        task: Of `BY_DEFAULT`.
+        condition: Of `CONDITIONS`, or of `README`.
         n_timesteps: Primitive steps; None for the default.
         seed: Of everything.
 
     Returns:
         What happened.
     """
-    env_id, keywords = TASKS[task]
-    algo, told = CONDITIONS[condition]
-    config: TrainConfig = replace(configs.tuned(env_id, algo), env_kwargs=keywords, seed=seed)
-    config = replace(config, n_timesteps=n_timesteps or config.n_timesteps)
     began = time.process_time()
-    use = OptionUse()
-    with closing(runs.make_env(config, config.n_envs, seed)) as env:
-        model = make_model(config, env)
-        given = {"max_new_options": config.max_new_options, "seed": seed, **callback_settings(config), **told}
-        discovery = SubgoalDiscoveryCallback(config.discovery, config.option, **given)
-        model.learn(config.n_timesteps, callback=[discovery, use])
+    made = made_as_in_readme if task == "readme" else partial(made_as_train, task)
+    model, discovery, length = made(condition, n_timesteps, seed)
+    use, env_id = OptionUse(), ROOMS if task == "readme" else TASKS[task][0]
+    with closing(cast(VecEnv, model.get_env())):
+        model.learn(length, callback=[discovery, use])
     n_runs = sum(use.endings.values())
     return {
         "seed": seed,

@@ -381,7 +381,26 @@ class TestSavePath:
         (found,) = callback.discoveries
         place = ", ".join(f"{x:g}" for x in found.subgoal)
         text = f"Option 0: reach {place}, after {found.episode} episodes and {found.timestep:,} steps"
-        assert text in capsys.readouterr().out
+        said = capsys.readouterr().out
+        assert text in said
+        assert "No subgoal" not in said
+        assert callback.why_nothing() is None
+
+    @pytest.mark.parametrize(
+        ("asked", "why", "said"),
+        [
+            ({"verbose": 1}, "No subgoal was discovered: no episode has ended.", True),
+            ({"verbose": 0}, "No subgoal was discovered: no episode has ended.", False),
+            ({"verbose": 1, "max_new_options": 0}, "Discovery was switched off.", False),
+        ],
+    )
+    def test_says_in_the_end_why_there_is_none(
+        self, capsys: pytest.CaptureFixture[str], asked: dict[str, Any], why: str, said: bool
+    ) -> None:
+        callback = fast_callback(**asked)
+        model_of().learn(20, callback=callback)
+        assert callback.why_nothing() == why
+        assert (why in capsys.readouterr().out) is said
 
 
 def test_one_seed_one_result() -> None:

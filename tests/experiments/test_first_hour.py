@@ -1,13 +1,21 @@
 """The study of a new user's first hour, small."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from experiments.first_hour import __main__ as first_hour
-from experiments.first_hour.conditions import BY_DEFAULT, COMPETENT_EPISODES, CONDITIONS, competent_after, to_goal
+from experiments.first_hour.conditions import (
+    BY_DEFAULT,
+    COMPETENT_EPISODES,
+    CONDITIONS,
+    README,
+    competent_after,
+    to_goal,
+)
 from sb3_options.experience.trajectories import EpisodeRecord
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
@@ -23,8 +31,18 @@ def test_writes_what_it_found(tmp_path: Path) -> None:
     assert content["command"].endswith("--n-timesteps 300 --conditions maskableppo 'maskableppo, filter by distances'")
 
 
+def test_the_program_of_the_readme_has_these_settings(tmp_path: Path) -> None:
+    shown = re.search(r"MaskablePPO\(.*\)", (RESULTS.parents[1] / "README.md").read_text())
+    assert shown is not None
+    assert all(f"{name}={value}" in shown[0] for name, value in README["as shown"].items())
+    study = first_hour.Study(task="readme", out=tmp_path, runs=1, n_timesteps=600, jobs=1, conditions=("as shown",))
+    first_hour.main(study)
+    (run,) = json.loads((tmp_path / "results.json").read_text())["runs"]["as shown"]
+    assert (run["episodes"], run["where"]) == (0, [])
+
+
 def test_every_condition_is_one() -> None:
-    assert {name for names in BY_DEFAULT.values() for name in names} == set(CONDITIONS)
+    assert {name for names in BY_DEFAULT.values() for name in names} == set(CONDITIONS) | set(README)
 
 
 def test_competence_takes_success_and_short_ways() -> None:

@@ -92,6 +92,19 @@ def test_python_runs_as_pasted_but_shorter(page: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_the_program_of_the_readme_discovers_the_doorway(tmp_path: Path) -> None:
+    """As pasted, at its full length; with a seed and one thread, which it has not."""
+    (program,) = python_of(README)
+    seeded = program.replace("n_steps=512", "n_steps=512, seed=0")
+    assert seeded != program
+    result = processes.python("-c", f"import torch; torch.set_num_threads(1)\n{seeded}", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    where = re.search(r"^Option 0: reach (\d+), (\d+), after", result.stdout)
+    assert where is not None, result.stdout
+    assert abs(int(where[1]) - 10) + abs(int(where[2]) - 5) <= 1
+
+
+@pytest.mark.slow
 def test_the_taxi_discovers_its_passenger(tmp_path: Path) -> None:
     first, taxi, *_ = python_of(ROOT / "docs/guide/concept-features.md")
     imports_and_settings = first.partition("env =")[0]
