@@ -102,7 +102,8 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
             longest = n_envs * venv.get_attr("unwrapped", [0])[0].max_steps
             learned_at, least = (protocol.until, longest) if is_last else (protocol.learned, 0)
             notes = Notes(n_envs - n_rehearsed, learned_at, least)
-            callbacks = _callbacks(arm, seed, number, is_last=is_last)
+            rollouts = arm != settings.FORMER_ARM and not stage.counts_decisions
+            callbacks = _callbacks(arm, seed, number, is_last=is_last, primitive_rollouts=rollouts)
             began, worked = time.perf_counter(), time.process_time()
             model.learn(stage.frames, callback=[*callbacks, notes])
             taken = {"seconds": time.perf_counter() - began, "processor_seconds": time.process_time() - worked}
@@ -140,7 +141,7 @@ def _blinkered() -> list[dict[str, Any]]:
     return [{name: of for name, of in group.items() if name != "seen"} for group in concept_groups()]
 
 
-def _callbacks(arm: Arm, seed: int, stage: int, *, is_last: bool) -> list[BaseCallback]:
+def _callbacks(arm: Arm, seed: int, stage: int, *, is_last: bool, primitive_rollouts: bool) -> list[BaseCallback]:
     callbacks: list[BaseCallback] = []
     if arm in settings.DISCOVERING:
         kind = ContrastingSubgoalsCallback if arm in settings.CONTRASTING else SubgoalDiscoveryCallback
@@ -152,12 +153,12 @@ def _callbacks(arm: Arm, seed: int, stage: int, *, is_last: bool) -> list[BaseCa
             max_new_options=0 if is_last and stage else None,
             opening_share=settings.OPENING_SHARE,
             min_reached=settings.MIN_REACHED,
-            primitive_rollouts=arm != settings.FORMER_ARM,
+            primitive_rollouts=primitive_rollouts,
             seed=seed,
         )
         callbacks.append(discovery)
     if arm == "hand-made" or arm in settings.HAND_MADE:
-        callbacks.append(PrimitiveStepsCallback(primitive_rollouts=True))
+        callbacks.append(PrimitiveStepsCallback(primitive_rollouts=primitive_rollouts))
     over = (stage and arm in settings.BONUS_AT_FIRST) or (is_last and arm in settings.BONUS_BEFORE_LAST)
     if arm in settings.WITH_BONUS and not over:
         callbacks.append(IntrinsicRewardCallback("rnd", weight=settings.RND_WEIGHT, seed=seed))

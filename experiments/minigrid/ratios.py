@@ -47,7 +47,7 @@ AGENTS: dict[str, dict[str, Of]] = {
     "four rooms": _all("four-rooms", "four-rooms"),
     "six rooms": _all("six-rooms", "six-rooms-contrasting"),
     "six large rooms": {
-        "options": Of("six-large-rooms", "discovered"),
+        "options": Of("six-large-rooms-decisions", "discovered"),
         "random": Of("six-large-rooms-random", "random subgoals"),
         "PPO": Of("six-large-rooms", PPO),
         "PPO, RND": Of("six-large-rooms-rnd", AT_FIRST),
@@ -67,12 +67,15 @@ AGENTS: dict[str, dict[str, Of]] = {
 discovered options have it."""
 
 FRESH = {
-    "four rooms": "four-rooms",
-    "six rooms": "six-rooms",
-    "key corridors": "key-corridor",
-    "DoorKey 8x8": "door-key",
+    "four rooms": ("four-rooms", "four-rooms"),
+    "six rooms": ("six-rooms", "six-rooms"),
+    "six large rooms": ("six-large-rooms-decisions", "six-large-rooms"),
+    "key corridors": ("key-corridor", "key-corridor"),
+    "DoorKey 8x8": ("door-key", "door-key"),
+    "DoorKey 16x16": ("door-key-16", "door-key-16"),
 }
-"""Tasks that were run again on seeds which nothing had been chosen or seen on, and their files, which end in -fresh."""
+"""Tasks that were run again on seeds which nothing had been chosen or seen on, and the files of agents with options and
+of their rivals, which end in -fresh."""
 
 OPTIONS = {"options, RND": "", "options": ", no RND"}
 """Agents with options, and what the table says of them beside the task."""
@@ -163,16 +166,23 @@ def table(results: Path) -> str:
 
 
 def fresh_table(results: Path) -> str:
-    """Frames of agents with options and RND, and of rivals, on fresh seeds; the ratios there and with all seeds."""
+    """Frames of agents with options and of rivals on fresh seeds; the ratios there and with all seeds.
+
+    With RND where there are such agents.
+    """
     heads = [f"of {RIVALS[rival]}{where}" for rival in ("PPO", "PPO, RND") for where in ("", ", all seeds")]
     rows = [f"| | options | PPO | PPO and RND | {' | '.join(heads)} |", "|---" * (len(heads) + 4) + "|"]
-    for task, file in FRESH.items():
-        both = {name: (of, Of(f"{file}-fresh", of.arm)) for name, of in AGENTS[task].items()}
-        frames = {name: frames_of(results, both[name][1]) for name in ("options, RND", "PPO", "PPO, RND")}
+    for task, (with_options, rivals) in FRESH.items():
+        ours = next(name for name in OPTIONS if name in AGENTS[task])
+        both = {
+            name: (of, Of(f"{with_options if name == ours else rivals}-fresh", of.arm))
+            for name, of in AGENTS[task].items()
+        }
+        frames = {name: frames_of(results, both[name][1]) for name in (ours, "PPO", "PPO, RND")}
         every = {name: np.concatenate([frames_of(results, both[name][0]), fresh]) for name, fresh in frames.items()}
         medians = [np.median(of) for of in frames.values()]
         cells = [f"{median:,.0f}" if np.isfinite(median) else "never" for median in medians]
-        cells += [_text(of["options, RND"], of[rival]) for rival in ("PPO", "PPO, RND") for of in (frames, every)]
+        cells += [_text(of[ours], of[rival]) for rival in ("PPO", "PPO, RND") for of in (frames, every)]
         rows.append(f"| {task} | {' | '.join(cells)} |")
     return "\n".join(rows)
 

@@ -51,11 +51,14 @@ class Stage(NamedTuple):
         frames: Primitive steps, those of all environments.
         rehearsed: Environments, of `N_ENVS`, that stay in the task before, so that the policy does not unlearn it while
             successes in the new one are rare.
+        counts_decisions: Whether rollouts of agents with options count decisions, so that they take about three times
+            the primitive steps.
     """
 
     env_id: str
     frames: int
     rehearsed: int = 0
+    counts_decisions: bool = False
 
 
 REHEARSED = 4
@@ -87,7 +90,7 @@ FAMILIES: dict[str, tuple[Stage, ...]] = {
         Stage("MiniGrid-MultiRoom-N2-S4-v0", 60_000),
         Stage("MiniGrid-MultiRoom-N4-S5-v1", 160_000, REHEARSED),
         Stage("MiniGrid-MultiRoom-N4-S5-v0", 160_000, REHEARSED),
-        Stage("MiniGrid-MultiRoom-N6-v0", 1_600_000, REHEARSED),
+        Stage("MiniGrid-MultiRoom-N6-v0", 1_600_000, REHEARSED, counts_decisions=True),
     ),
     "MultiRoom-N2-N6": (
         Stage("MiniGrid-MultiRoom-N2-S4-v0", 40_000),

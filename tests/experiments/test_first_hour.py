@@ -57,7 +57,7 @@ def test_cells_to_the_goal_of_the_lake() -> None:
     assert [to_goal("FrozenLake-v1", np.eye(64)[state]) for state in (63, 62, 55, 0)] == [0, 1, 1, 14]
 
 
-@pytest.mark.parametrize("name", ["first-hour-rooms", "first-hour-rooms-dqn", "first-hour-lake"])
+@pytest.mark.parametrize("name", ["first-hour-rooms", "first-hour-rooms-dqn", "first-hour-lake", "first-hour-readme"])
 def test_the_committed_numbers_are_those_of_their_runs(name: str) -> None:
     content = json.loads((RESULTS / f"{name}.json").read_text())
     for condition, runs in content["runs"].items():

@@ -138,7 +138,7 @@ def test_who_never_gets_there_is_the_slowest(frames: list[int | None], median: f
 
 def test_the_bonus_ends_before_the_last_task() -> None:
     def has_bonus(arm: Arm, stage: int, *, is_last: bool) -> bool:
-        callbacks = conditions._callbacks(arm, 0, stage, is_last=is_last)
+        callbacks = conditions._callbacks(arm, 0, stage, is_last=is_last, primitive_rollouts=True)
         return any(isinstance(callback, IntrinsicRewardCallback) for callback in callbacks)
 
     for who in ("discovered", "stock"):
