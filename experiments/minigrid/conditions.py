@@ -102,7 +102,7 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
             longest = n_envs * venv.get_attr("unwrapped", [0])[0].max_steps
             learned_at, least = (protocol.until, longest) if is_last else (protocol.learned, 0)
             notes = Notes(n_envs - n_rehearsed, learned_at, least)
-            rollouts = arm != settings.FORMER_ARM and not stage.counts_decisions
+            rollouts = settings.primitive_rollouts(arm, stage)
             callbacks = _callbacks(arm, seed, number, is_last=is_last, primitive_rollouts=rollouts)
             began, worked = time.perf_counter(), time.process_time()
             model.learn(stage.frames, callback=[*callbacks, notes])

@@ -173,6 +173,11 @@ def options_of(arm: Arm, stage: int = 0) -> dict[str, Any]:
     return {} if arm == OWN_ARM or stage >= GROWING_STAGES else OPTIONS
 
 
+def primitive_rollouts(arm: Arm, stage: Stage) -> bool:
+    """Whether rollouts of an arm with options count primitive steps in a stage."""
+    return arm != FORMER_ARM and not stage.counts_decisions
+
+
 def of(arm: Arm) -> dict[str, Any]:
     """What one arm alone has."""
     special: dict[str, Any] = {}

@@ -12,10 +12,10 @@ from experiments.minigrid.__main__ import Study, folder_of, main
 from experiments.minigrid.conditions import stages_of
 from experiments.minigrid.hand_made import FORWARD, LEFT, RIGHT, TOGGLE, approach, options_on, to_subgoals_on
 from experiments.minigrid.ratios import AGENTS, Ratios, draw, fresh_table, ratio_of_medians, table
-from experiments.minigrid.settings import ARMS, FAMILIES, Arm, Stage
+from experiments.minigrid.settings import ARMS, FAMILIES, Arm, Stage, primitive_rollouts
 from experiments.minigrid.summary import frames_to, median_frames, summarise
 from sb3_options import OptionsWrapper
-from sb3_options.callbacks import IntrinsicRewardCallback
+from sb3_options.callbacks import IntrinsicRewardCallback, SubgoalDiscoveryCallback
 from sb3_options.envs.minigrid import FEATURES
 
 
@@ -134,6 +134,17 @@ def test_frames_count_those_of_all_stages() -> None:
 )
 def test_who_never_gets_there_is_the_slowest(frames: list[int | None], median: float | None) -> None:
     assert median_frames(frames) == median
+
+
+def test_rollouts_count_decisions_in_n6_alone() -> None:
+    counted = {
+        stage.env_id for stages in FAMILIES.values() for stage in stages if not primitive_rollouts("discovered", stage)
+    }
+    assert counted == {"MiniGrid-MultiRoom-N6-v0"}
+    for counts_steps in (True, False):
+        (callback,) = conditions._callbacks("discovered", 0, 3, is_last=True, primitive_rollouts=counts_steps)
+        assert isinstance(callback, SubgoalDiscoveryCallback)
+        assert callback.primitive_rollouts is counts_steps
 
 
 def test_the_bonus_ends_before_the_last_task() -> None:
