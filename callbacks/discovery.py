@@ -282,7 +282,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         where = found.where(self._search.kind)
         option = self._learn(found.proposal or subgoal, f"reach {where}", self.option_settings.policy_input)
         if option is None:
-            logger.warning("No option for %s: no saved trajectory leads to it surely enough (min_reach).", where)
+            self._complaints.no_option(where)
             return self._search.withdraw()
         slot = self.bank.slots.index(None)
         self._options.install(slot, option)

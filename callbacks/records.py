@@ -52,10 +52,15 @@ def saved_for(subgoal: Region, trajectories: TrajectoryDatabase) -> tuple[int, i
 
 
 class Complaints:
-    """Warns of episodes that cannot be used: of the first, the second, the fourth and so on."""
+    """Warns of episodes that cannot be used: of the first, the second, the fourth and so on.
+
+    And once of each subgoal that there is no option for. On groups of features it may be found again and again, until a
+    saved trajectory leads to it.
+    """
 
     def __init__(self) -> None:
         self._n = 0
+        self._without_option: set[str] = set()
 
     def say(self, episode: int, why: Exception) -> None:
         """Warn, unless it would be too often."""
@@ -63,6 +68,12 @@ class Complaints:
         if self._n & (self._n - 1) == 0:
             times = "" if self._n == 1 else f" (so far {self._n} times)"
             logger.warning("No discovery after episode %d%s: %s", episode, times, why)
+
+    def no_option(self, where: str) -> None:
+        """Warn that there is no option for a subgoal, the first time."""
+        if where not in self._without_option:
+            self._without_option.add(where)
+            logger.warning("No option for %s: no saved trajectory leads to it surely enough (min_reach).", where)
 
 
 @dataclass(frozen=True)

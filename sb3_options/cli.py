@@ -34,7 +34,7 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.runs import config as configs
 from sb3_options.runs import evaluation
 from sb3_options.runs import folder as runs
-from sb3_options.runs.algorithms import callback_settings, check_device, make_model
+from sb3_options.runs.algorithms import callback_settings, check_algo_kwargs, check_device, make_model
 from sb3_options.runs.budget import KeepToBudget, memory_is_short
 from sb3_options.runs.card import CARD, write_card
 from sb3_options.runs.closing import after_interrupt, closing_table, how_to_resume, next_commands, program_name, unit_of
@@ -155,6 +155,7 @@ def _train(
     torch.set_num_threads(config.num_threads)
     runs.check_env_id(config.env)
     check_device(config.device)
+    check_algo_kwargs(config)
     stock: SubgoalDiscoveryCallback | None = None
     with interrupts or Interrupts() as interrupts:
         with closing(runs.make_env(config, 1, config.seed)) as env:  # what cannot be made leaves no folder

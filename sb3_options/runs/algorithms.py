@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import importlib
+import inspect
 from typing import Any
 
 import gymnasium as gym
@@ -34,6 +36,11 @@ CALLBACK = frozenset({"max_option_exploration", "interruption"})
 ELSEWHERE = CALLBACK | {"intra_option", "max_runs"}
 """Settings of some algorithms that their classes do not take."""
 
+RESERVED = frozenset({"policy", "env", "verbose", "_init_setup_model"}) | {
+    f"{kind}_buffer_{what}" for kind in ("replay", "rollout") for what in ("class", "kwargs")
+}
+"""Arguments of SB3's classes that are the library's affair."""
+
 
 def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> BaseAlgorithm:
     """The untrained model of a run.
@@ -48,13 +55,15 @@ def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> Ba
 
     Raises:
         ModuleNotFoundError: The algorithm is one of sb3-contrib's, which is not installed.
-        ValueError: There is no such device.
+        ValueError: There is no such device, or no such argument in ``algo_kwargs``.
     """
     check_device(config.device)
+    check_algo_kwargs(config)
     image = len(env.observation_space.shape or ()) == 3
     policy = "MultiInput" if isinstance(env.observation_space, gym.spaces.Dict) else "Cnn" if image else "Mlp"
     own = {f.name for f in dataclasses.fields(config)} - COMMON - ELSEWHERE
-    settings: dict[str, Any] = {name: getattr(config, name) for name in own}
+    settings: dict[str, Any] = {name: getattr(config, name) for name in own} | config.algo_kwargs
+    policy_kwargs = {"net_arch": list(config.net_arch)} | (settings.pop("policy_kwargs", None) or {})
     if isinstance(config, DQNConfig):
         # The rollout buffers of the others are the callback's affair.
         settings["replay_buffer_class"] = OptionReplayBuffer
@@ -68,7 +77,7 @@ def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> Ba
         device=config.device,
         gamma=config.gamma,
         learning_rate=config.learning_rate,
-        policy_kwargs={"net_arch": list(config.net_arch)},
+        policy_kwargs=policy_kwargs,
         **settings,
     )
     # SB3 seeds environment i with seed + i, so that the runs of seeds 0 and 1 would share all but one of them.
@@ -87,6 +96,32 @@ def check_device(name: str) -> None:
     except Exception as error:  # torch and its backends raise what they like
         said = " ".join(str(error).split())
         raise ValueError(f"--device {name!r} cannot be used: choose auto, cpu or cuda. Torch says: {said}") from error
+
+
+def check_algo_kwargs(config: TrainConfig) -> None:
+    """Refuse keyword arguments that the algorithm's class does not have, or that another setting gives it.
+
+    Raises:
+        ModuleNotFoundError: The algorithm is one of sb3-contrib's, which is not installed.
+        ValueError: There is such an argument in ``algo_kwargs``.
+    """
+    if not config.algo_kwargs:
+        return
+    of = _class_of(config.algo)
+    own = {f.name for f in dataclasses.fields(config)}
+    # OptionDQN hands on to DQN what it does not name.
+    makers = (vars(each)["__init__"] for each in inspect.getmro(of) if "__init__" in vars(each))
+    taken = next(names for each in makers if "learning_rate" in (names := inspect.signature(each).parameters))
+    takes = sorted(set(taken) - own - RESERVED - {"self"})
+    for name in config.algo_kwargs:
+        if name in own:
+            raise ValueError(f"--algo-kwargs: {name!r} is a setting of its own, --{name.replace('_', '-')}.")
+        if name not in takes:
+            near = difflib.get_close_matches(name, takes, n=1)
+            hint = f" Did you mean {near[0]!r}?" if near else ""
+            raise ValueError(f"--algo-kwargs: {of.__name__} takes no {name!r} here.{hint} It takes {', '.join(takes)}.")
+    if not isinstance(config.algo_kwargs.get("policy_kwargs", {}), dict):
+        raise ValueError("--algo-kwargs: policy_kwargs takes a mapping, policy_kwargs:'{ortho_init: false}'.")
 
 
 def callback_settings(config: TrainConfig) -> dict[str, Any]:

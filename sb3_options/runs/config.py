@@ -18,7 +18,7 @@ from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.envs.minigrid import is_minigrid
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.runs import yaml_file
-from sb3_options.runs.keywords import PAIRS, SERIES, keywords_of, tasks_of
+from sb3_options.runs.keywords import PAIRS, SERIES, algo_keywords_of, keywords_of, tasks_of
 from sb3_options.runs.users_code import IMPORTING, flag, importing
 
 DEFAULT_ALGO = "maskableppo"
@@ -32,7 +32,6 @@ TUNED = {
 }
 """File of the settings that ship for an environment, by its id."""
 
-
 MAX_SEED = 2**32 - 1
 """NumPy's generators, which SB3 seeds, take no larger one."""
 
@@ -40,7 +39,7 @@ MAX_THREADS = 1024
 """More than any machine has cores for; torch would take memory for each."""
 
 NAME, KIND = tyro.conf.arg(metavar="NAME"), tyro.conf.arg(metavar="KIND")  # of something in a module; of a choice
-NUMBER, SHARE = tyro.conf.arg(metavar="N"), tyro.conf.arg(metavar="P")  # short, so that the help fits a line
+NUMBER, SHARE, REAL = (tyro.conf.arg(metavar=name) for name in "NPX")  # short, so that the help fits a line
 Count: TypeAlias = Annotated[int, Field(ge=1)]
 Natural: TypeAlias = Annotated[int, Field(ge=0)]
 Share: TypeAlias = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -78,6 +77,7 @@ class TrainConfig:
         gamma: Discount γ per primitive step.
         learning_rate: Step size of the optimiser.
         net_arch: Hidden layers of the network.
+        algo_kwargs: Keyword arguments of SB3's class besides.
         bonus: "counts" or "rnd": an intrinsic reward.
         close_harmful: Close options that prove harmful.
         min_reached: Least share of runs to reach; 0: any.
@@ -98,7 +98,7 @@ class TrainConfig:
     vec_env: Annotated[Literal["dummy", "subproc", "ray"], KIND] = "dummy"
     eval_freq: Natural = 0
     checkpoint_freq: Annotated[Natural, NUMBER] = 10_000
-    eval_episodes: Count = 10
+    eval_episodes: Annotated[Count, NUMBER] = 10
     eval_max_steps: Annotated[Natural, NUMBER] = 1_000
     progress: bool = True
     device: str = "auto"
@@ -109,8 +109,9 @@ class TrainConfig:
     discover: bool = True
     compare: bool = False
     gamma: Annotated[float, Field(gt=0.0, le=1.0)] = 0.97
-    learning_rate: Positive = 5e-4
+    learning_rate: Annotated[Positive, REAL] = 5e-4
     net_arch: tuple[Count, ...] = (64, 64)
+    algo_kwargs: Annotated[dict[str, Any], BeforeValidator(algo_keywords_of), PAIRS] = field(default_factory=dict)
     bonus: Annotated[Literal["none", "counts", "rnd"], KIND] = "none"
     close_harmful: bool = False
     min_reached: Annotated[Share, SHARE] = 0.0
@@ -146,7 +147,7 @@ class DQNConfig(TrainConfig):
     algo: Annotated[Literal["dqn", "qrdqn", "optiondqn"], tyro.conf.Suppress] = "dqn"
     batch_size: Count = 64
     buffer_size: Count = 50_000
-    learning_starts: Natural = 500
+    learning_starts: Annotated[Natural, NUMBER] = 500
     train_freq: Count = 4
     target_update_interval: Count = 500
     exploration_fraction: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
@@ -167,7 +168,7 @@ class OnPolicyConfig(TrainConfig):
     """
 
     n_envs: Count = 8
-    learning_rate: Positive = 1e-3
+    learning_rate: Annotated[Positive, REAL] = 1e-3
     n_steps: Count = 128
     gae_lambda: Share = 0.95
 
@@ -227,7 +228,7 @@ class MaskablePPOConfig(PPOConfig):
     """Train an agent that discovers its own options with MaskablePPO, which keeps to their initiation sets.
 
     Attributes:
-        max_option_exploration: Probability that a first option opens with.
+        max_option_exploration: Probability a first option opens with.
         max_runs: Of an option in an episode.
     """
 

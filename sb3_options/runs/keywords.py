@@ -48,6 +48,11 @@ def keywords_of(pairs: Any, given_for: str = "--env-kwargs") -> Any:
     return keywords
 
 
+def algo_keywords_of(pairs: Any) -> Any:
+    """As `keywords_of`, for ``--algo-kwargs``."""
+    return keywords_of(pairs, "--algo-kwargs")
+
+
 PAIRS = tyro.constructors.PrimitiveConstructorSpec[dict[str, Any]](
     nargs="*",
     metavar="[NAME:VALUE ...]",

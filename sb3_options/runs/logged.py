@@ -95,13 +95,31 @@ def groups_of(words: Sequence[str], said: Callable[[str], object] = lambda _: No
 
     Args:
         words: As `named_groups` takes them.
-        said: Likewise.
+        said: Likewise, and takes a line for runs that are one run made twice.
 
     Raises:
         As `named_groups` and `read_run`.
     """
     named = {name: [read_run(folder) for folder in folders] for name, folders in named_groups(words, said).items()}
-    return (grouped(named.pop("")) if "" in named else {}) | named
+    groups = (grouped(named.pop("")) if "" in named else {}) | named
+    for name, runs in groups.items():
+        for seed, folders in run_twice(runs):
+            said(
+                f"{name}: {' and '.join(map(str, folders))} have the same settings and seed {seed}. They are one run "
+                "made twice, but count as two."
+            )
+    return groups
+
+
+def run_twice(runs: Sequence[Run]) -> list[tuple[Any, list[Path]]]:
+    """Seeds and folders of runs that have all settings and the seed in common, as far as a ``config.yml`` says."""
+    alike: dict[str, tuple[Any, list[Path]]] = {}
+    for run in runs:
+        if "seed" in run.settings:
+            seed = run.settings["seed"]
+            settings = {name: value for name, value in run.settings.items() if name not in NO_SETTING}
+            alike.setdefault(json.dumps([seed, settings], default=str), (seed, []))[1].append(run.folder)
+    return [(seed, folders) for seed, folders in alike.values() if len(folders) > 1]
 
 
 def named_groups(words: Sequence[str], said: Callable[[str], object] = lambda _: None) -> dict[str, list[Path]]:

@@ -107,6 +107,18 @@ def test_runs_of_a_closed_option_do_not_count_for_the_next_one_in_its_slot() -> 
     assert not callback.closed
 
 
+def test_a_subgoal_that_nothing_leads_to_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    groups = [{"name": "place", "features": [0, 1], "labels": ["row", "column"]}]
+    callback = fast_callback(groups=groups, option_settings={"min_reach": 1.0, "value_function": "table"})
+    with caplog.at_level(logging.WARNING, "sb3_options"):
+        model_of(seed=0).learn(8 * STEPS, callback=callback)
+    assert callback.discovery is not None
+    assert callback.discovery.n_withdrawn > 1
+    said = [record.getMessage() for record in caplog.records if "No option for" in record.getMessage()]
+    assert said
+    assert len(said) == len(set(said)) < callback.discovery.n_withdrawn
+
+
 def test_an_option_from_a_file_grows_where_it_is_used(tmp_path: Path) -> None:
     env = optioned_rooms()
     env.bank.add(to_the_doorway(Direction.RIGHT, (3, 2)))

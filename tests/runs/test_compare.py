@@ -122,6 +122,21 @@ def test_a_folder_of_runs_stands_for_them(tmp_path: Path) -> None:
     assert named_groups([str(runs[0])], pytest.fail) == {"": runs[:1]}
 
 
+def test_a_run_made_twice_is_told(tmp_path: Path) -> None:
+    seeds = {"a": 0, "b": 1, "c": 0}
+    a, _, c = (logged(tmp_path / n, [0.0, 1.0], {"algo": "ppo", "seed": s, "device": n}) for n, s in seeds.items())
+    logged(tmp_path / "other", [0.0, 1.0], {"algo": "dqn", "seed": 0})
+    said: list[str] = []
+    groups = groups_of([f"{tmp_path}/*"], said.append)
+    assert [len(runs) for runs in groups.values()] == [3, 1]
+    assert said == [
+        f"algo ppo: {a} and {c} have the same settings and seed 0. They are one run made twice, but count as two."
+    ]
+    logged(tmp_path / "foreign" / "PPO_1", [0.0, 1.0])
+    logged(tmp_path / "foreign" / "PPO_2", [0.0, 1.0])
+    groups_of([f"{tmp_path}/foreign/PPO_*"], pytest.fail)
+
+
 def test_logs_of_others_in_a_folder_are_runs_of_their_own(tmp_path: Path) -> None:
     one, two = logged(tmp_path / "PPO_1", [0.0]), logged(tmp_path / "PPO_2", [0.0])
     assert named_groups([str(tmp_path)]) == {"": [one / "tensorboard_1", two / "tensorboard_1"]}

@@ -28,6 +28,7 @@ COMMON: dict[str, Any] = {
     "progress": False, "device": "cpu", "num_threads": 2, "vec_env": "subproc", "options": Path("a/run"),
     "max_options": 2, "max_new_options": None, "discover": False, "compare": True, "gamma": 0.5,
     "learning_rate": 3e-05, "net_arch": (3,), "close_harmful": True, "min_reached": 0.3, "bonus": "rnd",
+    "algo_kwargs": {"max_grad_norm": 0.25},
     "series": ({"goal": [4, 2]}, {"goal": [8, 4], "max_steps": 9}),
     "discovery": DiscoverySettings(
         peak_reward=0.75, max_segment=70,
