@@ -6,6 +6,7 @@ import copy
 from typing import Any
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.discovery.anchors import moved, nearest_observations
@@ -15,7 +16,7 @@ from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.embedding.learner import FeatureLearner
 from sb3_options.embedding.settings import EmbeddingSettings
-from sb3_options.experience.observations import FloatArray, Observations
+from sb3_options.experience.observations import FloatArray, Observations, take
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.settings import OptionLearningSettings
 
@@ -101,12 +102,27 @@ class LearnedFeatures(GivenFeatures):
         return True
 
     def remember(self, slot: int, option: SubgoalOption, search: SubgoalDiscovery) -> None:
-        """Take note of the observations behind an option's regions, which were made of features in the database."""
+        """Take note of the observations behind an option's regions.
+
+        They were made of features in the database. Where an initiation set has only lost points, its observations are
+        those that are known: their trajectories may have left the database.
+        """
         known, points = self._anchors.get(slot), option.initiation_set.points
-        if known is not None and np.array_equal(known[2], points):
+        if known is None:
+            subgoal = nearest_observations(option.subgoal.points, search.database)
+            self._anchors[slot] = subgoal, nearest_observations(points, search.database), points
+            return
+        subgoal, initiation, before = known
+        if np.array_equal(before, points):
             return  # an option that has learned further
-        subgoal = nearest_observations(option.subgoal.points, search.database) if known is None else known[0]
-        self._anchors[slot] = subgoal, nearest_observations(points, search.database), points
+        left = {point.tobytes() for point in points}
+        still = np.array([point.tobytes() in left for point in before], dtype=bool)
+        if still.sum() == len(left):
+            nearest = cdist(self.map(initiation), before).argmin(axis=1)
+            initiation = take(initiation, np.flatnonzero(still[nearest]))
+        else:
+            initiation = nearest_observations(points, search.database)
+        self._anchors[slot] = subgoal, initiation, points
 
     def forget(self, slot: int) -> None:
         """An option is closed."""

@@ -43,24 +43,31 @@ class RandomGroupedDiscovery(GroupedDiscovery):
             return None
         group = able[self._random.integers(len(able))]
         point = places[group][self._random.integers(len(places[group]))]
-        subgoal = Region(point[None], np.asarray(group.scale), self.settings.subgoal_radius, group=group)
+        subgoal = Region(point[None], self._scale(group), self.settings.subgoal_radius, group=group)
         self.found.append(FoundSubgoal(subgoal, None, math.nan))
         self.members[group].found.append(self.found[-1])
         return subgoal
 
     def _states(self, group: FeatureGroup) -> FloatArray:
         """The distinct states of a group that may be drawn, (n, k)."""
-        member, kept = self.members[group], []
+        member, scale, kept = self.members[group], self._scale(group), []
         for labelled in filter(lambda each: each.success, self.database):
-            allowed = member._maker._allowed(labelled, np.asarray(group.scale))
+            allowed = member._maker._allowed(labelled, scale)
             if self.contrasting:
                 allowed &= self._contrasts[group].stands_out(labelled, self.settings.min_contrast)
             kept.append(group.own(labelled.features)[allowed])
         places: FloatArray = np.unique(np.concatenate(kept), axis=0)
         for known in [*member.taken, *(found.subgoal for found in member.found)]:
-            away = np.linalg.norm((places - known.points[0]) * np.asarray(group.scale), axis=1)
+            away = np.linalg.norm((places - known.points[0]) * scale, axis=1)
             places = places[away > self.settings.spacing]
         return places
+
+    def _scale(self, group: FeatureGroup) -> FloatArray:
+        """Factor for each feature of a group, (k,), as its bags have it."""
+        member = self.members[group]
+        member._maker.knows_scale(self.database)
+        assert member.scale is not None  # a group has its own, whatever was seen
+        return member.scale
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint."""

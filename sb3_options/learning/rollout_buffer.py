@@ -139,6 +139,9 @@ class SMDPAdvantages:
         """Forget the last rollout."""
         if self.next_size is not None:
             self.buffer_size, self.next_size = self.next_size, None
+        shape: tuple[int, ...] | None = getattr(self, "hidden_state_shape", None)
+        if shape is not None:  # RecurrentPPO's buffer keeps an LSTM state for each row
+            self.hidden_state_shape = (self.buffer_size, *shape[1:])
         self.durations = np.ones((self.buffer_size, self.n_envs))
         self.discounts = np.full((self.buffer_size, self.n_envs), self.gamma)
         self._expected: tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None = None

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from sb3_options.density.regions import Region
-from sb3_options.experience.observations import BoolArray, flatten, take
+from sb3_options.experience.observations import BoolArray, FloatArray, flatten, take
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.options.imagined import imagined_farther
 from sb3_options.options.initiation import initiation_set, leading
@@ -79,7 +79,7 @@ def learn_option(
         subgoal, initiation = task.subgoal, task.initiation
     else:
         assert isinstance(proposal, IntrinsicReward)
-        subgoal, initiation = where_it_pays(proposal, policy, trajectories, settings)
+        subgoal, initiation = where_it_pays(proposal, policy, trajectories, n_primitive, settings)
     if subgoal.group is not None and settings.min_reach and isinstance(policy, TabularPolicy):
         initiation = reliable_part(
             initiation,
@@ -139,26 +139,32 @@ def where_it_pays(
     reward: IntrinsicReward,
     policy: OptionPolicy,
     trajectories: Iterable[LabelledTrajectory],
+    n_primitive: int,
     settings: OptionLearningSettings,
 ) -> tuple[Region, Region]:
     """Where an option that gains a reward ends, and its initiation set (Machado et al. 2017, §3.2).
 
-    The option ends where no action has a value above 0, that of stopping. I is every other place that was visited.
+    The option ends where no action has a value above 0, that of stopping. I is every other place that was visited. A
+    network's values are never exactly 0, and often too large, so that it would go on for ever: then the values are
+    those of a table of the places.
 
     Args:
         reward: What is gained.
         policy: Learned.
         trajectories: Where it was learned.
-        settings: ``policy_input`` and ``initiation_radius`` are used.
+        n_primitive: Number of primitive actions.
+        settings: ``policy_input``, ``initiation_radius``, ``gamma`` and ``sweeps`` are used.
 
     Returns:
         The places where it ends, the highest first, and I.
     """
+    trajectories = list(trajectories)
     sums, counts = np.zeros((2, len(reward.points)))
+    of_places = None if isinstance(policy, TabularPolicy) else _of_places(reward, trajectories, n_primitive, settings)
     for labelled in trajectories:
         rows, known = reward.rows(labelled.features)
         seen = labelled.features if settings.policy_input == "features" else labelled.trajectory.states
-        values = policy.best_values(seen)
+        values = policy.best_values(seen) if of_places is None else of_places[rows]
         np.add.at(sums, rows[known], values[known])
         np.add.at(counts, rows[known], 1.0)
     visited = counts > 0
@@ -169,6 +175,28 @@ def where_it_pays(
         Region(reward.points[ends], reward.scale, reward.radius),
         Region(reward.points[pays], reward.scale, settings.initiation_radius),
     )
+
+
+def _of_places(
+    reward: IntrinsicReward,
+    trajectories: Iterable[LabelledTrajectory],
+    n_primitive: int,
+    settings: OptionLearningSettings,
+) -> FloatArray:
+    """What is to be gained from each place on, (n,): Q-learning into a table whose states are the places."""
+    task, columns = Climbing(reward), []
+    for labelled in trajectories:
+        times, rewards, ends = task.steps(labelled)
+        rows, _ = reward.rows(labelled.features)
+        place = rows[labelled.trajectory.visits]
+        columns.append((place[times], labelled.trajectory.actions[times], rewards, place[times + 1], ends))
+    began, actions, rewards, led, ends = (np.concatenate(column) for column in zip(*columns, strict=True))
+    numbers = np.arange(len(reward.points), dtype=np.float64)[:, None]
+    places = Transitions(numbers, began, actions, rewards, led, ends, task.stop)
+    table = replay_into_table(places, n_primitive, gamma=settings.gamma, sweeps=settings.sweeps)
+    values = np.zeros(len(reward.points))
+    values[table.states[:, 0].astype(np.int64)] = table.values.max(axis=1)
+    return values
 
 
 def _learn_policy(

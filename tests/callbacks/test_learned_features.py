@@ -1,5 +1,6 @@
 """A feature map that is learned while a model trains: options are found, move along, are saved, and go on."""
 
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,11 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
 from sb3_options import OptionReplayBuffer, OptionsWrapper, load_model
 from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.callbacks.learned_features import LearnedFeatures
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.embedding.settings import MapName
 from sb3_options.envs import GridWorld
+from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.learning.macro_q import MacroQ
 from sb3_options.options.option import SubgoalOption
 from tests.callbacks.test_checkpoints import check_resumes, keep_all
@@ -106,6 +109,29 @@ def test_options_move_along() -> None:
     inside = after.initiation(states)
     assert (was_inside & inside)[own].sum() >= 0.9 * np.sum(own)
     assert after.option_policy is before.option_policy
+
+
+def test_a_narrowed_initiation_set_keeps_its_observations() -> None:
+    """Though their trajectories have left the database, as they do when it is full."""
+    env = rooms_with("temporal-distance")
+    callback = callback_with(max_new_options=1)
+    MacroQ(env, gamma=0.9, seed=0).learn(1_500, callback)
+    (found,) = callback.discoveries
+    option = env.bank[found.slot]
+    assert isinstance(option, SubgoalOption)
+    search, features = callback.discovery, callback._features
+    assert search is not None
+    assert isinstance(features, LearnedFeatures)
+    points = option.initiation_set.points
+    narrowed = dataclasses.replace(option.initiation_set, points=points[:-1])
+    *_, last = search.database
+    search.database.clear()
+    search.database.add(LabelledTrajectory(last.trajectory, last.features + 1000.0, last.success))
+    features.remember(found.slot, option.with_regions(option.subgoal, narrowed), search)
+    _, observations, known = features._anchors[found.slot]
+    assert np.array_equal(known, points[:-1])
+    at = np.unique(env.concept_features(np.asarray(observations)), axis=0)
+    np.testing.assert_allclose(at, np.unique(points[:-1], axis=0), atol=1e-5)
 
 
 def test_a_file_holds_the_map(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import torch
+from sb3_contrib import RecurrentPPO
 from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import (
@@ -318,6 +319,33 @@ def test_rollouts_of_so_many_primitive_steps(algorithm: Any) -> None:
     assert not hasattr(model, "n_primitive_steps")
     model.learn(100, callback=PrimitiveStepsCallback())
     assert model.rollout_buffer.buffer_size == 60
+
+
+def test_a_rollout_of_another_length_keeps_every_lstm_state_at_its_row() -> None:
+    """RecurrentPPO's buffer has an LSTM state for each row, one environment after the other."""
+
+    class Seen(BaseCallback):
+        wrong, lengths = 0, set[int]()
+
+        def _on_step(self) -> bool:
+            return True
+
+        def _on_rollout_end(self) -> None:
+            buffer = self.model.rollout_buffer  # type: ignore[attr-defined]  # it is on-policy
+            stored, observed = buffer.hidden_states_pi.copy(), buffer.observations.copy()
+            self.lengths.add(buffer.buffer_size)
+            next(buffer.get(batch_size=4))  # which lays all out, one environment after the other
+            for row in range(2 * buffer.buffer_size):
+                step, env = row % buffer.buffer_size, row // buffer.buffer_size
+                assert np.array_equal(buffer.observations[row], observed[step, env])
+                self.wrong += not np.array_equal(buffer.hidden_states_pi[row, 0], stored[step, 0, env])
+
+    seen = Seen()
+    envs = DummyVecEnv([counting] * 2)
+    model = RecurrentPPO("MlpLstmPolicy", envs, gamma=0.9, n_steps=48, batch_size=12, n_epochs=1, seed=0, device="cpu")
+    model.learn(800, callback=[PrimitiveStepsCallback(primitive_rollouts=True), seen])
+    assert len(seen.lengths) > 1
+    assert seen.wrong == 0
 
 
 def test_a_model_saved_meanwhile_knows_its_rollouts(tmp_path: Any) -> None:

@@ -1,5 +1,6 @@
 """The control on groups of features."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -39,6 +40,18 @@ def test_random_subgoals_are_states_of_random_groups(contrasting: bool) -> None:
     assert {each for subgoals in drawn for each in subgoals} == everywhere
     assert all(len(set(subgoals)) == len(subgoals) == len(everywhere) for subgoals in drawn)
     assert len({subgoals[0] for subgoals in drawn}) == len(everywhere)
+
+
+def test_radii_count_in_the_scale_of_the_settings() -> None:
+    """At 0.5 only what is two apart from the start is farther away than 0.75, and a subgoal has the scale."""
+    scaled = dataclasses.replace(SETTINGS, scale=0.5, start_radius=0.75)
+    drawn = set()
+    for seed in range(20):
+        discovery = RandomGroupedDiscovery(scaled, groups=(NEAR,), seed=seed)
+        live(discovery, 20)
+        drawn |= {float(found.centre[0]) for found in discovery.found}
+        assert all(found.subgoal.scale.tolist() == [0.5] for found in discovery.found)
+    assert drawn == {2.0, 3.0}
 
 
 def test_it_goes_on_with_its_state() -> None:
