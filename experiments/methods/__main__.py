@@ -20,7 +20,7 @@ from experiments.common.documents import number
 from experiments.common.seeds import Part, run_parts
 from experiments.common.study import Flags, show, write
 from experiments.methods.conditions import LENGTHS, MACROQ, SETTINGS, Entry, length_of, run
-from experiments.methods.entrants import ENTRANTS, all_settings_of, chosen_settings
+from experiments.methods.entrants import ENTRANTS, POSSIBLE, all_settings_of, chosen_settings
 from experiments.methods.plots import draw
 from experiments.methods.summary import summarise
 from experiments.methods.tasks import TASKS
@@ -34,7 +34,8 @@ class Study(Flags):
     """Which method's options help most?
 
     Attributes:
-        methods: Who races; by default all, with ``hand-made`` places and ``none``, primitives alone.
+        methods: Who races; by default all, with ``hand-made`` places and ``none``, primitives alone. Besides there is
+            ``random-filtered``: states drawn from those that diverse density searches.
         tasks: Where; by default everywhere. The robot needs the extra ``pioneer``.
         learners: Who learns: macroq (Macro Q-learning), dqn (OptionDQN), ppo (MaskablePPO).
         settings: Of the methods: their defaults, or what ``experiments.methods.tune`` chose.
@@ -50,7 +51,7 @@ class Study(Flags):
 
     def __post_init__(self) -> None:
         """Refuse what there is not, by name."""
-        for name, possible in (("methods", ENTRANTS), ("tasks", TASKS), ("learners", tuple(LENGTHS))):
+        for name, possible in (("methods", POSSIBLE), ("tasks", TASKS), ("learners", tuple(LENGTHS))):
             for value in getattr(self, name):
                 if value not in possible:
                     raise SystemExit(f"--{name}: there is no {value!r}, choose from {', '.join(possible)}.")

@@ -18,7 +18,8 @@ from experiments.deep.conditions import EVAL_SEED, Served
 from experiments.deep.settings import GAMMA, DeepSettings, family
 from experiments.deep.tasks import Task
 from experiments.first_hour.conditions import OptionUse
-from experiments.methods.entrants import NONE, discovery_of
+from experiments.methods.entrants import FILTERED, NONE, discovery_of
+from experiments.methods.filtered import FilteredDiscovery
 from experiments.methods.tasks import RaceTask, at_bottleneck, step_limit, task_for
 from experiments.pioneer.agents import features
 from experiments.pioneer.settings import PioneerSettings
@@ -83,6 +84,16 @@ class TimedDiscovery(SubgoalDiscoveryCallback):
         search = self._search
         search.add = self.watch.timed(search.add)  # type: ignore[method-assign]  # of this one
         search.search = self.watch.timed(search.search)  # type: ignore[method-assign]
+
+
+class FilteredDraws(TimedDiscovery):
+    """Draws subgoals from the states that diverse density searches."""
+
+    def _on_training_start(self) -> None:
+        if self.discovery is None:
+            kind = self.training_env.env_method("feature_kind", indices=[0])[0]
+            self.discovery = FilteredDiscovery(self.settings, self.success, self.static_filter, kind, seed=self.seed)
+        super()._on_training_start()
 
 
 class TimedEvaluations(Evaluations):
@@ -182,7 +193,8 @@ def train(
 def make_discovery(entry: Entry, task: RaceTask, seed: int, *, discovers: bool) -> TimedDiscovery:
     """The callback; the option learner is the same for all."""
     settings, method = discovery_of(entry.entrant, entry.changed, task, seed)
-    return TimedDiscovery(
+    kind = FilteredDraws if entry.entrant == FILTERED else TimedDiscovery
+    return kind(
         settings,
         {**SETTINGS.option, **task.option},
         method=method,

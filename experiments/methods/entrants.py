@@ -16,8 +16,13 @@ from sb3_options.discovery.settings import DiscoverySettings
 NONE = "none"
 HAND_MADE = "hand-made"
 
+FILTERED = "random-filtered"
+
 ENTRANTS = (*get_args(MethodName), HAND_MADE, NONE)
 """Of `MethodName`; ``hand-made``: the bottlenecks themselves; ``none``: primitives."""
+
+POSSIBLE = (*ENTRANTS, FILTERED)
+"""``random-filtered``: states drawn from diverse density's bags; it takes part where it is named."""
 
 TUNED = Path(__file__).with_name("tuned.json")
 """What `experiments.methods.tune` chose, by method."""
@@ -51,6 +56,8 @@ def all_settings_of(entrant: str, changed: Mapping[str, Any]) -> dict[str, Any]:
         made: Any = METHODS[entrant]
         defaults = {name: p.default for name, p in signature(made).parameters.items() if name != "seed"}
         return {**defaults, **changed}
+    if entrant == FILTERED:
+        return {**asdict(DiscoverySettings(**changed)), "method": FILTERED}
     return {} if entrant in (HAND_MADE, NONE) else asdict(DiscoverySettings(**{"method": entrant, **changed}))
 
 
@@ -70,6 +77,6 @@ def discovery_of(
         return DiscoverySettings(**task.discovery), METHODS[entrant](**changed, **drawn)
     if entrant == HAND_MADE:
         return DiscoverySettings(**task.discovery), GivenPlaces(places(task))
-    if entrant == NONE:
+    if entrant in (NONE, FILTERED):
         return DiscoverySettings(**task.discovery), None
     return DiscoverySettings(**{**task.discovery, "method": entrant, **changed}), None

@@ -16,6 +16,7 @@ from experiments.methods.__main__ import Study, main, table
 from experiments.methods.conditions import LENGTHS, Entry, length_of, run
 from experiments.methods.entrants import (
     ENTRANTS,
+    FILTERED,
     HAND_MADE,
     NONE,
     TUNABLE,
@@ -23,6 +24,7 @@ from experiments.methods.entrants import (
     chosen_settings,
     discovery_of,
 )
+from experiments.methods.filtered import FilteredDiscovery
 from experiments.methods.report import LEFT_OUT, Report, parts_of
 from experiments.methods.spaces import SPACES, defaults_of
 from experiments.methods.summary import summarise
@@ -39,6 +41,7 @@ from experiments.random_walks.maps import random_map
 from sb3_options.discovery.methods import GivenPlaces
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.envs import GridWorld
+from sb3_options.experience.trajectories import Trajectory
 
 SHORT = 2000
 """Primitive steps: two evaluations, and too few successes for most methods."""
@@ -209,6 +212,30 @@ def test_a_run_of_a_control_carries_its_options_over() -> None:
     assert all(each["near"] is None for each in found["found"])
     assert found["moved"]["decided"] > 0  # runs of options that were found in the same task
     assert found["same"]["seconds"] > found["same"]["discovery"] > 0
+
+
+@pytest.mark.parametrize(("min_passing", "several"), [(0.7, False), (0.0, True)])
+def test_a_control_draws_from_the_states_that_diverse_density_searches(min_passing: float, several: bool) -> None:
+    """All ways lead through (4, 0), and go apart before and after."""
+    settings = DiscoverySettings(start_radius=1, goal_radius=1, min_cut=0.0, min_passing=min_passing)
+    drawn = set()
+    for seed in range(12):
+        discovery = FilteredDiscovery(settings, seed=seed)
+        for way in range(6):
+            x = np.arange(9.0)
+            states = np.stack([x, np.where(x == 4, 0.0, 2.0 * way)], axis=1)
+            how = (np.zeros(8, dtype=np.int64), np.zeros(8), True, False, True)
+            discovery.add(Trajectory(states, np.arange(9), *how), states, success=True)
+            discovery.search()
+        drawn.add(tuple(discovery.found[0].centre.tolist()))
+    assert len(drawn) > 4 if several else drawn == {(4.0, 0.0)}
+
+
+def test_the_race_takes_it_where_it_is_named() -> None:
+    entry = Entry("FourRooms", "macroq", FILTERED, {}, 4 * SHORT)
+    assert FILTERED not in ENTRANTS
+    assert all_settings_of(FILTERED, {})["method"] == FILTERED
+    assert all(isinstance(each["near"], bool) for each in run(entry, 0)["found"])
 
 
 def test_the_race_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

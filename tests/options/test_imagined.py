@@ -26,6 +26,7 @@ STATES = np.array(
         [1, 2, 1, 1],
         [1, 2, 1, 0],  # something is in the way
         [1, 3, 0, 1],
+        [1, 1, 1, 1],  # the subgoal, too
     ],
     dtype=np.float64,
 )
@@ -36,7 +37,7 @@ def steps(*taken: tuple[int, int, int, int]) -> Transitions:
     began, actions, led = (
         np.repeat([step[i] for step in taken], [step[3] for step in taken]).astype(np.int64) for i in range(3)
     )
-    return Transitions(STATES, began, actions, np.zeros(len(began)), led, led == 0)
+    return Transitions(STATES, began, actions, np.zeros(len(began)), led, np.isin(led, (0, 5)))
 
 
 AHEAD_IS_NEARER = steps((1, AHEAD, 0, 19), (4, AHEAD, 1, 5), (2, TURN, 3, 30), (3, AHEAD, 3, 30))
@@ -59,22 +60,46 @@ def test_a_step_ahead_brings_nearer_in_its_context_only() -> None:
 
 
 def test_the_initiation_set_goes_on_where_nobody_was() -> None:
+    """(3, 0) needs two steps, and an option may last four: two more are imagined."""
     region, table = extended([1, 4], AHEAD_IS_NEARER)
     new = region.points[2:]
-    assert new.tolist() == [[1, f, 0, 1] for f in (4, 5, 6, 7)]
+    assert new.tolist() == [[1, f, 0, 1] for f in (4, 5)]
     assert region.points[:2].tolist() == STATES[[1, 4]].tolist()
-    assert table.actions(new).tolist() == [AHEAD] * 4
+    assert table.actions(new).tolist() == [AHEAD] * 2
     # The value of (3, 0) is -1, and each step before it costs 1.
-    expected = [-1 + 0.5 * -1, -1 + 0.5 * -1.5, -1 + 0.5 * -1.75, -1 + 0.5 * -1.875]
-    assert table.best_values(new).tolist() == expected
+    assert table.best_values(new).tolist() == [-1 + 0.5 * -1, -1 + 0.5 * -1.5]
     features = np.zeros((3, 6))
-    features[:, [2, 5, 3, 4]] = [[1, 6, 0, 1], [1, 6, 0, 0], [1, 6, 1, 1]]
+    features[:, [2, 5, 3, 4]] = [[1, 5, 0, 1], [1, 5, 0, 0], [1, 5, 1, 1]]
     assert region.contains(features).tolist() == [True, False, False]
 
 
 def test_sideways_it_goes_on_from_what_is_known_there() -> None:
-    region, _ = extended([2], AHEAD_IS_NEARER)
-    assert region.points[1:].tolist() == [[1, f, 1, 1] for f in (3, 4, 5, 6)]
+    region, _ = extended([2], steps((1, AHEAD, 0, 19), (2, AHEAD, 5, 20)))
+    assert region.points[1:].tolist() == [[1, f, 1, 1] for f in (3, 4, 5)]
+
+
+def test_nothing_goes_on_from_where_the_subgoal_is_not_reached_in_time() -> None:
+    """From (2, 1) no step was saved that the policy would take."""
+    assert len(extended([2], AHEAD_IS_NEARER)[0].points) == 1
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2], [2, 1, 0]])
+def test_of_two_ways_the_better_one_is_taken(order: list[int]) -> None:
+    """From (3, 0) ahead leads to what is worth -2, sideways to what is worth -9, whichever is found first."""
+    states = np.array([[1, 1, 0, 1], [1, 1, 1, 1], [1, 2, 0, 1], [1, 3, 1, 1], [1, 2, 1, 1]], dtype=np.float64)
+    saved = [(2, AHEAD, 0), (4, AHEAD, 1), (3, AHEAD, 4), (2, TURN, 4)]
+    began, actions, led = (np.repeat([step[i] for step in saved], 40) for i in range(3))
+    transitions = Transitions(states, began, actions, np.zeros(len(began)), led, np.isin(led, (0, 1)))
+    values = np.full((3, 2), -np.inf)
+    values[:, AHEAD] = [-2.0, -9.0, -8.0]  # of (2, 0), (3, 1) and (2, 1)
+    points = states[[2, 3, 4]][order]
+    initiation = Region(points, np.array(GROUP.scale), 0.5, group=GROUP)
+    region, table = imagined_farther(initiation, transitions, TabularPolicy(points, values[order]), SETTINGS)
+    there = np.array([[1.0, 3.0, 0.0, 1.0]])
+    assert there[0].tolist() in region.points.tolist()
+    assert table.actions(there).tolist() == [AHEAD]
+    (row,) = np.flatnonzero((table.states == there).all(axis=1))
+    assert table.values[row].tolist() == [-1 + 0.5 * -9, -1 + 0.5 * -2]
 
 
 @pytest.mark.parametrize(
