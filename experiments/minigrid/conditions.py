@@ -147,7 +147,7 @@ def _callbacks(arm: Arm, seed: int, stage: int, *, is_last: bool, primitive_roll
         kind = ContrastingSubgoalsCallback if arm in settings.CONTRASTING else SubgoalDiscoveryCallback
         discovery = kind(
             settings.DISCOVERY,
-            settings.options_of(arm),
+            settings.options_of(arm, stage),
             method="random" if arm in settings.RANDOM else None,
             groups=_blinkered() if arm in (settings.OWN_ARM, settings.FORMER_ARM) else None,
             max_new_options=0 if is_last and stage else None,

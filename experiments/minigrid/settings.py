@@ -151,6 +151,10 @@ for long. The study was run before there was a `max_share`."""
 OPTIONS: dict[str, Any] = {"grow": True}
 """Options are learned anew as more is seen: the first ones know only what a small room shows."""
 
+GROWING_STAGES = 2
+"""After so many tasks options stay as they are. In a third one a later version is another more than a better one, and
+what the agent learned of the former is wrong."""
+
 OPENING_SHARE = 0.5
 MIN_REACHED = 0.5
 """Options are offered no longer where fewer of their runs reach the subgoal."""
@@ -162,11 +166,11 @@ REACHED = (0.5, 0.8, 0.9)
 """Success rates whose frames are reported."""
 
 
-def options_of(arm: Arm) -> dict[str, Any]:
-    """How an arm learns options."""
+def options_of(arm: Arm, stage: int = 0) -> dict[str, Any]:
+    """How an arm learns options in a stage, counted from 0."""
     if arm == FORMER_ARM:
         return {"min_reach": 0.0}
-    return {} if arm == OWN_ARM else OPTIONS
+    return {} if arm == OWN_ARM or stage >= GROWING_STAGES else OPTIONS
 
 
 def primitive_rollouts(arm: Arm, stage: Stage) -> bool:
@@ -182,6 +186,7 @@ def of(arm: Arm) -> dict[str, Any]:
     if arm in DISCOVERING:
         special |= {"discovery": DISCOVERY, "opening_share": OPENING_SHARE}
         special |= {"options": options_of(arm), "own_features_only": arm in (OWN_ARM, FORMER_ARM)}
+        special |= {"growing_stages": GROWING_STAGES} if options_of(arm) == OPTIONS else {}
         special |= {"min_reached": MIN_REACHED, "discovers_in": "all stages but the last"}
     if arm in (*RANDOM, *CONTRASTING):
         special |= {"subgoals": "drawn" if arm in RANDOM else "drawn from what contrasts"}

@@ -264,8 +264,7 @@ def joined(option: SubgoalOption, later: SubgoalOption) -> SubgoalOption:
     """An option from elsewhere together with one for the same subgoal that was learned here.
 
     The trajectories that the first was made from are not at hand, so nothing can be learned from all of them: I is the
-    union of both, and π that of the later one in the states that it knows. On a group of features π stays what it was
-    in the I of the first: there the agent has come to know the option, and to make it another unteaches that.
+    union of both, and π that of the later one in the states that it knows.
 
     Args:
         option: From another task.
@@ -281,9 +280,7 @@ def joined(option: SubgoalOption, later: SubgoalOption) -> SubgoalOption:
     assert isinstance(known, TabularPolicy)
     assert isinstance(new, TabularPolicy)
     rows, states, values = known.rows_for(new.states)
-    there = set() if option.subgoal.group is None else {point.tobytes() for point in option.initiation_set.points + 0.0}
-    elsewhere = np.array([state.tobytes() not in there for state in new.states + 0.0], dtype=bool)
-    values[rows[elsewhere]] = new.values[elsewhere]
+    values[rows] = new.values
     union = np.unique(np.concatenate([option.initiation_set.points, later.initiation_set.points]), axis=0)
     other = option.with_policy(TabularPolicy(states, values))
     other.initiation_set = replace(option.initiation_set, points=union)

@@ -88,9 +88,8 @@ def test_the_last_environments_rehearse_and_say_nothing_of_success() -> None:
     assert list(notes._successes) == [True]
 
 
-def test_options_grow_where_they_see_more_than_their_subgoal_says() -> None:
-    growing = {arm for arm in settings.DISCOVERING if settings.options_of(arm) == {"grow": True}}
-    assert growing == {*settings.DISCOVERING} - {settings.OWN_ARM, settings.FORMER_ARM}
+def test_options_stay_as_they_are_from_the_third_task_on() -> None:
+    assert [settings.options_of("discovered", stage) for stage in range(4)] == [{"grow": True}] * 2 + [{}] * 2
 
 
 def test_options_to_subgoals_begin_within_so_many_cells() -> None:

@@ -250,24 +250,6 @@ def test_joined_options_start_where_either_does_and_act_as_the_later_one_where_i
     assert joined(network, later) is network
 
 
-def test_on_a_group_of_features_an_option_acts_as_it_did_where_it_could_begin() -> None:
-    """The first goes right from 2, 3 and 4, the later one left from 4, 6 and 7."""
-    group = FeatureGroup("place", [0])
-    door = Region(DOOR.points, DOOR.scale, DOOR.radius, group=group)
-
-    def option(places: list[float], action: int) -> SubgoalOption:
-        points = np.array(places)[:, None]
-        values = np.full((len(points), 2), -np.inf)
-        values[:, action] = -1.0
-        region = Region(points, DOOR.scale, 0.5, group=group)
-        return SubgoalOption(door, region, TabularPolicy(points, values), policy_input="features", max_duration=9)
-
-    both = joined(option([2, 3, 4], RIGHT), option([4, 6, 7], LEFT)).bind(flatten)
-    places = np.array([2.0, 3, 4, 6, 7])[:, None]
-    assert both.initiation(places).all()
-    assert both.policy(places).tolist() == [RIGHT, RIGHT, RIGHT, LEFT, LEFT]
-
-
 def test_an_option_made_elsewhere_stays_what_it_is() -> None:
     growth = OptionGrowth()
     assert not any(growth.is_due(3, ball(2.0), REACHES) for _ in range(5))
