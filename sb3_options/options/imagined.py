@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +11,6 @@ import numpy as np
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import BoolArray, FloatArray, flatten
 from sb3_options.options.policies import TabularPolicy
-from sb3_options.options.reach import steps_needed
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.options.tasks import Transitions
 
@@ -39,21 +38,6 @@ class Displacement(NamedTuple):
     move: FloatArray
 
 
-@dataclass
-class _State:
-    """A state that an option can go on from.
-
-    Attributes:
-        point: It, (k,).
-        values: Of its actions, as far as they are known.
-        steps: That the best of them takes to the subgoal.
-    """
-
-    point: FloatArray
-    values: FloatArray
-    steps: int
-
-
 def imagined_farther(
     initiation: Region, transitions: Transitions, policy: TabularPolicy, settings: OptionLearningSettings
 ) -> tuple[Region, TabularPolicy]:
@@ -65,14 +49,14 @@ def imagined_farther(
     agree on, to states that were never seen. An action there is worth what the best known way on from it is:
     Q(s, a) = r + γ max Q(s', ·), in sweeps until nothing gets better. This is planning with a model in the manner of
     linear Dyna (Sutton, Szepesvári, Geramifard & Bowling 2008); the model is that displacement. States that were seen
-    are left as they are. A state is added where the subgoal is reached before the run of the option must end: its way
-    to I, and the steps that are needed from there (`reach.steps_needed`), are ``max_duration`` at most.
+    are left as they are. As many steps are imagined as a run of the option may last. From the farthest states it takes
+    longer than that, with the steps that are needed from I; without them runs leave I more often.
 
     Args:
         initiation: I, on a group of features with ``coordinates``; with others nothing is imagined.
         transitions: Of the option's own task.
         policy: A table, learned from them.
-        settings: ``max_duration``, ``min_reach``, ``step_reward``, ``subgoal_reward`` and ``gamma`` are used.
+        settings: ``max_duration``, ``step_reward`` and ``gamma`` are used.
 
     Returns:
         I and the policy; the same ones where nothing is to be imagined.
@@ -83,44 +67,29 @@ def imagined_farther(
     moving = np.isin(group.features, group.coordinates)
     rules = displacements(transitions, moving)
     states = flatten(transitions.states) + 0.0
-    in_i = [point.tobytes() for point in initiation.points + 0.0]
-    seen = {state.tobytes() for state in states} | set(in_i)
-    inside = np.array([state.tobytes() in set(in_i) for state in states], dtype=bool)
-    fewest = steps_needed(
-        transitions,
-        policy,
-        least=settings.min_reach,
-        steps=settings.max_duration,
-        subgoal_reward=settings.subgoal_reward,
-        inside=inside,
-    )
-    needed = {state.tobytes(): int(steps) for state, steps in zip(states, fewest, strict=True)}
-    imagined: dict[bytes, _State] = {}
-    front = [
-        _State(point, np.array([value]), needed.get(key, 1))
-        for key, point, value in zip(in_i, initiation.points + 0.0, policy.best_values(initiation.points), strict=True)
-    ]
+    seen = {state.tobytes() for state in states} | {point.tobytes() for point in initiation.points + 0.0}
+    imagined: dict[bytes, tuple[FloatArray, FloatArray]] = {}  # points, and values of actions as far as they are known
+    front = list(zip(initiation.points + 0.0, policy.best_values(initiation.points).tolist(), strict=True))
     for _ in range(settings.max_duration):
-        better: dict[bytes, _State] = {}
-        for led in front:
+        better: dict[bytes, FloatArray] = {}
+        for led, best in front:
             for rule in rules:
-                if led.steps >= settings.max_duration or not np.array_equal(led.point[~moving], rule.context):
+                if not np.array_equal(led[~moving], rule.context):
                     continue
-                before = led.point.copy()
-                before[moving] = led.point[moving] - rule.move + 0.0
-                key, value = before.tobytes(), settings.step_reward + settings.gamma * float(led.values.max())
+                before = led.copy()
+                before[moving] = led[moving] - rule.move + 0.0
+                key, value = before.tobytes(), settings.step_reward + settings.gamma * best
                 if key in seen or (key not in imagined and len(imagined) == MOST_POINTS):
                     continue
-                there = imagined.setdefault(key, _State(before, np.full(policy.values.shape[1], -np.inf), 0))
-                if value > there.values.max():
-                    there.steps, better[key] = led.steps + 1, there
-                there.values[rule.action] = max(there.values[rule.action], value)
-        front = list(better.values())
+                _, values = imagined.setdefault(key, (before, np.full(policy.values.shape[1], -np.inf)))
+                if value > values.max():
+                    better[key] = before
+                values[rule.action] = max(values[rule.action], value)
+        front = [(point, float(imagined[key][1].max())) for key, point in better.items()]
     if not imagined:
         return initiation, policy
-    points = np.array([there.point for there in imagined.values()])
-    values = np.array([there.values for there in imagined.values()])
-    table = TabularPolicy(np.concatenate([policy.states, points]), np.concatenate([policy.values, values]))
+    points, new = (np.array(column) for column in zip(*imagined.values(), strict=True))
+    table = TabularPolicy(np.concatenate([policy.states, points]), np.concatenate([policy.values, new]))
     return replace(initiation, points=np.concatenate([initiation.points, points])), table
 
 

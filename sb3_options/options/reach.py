@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from sb3_options.density.regions import Region
-from sb3_options.experience.observations import BoolArray, FloatArray, IntArray, flatten
+from sb3_options.experience.observations import BoolArray, FloatArray, flatten
 from sb3_options.options.policies import TabularPolicy
 from sb3_options.options.tasks import Transitions
 
@@ -40,42 +39,6 @@ def reach_probabilities(
     Returns:
         P of each of ``transitions.states``, (m,); 0 where the policy's action never was taken.
     """
-    *_, probability = _within(transitions, policy, steps, subgoal_reward, inside)
-    return probability
-
-
-def steps_needed(
-    transitions: Transitions,
-    policy: TabularPolicy,
-    *,
-    least: float,
-    steps: int,
-    subgoal_reward: float,
-    inside: BoolArray | None = None,
-) -> IntArray:
-    """The fewest steps within which the subgoal is reached often enough.
-
-    Args:
-        transitions: Of the option's own task.
-        policy: A table.
-        least: Probability of `reach_probabilities`, in [0, 1]; at 0 any above it.
-        steps: Most that count, at least 1.
-        subgoal_reward: As there.
-        inside: As there.
-
-    Returns:
-        Of each of ``transitions.states``, (m,); ``steps`` where they do not suffice.
-    """
-    probabilities = np.stack(list(_within(transitions, policy, steps, subgoal_reward, inside)))
-    enough = probabilities >= max(least, np.finfo(np.float64).tiny)
-    needed: IntArray = np.where(enough.any(axis=0), enough.argmax(axis=0) + 1, steps)
-    return needed
-
-
-def _within(
-    transitions: Transitions, policy: TabularPolicy, steps: int, subgoal_reward: float, inside: BoolArray | None
-) -> Iterator[FloatArray]:
-    """The probabilities within 1, 2 and so on to ``steps`` steps."""
     chosen = policy.actions(transitions.states)
     taken = chosen[transitions.began] == transitions.actions
     began, led, ends = transitions.began[taken], transitions.led[taken], transitions.ends[taken]
@@ -87,7 +50,7 @@ def _within(
     for _ in range(steps):
         follows = np.where(reached, 1.0, goes_on * probability[led])
         probability = np.bincount(began, weights=follows, minlength=m) / seen
-        yield probability
+    return probability
 
 
 def reliable_part(

@@ -26,7 +26,6 @@ STATES = np.array(
         [1, 2, 1, 1],
         [1, 2, 1, 0],  # something is in the way
         [1, 3, 0, 1],
-        [1, 1, 1, 1],  # the subgoal, too
     ],
     dtype=np.float64,
 )
@@ -37,7 +36,7 @@ def steps(*taken: tuple[int, int, int, int]) -> Transitions:
     began, actions, led = (
         np.repeat([step[i] for step in taken], [step[3] for step in taken]).astype(np.int64) for i in range(3)
     )
-    return Transitions(STATES, began, actions, np.zeros(len(began)), led, np.isin(led, (0, 5)))
+    return Transitions(STATES, began, actions, np.zeros(len(began)), led, led == 0)
 
 
 AHEAD_IS_NEARER = steps((1, AHEAD, 0, 19), (4, AHEAD, 1, 5), (2, TURN, 3, 30), (3, AHEAD, 3, 30))
@@ -60,27 +59,22 @@ def test_a_step_ahead_brings_nearer_in_its_context_only() -> None:
 
 
 def test_the_initiation_set_goes_on_where_nobody_was() -> None:
-    """(3, 0) needs two steps, and an option may last four: two more are imagined."""
     region, table = extended([1, 4], AHEAD_IS_NEARER)
     new = region.points[2:]
-    assert new.tolist() == [[1, f, 0, 1] for f in (4, 5)]
+    assert new.tolist() == [[1, f, 0, 1] for f in (4, 5, 6, 7)]
     assert region.points[:2].tolist() == STATES[[1, 4]].tolist()
-    assert table.actions(new).tolist() == [AHEAD] * 2
+    assert table.actions(new).tolist() == [AHEAD] * 4
     # The value of (3, 0) is -1, and each step before it costs 1.
-    assert table.best_values(new).tolist() == [-1 + 0.5 * -1, -1 + 0.5 * -1.5]
+    expected = [-1 + 0.5 * -1, -1 + 0.5 * -1.5, -1 + 0.5 * -1.75, -1 + 0.5 * -1.875]
+    assert table.best_values(new).tolist() == expected
     features = np.zeros((3, 6))
-    features[:, [2, 5, 3, 4]] = [[1, 5, 0, 1], [1, 5, 0, 0], [1, 5, 1, 1]]
+    features[:, [2, 5, 3, 4]] = [[1, 6, 0, 1], [1, 6, 0, 0], [1, 6, 1, 1]]
     assert region.contains(features).tolist() == [True, False, False]
 
 
 def test_sideways_it_goes_on_from_what_is_known_there() -> None:
-    region, _ = extended([2], steps((1, AHEAD, 0, 19), (2, AHEAD, 5, 20)))
-    assert region.points[1:].tolist() == [[1, f, 1, 1] for f in (3, 4, 5)]
-
-
-def test_nothing_goes_on_from_where_the_subgoal_is_not_reached_in_time() -> None:
-    """From (2, 1) no step was saved that the policy would take."""
-    assert len(extended([2], AHEAD_IS_NEARER)[0].points) == 1
+    region, _ = extended([2], AHEAD_IS_NEARER)
+    assert region.points[1:].tolist() == [[1, f, 1, 1] for f in (3, 4, 5, 6)]
 
 
 @pytest.mark.parametrize("order", [[0, 1, 2], [2, 1, 0]])
