@@ -42,7 +42,8 @@ class CheckpointCallback(BaseCallback):
         verbose: 1 says when training goes on from one.
 
     Raises:
-        ValueError: ``freq`` < 1; or, when training starts, something cannot be in a checkpoint.
+        ValueError: ``freq`` < 1; or, when training starts, something cannot be in a checkpoint, or the folder has those
+            of another training.
     """
 
     def __init__(
@@ -69,11 +70,22 @@ class CheckpointCallback(BaseCallback):
     def _on_training_start(self) -> None:
         models.check(self.model)
         self._root: BaseCallback | None = self.locals.get("callback")
+        self._check_folder()
         # What cannot be in a checkpoint is refused now. Before its first step a model has just reset its environments.
         environments.prepare(self.training_env, just_reset=self.model.num_timesteps == 0)
         for venv in self._evaluated():
             environments.prepare(venv)
         checkpoint_state.check(self._root)
+
+    def _check_folder(self) -> None:
+        """Refuse a folder with checkpoints of more steps than there are: the newest would be another training's."""
+        there, now = self.folder.last_steps(), self.model.num_timesteps
+        if self._resumed is None and there is not None and there > now:
+            raise ValueError(
+                f"{self.folder.path} holds a checkpoint of {there:,} primitive steps, of another training, and this "
+                f"one begins at {now:,}. Choose another folder, or remove that one; or go on with that training: "
+                "load_checkpoint(folder, model, callbacks), with the callbacks that learn() is given."
+            )
 
     def _init_callback(self) -> None:
         if self._resumed is not None and self._resumed["model"]["class"] == type(self.model).__name__:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import inspect
 import logging
+import os
 from collections.abc import Iterable, Mapping
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from gymnasium import spaces
@@ -31,21 +32,41 @@ from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.macro_q import MacroQ
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 
+if TYPE_CHECKING:
+    from sb3_options.callbacks.discovery import SubgoalDiscoveryCallback
+
 logger = logging.getLogger("sb3_options")
 
 
-def check_arguments(success: object, max_new_options: int | None, min_reached: float, seed: int) -> None:
-    """Refuse arguments of `SubgoalDiscoveryCallback` that are out of their range.
+def check_arguments(
+    success: object,
+    static_filter: object,
+    max_new_options: int | None,
+    min_reached: float,
+    save_path: object,
+    hparams: object,
+    seed: int,
+) -> None:
+    """Refuse arguments of `SubgoalDiscoveryCallback` that are something else, or out of their range.
 
     Raises:
-        TypeError: The rule of success cannot be called.
-        ValueError: Another one is.
+        TypeError: The rule of success or the static filter cannot be called, the path is none, or hparams no mapping.
+        ValueError: Another one is out of its range.
     """
     if not callable(success):
         raise TypeError(
             f"success must be a function from a Trajectory to whether it succeeded, got {success!r}: success_by_return"
             "(threshold) of sb3_options.experience.success is one."
         )
+    if static_filter is not None and not callable(static_filter):
+        raise TypeError(
+            "static_filter must be a function of the features of a trajectory's states (m, d), the features of its "
+            f"first and of its last state, (d,) each, to which states may be subgoals, (m,), got {static_filter!r}."
+        )
+    if save_path is not None and not isinstance(save_path, str | os.PathLike):
+        raise TypeError(f"save_path must be a path, or None, got {save_path!r}.")
+    if hparams is not None and not isinstance(hparams, Mapping):
+        raise TypeError(f"hparams must be a mapping from names to settings, or None, got {hparams!r}.")
     if max_new_options is not None and not whole(max_new_options, 0):
         raise ValueError(f"max_new_options must be at least 0, got {max_new_options!r}.")
     if not (is_number(min_reached) and 0.0 <= min_reached <= 1.0):
@@ -90,31 +111,56 @@ def trial_given(trial: TrialSettings | Mapping[str, Any] | None, settings: Disco
     return given
 
 
-def check_training(
-    model: BaseAlgorithm, venv: VecEnv, settings: DiscoverySettings, before: BaseAlgorithm | None, made: set[int]
-) -> None:
+def check_training(callback: SubgoalDiscoveryCallback, before: BaseAlgorithm | None) -> None:
     """Refuse to begin where no options can be discovered, or a callback that knows another model.
 
     Args:
-        model: About to be trained.
-        venv: Its environment.
-        settings: Of discovery.
-        before: The model that the callback was with, if any.
-        made: Slots of the options that it made there. A model that was loaded again has them.
+        callback: Whose training starts.
+        before: The model that it was with, if any.
 
     Raises:
         TypeError: As `check_model`.
-        ValueError: Likewise; or a limit of an episode is set where there are none, or the model is another one.
+        ValueError: Likewise; or a limit of an episode is set where there are none, the model is another one, or there
+            are two such callbacks.
     """
+    model, venv, made = callback.model, callback.training_env, callback._made_here
     check_model(model, venv)
+    # A model that was loaded again has the options that the callback made.
     again = before is None or before is model or (made and made <= set(venv.get_attr("bank", [0])[0].filled))
     if not again:
         raise ValueError(
             "This SubgoalDiscoveryCallback was with another model, whose episodes and options it knows: make a new one "
             "for each model."
         )
-    if settings.segmentation == "peaks" and set(venv.get_attr("max_runs")) != {None}:
+    if callback.settings.segmentation == "peaks" and set(venv.get_attr("max_runs")) != {None}:
         raise ValueError("max_runs counts in an episode, and a continuing task has none: leave it out with peaks.")
+    _check_alike(venv)
+    others = [each for each in all_callbacks(callback.locals.get("callback")) if each is not callback]
+    if any(hasattr(each, "discoveries") for each in others):  # its class is defined on top of this module
+        raise ValueError(
+            "learn() got two SubgoalDiscoveryCallbacks, and the trajectories go to the first alone: leave one out. To "
+            "compare methods of discovery, train a model with each."
+        )
+
+
+def _check_alike(venv: VecEnv) -> None:
+    """Refuse environments of which the first says nothing of the others.
+
+    Raises:
+        ValueError: Their options, their feature maps or their limits of runs differ.
+    """
+    names = [[None if option is None else option.name for option in bank.slots] for bank in venv.get_attr("bank")]
+    for what, values in (
+        ("options", names),
+        ("feature maps", venv.env_method("feature_kind")),
+        ("max_runs", venv.get_attr("max_runs")),
+    ):
+        other = next((i for i, value in enumerate(values) if value != values[0]), None)
+        if other is not None:
+            raise ValueError(
+                f"The environments have different {what}: {values[0]} in the first, {values[other]} in number {other}. "
+                "Make all of them alike."
+            )
 
 
 def masks_actions(model: BaseAlgorithm) -> bool:

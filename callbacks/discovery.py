@@ -123,7 +123,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             self.settings = dataclasses.replace(self.settings, method=method)
         self.method = checked_method(method)
         self.option_settings = given_as(OptionLearningSettings, {} if option_settings is None else option_settings)
-        check_arguments(success, max_new_options, min_reached, seed)
+        check_arguments(success, static_filter, max_new_options, min_reached, save_path, hparams, seed)
         self.success, self.static_filter, self.min_reached = success, static_filter, min_reached
         self.groups = groups_given(groups)
         self.max_new_options, self.interruption, self.save_path = max_new_options, interruption, save_path
@@ -152,7 +152,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     def _on_training_start(self) -> None:
         self._ended, venv = False, self.training_env
         before = None if self._installer is None else self._installer.model
-        check_training(self.model, venv, self.settings, before, self._made_here)
+        check_training(self, before)
         self._start_counting()
         monitor_primitive_steps(venv)
         self._installer = OptionInstaller(
@@ -165,8 +165,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             earlier=self._installer,
         )
         self._features = features_for(self._features, self._installer, self.embedding, self.seed)
-        own = self.method is not None or bool(self.groups)
-        check_learned(self._features, self.settings, self.option_settings, own=own)
+        check_learned(self._features, self.settings, self.option_settings, own=bool(self.method or self.groups))
         if self.discovery is None:
             self.discovery = discovery_with(
                 self.settings,
@@ -280,7 +279,11 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     def _make_option(self, subgoal: Region) -> None:
         found = self._search.found[-1]
         where = found.where(self._search.kind)
-        option = self._learn(found.proposal or subgoal, f"reach {where}", self.option_settings.policy_input)
+        try:
+            option = self._learn(found.proposal or subgoal, f"reach {where}", self.option_settings.policy_input)
+        except ValueError:
+            self._search.withdraw()
+            raise
         if option is None:
             self._complaints.no_option(where)
             return self._search.withdraw()
@@ -292,19 +295,15 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         if not option.fixed:
             self._growth.made(slot, subgoal, self._search.database)
         at = (self.episodes, self.num_timesteps, found.centre, where if len(subgoal.points) else option.name)
-        n, saved = len(option.initiation_set.points), saved_for(subgoal, self._search.database)
-        self.discoveries.append(DiscoveredOption(slot, *at, found.log_density, n, *saved))
+        last = (found.log_density, len(option.initiation_set.points), *saved_for(subgoal, self._search.database))
+        self.discoveries.append(DiscoveredOption(slot, *at, *last))
         if self.verbose:
             print(f"Option {slot}: {option.name}, after {self.episodes} episodes and {self.num_timesteps:,} steps")
         self._save()
         self.draw()
 
     def _save(self) -> None:
-        if self.save_path is not None:
-            try:
-                self.bank.save(self.save_path)
-            except OSError as error:
-                logger.warning("The options could not be saved to %s, training goes on: %s", self.save_path, error)
+        self._complaints.save(self.bank, self.save_path)
 
     def _close_unreliable(self) -> None:
         """Narrow, or close, options whose runs too often go on for ever."""
@@ -342,7 +341,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     def why_nothing(self) -> str | None:
         """Why no option was made since training started; None where one was."""
-        return None if self.discoveries else why_no_option(self._search, self.bank, self.max_new_options)
+        why = why_no_option(self._search, self.bank, self.max_new_options)
+        return None if self.discoveries else self._complaints.told(why, self.episodes)
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint, at the start of a rollout."""

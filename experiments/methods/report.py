@@ -12,7 +12,7 @@ import tyro
 
 from experiments.common.documents import fill, number
 
-LEFT_OUT = ("tuned-race", "tuned-random", "robot-overview", "robot-random")
+LEFT_OUT = ("tuned-race", "tuned-random", "robot-overview", "robot-random", "filtered-random", "filtered-race")
 """Tables that the page does without."""
 
 MANY = 0.25
@@ -29,6 +29,7 @@ class Report:
         ppo: What it wrote with ``--learners ppo``.
         dqn: What it wrote with ``--learners dqn``.
         robot: What it wrote with ``--tasks Pioneer``.
+        filtered: What it wrote with ``--methods`` that name ``random-filtered``.
         document: The page.
     """
 
@@ -37,12 +38,13 @@ class Report:
     ppo: Path = Path("docs/results/methods-ppo.json")
     dqn: Path = Path("docs/results/methods-dqn.json")
     robot: Path = Path("docs/results/methods-robot.json")
+    filtered: Path = Path("docs/results/methods-filtered.json")
     document: Path = Path("docs/studies/methods.md")
 
     def paths(self) -> dict[str, Path]:
         """What was written, by what its marks on the page begin with."""
-        others = {"tuned-": self.tuned, "ppo-": self.ppo, "dqn-": self.dqn, "robot-": self.robot}
-        return {"": self.results, **others}
+        others = {"ppo-": self.ppo, "dqn-": self.dqn, "robot-": self.robot, "filtered-": self.filtered}
+        return {"": self.results, "tuned-": self.tuned, **others}
 
 
 def main(report: Report) -> None:

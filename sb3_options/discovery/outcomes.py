@@ -59,6 +59,16 @@ class Outcomes:
         self.n, self.successes, self._terminated, self._reported = state["counts"]
         self._returns = state["returns"]
 
+    def why_none_ended(self) -> str:
+        """That nothing was seen to its end, and what to do."""
+        if self.unit == "segment":
+            return "no segment has ended. Choose a smaller max_segment of DiscoverySettings, or train for longer."
+        return (
+            "no episode has ended. Train for longer, or give the environment a time limit, gym.make(..., "
+            "max_episode_steps=...). A task that goes on for ever is cut at peaks of reward: "
+            'DiscoverySettings(segmentation="peaks").'
+        )
+
     def why_no_success(self) -> str:
         """What was seen where nothing succeeded, and what to do."""
         if self.unit == "segment":
@@ -83,5 +93,6 @@ class Outcomes:
             seen += "Say"
         return (
             f"{seen} what success is: SubgoalDiscoveryCallback(success=lambda trajectory: trajectory.terminated) where "
-            "every terminal state is a good one, or sb3_options.experience.success.success_by_return(threshold)."
+            "every terminal state is a good one, or sb3_options.experience.success.success_by_return(threshold). "
+            'For train.py, let an --env-wrapper of your own put info["is_success"] into the last step.'
         )

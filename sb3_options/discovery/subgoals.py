@@ -229,7 +229,7 @@ class SubgoalDiscovery:
         seen = self.outcomes
         why = "no peak of diverse density persisted long enough."
         if seen.n == 0:
-            why = f"no {seen.unit} has ended."
+            why = seen.why_none_ended()
         elif self._n_positive == 0:
             why = seen.why_no_success()
         elif self.found or self.n_withdrawn:

@@ -87,17 +87,21 @@ def load_options(source: Source, env: gym.Env[Any, Any] | VecEnv) -> None:
 
 
 def put_back(model: BaseAlgorithm, venv: VecEnv) -> None:
-    """Put the options that a model carries since SB3 loaded it into those environments that lack them.
+    """Put the options that a model has learned to choose into those environments that lack them.
+
+    It carries them since SB3 loaded it; or it was trained with them, and ``set_env`` gave it other environments, whose
+    slots are all empty.
 
     Raises:
         ValueError: They do not fit.
     """
-    text = model.__dict__.pop(CARRIED, None)
-    if text is None:
-        return
-    content = unpacked_text(text)
-    if not set(slots_of(content)) <= set(venv.get_attr("bank", [0])[0].filled):
-        load_options(content, venv)
+    text, filled = model.__dict__.pop(CARRIED, None), venv.get_attr("bank", [0])[0].filled
+    if text is not None:
+        content = unpacked_text(text)
+        if not set(slots_of(content)) <= set(filled):
+            load_options(content, venv)
+    elif not filled and isinstance(save := model.__dict__.get("save"), _Save) and (left := save.kept()) is not None:
+        load_options(left, venv)
 
 
 def keep_options(model: BaseAlgorithm, bank: OptionBank | None = None) -> None:
@@ -116,6 +120,10 @@ class _Save:
     def __init__(self, model: BaseAlgorithm, bank: OptionBank | None) -> None:
         self._model, self._asks = model, bank is None
         self._bank = _bank_of(model) if bank is None else bank
+
+    def kept(self) -> bytes | None:
+        """The options that it was given when training began, as they have become; None if there are none."""
+        return None if self._asks or not self._bank.filled else self._bank.content()
 
     def __call__(
         self,

@@ -2,23 +2,39 @@
 
 import csv
 import logging
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.callbacks import ConvertCallback, EvalCallback
 from stable_baselines3.common.logger import configure
+from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options import MacroQ, OptionReplayBuffer, OptionsWrapper, load_model
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback, TrialSettings
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.trials import OptionTrials
+from sb3_options.density.regions import Region
 from sb3_options.discovery.budget import STEP_SECONDS, TABLE_STEP_SECONDS
+from sb3_options.discovery.methods import DiscoveryMethod, Experience, GivenPlaces
 from sb3_options.learning import heads
+from sb3_options.options.file import slots_of
 from tests.support.helpers import steady_option
-from tests.support.sb3_helpers import RANDOM, TINY, env_of, fast_callback, optioned_rooms
+from tests.support.sb3_helpers import RANDOM, TINY, env_of, fast_callback, optioned_rooms, small_rooms
+
+
+class Proposing:
+    """Proposes one place of so many features."""
+
+    def __init__(self, n_features: int) -> None:
+        self.n_features = n_features
+
+    def update(self, experience: Experience) -> list[Region]:
+        return [Region(np.ones((1, self.n_features)), np.ones(self.n_features), experience.radius)]
 
 
 def model_of(env: Any, **kwargs: Any) -> DQN:
@@ -112,6 +128,39 @@ def test_going_on_without_the_options_says_so(caplog: pytest.LogCaptureFixture) 
     assert heads.is_closed(model.policy, 4)
 
 
+@pytest.mark.parametrize("new_callback", [False, True])
+def test_options_go_along_when_a_model_gets_other_environments(tmp_path: Path, new_callback: bool) -> None:
+    model, callback = model_of(optioned_rooms(2)), fast_callback()
+    model.learn(1800, callback=callback)
+    (found,) = callback.discoveries
+    model.set_env(later := optioned_rooms(2))
+    callback = fast_callback(max_new_options=0) if new_callback else callback
+    model.learn(1, callback=callback, reset_num_timesteps=False)
+    assert found.slot in later.bank.filled
+    assert found.slot in callback.bank.filled
+    assert not heads.is_closed(model.policy, 4 + found.slot)
+    model.save(tmp_path / "model.zip")
+    assert slots_of(tmp_path / "model.zip") == [found.slot]
+
+
+@pytest.mark.parametrize(
+    ("other", "what"),
+    [
+        (lambda: with_option(), r"options: \[None, None\] in the first, \['[a-z ]+', None\] in number 1"),
+        (lambda: OptionsWrapper(small_rooms(), 2, gamma=0.9, max_runs=3), "max_runs: None in the first, 3 in number 1"),
+        (lambda: OptionsWrapper(small_rooms(), 2, gamma=0.9, feature_map=np.asarray), "feature maps: environment in"),
+    ],
+)
+def test_environments_that_differ_are_refused(other: Callable[[], OptionsWrapper], what: str) -> None:
+    with pytest.raises(ValueError, match=f"^The environments have different {what}"):
+        model_of(DummyVecEnv([lambda: optioned_rooms(2), other])).learn(50, callback=SubgoalDiscoveryCallback())
+
+
+def test_one_callback_discovers_in_a_training() -> None:
+    with pytest.raises(ValueError, match=r"^learn\(\) got two SubgoalDiscoveryCallbacks"):
+        model_of(optioned_rooms(2)).learn(50, callback=[SubgoalDiscoveryCallback(), fast_callback()])
+
+
 @pytest.mark.parametrize("algorithm", [DQN, PPO])
 @pytest.mark.parametrize("callback", [PrimitiveStepsCallback, lambda: SubgoalDiscoveryCallback(max_new_options=0)])
 def test_parameters_that_were_set_are_trained_heads(algorithm: Any, callback: Any) -> None:
@@ -166,6 +215,34 @@ def test_a_callback_is_for_one_model(tmp_path: Path) -> None:
     model.save(tmp_path / "model.zip")
     load_model(DQN, tmp_path / "model", optioned_rooms(2)).learn(100, callback=callback, reset_num_timesteps=False)
     assert set(made) <= set(callback.bank.filled)
+
+
+def test_why_there_is_no_option_tells_of_episodes_that_could_not_be_used() -> None:
+    def ambiguous(_: Any) -> bool:
+        raise ValueError("neither good nor bad")
+
+    callback = SubgoalDiscoveryCallback(success=ambiguous)
+    model_of(optioned_rooms(2)).learn(2000, callback=callback)
+    n = callback.episodes
+    reason = f"{n} of {n} episodes could not be used, the last one because of ValueError: neither good nor bad."
+    assert callback.why_nothing() == f"No subgoal was discovered: {reason}"
+
+
+@pytest.mark.parametrize(
+    ("method", "why"),
+    [
+        (Proposing(3), "Proposing proposed a Region of 3 features, and φ has 2."),
+        (GivenPlaces([[5, 2, 1]]), "GivenPlaces has places of 3 features, and φ has 2."),
+    ],
+)
+def test_a_proposal_of_other_features_makes_no_option(method: DiscoveryMethod, why: str) -> None:
+    callback = SubgoalDiscoveryCallback(method=method)
+    model_of(optioned_rooms(2)).learn(2000, callback=callback)
+    assert not callback.bank.filled
+    said = callback.why_nothing()
+    assert said is not None
+    assert why in said
+    assert "that have an option" not in said
 
 
 def test_episodes_that_cannot_be_used_are_told_of_seldom(caplog: pytest.LogCaptureFixture) -> None:

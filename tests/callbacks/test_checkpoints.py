@@ -286,6 +286,19 @@ class Anything:
 
 
 class TestLoadCheckpoint:
+    def test_a_folder_of_another_training_is_refused(self, tmp_path: Path) -> None:
+        """Its checkpoints have more steps, so that they would count as newer, and those of this one be removed."""
+        model_of("PPO", venv_of()).learn(1000, [discovering(), CheckpointCallback(tmp_path, 500)])
+        before = sorted(tmp_path.iterdir())
+        model, callbacks = model_of("PPO", venv_of()), [discovering(), CheckpointCallback(tmp_path, 500)]
+        with pytest.raises(ValueError, match=r"holds a checkpoint of [\d,]+ primitive steps, of another training"):
+            model.learn(500, callbacks)
+        load_checkpoint(tmp_path, model, callbacks)
+        others = [discovering(), CheckpointCallback(tmp_path, 500)]
+        with pytest.raises(ValueError, match=r"with the callbacks that learn\(\) is given\.$"):
+            model.learn(500, others)
+        assert sorted(tmp_path.iterdir()) == before
+
     def test_goes_on_in_a_users_own_script(self, tmp_path: Path) -> None:
         def callbacks() -> Callbacks:
             return [discovering(), CheckpointCallback(tmp_path, 500)]

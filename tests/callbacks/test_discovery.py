@@ -153,6 +153,12 @@ def test_a_share_is_refused_out_of_range() -> None:
         SubgoalDiscoveryCallback(min_reached=2)
 
 
+@pytest.mark.parametrize("name", ["success", "static_filter", "save_path", "hparams"])
+def test_what_is_no_such_thing_is_refused_when_the_callback_is_made(name: str) -> None:
+    with pytest.raises(TypeError, match=f"^{name} must be .*, got 3"):
+        SubgoalDiscoveryCallback(**{name: 3})  # type: ignore[arg-type]
+
+
 def banks(venv: VecEnv) -> list[OptionBank]:
     return cast("list[OptionBank]", venv.get_attr("bank"))
 
@@ -401,8 +407,8 @@ class TestSavePath:
     @pytest.mark.parametrize(
         ("asked", "why", "said"),
         [
-            ({"verbose": 1}, "No subgoal was discovered: no episode has ended.", True),
-            ({"verbose": 0}, "No subgoal was discovered: no episode has ended.", False),
+            ({"verbose": 1}, "No subgoal was discovered: no episode has ended", True),
+            ({"verbose": 0}, "No subgoal was discovered: no episode has ended", False),
             ({"verbose": 1, "max_new_options": 0}, "Discovery was switched off.", False),
         ],
     )
@@ -411,7 +417,7 @@ class TestSavePath:
     ) -> None:
         callback = fast_callback(**asked)
         model_of().learn(20, callback=callback)
-        assert callback.why_nothing() == why
+        assert (callback.why_nothing() or "").startswith(why)
         assert (why in capsys.readouterr().out) is said
 
 

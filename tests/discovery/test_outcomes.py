@@ -21,6 +21,9 @@ def add(discovery: SubgoalDiscovery, n: int = 1, **kwargs: Any) -> None:
         discovery.add(trajectory, np.asarray(trajectory.states))
 
 
+FOR_TRAIN_PY = 'For train.py, let an --env-wrapper of your own put info["is_success"] into the last step.'
+
+
 @pytest.mark.parametrize(
     ("kwargs", "outcome", "text"),
     [
@@ -31,7 +34,7 @@ def add(discovery: SubgoalDiscovery, n: int = 1, **kwargs: Any) -> None:
             'returns from -101 to -101; the environment reports no info["is_success"], and no terminal state brought '
             "a positive reward above all earlier ones. Say what success is: "
             "SubgoalDiscoveryCallback(success=lambda trajectory: trajectory.terminated) where every terminal state is "
-            "a good one, or sb3_options.experience.success.success_by_return(threshold).",
+            "a good one, or sb3_options.experience.success.success_by_return(threshold). " + FOR_TRAIN_PY,
         ),
         (
             {},
@@ -40,7 +43,8 @@ def add(discovery: SubgoalDiscovery, n: int = 1, **kwargs: Any) -> None:
             'returns from 0 to 0; the environment reports no info["is_success"], and no terminal state brought a '
             "positive reward above all earlier ones. If the goal is a reward, it was not found so far: explore more. "
             "Else say what success is: SubgoalDiscoveryCallback(success=lambda trajectory: trajectory.terminated) "
-            "where every terminal state is a good one, or sb3_options.experience.success.success_by_return(threshold).",
+            "where every terminal state is a good one, or sb3_options.experience.success.success_by_return(threshold). "
+            + FOR_TRAIN_PY,
         ),
         (
             {},

@@ -157,7 +157,7 @@ class TestTrain:
     @pytest.mark.parametrize(
         ("args", "text"),
         [
-            (["--n-timesteps", "30"], "No subgoal was discovered: no episode has ended."),
+            (["--n-timesteps", "30"], "No subgoal was discovered: no episode has ended. Train for longer"),
             (["--algo", "dqn", "--env", "CliffWalking-v1"], "No subgoal was discovered: none of the"),
             (["--no-discover"], "Discovery was switched off."),
             (["--max-options", "0"], "There was no free slot for an option."),

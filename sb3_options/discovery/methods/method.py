@@ -10,7 +10,7 @@ import numpy as np
 
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
-from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal, Repeat, bins_of
+from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal, Repeat, bins_of, goal_of
 
 __all__ = ["DiscoveryMethod", "Experience", "IntrinsicReward", "Passage", "Places", "Proposal", "Region", "Repeat"]
 
@@ -140,9 +140,16 @@ def proposed_by(method: DiscoveryMethod, experience: Experience) -> list[Proposa
 
     Raises:
         TypeError: It answers something else.
+        ValueError: A proposal has another number of features.
     """
     proposals = method.update(experience)
     if not isinstance(proposals, Sequence) or not all(isinstance(each, PROPOSALS) for each in proposals):
         names = ", ".join(kind.__name__ for kind in PROPOSALS)
         raise TypeError(f"{type(method).__name__}.update must return a list of {names}, got {proposals!r:.200}.")
+    for each in [each for each in proposals if not isinstance(each, Repeat)]:
+        size, here = len(goal_of(each).scale), experience.features.shape[1]
+        if size != here:
+            raise ValueError(
+                f"{type(method).__name__} proposed a {type(each).__name__} of {size} features, and φ has {here}."
+            )
     return list(proposals)

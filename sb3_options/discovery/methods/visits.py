@@ -144,6 +144,9 @@ class GivenPlaces:
 
     def update(self, experience: Experience) -> list[Region]:
         """Propose those that the trajectory came to; as `DiscoveryMethod.update`."""
+        size = experience.features.shape[1]
+        if self.points.shape[1] != size:
+            raise ValueError(f"GivenPlaces has places of {self.points.shape[1]} features, and φ has {size}.")
         regions = [experience.region(point) for point in self.points]
         return [region for region in regions if region.contains(experience.features).any()]
 
