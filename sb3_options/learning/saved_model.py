@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import os
+import weakref
 import zipfile
 from collections.abc import Iterable
 from contextlib import suppress
@@ -100,8 +101,10 @@ def put_back(model: BaseAlgorithm, venv: VecEnv) -> None:
         content = unpacked_text(text)
         if not set(slots_of(content)) <= set(filled):
             load_options(content, venv)
-    elif not filled and isinstance(save := model.__dict__.get("save"), _Save) and (left := save.kept()) is not None:
-        load_options(left, venv)
+    elif not filled and isinstance(save := model.__dict__.get("save"), _Save):
+        left = save.left_in_others(venv)
+        if left is not None:
+            load_options(left, venv)
 
 
 def keep_options(model: BaseAlgorithm, bank: OptionBank | None = None) -> None:
@@ -119,11 +122,12 @@ class _Save:
 
     def __init__(self, model: BaseAlgorithm, bank: OptionBank | None) -> None:
         self._model, self._asks = model, bank is None
+        self._venv = weakref.ref(_env_of(model))
         self._bank = _bank_of(model) if bank is None else bank
 
-    def kept(self) -> bytes | None:
-        """The options that it was given when training began, as they have become; None if there are none."""
-        return None if self._asks or not self._bank.filled else self._bank.content()
+    def left_in_others(self, venv: VecEnv) -> bytes | None:
+        """The options of the last training, if it was in other environments than these; None if there were none."""
+        return None if self._asks or venv is self._venv() or not self._bank.filled else self._bank.content()
 
     def __call__(
         self,
