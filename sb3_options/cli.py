@@ -35,7 +35,7 @@ from sb3_options.runs import config as configs
 from sb3_options.runs import evaluation
 from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import callback_settings, check_algo_kwargs, check_device, make_model
-from sb3_options.runs.budget import KeepToBudget, memory_is_short
+from sb3_options.runs.budget import KeepToBudget, memory_is_short, rounded_up
 from sb3_options.runs.card import CARD, write_card
 from sb3_options.runs.closing import after_interrupt, closing_table, how_to_resume, next_commands, program_name, unit_of
 from sb3_options.runs.compare import CompareConfig, show_comparison
@@ -52,6 +52,7 @@ from sb3_options.runs.resume import ResumeConfig, lengthen, mark_finished, optio
 from sb3_options.runs.series import StopWhenLearned
 from sb3_options.runs.tune_config import TuneConfig
 from sb3_options.runs.under_way import held
+from sb3_options.runs.video import mode_among
 
 console = Console(highlight=False, soft_wrap=True)
 errors = Console(highlight=False, soft_wrap=True, stderr=True)
@@ -160,6 +161,7 @@ def _train(
     with interrupts or Interrupts() as interrupts:
         with closing(runs.make_env(config, 1, config.seed)) as env:  # what cannot be made leaves no folder
             runs.check_observations(env, config.env)
+            draws = mode_among(env.get_attr("metadata")[0]) is not None
             bank: OptionBank = env.get_attr("bank")[0]
             started_with = [f"{slot} ({option.name})" for slot, option in enumerate(bank.slots) if option is not None]
         discovery = _discovery(config, resumed)
@@ -186,7 +188,7 @@ def _train(
     if config.options is not None:
         what = ", ".join(started_with) or "none"
         console.print(f"Started with the options of {escape(str(config.options))}: {escape(what)}.")
-    _report(config, discovery, stock, folder, in_series=series is not None)
+    _report(config, discovery, stock, folder, in_series=series is not None, draws=draws)
     if interrupts.ended:
         after_interrupt(console, config, last, (stock or discovery).num_timesteps)
     return Trained(folder, discovery, interrupts.noted)
@@ -256,6 +258,8 @@ def _learn(
         if not interrupts.noted:
             what = f"{config.algo.upper()} on {config.env} for {config.n_timesteps:,} primitive steps"
             console.print(f"Training {escape(what)}.")
+            if not resume and (text := rounded_up(config)):
+                console.print(escape(text))
             # A model that was not trained yet counts from 0 all the same, but goes on in the same TensorBoard folder.
             log: dict[str, Any] = {"tb_log_name": "tensorboard", "reset_num_timesteps": not resume}
             model.learn(config.n_timesteps, callbacks, progress_bar=config.progress, **log)
@@ -326,6 +330,7 @@ def _report(
     folder: Path,
     *,
     in_series: bool,
+    draws: bool,
 ) -> None:
     """Print what was discovered and how training went, and the commands that come next."""
     if discovery.discoveries:
@@ -348,7 +353,7 @@ def _report(
         console.print("Both trained for as many primitive steps on the same seed. That is one seed, and no study.")
     elif discovery.max_new_options != 0 and not in_series:
         console.print("Against --no-discover: train with --compare, which trains once more without discovery.")
-    next_commands(console, config, folder)
+    next_commands(console, config, folder, draws=draws)
 
 
 def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path) -> None:

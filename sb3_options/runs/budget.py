@@ -7,6 +7,11 @@ import math
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 
+from sb3_options.runs.config import OnPolicyConfig, TrainConfig
+
+TOLERATED = 0.05
+"""Share of a budget by which whole rollouts may exceed it without a word."""
+
 
 class KeepToBudget(BaseCallback):
     """Ends off-policy training with its budget, where SB3 ends it after a whole rollout of ``train_freq`` decisions.
@@ -39,6 +44,24 @@ class KeepToBudget(BaseCallback):
     def _on_training_end(self) -> None:
         if self._stock is not None:
             self.model.train_freq = self._stock  # type: ignore[attr-defined]  # likewise
+
+
+def rounded_up(config: TrainConfig) -> str:
+    """What to say of a budget that whole rollouts make larger by more than `TOLERATED`; nothing of any other.
+
+    Args:
+        config: Of the run.
+    """
+    if not isinstance(config, OnPolicyConfig):
+        return ""
+    rollout = config.n_steps * config.n_envs
+    taken = math.ceil(config.n_timesteps / rollout) * rollout
+    if taken <= (1.0 + TOLERATED) * config.n_timesteps:
+        return ""
+    return (
+        f"--n-timesteps {config.n_timesteps:,} is rounded up to {taken:,}, for {config.algo} learns from whole "
+        f"rollouts: --n-steps {config.n_steps:,} times --n-envs {config.n_envs:,}. Smaller ones come closer."
+    )
 
 
 def memory_is_short(error: BaseException) -> str | None:

@@ -79,20 +79,21 @@ def unit_of(config: TrainConfig) -> str:
     return "episode" if config.discovery.segmentation == "episodes" else "segment"
 
 
-def next_commands(console: Console, config: TrainConfig, folder: Path) -> None:
+def next_commands(console: Console, config: TrainConfig, folder: Path, *, draws: bool = True) -> None:
     """Print the run folder and the commands that look at it.
 
     Args:
         console: Where to.
         config: Of the run.
         folder: The run folder.
+        draws: Whether the environment draws pictures, of which a video can be made.
     """
-    path = escape(str(folder))
-    console.print(f"Run folder:   {path}")
+    console.print(f"Run folder:   {escape(str(folder))}")
+    path = escape(shlex.quote(str(folder)))
     python = escape(_python())
     console.print(f"TensorBoard:  {python} -m tensorboard.main --logdir {path}")
-    named = escape(_importing(config))
-    console.print(f"Evaluate:     {escape(_command())} evaluate {path} --video {path}/video.mp4{named}")
+    video = f" --video {shlex.quote(f'{folder}/video.mp4')}" if draws else ""
+    console.print(f"Evaluate:     {escape(_command())} evaluate {path}{escape(video + _importing(config))}")
     if (folder / runs.BEST).is_file():
         console.print("Best model:   add --best; it is the one whose evaluation gave the highest return")
 
@@ -140,7 +141,7 @@ def _python() -> str:
     """What to type for this interpreter: it may be in a virtual environment that nobody activated."""
     if shutil.which("python") == sys.executable:
         return "python"
-    return _shortest(sys.executable)
+    return shlex.quote(_shortest(sys.executable))
 
 
 def program_name() -> str:

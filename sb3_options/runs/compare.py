@@ -18,7 +18,7 @@ from rich.table import Table
 from sb3_options.atomic import atomic_write
 from sb3_options.experience.observations import FloatArray
 from sb3_options.runs.intervals import Interval, band, interval_of, iqm_interval, probability_of_improvement
-from sb3_options.runs.logged import TAGS, Curve, Measure, Run, groups_of
+from sb3_options.runs.logged import TAGS, Curve, Measure, Run, groups_of, lacking_of
 from sb3_options.runs.pictures import DPI, format_of
 
 N_POINTS = 200
@@ -100,7 +100,7 @@ class Goal(NamedTuple):
         """Of ``success=0.9``.
 
         Raises:
-            ValueError: It names no measure, or no number.
+            ValueError: It names no measure, or no number that the measure can have.
         """
         name, _, value = text.partition("=")
         try:
@@ -109,6 +109,8 @@ class Goal(NamedTuple):
             number = math.nan
         if name not in get_args(Measure) or not math.isfinite(number):
             raise ValueError(f"--reach takes success=0.9, return=1.5 or length=40, not {text!r}.")
+        if name == "success" and not 0.0 < number <= 1.0:
+            raise ValueError(f"--reach {text}: a success rate is more than 0 and at most 1, as in success=0.9.")
         return cls(name, number)  # type: ignore[arg-type]  # checked
 
     def reached(self, curve: Curve) -> int | None:
@@ -195,9 +197,12 @@ def source_of(runs: Sequence[Run], wanted: str) -> str:
     for source in TAGS if wanted == "auto" else (wanted,):
         if all(run.curves[source] for run in runs):
             return source
-    without = next(run.folder for run in runs if wanted == "auto" or not run.curves[wanted])
-    what = "what the others have" if wanted == "auto" else f"{wanted}/..."
-    raise ValueError(f"{without} did not log {what}: compare runs that did, or choose another --source.")
+    sources = tuple(TAGS) if wanted == "auto" else (wanted,)
+    without = [(run, [source for source in sources if not run.curves[source]]) for run in runs]
+    said = "; ".join(f"{run.folder} has {lacking_of(run.folder, lacks)}" for run, lacks in without if lacks)
+    if wanted == "auto":
+        raise ValueError(f"Not all runs logged the same: {said}. Compare those that have the same.")
+    raise ValueError(f"--source {wanted} is not in all runs: {said}. Leave these out, or choose another --source.")
 
 
 def compared(groups: Mapping[str, Sequence[Run]], goal: Goal, source: str) -> dict[str, Compared]:

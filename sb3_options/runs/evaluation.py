@@ -25,6 +25,7 @@ from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.recording import LONGEST_EPISODE
 from sb3_options.experience.success import reported_success
 from sb3_options.learning.value_snapshot import interrupt_options
+from sb3_options.options.bank import OptionBank
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
 from sb3_options.runs import yaml_file
@@ -302,7 +303,10 @@ def _play(
             first = next((line.strip() for line in str(error).splitlines() if line.startswith("\t")), error)
             raise ValueError(f"{saved} is damaged, or does not fit {saved.with_name(runs.CONFIG)}: {first}") from error
         # A model of 0.1 holds no options.
-        venv.get_attr("bank")[0].load(saved.with_name(runs.OPTIONS) if saved.name == runs.MODEL else saved)
+        bank: OptionBank = venv.get_attr("bank")[0]
+        bank.load(saved.with_name(runs.OPTIONS) if saved.name == runs.MODEL else saved)
+        if not bank.filled:
+            venv.env_method("expect_empty", True)  # the model has no others, so nothing is missing
         if isinstance(config, DQNConfig) and config.interruption:
             interrupt_options(model, venv)
         venv.env_method("record_trajectories", True)

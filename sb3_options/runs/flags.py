@@ -7,7 +7,7 @@ import dataclasses
 import inspect
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -17,9 +17,10 @@ import tyro
 
 from sb3_options.runs import config as configs
 from sb3_options.runs.config import CLASSES, GROUPS, TrainConfig
+from sb3_options.runs.folder import CONFIG
 from sb3_options.runs.keywords import NUMBERS, check_keywords
 from sb3_options.runs.other_algorithm import carried_over
-from sb3_options.runs.users_code import IMPORTING
+from sb3_options.runs.users_code import IMPORTING, named_in_errors
 
 FIRST = (
     "env",
@@ -102,7 +103,7 @@ def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
         if len(set(named)) > 1:
             raise ValueError(f"One algorithm is trained at a time: {' or '.join(named)}?")
         trusted = {name: value for name in IMPORTING if (value := getattr(given, name)) is not None}
-        values = {} if given.config is None else configs.read(Path(given.config), trusted)
+        values = {} if given.config is None else _read(Path(given.config), trusted)
         values |= trusted
         # A file that names no algorithm was written for DQN.
         unnamed = configs.default_algo(given.env or TrainConfig.env) if given.config is None else "dqn"
@@ -128,6 +129,20 @@ def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
             error.add_note(f"This is task {number} of the series.")
             raise
     return config
+
+
+def _read(path: Path, trusted: Mapping[str, str]) -> dict[str, Any]:
+    """The settings of ``--config``: a file, or a run folder that has one.
+
+    Raises:
+        OSError: It cannot be read.
+        ValueError: It holds no settings.
+    """
+    file = path / CONFIG if path.is_dir() else path
+    if path.is_dir() and not file.is_file():
+        raise FileNotFoundError(f"--config {path} is no run folder: it lacks {CONFIG}. Name a file, or a run folder.")
+    with named_in_errors("--config", file):
+        return configs.read(file, trusted)
 
 
 def _version() -> str:

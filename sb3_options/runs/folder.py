@@ -26,7 +26,7 @@ from sb3_options.runs.config import MaskablePPOConfig, TrainConfig
 from sb3_options.runs.eval_callback import BEST as BEST
 from sb3_options.runs.interrupts import ignore_interrupts
 from sb3_options.runs.logs import begin_monitors, go_on_counting, keep_monitor
-from sb3_options.runs.users_code import feature_map_of, named
+from sb3_options.runs.users_code import feature_map_of, named, named_in_errors
 
 CONFIG = "config.yml"
 MODEL = "model.zip"
@@ -57,10 +57,14 @@ def new_run_folder(config: TrainConfig) -> Path:
     Raises:
         OSError: It cannot be made.
     """
-    parent = config.tensorboard_log / config.algo
+    with named_in_errors("--tensorboard-log", config.tensorboard_log, "cannot hold run folders"):
+        return _new_folder(config.tensorboard_log / config.algo, config.env.replace("/", "-"))
+
+
+def _new_folder(parent: Path, name: str) -> Path:
+    """The next free one, ``NAME_N``."""
     parent.mkdir(parents=True, exist_ok=True)
     remove_stale(parent, "*/")
-    name = config.env.replace("/", "-")
     number = 1
     while True:
         folder = parent / f"{name}_{number}"
@@ -195,6 +199,7 @@ def make_env(
         FileNotFoundError: ``--options`` names no file.
         ModuleNotFoundError: ``--env-wrapper`` or ``--feature-map`` names a module that there is not, or Ray is missing.
         ConnectionError: ``RAY_ADDRESS`` names a cluster that there is not.
+        TypeError: ``--env-wrapper`` names what cannot wrap an environment.
         ValueError: The options do not fit, or one of these two names nothing.
         WorkerLostError: A worker process has ended.
     """
@@ -231,7 +236,7 @@ def make_env(
         )
 
     def wrapped(**kwargs: Any) -> gym.Env[Any, Any]:
-        return minigrid.make(env_id, **kwargs) if wrapper is None else wrapper(gym.make(env_id, **kwargs))
+        return minigrid.make(env_id, **kwargs) if wrapper is None else _wrapped(config, wrapper, env_id, kwargs)
 
     env_id = config.env
     wrapper: Callable[..., gym.Env[Any, Any]] | None = None
@@ -252,3 +257,22 @@ def make_env(
         monitor_kwargs={"override_existing": override},
         vec_env_cls=classes[vec_env],  # type: ignore[arg-type]  # it makes one, too
     )
+
+
+def _wrapped(
+    config: TrainConfig, wrapper: Callable[..., gym.Env[Any, Any]], env_id: str, keywords: dict[str, Any]
+) -> gym.Env[Any, Any]:
+    """An environment in the wrapper of ``--env-wrapper``.
+
+    Raises:
+        TypeError: That is none.
+    """
+    env, flag = gym.make(env_id, **keywords), f"--env-wrapper {config.env_wrapper}"
+    advice = "Name a gymnasium.Wrapper that takes the environment alone."
+    try:
+        wrapped = wrapper(env)
+    except TypeError as error:
+        raise TypeError(f"{flag} cannot wrap {env_id}: {str(error).rstrip('.')}. {advice}") from error
+    if not isinstance(wrapped, gym.Env):
+        raise TypeError(f"{flag} makes of {env_id} no environment, but {type(wrapped).__name__}. {advice}")
+    return wrapped

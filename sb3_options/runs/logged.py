@@ -14,7 +14,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from sb3_options.experience.observations import FloatArray
 from sb3_options.runs import yaml_file
-from sb3_options.runs.folder import CONFIG
+from sb3_options.runs.folder import CONFIG, MONITOR
 
 Measure: TypeAlias = Literal["success", "return", "length"]
 
@@ -35,6 +35,8 @@ MOST_NAMED = 3
 """Settings that are named where groups differ in more."""
 
 EVENTS = "**/*tfevents*"
+MONITOR_HEADING = 2
+"""Lines of a monitor's file before its episodes."""
 
 
 class Curve(NamedTuple):
@@ -65,12 +67,17 @@ class Run(NamedTuple):
     curves: dict[str, dict[Measure, Curve]]
 
 
+class NothingLoggedError(ValueError):
+    """A run has logged neither evaluations nor training episodes."""
+
+
 def read_run(folder: Path) -> Run:
     """Read what a run logged, of this library, of SB3 or of rl-zoo3.
 
     Raises:
         FileNotFoundError: There is no such folder, or no TensorBoard file in it.
-        ValueError: Nothing was logged that can be compared, or the configuration is damaged.
+        NothingLoggedError: Nothing was logged that can be compared.
+        ValueError: The configuration is damaged.
     """
     files = sorted({file.parent for file in folder.glob(EVENTS)})
     if not files:
@@ -85,9 +92,29 @@ def read_run(folder: Path) -> Run:
                 columns = np.array([(e.step, e.wall_time - began, e.value) for e in events], dtype=np.float64)
                 curves[source][measure] = Curve(*columns[np.argsort(columns[:, 0], kind="stable")].T)
     if not any(curves.values()):
-        raise ValueError(f"{folder} logged no returns: nothing to compare.")
+        raise NothingLoggedError(
+            f"{folder} logged no returns, so there is nothing to compare: it has {lacking_of(folder)}."
+        )
     config = folder / CONFIG
     return Run(folder, yaml_file.read_mapping(config) if config.is_file() else {}, curves)
+
+
+def lacking_of(folder: Path, sources: Sequence[str] = tuple(TAGS)) -> str:
+    """What a run has not logged, for people.
+
+    Args:
+        folder: Of the run.
+        sources: ``eval`` and ``rollout``, or one of them.
+    """
+    episodes = "no training episode that ended" if no_episode_ended(folder) else "no training episodes in its log"
+    said = {"eval": "no evaluations", "rollout": episodes}
+    return " and ".join(said[source] for source in sources)
+
+
+def no_episode_ended(folder: Path) -> bool:
+    """Whether a run has monitors, which have seen no episode end."""
+    files = list((folder / MONITOR).glob("*.csv"))
+    return bool(files) and not any(len(file.read_bytes().splitlines()) > MONITOR_HEADING for file in files)
 
 
 def groups_of(words: Sequence[str], said: Callable[[str], object] = lambda _: None) -> dict[str, list[Run]]:

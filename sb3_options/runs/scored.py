@@ -17,7 +17,7 @@ from sb3_options.execution.ray_cluster import connect
 from sb3_options.runs import config as configs
 from sb3_options.runs.compare import Goal, at_once, at_the_end
 from sb3_options.runs.config import TrainConfig
-from sb3_options.runs.logged import Run, read_run
+from sb3_options.runs.logged import NothingLoggedError, Run, no_episode_ended, read_run
 from sb3_options.runs.users_code import flag
 
 RETRIES = 10
@@ -166,6 +166,13 @@ def score(
         made = max(set(folder.glob("*/*/")) - before, key=lambda path: int(path.name.rpartition("_")[2]))
         done = read_run(made)
         found = score_of(done, goal, objective, run.n_timesteps)
+    except NothingLoggedError as error:
+        if not no_episode_ended(made):
+            raise RunFailedError(str(error)) from error
+        raise RunFailedError(
+            f"No training episode ended within the budget of {run.n_timesteps:,} primitive steps. Give a larger "
+            "n_timesteps, or the environment a shorter time limit."
+        ) from error
     except (ValueError, OSError) as error:
         raise RunFailedError(str(error)) from error
     with atomic_write(folder / SCORE) as temporary:

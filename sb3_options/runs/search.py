@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import socket
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -37,6 +38,9 @@ P_THRESHOLD = 0.1
 
 N_BEFORE = 4
 """Runs of a trial before it may be stopped: with fewer the test says nothing."""
+
+N_FAILED = 3
+"""Trials that end a search where there are no others: all of them failed, for the same reason."""
 
 Scores: TypeAlias = Callable[[str, dict[str, Value]], Iterator[float]]
 """The name of a trial, for its files, and the proposed settings → the score of one run after the other."""
@@ -104,7 +108,7 @@ def work(study: optuna.Study, search: Search, console: Console) -> None:
     """Try one set of settings after another until there are enough.
 
     Raises:
-        ValueError: Time and again a trial failed.
+        ValueError: The first trials failed for the same reason, or time and again a trial failed.
     """
     counted = (TrialState.COMPLETE, TrialState.PRUNED, TrialState.RUNNING)
     while len(study.get_trials(deepcopy=False, states=counted)) < search.trials:
@@ -121,11 +125,35 @@ def work(study: optuna.Study, search: Search, console: Console) -> None:
             state, said = TrialState.FAIL, f"failed: {error}"
             trial.set_user_attr("failed", str(error))
         study.tell(trial, value, state=state)
-        number = f"Trial {trial.number + 1} of {search.trials}"
+        number = f"Trial {trial.number + 1}"
+        if trial.number < search.trials:  # others are in place of what failed
+            number += f" of {search.trials}"
         console.print(escape(f"{number}: {said} ({', '.join(f'{name} {short(of)}' for name, of in params.items())})"))
-        failures = [t for t in study.get_trials(deepcopy=False) if "failed" in t.user_attrs]
-        if len(failures) >= max(N_RANDOM, search.trials):
-            raise ValueError(f"{len(failures)} trials failed. The last one: {failures[-1].user_attrs['failed']}")
+        _check_failures(study, search)
+
+
+def _check_failures(study: optuna.Study, search: Search) -> None:
+    """End a search that leads nowhere.
+
+    Raises:
+        ValueError: It does.
+    """
+    trials = study.get_trials(deepcopy=False)
+    failures = [trial for trial in trials if "failed" in trial.user_attrs]
+    last = failures[-N_FAILED:]
+    if len(last) < N_FAILED:
+        return
+    why = last[-1].user_attrs["failed"]
+    came_to_an_end = any(trial.state in (TrialState.COMPLETE, TrialState.PRUNED) for trial in trials)
+    if not came_to_an_end and len({_reason(trial) for trial in last}) == 1:
+        raise ValueError(f"The first {len(failures)} trials all failed, and for the same reason: {why}")
+    if len(failures) >= (max(N_RANDOM, search.trials) if came_to_an_end else search.trials):
+        raise ValueError(f"{len(failures)} trials failed. The last one: {why}")
+
+
+def _reason(trial: FrozenTrial) -> str:
+    """Why a trial failed, without the files that are its own."""
+    return re.sub(rf"{re.escape(_place(trial))}\S*", "", trial.user_attrs["failed"])
 
 
 def best_of(study: optuna.Study, search: Search) -> tuple[str, dict[str, Value]]:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeAlias
 from sb3_options.runs import config as configs
 from sb3_options.runs import yaml_file
 from sb3_options.runs.config import GROUPS, TrainConfig
-from sb3_options.runs.users_code import IMPORTING, flag, importing
+from sb3_options.runs.users_code import IMPORTING, flag, importing, named_in_errors
 
 Value: TypeAlias = Any
 """Of a setting: a number, text, truth value or list."""
@@ -113,7 +113,8 @@ def read_space(path: Path, trusted: Mapping[str, str | None]) -> SearchSpace:
         OSError: The file cannot be read.
         ValueError: It describes no search, or names what would import a module.
     """
-    content = yaml_file.read_mapping(path)
+    with named_in_errors("tune", path):
+        content = yaml_file.read_mapping(path)
     if unknown := [name for name in content if name not in PARTS]:
         raise ValueError(f"{path}: there is no part {unknown[0]!r}: write `base:` (settings) and `search:` (ranges).")
     base, search = ({str(k).replace("-", "_"): v for k, v in _part(content, part, path).items()} for part in PARTS)

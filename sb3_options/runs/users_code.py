@@ -1,9 +1,11 @@
-"""Code of the user's that the command line names: who may name it, and how it is found."""
+"""Code and files of the user's that the command line names: who may name code, how it is found, what is said of it."""
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from sb3_options.embedding.settings import SIZES, MapName
@@ -58,3 +60,24 @@ def named(text: str, given_for: str) -> Callable[..., Any]:
     if not callable(found):
         raise ValueError(f"{given_for}: the module {module} has nothing named {name} that can be called.")
     return found  # type: ignore[no-any-return]  # of a user's module
+
+
+@contextmanager
+def named_in_errors(given_for: str, path: Path, what: str = "cannot be read") -> Iterator[None]:
+    """Say of an error of the operating system what the user named the file for.
+
+    Args:
+        given_for: The flag, or the command.
+        path: What was given.
+        what: Cannot be done with it.
+
+    Raises:
+        OSError: In place of another one, of the same class.
+    """
+    try:
+        yield
+    except OSError as error:
+        # The system may have stumbled over another one, such as a folder above.
+        at = "" if error.filename is None or Path(error.filename) == path else f" ({error.filename})"
+        text = f"{given_for} {path} {what}: {error.strerror or error}{at}. Name another one."
+        raise type(error)(text) from error

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from functools import cache
 from pathlib import Path
@@ -29,6 +29,9 @@ SMALLEST_CAPTION = 10
 
 DEFAULT_FPS = 15
 """Pictures per second where the environment does not say."""
+
+MODES = ("rgb_array_list", "rgb_array")
+"""Render modes that give pictures; the first one gives every picture of a step."""
 
 GIF_PICTURES = 600
 """Longest GIF: it is made in memory, and a browser holds it there."""
@@ -150,18 +153,31 @@ def video_file(path: Path, fps: float) -> Iterator[Video]:
         yield video
 
 
+def mode_among(metadata: Mapping[str, Any]) -> str | None:
+    """The render mode that shows most; None where an environment with this ``metadata`` draws no pictures."""
+    modes = metadata.get("render_modes") or ()
+    return next((mode for mode in MODES if mode in modes), None)
+
+
 def render_mode_of(env_id: str, keywords: dict[str, Any]) -> tuple[str, float]:
     """The render mode that shows most of an environment, and its pictures per second.
 
     Args:
         env_id: Of the environment.
         keywords: Its arguments.
+
+    Raises:
+        ValueError: It draws no pictures.
     """
     if is_minigrid(env_id):
         keywords = {name: value for name, value in keywords.items() if name not in KEYWORDS}
     with closing(gym.make(env_id, **keywords)) as env:
-        mode = "rgb_array_list" if "rgb_array_list" in (env.metadata.get("render_modes") or ()) else "rgb_array"
-        fps = env.metadata.get("render_fps", DEFAULT_FPS)
+        mode, fps = mode_among(env.metadata), env.metadata.get("render_fps", DEFAULT_FPS)
+    if mode is None:
+        raise ValueError(
+            f"{env_id} draws no pictures, for its metadata['render_modes'] has neither rgb_array nor rgb_array_list: "
+            "leave --video out."
+        )
     if mode == "rgb_array_list":  # its pictures may come faster
         with closing(gym.make(env_id, **keywords, render_mode=mode)) as env:
             fps = env.metadata.get("render_fps", DEFAULT_FPS)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,26 @@ SCIENTIFIC = re.compile(r"[-+]?[0-9][0-9_]*(\.[0-9_]*)?[eE][-+]?[0-9]+$")
 
 
 class Loader(yaml.SafeLoader):
-    """PyYAML's safe loader, to which `SCIENTIFIC` numbers are numbers."""
+    """PyYAML's safe loader, to which `SCIENTIFIC` numbers are numbers, and which takes a name once."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        """The values of a mapping by their names, of which none may be there twice.
+
+        Args:
+            node: The mapping.
+            deep: As PyYAML has it.
+
+        Raises:
+            ValueError: A name is there twice, be it with hyphens and with underscores.
+        """
+        lines: dict[tuple[str, str], int] = {}
+        for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
+            name, line = (key.tag, key.value.replace("-", "_")), key.start_mark.line + 1
+            if name in lines:
+                where = f"in line {line}" if line == lines[name] else f"in lines {lines[name]} and {line}"
+                raise ValueError(f"it has {key.value!r} twice, {where}; give it once.")
+            lines[name] = line
+        return super().construct_mapping(node, deep)
 
 
 class Dumper(yaml.SafeDumper):
@@ -56,7 +75,8 @@ def parse(text: str) -> Any:
     values.
 
     Raises:
-        ValueError: The text is no such YAML, or longer than `MAX_CHARACTERS`, or nested deeper than `MAX_DEPTH`.
+        ValueError: The text is no such YAML, has a name twice, or is longer than `MAX_CHARACTERS` or nested deeper than
+            `MAX_DEPTH`.
     """
     if len(text) > MAX_CHARACTERS:
         raise ValueError(f"it has more than {MAX_CHARACTERS:,} characters.")

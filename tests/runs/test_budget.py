@@ -13,7 +13,8 @@ from sb3_options import OptionsWrapper, cli
 from sb3_options.callbacks import PrimitiveStepsCallback
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.runs.algorithms import check_device
-from sb3_options.runs.budget import KeepToBudget, memory_is_short
+from sb3_options.runs.budget import KeepToBudget, memory_is_short, rounded_up
+from sb3_options.runs.config import A2CConfig, DQNConfig, PPOConfig, TrainConfig
 from tests.support.helpers import CountingEnv, steady_option
 
 
@@ -85,6 +86,35 @@ def test_numbers_that_are_too_large_are_named(flag: str, value: str, capsys: Any
     with pytest.raises(SystemExit):
         cli.main(["dqn", flag, value])
     assert flag.removeprefix("--").replace("-", "_") in capsys.readouterr().err.replace("-", "_")
+
+
+@pytest.mark.parametrize(
+    ("config", "said"),
+    [
+        (
+            PPOConfig(n_timesteps=500),
+            "--n-timesteps 500 is rounded up to 1,024, for ppo learns from whole rollouts: --n-steps 128 times "
+            "--n-envs 8. Smaller ones come closer.",
+        ),
+        (A2CConfig(n_timesteps=1_200), "--n-timesteps 1,200 is rounded up to 1,280, for a2c learns from whole"),
+        (PPOConfig(n_timesteps=1_024), ""),
+        (PPOConfig(n_timesteps=60_000), ""),
+        (DQNConfig(n_timesteps=501), ""),
+    ],
+)
+def test_a_budget_that_whole_rollouts_make_larger_is_told(config: TrainConfig, said: str) -> None:
+    assert rounded_up(config).startswith(said)
+    assert bool(rounded_up(config)) == bool(said)
+
+
+def test_training_tells_it_and_keeps_to_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = A2CConfig(
+        n_timesteps=40, n_steps=30, n_envs=1, max_options=0, progress=False, device="cpu", tensorboard_log=tmp_path
+    )
+    cli.train(config)
+    said = capsys.readouterr().out
+    assert "--n-timesteps 40 is rounded up to 60, for a2c learns from whole rollouts: --n-steps 30 times" in said
+    assert "Finished after 60 primitive steps" in said
 
 
 def test_memory_and_other_errors() -> None:

@@ -1,5 +1,6 @@
 """What training says of itself at its end."""
 
+import shlex
 from pathlib import Path
 
 import pytest
@@ -60,3 +61,24 @@ def test_the_next_command_finds_the_program(
     with console.capture() as captured:
         next_commands(console, PPOConfig(), Path("runs/ppo"))
     assert f" {shown} evaluate runs/ppo --video " in captured.get()
+
+
+def commands(folder: Path, *, draws: bool = True) -> dict[str, list[str]]:
+    """The words of what is printed, as a shell takes them, by its heading."""
+    console = Console(width=400, no_color=True)
+    with console.capture() as captured:
+        next_commands(console, PPOConfig(), folder, draws=draws)
+    lines = [line.partition(":") for line in captured.get().splitlines()]
+    return {name: shlex.split(rest) for name, _, rest in lines}
+
+
+def test_the_next_commands_can_be_pasted_where_a_path_has_a_space(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.executable", "/my python/bin/python9")
+    shown = commands(Path("my runs/ppo"))
+    assert shown["TensorBoard"] == ["/my python/bin/python9", "-m", "tensorboard.main", "--logdir", "my runs/ppo"]
+    assert shown["Evaluate"][0] == "/my python/bin/python9"
+    assert shown["Evaluate"][-4:] == ["evaluate", "my runs/ppo", "--video", "my runs/ppo/video.mp4"]
+
+
+def test_no_video_is_proposed_of_an_environment_that_draws_nothing() -> None:
+    assert commands(Path("runs/ppo"), draws=False)["Evaluate"][-2:] == ["evaluate", "runs/ppo"]

@@ -149,6 +149,14 @@ def test_a_goal_that_says_nothing_is_refused(text: str) -> None:
         Goal.parsed(text)
 
 
+@pytest.mark.parametrize("text", ["success=2", "success=90", "success=0", "success=-0.1"])
+def test_a_success_rate_that_cannot_be_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match=f"^--reach {text}: a success rate is more than 0 and at most 1, as in succ"):
+        Goal.parsed(text)
+    assert Goal.parsed("success=1") == Goal("success", 1.0)
+    assert Goal.parsed("return=2") == Goal("return", 2.0)
+
+
 def test_a_goal_must_be_kept_for_two_entries() -> None:
     def curve(*values: float) -> Curve:
         return Curve(
@@ -193,12 +201,34 @@ def test_evaluations_count_where_all_have_them(tmp_path: Path) -> None:
     trained = read_run(logged(tmp_path / "b", [1.0, 1.0]))
     assert source_of([evaluated], "auto") == "eval"
     assert source_of([trained, trained], "auto") == "rollout"
-    with pytest.raises(ValueError, match="did not log"):
+    with pytest.raises(ValueError, match="Not all runs logged the same"):
         source_of([evaluated, trained], "auto")
-    with pytest.raises(ValueError, match="eval/"):
+    with pytest.raises(ValueError, match="b has no evaluations"):
         source_of([trained], "eval")
     with pytest.raises(ValueError, match="ep_len_mean"):
         compared({"b": [trained]}, Goal("length", 40), "rollout")
+
+
+def test_what_each_run_lacks_is_said(tmp_path: Path) -> None:
+    folders = [logged(tmp_path / name, [1.0, 1.0], source="eval") for name in ("unknown", "none", "some")]
+    for folder, episodes in zip(folders[1:], ("", "1.0,5,0.1\n"), strict=True):
+        (folder / "monitor").mkdir()
+        (folder / "monitor" / "0.monitor.csv").write_text(f'#{{"t_start": 0.0}}\nr,l,t\n{episodes}')
+    unknown, none, some = map(read_run, folders)
+    trained = read_run(logged(tmp_path / "trained", [1.0, 1.0]))
+    with pytest.raises(ValueError, match="Not all runs") as error:
+        source_of([unknown, none, some, trained], "auto")
+    assert str(error.value) == (
+        f"Not all runs logged the same: {unknown.folder} has no training episodes in its log; {none.folder} has no "
+        f"training episode that ended; {some.folder} has no training episodes in its log; {trained.folder} has no "
+        "evaluations. Compare those that have the same."
+    )
+    with pytest.raises(ValueError, match="--source") as error:
+        source_of([none, trained], "rollout")
+    assert str(error.value) == (
+        f"--source rollout is not in all runs: {none.folder} has no training episode that ended. Leave these out, or "
+        "choose another --source."
+    )
 
 
 def test_a_picture_has_a_row_for_each_measure(tmp_path: Path) -> None:

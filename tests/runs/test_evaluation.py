@@ -1,14 +1,18 @@
 import re
+import shlex
 import shutil
 from pathlib import Path
 
+import gymnasium as gym
 import pytest
+from gymnasium.envs.registration import EnvSpec
 
 from sb3_options import cli
 from sb3_options.runs import evaluation
 from sb3_options.runs import folder as runs
-from sb3_options.runs.config import DQNConfig
+from sb3_options.runs.config import DQNConfig, MaskablePPOConfig
 from sb3_options.runs.evaluation import evaluate_run
+from tests.support.helpers import CountingEnv
 
 
 def test_a_configuration_that_would_import_a_module_is_refused(tmp_path: Path) -> None:
@@ -77,3 +81,36 @@ def test_a_run_that_was_cut_off_says_how_to_go_on(run: Path, tmp_path: Path) -> 
 def test_a_folder_without_settings_is_no_run(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"is no run folder: it lacks config\.yml\."):
         evaluate_run(tmp_path)
+
+
+def test_of_an_environment_that_draws_nothing_no_video_is_proposed_or_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(gym.registry, "Blank-v0", EnvSpec("Blank-v0", blank))  # type: ignore[arg-type]  # no arguments
+    run = cli.train(DQNConfig(env="Blank-v0", n_timesteps=50, progress=False, device="cpu", tensorboard_log=tmp_path))
+    (proposed,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("Evaluate:")]
+    words = shlex.split(proposed)
+    assert "--video" not in words
+    cli.main([*words[words.index("evaluate") :], "--episodes", "1"])
+    with pytest.raises(SystemExit):
+        cli.main(["evaluate", str(run), "--video", str(tmp_path / "film.mp4")])
+    said = (
+        "Error: Blank-v0 draws no pictures, for its metadata['render_modes'] has neither rgb_array nor rgb_array_list: "
+        "leave --video out.\n"
+    )
+    assert capsys.readouterr().err == said
+    assert not (tmp_path / "film.mp4").exists()
+
+
+def blank() -> CountingEnv:
+    """It takes no arguments, ``render_mode`` neither."""
+    return CountingEnv(terminate_at=5)
+
+
+def test_a_run_without_options_lacks_none(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    config = MaskablePPOConfig(
+        n_timesteps=64, n_steps=64, n_envs=1, discover=False, progress=False, device="cpu", tensorboard_log=tmp_path,
+        env_kwargs={"max_steps": 50},
+    )  # fmt: skip
+    evaluate_run(cli.train(config), episodes=1)
+    assert "No slot holds an option" not in caplog.text

@@ -172,7 +172,17 @@ def test_keyword_arguments_that_the_environment_does_not_have(args: list[str], e
 
 
 def test_files_that_are_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "No such file" in refusal(capsys, ["--config", str(tmp_path / "none.yml")])
+    file = tmp_path / "none.yml"
+    said = f"train.py: --config {file} cannot be read: No such file or directory. Name another one."
+    assert refusal(capsys, ["--config", str(file)]) == said
+
+
+def test_a_run_folder_stands_for_its_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert refusal(capsys, ["--config", str(tmp_path)]) == (
+        f"train.py: --config {tmp_path} is no run folder: it lacks config.yml. Name a file, or a run folder."
+    )
+    configs.save(PPOConfig(seed=7), tmp_path / "config.yml")
+    assert parse(["--config", str(tmp_path)]) == PPOConfig(seed=7)
 
 
 def test_an_environment_brings_its_own_defaults_and_files_and_flags_win_over_them(tmp_path: Path) -> None:

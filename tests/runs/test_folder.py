@@ -1,5 +1,6 @@
 import re
 import sys
+from pathlib import Path
 
 import gymnasium as gym
 import minigrid  # noqa: F401  # registers its environments, before a test takes a copy of the registry
@@ -59,3 +60,13 @@ def test_minigrid_that_is_not_installed_names_the_extra(monkeypatch: pytest.Monk
     monkeypatch.setitem(sys.modules, "minigrid", None)
     with pytest.raises(ModuleNotFoundError, match=re.escape("pip install 'sb3-options[minigrid]' (in a checkout")):
         runs.check_env_id("MiniGrid-Empty-5x5-v0")
+
+
+def test_a_place_that_holds_no_folders_is_named_with_its_flag(tmp_path: Path) -> None:
+    (tmp_path / "a file").touch()
+    with pytest.raises(NotADirectoryError) as error:
+        runs.new_run_folder(DQNConfig(tensorboard_log=tmp_path / "a file"))
+    assert str(error.value) == (
+        f"--tensorboard-log {tmp_path / 'a file'} cannot hold run folders: Not a directory "
+        f"({tmp_path / 'a file' / 'dqn'}). Name another one."
+    )

@@ -33,6 +33,15 @@ def cell(observations):
 
 
 number = 3
+
+
+class Bare:
+    pass
+
+
+class Emptying:
+    def __init__(self, env):
+        pass
 """
 FLAGS = ["--env-wrapper", "users_module:Named", "--feature-map", "users_module:cell"]
 
@@ -88,6 +97,17 @@ def test_a_file_that_names_one_is_refused_with_the_flag(tmp_path: Path, capsys: 
     [
         ("--env-wrapper", "users_module", "--env-wrapper takes module:name, got 'users_module'."),
         ("--env-wrapper", "no_such_module:A", "No module named 'no_such_module'"),
+        (
+            "--env-wrapper",
+            "users_module:Bare",
+            "Error: --env-wrapper users_module:Bare cannot wrap sb3_options/TwoRooms-v0: Bare() takes no arguments. "
+            "Name a gymnasium.Wrapper that takes the environment alone.",
+        ),
+        (
+            "--env-wrapper",
+            "users_module:Emptying",
+            "Error: --env-wrapper users_module:Emptying makes of sb3_options/TwoRooms-v0 no environment, but Emptying.",
+        ),
         ("--feature-map", "users_module:a", "--feature-map: the module users_module has nothing named a that can be"),
         ("--feature-map", "users_module:number", "has nothing named number that can be called"),
     ],

@@ -1,6 +1,7 @@
 import io
 import json
 import math
+import re
 import signal
 import socket
 import subprocess
@@ -102,6 +103,12 @@ def test_a_space_that_is_wrong_is_refused(search: Any, text: str, tmp_path: Path
         read_space(written(tmp_path, search), {})
 
 
+def test_a_file_that_cannot_be_read_is_named_with_the_command(tmp_path: Path) -> None:
+    with pytest.raises(IsADirectoryError) as error:
+        read_space(tmp_path, {})
+    assert str(error.value) == f"tune {tmp_path} cannot be read: Is a directory. Name another one."
+
+
 def test_a_file_imports_no_module(tmp_path: Path) -> None:
     path = written(tmp_path, env="evil:Env-v0")
     with pytest.raises(ValueError, match=r"would import a module\. If you trust it, pass --env evil:Env-v0"):
@@ -199,12 +206,65 @@ def test_what_is_worse_ends_early(tmp_path: Path, trained: list[TrainConfig]) ->
 
 
 def test_trials_that_fail_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def score(*_: object) -> float:
-        raise scored.RunFailedError("Error: no such thing.")
+    runs: list[TrainConfig] = []
+
+    def score(run: TrainConfig, *_: object) -> float:
+        runs.append(run)
+        raise scored.RunFailedError(f"Error: no such thing as {len(runs)}.")
 
     monkeypatch.setattr(tune, "score", score)
-    with pytest.raises(ValueError, match=r"8 trials failed. The last one: Error: no such thing\."):
-        tune.tune(TuneConfig(written(tmp_path), tmp_path / "out", trials=2, seeds=1), console=quiet())
+    with pytest.raises(ValueError, match=r"5 trials failed. The last one: Error: no such thing as 5\."):
+        tune.tune(TuneConfig(written(tmp_path), tmp_path / "out", trials=5, seeds=1), console=quiet())
+
+
+def test_a_search_ends_when_its_first_trials_fail_for_the_same_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def score(run: TrainConfig, *_: object) -> float:
+        raise scored.RunFailedError(f"Error: no such thing. Its output is in {run.tensorboard_log / 'output.txt'}.")
+
+    monkeypatch.setattr(tune, "score", score)
+    console = quiet()
+    with pytest.raises(ValueError, match="The first 3 trials all failed") as error:
+        tune.tune(TuneConfig(written(tmp_path), tmp_path / "out", trials=30, seeds=1), console=console)
+    assert str(error.value) == (
+        "The first 3 trials all failed, and for the same reason: Error: no such thing. Its output is in "
+        f"{tmp_path / 'out' / tune.RUNS / '0002' / '0' / 'output.txt'}."
+    )
+
+
+def test_trials_in_place_of_those_that_failed_have_no_number_above_what_was_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs: list[TrainConfig] = []
+
+    def score(run: TrainConfig, *_: object) -> float:
+        runs.append(run)
+        if 1 < len(runs) < 6:
+            raise scored.RunFailedError("Error: no such thing.")
+        return float(len(runs))
+
+    monkeypatch.setattr(tune, "score", score)
+    console = quiet()
+    tune.tune(TuneConfig(written(tmp_path), tmp_path / "out", trials=2, seeds=1), console=console)
+    said = console.file.getvalue()  # type: ignore[attr-defined]  # a StringIO
+    assert re.findall(r"^Trial .+?: ", said, re.MULTILINE) == [
+        *("Trial 1 of 2: ", "Trial 2 of 2: "),
+        *("Trial 3: ", "Trial 4: ", "Trial 5: ", "Trial 6: "),
+    ], "one was complete, so that failures end no search so soon"
+
+
+def test_a_budget_in_which_no_episode_ends_is_named(tmp_path: Path) -> None:
+    endless = {"env": "sb3_options/TwoRooms-v0", "env_kwargs": {"max_steps": 1000, "goal": [20, 0]}}
+    run = configs.made(
+        {**BASE, **endless, "n_timesteps": 64, "n_steps": 64, "tensorboard_log": str(tmp_path)}, tmp_path
+    )
+    with pytest.raises(scored.RunFailedError) as error:
+        scored.score(run, Goal("return", 1.0), "steps", {}, scored.Processes())
+    assert str(error.value) == (
+        "No training episode ended within the budget of 64 primitive steps. Give a larger n_timesteps, or the "
+        "environment a shorter time limit."
+    )
 
 
 @pytest.mark.parametrize("name", ["trials", "seeds", "jobs"])

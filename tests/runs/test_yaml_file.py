@@ -40,3 +40,28 @@ def test_a_text_stays_a_text() -> None:
 def test_a_configuration_may_have_them(tmp_path: Path) -> None:
     (tmp_path / "run.yaml").write_text("algo: maskableppo\nn_timesteps: 2e4\nlearning_rate: 1e-4\n")
     assert load(tmp_path / "run.yaml") == MaskablePPOConfig(n_timesteps=20_000, learning_rate=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("seed: 1\ngamma: 0.9\nseed: 2\n", "it has 'seed' twice, in lines 1 and 3; give it once."),
+        ("n_envs: 1\nn-envs: 2\n", "it has 'n-envs' twice, in lines 1 and 2; give it once."),
+        ("discovery:\n  decay: 0.5\n  decay: 0.6\n", "it has 'decay' twice, in lines 2 and 3; give it once."),
+        ("env_kwargs: {goal: 1, goal: 2}\n", "it has 'goal' twice, in line 1; give it once."),
+    ],
+)
+def test_a_name_that_is_there_twice_is_refused_with_its_lines(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "run.yaml").write_text(text)
+    with pytest.raises(ValueError, match=r"run\.yaml is no YAML that can be read safely: ") as error:
+        load(tmp_path / "run.yaml")
+    assert str(error.value).endswith(said)
+
+
+def test_a_name_may_be_there_once_in_each_part() -> None:
+    assert parse("a: {decay: 1}\nb: {decay: 2}\n1: x\n'1': y\n") == {
+        "a": {"decay": 1},
+        "b": {"decay": 2},
+        1: "x",
+        "1": "y",
+    }
