@@ -18,7 +18,7 @@ from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.learned_features import GivenFeatures, check_learned, features_for
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
 from sb3_options.callbacks.records import ClosedOption, Complaints, DiscoveredOption, OptionStatistics, saved_for
-from sb3_options.callbacks.summaries import describe_options, log_results, settings_of, why_no_option
+from sb3_options.callbacks.summaries import describe_options, log_results, save_or_warn, settings_of, why_no_option
 from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.checked import given_as
 from sb3_options.density.groups import FeatureGroup
@@ -165,7 +165,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             earlier=self._installer,
         )
         self._features = features_for(self._features, self._installer, self.embedding, self.seed)
-        check_learned(self._features, self.settings, self.option_settings, own=bool(self.method or self.groups))
+        own = self.method is not None or bool(self.groups)
+        check_learned(self._features, self.settings, self.option_settings, own=own)
         if self.discovery is None:
             self.discovery = discovery_with(
                 self.settings,
@@ -299,11 +300,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.discoveries.append(DiscoveredOption(slot, *at, *last))
         if self.verbose:
             print(f"Option {slot}: {option.name}, after {self.episodes} episodes and {self.num_timesteps:,} steps")
-        self._save()
+        save_or_warn(self.bank, self.save_path)
         self.draw()
-
-    def _save(self) -> None:
-        self._complaints.save(self.bank, self.save_path)
 
     def _close_unreliable(self) -> None:
         """Narrow, or close, options whose runs too often go on for ever."""
@@ -390,7 +388,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         if self._trials is not None:
             self._trials.end()
         if self.closed or len(self.bank):
-            self._save()  # without those that were closed, and as the others have become
+            save_or_warn(self.bank, self.save_path)  # without those that were closed, and as the others have become
         self.draw()
         if self.verbose and self.max_new_options != 0 and (why := self.why_nothing()) is not None:
             print(why)

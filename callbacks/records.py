@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 from collections import Counter, deque
 from dataclasses import dataclass
 from typing import Any
@@ -16,7 +15,6 @@ from sb3_options.execution.trials import Verdict
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.trajectories import TrajectoryDatabase
-from sb3_options.options.bank import OptionBank
 
 logger = logging.getLogger("sb3_options")
 
@@ -56,8 +54,8 @@ def saved_for(subgoal: Region, trajectories: TrajectoryDatabase) -> tuple[int, i
 class Complaints:
     """Warns of what ends no training: episodes that cannot be used, the first, the second, the fourth and so on.
 
-    And of a file that cannot be written, and once of each subgoal that there is no option for. On groups of features it
-    may be found again and again, until a saved trajectory leads to it.
+    And once of each subgoal that there is no option for. On groups of features it may be found again and again, until a
+    saved trajectory leads to it.
     """
 
     def __init__(self) -> None:
@@ -70,14 +68,6 @@ class Complaints:
         if self._n & (self._n - 1) == 0:
             times = "" if self._n == 1 else f" (so far {self._n} times)"
             logger.warning("No discovery after episode %d%s: %s", episode, times, why)
-
-    def save(self, bank: OptionBank, path: str | os.PathLike[str] | None) -> None:
-        """Write an options file, if there is to be one; where that fails, training goes on."""
-        try:
-            if path is not None:
-                bank.save(path)
-        except OSError as error:
-            logger.warning("The options could not be saved to %s, training goes on: %s", path, error)
 
     def told(self, why: str, episodes: int) -> str:
         """Why there is no option, with how many episodes could not be used, and the last reason."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import logging
+import os
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
@@ -19,6 +21,8 @@ from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.trajectories import EpisodeRecord
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option, SubgoalOption
+
+logger = logging.getLogger("sb3_options")
 
 Setting: TypeAlias = float | str
 
@@ -151,6 +155,15 @@ def log_results(log: Logger, settings: Mapping[str, Any], history: Sequence[Epis
             for summary in (start, end):
                 output.writer.file_writer.add_summary(summary)
     log.record("settings", HParam(flat, dict.fromkeys(RESULTS, 0.0)), (*NUMBERS_ONLY, "tensorboard"))
+
+
+def save_or_warn(bank: OptionBank, path: str | os.PathLike[str] | None) -> None:
+    """Write an options file, unless there is to be none; where that fails, there is a warning."""
+    try:
+        if path is not None:
+            bank.save(path)
+    except OSError as error:
+        logger.warning("The options could not be saved to %s, training goes on: %s", path, error)
 
 
 def why_no_option(search: SubgoalDiscovery, bank: OptionBank, most: int | None) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from sb3_options.callbacks.discovery import SubgoalDiscoveryCallback
+from sb3_options.callbacks.summaries import save_or_warn
 from sb3_options.options.archive import NAME
 from sb3_options.zoo import ZooOptionsWrapper
 
@@ -30,8 +31,8 @@ class ZooDiscoveryCallback(SubgoalDiscoveryCallback):
             folder: str | None = self.training_env.env_method("run_folder", indices=[0])[0]
             # A search for hyperparameters keeps no runs.
             self.save_path = None if folder is None else Path(folder) / NAME
-        self._save()  # a run that discovers nothing can be played too
+        save_or_warn(self.bank, self.save_path)  # a run that discovers nothing can be played too
 
     def _on_training_end(self) -> None:
         super()._on_training_end()
-        self._save()  # options may have learned further since they were made
+        save_or_warn(self.bank, self.save_path)  # options may have learned further since they were made

@@ -49,8 +49,8 @@ def imagined_farther(
     agree on, to states that were never seen. An action there is worth what the best known way on from it is:
     Q(s, a) = r + γ max Q(s', ·), in sweeps until nothing gets better. This is planning with a model in the manner of
     linear Dyna (Sutton, Szepesvári, Geramifard & Bowling 2008); the model is that displacement. States that were seen
-    are left as they are. As many steps are imagined as a run of the option may last. From the farthest states it takes
-    longer than that, with the steps that are needed from I; without them runs leave I more often.
+    are left as they are. As many steps are imagined as a run of the option may last; from the farthest states a run
+    takes longer than that, for it goes on from where it enters I.
 
     Args:
         initiation: I, on a group of features with ``coordinates``; with others nothing is imagined.

@@ -235,7 +235,9 @@ def test_the_race_takes_it_where_it_is_named() -> None:
     entry = Entry("FourRooms", "macroq", FILTERED, {}, 4 * SHORT)
     assert FILTERED not in ENTRANTS
     assert all_settings_of(FILTERED, {})["method"] == FILTERED
-    assert all(isinstance(each["near"], bool) for each in run(entry, 0)["found"])
+    found = run(entry, 0)["found"]
+    assert found
+    assert all(each["near"] for each in found)  # the filters leave bottlenecks alone
 
 
 def test_the_race_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
