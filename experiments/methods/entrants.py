@@ -46,8 +46,8 @@ def chosen_settings(entrants: tuple[str, ...], which: str) -> dict[str, dict[str
     return {entrant: tuned[entrant]["settings"] if entrant in tuned else {} for entrant in entrants}
 
 
-TUNABLE = frozenset(ENTRANTS) - CONTROLS - {HAND_MADE, NONE}
-"""Methods that have something to tune."""
+TUNABLE = frozenset(ENTRANTS) - {"random-repeats", HAND_MADE, NONE}
+"""What has something to tune: the methods, and how long random places wait."""
 
 
 def all_settings_of(entrant: str, changed: Mapping[str, Any]) -> dict[str, Any]:

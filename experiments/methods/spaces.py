@@ -41,6 +41,7 @@ SPACES: dict[str, Space] = {
     "betweenness": _GRAPH,
     "eigenoptions": {"n_vectors": IntDistribution(1, 8), "min_trajectories": IntDistribution(3, 20)},
     "covering": {"n_pairs": IntDistribution(1, 8), "min_trajectories": IntDistribution(3, 20)},
+    "random": {"min_successes": IntDistribution(3, 12)},
 }
 """By method. Each includes its defaults."""
 

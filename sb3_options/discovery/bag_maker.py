@@ -148,10 +148,15 @@ class BagMaker:
             self.kind = "categorical"
         self.scale = default_scale(self.kind, seen) if given is None else np.full(seen.shape[1], given)
 
-    def knows_scale(self, database: Iterable[LabelledTrajectory]) -> bool:
-        """Whether the scale is known, from as many trajectories as a search needs where their range sets it."""
+    def knows_scale(self, database: Iterable[LabelledTrajectory], n_seen: int) -> bool:
+        """Whether the scale is known; where the range of features sets it, a search's number of trajectories is needed.
+
+        Args:
+            database: Those that are kept.
+            n_seen: How many there have been.
+        """
         database = list(database)
-        if database and (self.kind != "identity" or len(database) >= self.settings.min_positive):
+        if database and (self.kind != "identity" or n_seen >= self.settings.min_positive):
             self._find_scale(database)
         return self.scale is not None
 

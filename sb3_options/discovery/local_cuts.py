@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hashlib import blake2b
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,9 @@ STEPS = 3
 
 MAX_STATES = 10_000
 """As many are in the graph; of states that come later nothing is known."""
+
+MAX_KEY = 64
+"""Bytes of a state that are its own key; a longer one has a digest, which takes less memory."""
 
 UNKNOWN = 0.5
 """The share of a state of which nothing is known: as far as anybody knows it parts its surroundings in two."""
@@ -52,7 +56,7 @@ class LocalCuts:
             visits: Row of ``features`` at every time t = 0 … T, (T + 1,).
         """
         known = self._number
-        numbers = np.array([known[key] if key in known else self._numbered(key) for key in row_keys(features)])
+        numbers = np.array([known[key] if key in known else self._numbered(key) for key in keys_of(features)])
         self._n_trajectories[numbers] += 1  # by one, however often a number is among these
         way = numbers[visits]
         low, high = np.minimum(way[:-1], way[1:]), np.maximum(way[:-1], way[1:])
@@ -73,7 +77,7 @@ class LocalCuts:
         Args:
             features: Of the states, (n, d).
         """
-        return np.array([self._number.get(key, -1) for key in row_keys(features)], dtype=np.int64)
+        return np.array([self._number.get(key, -1) for key in keys_of(features)], dtype=np.int64)
 
     def are_known(self, numbers: IntArray) -> BoolArray:
         """Whether more than one trajectory visited each of some states, so that its share says something, (n,).
@@ -111,7 +115,7 @@ class LocalCuts:
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave."""
         self.n_computed = state["n_computed"]
-        self._number = {each.tobytes(): number for number, each in enumerate(state["states"])}
+        self._number = {short(each.tobytes()): number for number, each in enumerate(state["states"])}
         self._neighbours = [set() for _ in self._number]
         self._edges = {one * MAX_STATES + other for one, other in state["edges"].tolist()}
         for one, other in state["edges"].tolist():
@@ -149,3 +153,14 @@ class LocalCuts:
             border = set().union(*(self._neighbours[each] for each in border)) - around
             around = around | border
         return around
+
+
+def keys_of(features: FloatArray) -> list[bytes]:
+    """A key for each state (n, d), which equal ones share."""
+    keys = row_keys(features)
+    return keys if not keys or len(keys[0]) <= MAX_KEY else list(map(short, keys))
+
+
+def short(key: bytes) -> bytes:
+    """The key itself, or its digest."""
+    return key if len(key) <= MAX_KEY else blake2b(key, digest_size=16).digest()

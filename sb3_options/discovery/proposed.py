@@ -16,6 +16,7 @@ from sb3_options.density.regions import Region
 from sb3_options.discovery.found import FoundSubgoal, Search
 from sb3_options.discovery.grouped import GroupedDiscovery
 from sb3_options.discovery.methods import METHODS, DiscoveryMethod, Experience, Proposal, method_named, proposed_by
+from sb3_options.discovery.methods.method import kept
 from sb3_options.discovery.most_likely import MostLikelyDiscovery
 from sb3_options.discovery.random_grouped import RandomGroupedDiscovery
 from sb3_options.discovery.settings import DiscoverySettings
@@ -56,6 +57,8 @@ class ProposedDiscovery(SubgoalDiscovery):
         """Put a trajectory into the database, and tell the method with the next search; as `SubgoalDiscovery.add`."""
         labelled = super().add(trajectory, features, success=success)
         self._untold = [*self._untold, labelled][-self.settings.capacity :]
+        while len(self._untold) > 1 and sum(each.n_bytes for each in self._untold) > self.settings.max_bytes:
+            del self._untold[0]
         return labelled
 
     def search(self) -> Region | None:
@@ -78,7 +81,7 @@ class ProposedDiscovery(SubgoalDiscovery):
         """Tell the method what is new; nothing as long as the scale of the features is not known."""
         began = time.perf_counter()
         self.cost = 0.0
-        if self._maker.knows_scale(self.database):
+        if self._maker.knows_scale(self.database, self.outcomes.n):
             earlier: list[Proposal] = []
             while self._untold:
                 experience = self._experience(self._untold.pop(0))  # a method that fails is not told again
@@ -115,11 +118,13 @@ class ProposedDiscovery(SubgoalDiscovery):
 
     def _new_subgoal(self) -> Region | None:
         known = [*self.taken, *(found.subgoal for found in self.found)]
-        for proposal in self._proposals:
-            goal = goal_of(proposal)
+        for given in self._proposals:
+            goal = goal_of(given)
             if self._is_apart(goal, known):
-                self.found.append(FoundSubgoal(goal, None, math.nan, None if goal is proposal else proposal))
                 self._proposals = []
+                proposal = kept(given, self.method)
+                goal = goal_of(proposal)
+                self.found.append(FoundSubgoal(goal, None, math.nan, None if goal is proposal else proposal))
                 return goal
         return None
 
@@ -148,7 +153,7 @@ class ProposedDiscovery(SubgoalDiscovery):
         Raises:
             ValueError: The method does not tell what it remembers.
         """
-        if not hasattr(self.method, "get_state"):
+        if not (hasattr(self.method, "get_state") and hasattr(self.method, "set_state")):
             raise ValueError(
                 f"Checkpoints of discovery by {type(self.method).__name__} are not supported: give it get_state() and "
                 "set_state(state)."

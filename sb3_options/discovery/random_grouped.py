@@ -65,7 +65,7 @@ class RandomGroupedDiscovery(GroupedDiscovery):
     def _scale(self, group: FeatureGroup) -> FloatArray:
         """Factor for each feature of a group, (k,), as its bags have it."""
         member = self.members[group]
-        member._maker.knows_scale(self.database)
+        member._maker.knows_scale(self.database, self.outcomes.n)
         assert member.scale is not None  # a group has its own, whatever was seen
         return member.scale
 

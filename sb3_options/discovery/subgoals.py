@@ -110,7 +110,7 @@ class SubgoalDiscovery:
                 f"observations, got {features.shape}"
             )
         if not np.isfinite(features).all():
-            raise ValueError("the feature map gave NaN or infinite features for a trajectory")
+            raise ValueError("a trajectory has features, or observations, that are NaN or infinite")
         labelled = LabelledTrajectory(
             trajectory, features, bool(self.success(trajectory) if success is None else success)
         )

@@ -27,7 +27,7 @@ def loop_erased(features: FloatArray, visits: IntArray, radius: float) -> IntArr
     A random walk visits nearly everything, and what all walks have in common by accident passes for a bottleneck. From
     each state the way goes on after the last time the trajectory was there, so that no state comes twice (Lawler 1980
     cuts each loop as it closes; both leave a way from start to end). A trajectory that ends where it began, as segments
-    between two peaks of reward do, is no loop as a whole: its last step is left out.
+    between two peaks of reward do, is no loop as a whole: its last steps, within ``radius`` of its start, are left out.
 
     Args:
         features: φ of the distinct states in scaled units, shape (m, d).
@@ -39,7 +39,8 @@ def loop_erased(features: FloatArray, visits: IntArray, radius: float) -> IntArr
         ``radius`` of where the trajectory ended.
     """
     if np.linalg.norm(features[visits[-1]] - features[visits[0]]) <= radius:
-        visits = visits[: max(len(visits) - 1, 1)]
+        away = np.linalg.norm(features - features[visits[0]], axis=1) > radius
+        visits = visits[: max(np.flatnonzero(away[visits]), default=0) + 1]
     last_visit = np.full(len(features), -1)
     last_visit[visits] = np.arange(len(visits))
     row_at, last_near = visits.tolist(), _last_near(features, last_visit, radius)

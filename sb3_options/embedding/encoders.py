@@ -15,7 +15,10 @@ CLIP = 5.0
 """Standardised observations are clipped to ± this (Burda et al. 2018, §2.4)."""
 
 SMALLEST = 1e-3
-"""Least standard deviation of a number of an observation, as a share of the largest: what does not move is 0."""
+"""Least standard deviation of a pixel, as a share of the largest: what does not move is 0."""
+
+ROUNDING = 1e-6
+"""Likewise of another number, as a share of its mean: what moves less is rounding."""
 
 MIN_IMAGE = 36
 """Least side of an image in pixels, that of the smallest that the convolutions of Mnih et al. (2015) accept."""
@@ -114,9 +117,14 @@ class Encoder(nn.Module):
         """Take mean and standard deviation of each number from a batch, in the layout of `as_tensor`."""
         if self.form.kind == "table":
             return
-        std, mean = torch.std_mean(batch.float(), dim=0, correction=0)
+        if self.form.kind == "image":
+            std, mean = torch.std_mean(batch.float(), dim=0, correction=0)
+            least = SMALLEST * std.max()
+        else:  # numbers of any units: each has its own floor, and squares of large ones need the room
+            std, mean = torch.std_mean(batch.double(), dim=0, correction=0)
+            least = ROUNDING * mean.abs()
         self.shift.copy_(mean)
-        self.factor.copy_(1.0 / torch.clamp(std, min=max(SMALLEST * float(std.max()), 1e-8)))
+        self.factor.copy_(1.0 / torch.clamp(torch.maximum(std, least), min=1e-8))
 
     def forward(self, batch: torch.Tensor) -> torch.Tensor:
         """From the layout of `as_tensor` to (n, size)."""

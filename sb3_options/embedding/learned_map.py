@@ -17,8 +17,8 @@ BATCH = 512
 """Observations that are encoded at once, so that many images take little memory."""
 
 DECIMALS = 3
-"""Features are rounded to thousandths of a step. One observation has the same features in every batch then, though
-products of matrices differ in their last bits with the size of the batch."""
+"""Features are rounded to thousandths of a step. One observation has nearly always the same features in every batch
+then, though products of matrices differ in their last bits with the size of the batch."""
 
 
 class LearnedMap:
@@ -47,10 +47,14 @@ class LearnedMap:
         self.fixed = False
 
     def __call__(self, observations: Observations) -> FloatArray:
-        """φ of a batch of observations, (batch, d)."""
+        """φ of a batch of observations, (batch, d); NaN for those that are not finite as 32-bit numbers."""
         if batch_size(observations) == 0:
             return np.zeros((0, self.size))
-        return self.of_tensor(as_tensor(observations, self.encoder.form))
+        rows = as_tensor(observations, self.encoder.form)
+        features = self.of_tensor(rows)
+        if rows.is_floating_point():  # the network clips them, and would make something of infinity
+            features[~torch.isfinite(rows).all(dim=1).numpy()] = np.nan
+        return features
 
     def of_tensor(self, rows: torch.Tensor) -> FloatArray:
         """φ of observations in the layout of `as_tensor`, (n, d)."""

@@ -67,14 +67,15 @@ class FeatureLearner:
             n_trajectories: How many there have been, those included that are no longer saved.
 
         Raises:
-            ValueError: No step moves.
+            ValueError: No step moves; or gradient steps led to numbers that are not finite, and the map is as it was.
         """
         replay = Replay(trajectories, self.map.encoder.form)
         before, after = replay.steps()
         if len(before) == 0:
             raise ValueError("a feature map can be learned only where a step leads to another observation")
         updates = self.settings.updates
-        if self.n_trajectories == 0:
+        before_it = copy.deepcopy((self.map.encoder.state_dict(), self._lagrangian.duals))
+        if self.map.learned == 0:
             self.map.encoder.standardise_by(replay.observations)
         else:
             updates = math.ceil(updates / 2)
@@ -83,8 +84,16 @@ class FeatureLearner:
             for group in self._optimizer.param_groups:
                 group["lr"] = self.settings.learning_rate * (1.0 - i / updates)
             losses.append(self._update(replay))
-        self.loss = float(np.mean(losses[-100:]))
         self.n_trajectories = n_trajectories
+        if not all(weight.isfinite().all() for weight in self.map.encoder.parameters()):
+            weights, self._lagrangian.duals = before_it
+            self.map.encoder.load_state_dict(weights)
+            self._optimizer.state.clear()
+            raise ValueError(
+                f"the learned feature map diverged and stays as it was: try a lower learning_rate than "
+                f"{self.settings.learning_rate:g} (EmbeddingSettings)"
+            )
+        self.loss = float(np.mean(losses[-100:]))
         self.map.scale = np.ones(self.map.size)
         if self.map.name == "laplacian":
             self.map.scale = 1.0 / np.sqrt(np.maximum(self.eigenvalues(), LEAST_EIGENVALUE))

@@ -39,7 +39,7 @@ class IntrinsicReward:
         radius: Of the regions that the option's I and β are made of, in scaled units.
 
     Raises:
-        ValueError: Arrays that do not fit each other, or a potential that is not finite.
+        ValueError: Arrays that do not fit each other, no place at all, or a potential that is not finite.
     """
 
     points: FloatArray
@@ -49,9 +49,11 @@ class IntrinsicReward:
 
     def __post_init__(self) -> None:
         """Refuse what does not fit."""
-        shapes = self.points.shape, self.potentials.shape, self.scale.shape
-        if self.points.ndim != 2 or shapes[1:] != (self.points.shape[:1], self.points.shape[1:]):
-            raise ValueError(f"points, potentials and scale must be (n, d), (n,) and (d,), got {shapes}")
+        shapes = np.shape(self.points), np.shape(self.potentials), np.shape(self.scale)
+        if len(shapes[0]) != 2 or shapes[0][0] < 1 or shapes[1:] != (shapes[0][:1], shapes[0][1:]):
+            raise ValueError(f"points, potentials and scale must be (n, d), (n,) and (d,), n ≥ 1, got {shapes}")
+        for name in ("points", "potentials", "scale"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=np.float64))
         if not np.isfinite(self.potentials).all():
             raise ValueError("potentials must be finite")
 

@@ -231,7 +231,10 @@ def test_why_there_is_no_option_tells_of_episodes_that_could_not_be_used() -> No
 @pytest.mark.parametrize(
     ("method", "why"),
     [
-        (Proposing(3), "Proposing proposed a Region of 3 features, and φ has 2."),
+        (
+            Proposing(3),
+            "Proposing proposed a Region whose points have shape (1, 3) and whose scale has (3,); they must be (n, 2)",
+        ),
         (GivenPlaces([[5, 2, 1]]), "GivenPlaces has places of 3 features, and φ has 2."),
     ],
 )

@@ -83,6 +83,25 @@ def test_negative_zero_is_zero() -> None:
     assert shares_of(cuts, [[-0.0], [1.0]]).tolist() == [0.0, 0.5]
 
 
+def test_states_of_many_features_have_short_keys_and_the_same_shares(monkeypatch: pytest.MonkeyPatch) -> None:
+    many = np.zeros((3, 20))
+    many[:, 19] = np.arange(3.0)
+    ways = [[tuple(many[row]) for row in way] for way in ((0, 1, 2), (1, 2), (2, 1))]
+    cuts = walked(LocalCuts(), ways)
+    assert {len(key) for key in cuts._number} == {16}
+    again = LocalCuts()
+    again.set_state(cuts.get_state())
+    monkeypatch.setattr(local_cuts, "MAX_KEY", 10_000)
+    before = walked(LocalCuts(), ways)
+    assert {len(key) for key in before._number} == {160}
+    expected = shares_of(before, many).tolist()
+    monkeypatch.undo()
+    earlier = LocalCuts()
+    earlier.set_state(before.get_state())  # of a checkpoint that was written with long keys
+    for each in (cuts, again, earlier):
+        assert shares_of(each, many).tolist() == expected == [0.5, 0.5, 0.0]
+
+
 def test_goes_on_from_a_state(rng: np.random.Generator) -> None:
     def walk(n: int) -> list[tuple[float, ...]]:
         place: npt.NDArray[np.float64] = np.zeros(2)

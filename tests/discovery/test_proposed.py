@@ -1,11 +1,14 @@
 """Discovery by a method: what it is told, and which of its proposals are taken."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.density.groups import FeatureGroup
-from sb3_options.discovery.methods import DiscoveryMethod, Experience, Proposal
+from sb3_options.density.regions import Region
+from sb3_options.discovery.methods import DiscoveryMethod, Experience, Passage, Proposal
 from sb3_options.discovery.methods.candidates import PLACE_SECONDS
 from sb3_options.discovery.methods.graphs import LCut
 from sb3_options.discovery.methods.visits import VisitFrequency
@@ -173,6 +176,89 @@ def test_a_method_that_fails_goes_on_with_the_next_trajectory() -> None:
         else:
             discovery.search()
     assert [len(each.features) for each in method.told] == [10, 11, 12, 13]
+
+
+def test_what_waits_to_be_told_keeps_to_the_memory_too() -> None:
+    """The scale by the range waits for four trajectories, of which only two may be kept."""
+    size = line()[0].n_bytes + line()[1].nbytes
+    method = Told()
+    discovery = of(method, kind="identity", max_bytes=2 * size)
+    for n in range(1, 7):
+        discovery.add(*line())
+        assert len(discovery._untold) <= 2  # type: ignore[attr-defined]  # of `ProposedDiscovery`
+        discovery.search()
+        assert (discovery.scale is not None) == (n >= 4)
+    assert len(method.told) == 2 + 2
+
+
+class Giving:
+    """Proposes one thing."""
+
+    def __init__(self, proposal: Any) -> None:
+        self.proposal = proposal
+
+    def update(self, experience: Experience) -> list[Proposal]:
+        return [self.proposal]
+
+
+@pytest.mark.parametrize(
+    ("proposal", "message"),
+    [
+        (Region(np.array([[np.nan]]), np.ones(1), 0.5), r"^Giving proposed a Region with points, scale or radius that"),
+        (Region(np.array([[5.0]]), np.ones(1), -1.0), r"^Giving proposed a Region with points, scale or radius that"),
+        (
+            Region(np.array([5.0]), np.ones(1), 0.5),
+            r"points have shape \(1,\) and whose scale has \(1,\); they must be",
+        ),
+        (Region(np.array([[5.0]]), 1.0, 0.5), r"whose scale has \(\); they must be \(n, 1\) and \(1,\), n ≥ 1, for φ"),  # type: ignore[arg-type]  # that is refused
+        (Region(np.zeros((0, 1)), np.ones(1), 0.5), r"points have shape \(0, 1\) and"),
+        (
+            Passage(Region(np.ones((1, 1)), np.ones(1), 0.5), Region(np.ones((1, 2)), np.ones(2), 0.5)),
+            r"a Passage whose",
+        ),
+    ],
+)
+def test_proposals_that_are_no_places_are_refused_and_others_taken_later(proposal: Proposal, message: str) -> None:
+    method = Giving(proposal)
+    discovery = of(method)
+    discovery.add(*line())
+    with pytest.raises(ValueError, match=message):
+        discovery.search()
+    assert discovery.search() is None
+    method.proposal = Region([[5]], np.ones(1), 0.5)  # type: ignore[arg-type]  # a list will do
+    discovery.add(*line())
+    found = discovery.search()
+    assert found is not None
+    assert found.contains(np.array([[5.0], [6.0]])).tolist() == [True, False]
+
+
+def test_a_method_cannot_move_what_was_taken_nor_what_was_lived_through() -> None:
+    class Moving:
+        mean = np.array([5.0])
+
+        def update(self, experience: Experience) -> list[Proposal]:
+            self.mean += 1.0
+            with pytest.raises(ValueError, match="read-only"):
+                experience.features -= 1.0
+            with pytest.raises(ValueError, match="read-only"):
+                experience.visits[0] = 3
+            return [Region(self.mean[None], np.ones(1), 0.5), experience.region(self.mean), experience.region([5.0])]
+
+    discovery = of(Moving())
+    for _ in range(2):
+        discovery.add(*line())
+        discovery.search()
+    assert discovery.found[0].subgoal.points.tolist() == [[6.0]]
+    assert line()[1].tolist() == next(iter(discovery.database)).features.tolist()
+
+
+def test_a_checkpoint_needs_both_ways() -> None:
+    class HalfWay(Told):
+        def get_state(self) -> dict[str, Any]:
+            return {}
+
+    with pytest.raises(ValueError, match=r"^Checkpoints of discovery by HalfWay are not supported: give it get_state"):
+        of(HalfWay()).get_state()
 
 
 @pytest.mark.parametrize("answer", [None, np.zeros((1, 1)), [3.0]])

@@ -432,7 +432,7 @@ class TestAdd:
         trajectory, features = on_a_line(0, 5, 20)
         features = features.copy()
         features[1] = bad
-        with pytest.raises(ValueError, match=r"^the feature map gave NaN or infinite features for a trajectory$"):
+        with pytest.raises(ValueError, match=r"^a trajectory has features, or observations, that are NaN or infinite$"):
             discovery.add(trajectory, features)
         assert len(discovery.database) == 0
         discovery.add(*on_a_line(0, 5, 20))

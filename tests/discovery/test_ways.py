@@ -26,6 +26,7 @@ def way_of(visits: list[int], features: list[float] | None = None, radius: float
         ([0, 0, 0, 1, 1], [0, 1]),
         ([0, 1, 0, 2, 0], [0, 2]),
         ([0, 0], [0]),
+        ([0, 1, 2, 0, 0], [0, 1, 2]),
         ([0, 1, 2, 0, 3, 2, 4], [0, 3, 2, 4]),
     ],
 )
@@ -39,7 +40,8 @@ def test_is_a_walk_of_the_same_steps_without_repetition(places: list[int]) -> No
     visits = [rows[place] for place in places]
     way = way_of(visits)
     assert way[0] == visits[0]
-    assert way[-1] == visits[-1] or (visits[0] == visits[-1] and way[-1] == visits[-2])
+    away = [visit for visit in visits if visit != visits[0]]
+    assert way[-1] == visits[-1] or (visits[0] == visits[-1] and way[-1] == away[-1])
     assert len(set(way)) == len(way)
     assert set(itertools.pairwise(way)) <= set(itertools.pairwise(visits))
 
@@ -55,6 +57,15 @@ def test_ends_within_the_radius_of_the_end() -> None:
     way = way_of([0, 1, 2, 3], features, radius=0.1)
     assert way == [0, 1]
     assert abs(features[way[-1]] - features[3]) <= 0.1
+
+
+@pytest.mark.parametrize("step", [1.0, 0.3, 0.05])
+def test_a_round_trip_keeps_its_way_however_small_its_steps(step: float) -> None:
+    angles = np.arange(0.0, 2.0 * np.pi, step / 5.0)
+    circle = 5.0 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    way = loop_erased(circle, np.r_[np.arange(len(circle)), 0], 0.5)
+    assert np.linalg.norm(circle[way] - circle[0], axis=1).max() > 9.9
+    assert 0.5 < np.linalg.norm(circle[way[-1]] - circle[0]) < 1.0 + 2 * step
 
 
 X = np.arange(-5.0, 6.0)

@@ -1,16 +1,19 @@
 """Learned spaces against the truth: shortest paths, and the eigenvectors of the Laplacian."""
 
+import dataclasses
 import functools
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import spearmanr
 
 from sb3_options.embedding.encoders import ObservationForm
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.embedding.learner import FeatureLearner
 from sb3_options.embedding.settings import EmbeddingSettings, MapName
 from sb3_options.envs.gridworld.maps import FOUR_ROOMS, TWO_ROOMS
+from sb3_options.experience.trajectories import Trajectory
 from tests.embedding.truth import cosines, distances, learned, path_graph, path_through, rank_correlation, rooms
 from tests.support.helpers import equal
 
@@ -109,6 +112,50 @@ def test_where_nothing_moves_nothing_can_be_learned() -> None:
     assert learner.can_learn([path_through([3, 3, 4])])
     with pytest.raises(ValueError, match=r"^a feature map can be learned only where a step leads to another observ"):
         learner.learn(still, 1)
+
+
+def corridor(unit: float) -> list[Trajectory]:
+    """Walks to and fro, seen as a place and a number in another unit that says nothing."""
+    random, walks = np.random.default_rng(0), []
+    for _ in range(8):
+        at = np.clip(np.cumsum(random.choice([-1, 1], 200)) % 18, 0, 17)
+        at = np.minimum(at, 18 - at)
+        walk = path_through(at.tolist())
+        places = np.asarray(walk.states)
+        seen = np.stack([places, unit * ((3 * places) % 7)], axis=1).astype(np.float32)
+        walks.append(dataclasses.replace(walk, states=seen))
+    return walks
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e6, 1e30])
+def test_numbers_in_other_units_take_nothing_from_each_other(unit: float) -> None:
+    learner = FeatureLearner(LearnedMap("temporal-distance", ObservationForm("vector", (2,))), EmbeddingSettings())
+    learner.learn(corridor(unit), 8)
+    places = np.arange(10.0)
+    made = learner.map(np.stack([places, unit * ((3 * places) % 7)], axis=1))
+    far = np.linalg.norm(made - made[0], axis=1)
+    assert spearmanr(far, places).statistic > 0.9
+
+
+def test_observations_that_are_not_finite_have_no_place() -> None:
+    learned_map = LearnedMap("laplacian", ObservationForm("vector", (2,)))
+    made = learned_map(np.array([[0.0, 1.0], [np.inf, 1.0], [np.nan, 1.0], [0.0, 2.0]]))
+    assert np.isfinite(made).all(axis=1).tolist() == [True, False, False, True]
+
+
+@pytest.mark.parametrize("name", ["laplacian", "temporal-distance"])
+def test_a_map_that_diverges_stays_as_it_was(name: MapName) -> None:
+    learner = FeatureLearner(LearnedMap(name, ObservationForm("table", (N,))), EmbeddingSettings(updates=20))
+    learner.learn(LINE.trajectories, 8)
+    before = learner.map(np.arange(N))
+    learner.settings = EmbeddingSettings(updates=20, learning_rate=1e30)
+    with pytest.raises(ValueError, match=r"^the learned feature map diverged and stays as it was: try a lower learnin"):
+        learner.learn(LINE.trajectories, 16)
+    assert np.array_equal(learner.map(np.arange(N)), before)
+    assert not learner.is_due(31)
+    learner.settings = EmbeddingSettings(updates=20)
+    learner.learn(LINE.trajectories, 32)
+    assert np.isfinite(learner.map(np.arange(N))).all()
 
 
 @pytest.mark.parametrize(

@@ -131,7 +131,7 @@ class TestEntrants:
             assert space._contains(space.to_internal_repr(value)), name
         discovery_of(method, defaults, task_for("TwoRooms", 0), 0)  # takes them
 
-    def test_all_methods_but_controls_are_tuned(self) -> None:
+    def test_all_that_have_settings_are_tuned(self) -> None:
         assert set(SPACES) == TUNABLE
 
     def test_settings_that_are_not_there_yet(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -294,8 +294,10 @@ def test_tuning_goes_on_and_keeps_the_best(tmp_path: Path, monkeypatch: pytest.M
     assert set(tuned) == {"covering", "l-cut"}
     assert tuned["covering"]["score_of_defaults"] == 10.0
     assert tuned["covering"]["score"] == tuned["covering"]["settings"]["min_trajectories"] <= 10
-    with pytest.raises(SystemExit, match=r"^--method: 'random' has nothing to tune, choose from diverse-density,"):
-        tune.Tuning(out=tmp_path, method="random")
+    with pytest.raises(
+        SystemExit, match=r"^--method: 'random-repeats' has nothing to tune, choose from diverse-density,"
+    ):
+        tune.Tuning(out=tmp_path, method="random-repeats")
 
 
 def test_a_trial_is_scored_by_its_steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

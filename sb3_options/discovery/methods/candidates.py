@@ -131,6 +131,8 @@ class Candidates:
         """
         places = experience.places
         those = np.flatnonzero(seen)
+        if not len(those):
+            return
         rows = self._rows_of([places.bins[row].tobytes() for row in those], places.points[those])
         self._counts[rows, 0] += seen[those]
         self._counts[rows, 1] += hits[those]

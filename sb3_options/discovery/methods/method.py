@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
+import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
-from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal, Repeat, bins_of, goal_of
+from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal, Repeat, bins_of
 
 __all__ = ["DiscoveryMethod", "Experience", "IntrinsicReward", "Passage", "Places", "Proposal", "Region", "Repeat"]
 
 
 PROPOSALS = (Region, Passage, IntrinsicReward, Repeat)
 """What an option may be made for."""
+
+Array = TypeVar("Array", bound=npt.NDArray[Any])
+Placed = TypeVar("Placed", Region, IntrinsicReward)
 
 SIGN = np.int64(-(1 << 63))
 """The bit of the sign."""
@@ -26,8 +32,8 @@ class Experience:
     """One trajectory, as methods see it.
 
     Args:
-        features: φ of its distinct observations, in order of first visit, (m, d).
-        visits: Row of ``features`` at every time t = 0 … T, (T + 1,).
+        features: φ of its distinct observations, in order of first visit, (m, d); methods may not write to it.
+        visits: Row of ``features`` at every time t = 0 … T, (T + 1,); likewise.
         success: Whether it was successful.
         allowed: Which of its states may be subgoals, (m,): the static filter allows them, and no subgoal is near.
         scale: Factor for every feature that makes one unit one step, (d,).
@@ -44,7 +50,7 @@ class Experience:
         scale: FloatArray,
         radius: float,
     ) -> None:
-        self.features, self.visits, self.success = features, visits, success
+        self.features, self.visits, self.success = _read_only(features), _read_only(visits), success
         self.allowed, self.scale, self.radius = allowed, scale, radius
 
     @cached_property
@@ -56,9 +62,16 @@ class Experience:
         allowed[which[~self.allowed]] = False
         return Places(self.features[first], bins[first], which[self.visits], allowed)
 
-    def region(self, point: FloatArray) -> Region:
+    def region(self, point: ArrayLike) -> Region:
         """The region around a place, (d,)."""
-        return Region(point[None], self.scale, self.radius)
+        return Region(np.array(point, dtype=np.float64)[None], self.scale, self.radius)
+
+
+def _read_only(array: Array) -> Array:
+    """The same numbers, which the database holds, too."""
+    seen = array.view()
+    seen.flags.writeable = False
+    return seen
 
 
 def distinct_rows(rows: FloatArray) -> tuple[IntArray, IntArray]:
@@ -140,16 +153,51 @@ def proposed_by(method: DiscoveryMethod, experience: Experience) -> list[Proposa
 
     Raises:
         TypeError: It answers something else.
-        ValueError: A proposal has another number of features.
+        ValueError: A proposal has arrays of other shapes, or numbers that are not finite.
     """
     proposals = method.update(experience)
     if not isinstance(proposals, Sequence) or not all(isinstance(each, PROPOSALS) for each in proposals):
         names = ", ".join(kind.__name__ for kind in PROPOSALS)
         raise TypeError(f"{type(method).__name__}.update must return a list of {names}, got {proposals!r:.200}.")
-    for each in [each for each in proposals if not isinstance(each, Repeat)]:
-        size, here = len(goal_of(each).scale), experience.features.shape[1]
-        if size != here:
-            raise ValueError(
-                f"{type(method).__name__} proposed a {type(each).__name__} of {size} features, and φ has {here}."
-            )
+    name, size = type(method).__name__, experience.features.shape[1]
+    for each in proposals:
+        for region in _regions_of(each):
+            points, scale = np.shape(region.points), np.shape(region.scale)
+            if (len(points), *points[1:], *scale) != (2, size, size) or not points[0]:
+                raise ValueError(
+                    f"{name} proposed a {type(each).__name__} whose points have shape {points} and whose scale has "
+                    f"{scale}; they must be (n, {size}) and ({size},), n ≥ 1, for φ has {size} features."
+                )
     return list(proposals)
+
+
+def kept(proposal: Proposal, method: DiscoveryMethod) -> Proposal:
+    """A proposal that is taken, of arrays that the method cannot change later on.
+
+    Raises:
+        ValueError: It has numbers that are not finite, or a radius below 0.
+    """
+    for region in _regions_of(proposal):
+        if not (np.isfinite(region.points).all() and np.isfinite(region.scale).all() and 0 <= region.radius < np.inf):
+            raise ValueError(
+                f"{type(method).__name__} proposed a {type(proposal).__name__} with points, scale or radius that are "
+                "not finite, or a radius below 0."
+            )
+    if isinstance(proposal, Passage):
+        return Passage(_copied(proposal.subgoal), _copied(proposal.initiation))
+    if isinstance(proposal, IntrinsicReward):
+        return _copied(proposal)
+    return proposal if isinstance(proposal, Repeat) else _copied(proposal)
+
+
+def _copied(region: Placed) -> Placed:
+    """The same with arrays of its own."""
+    points, scale = np.array(region.points, dtype=np.float64), np.array(region.scale, dtype=np.float64)
+    return replace(region, points=points, scale=scale)
+
+
+def _regions_of(proposal: Proposal) -> tuple[Region | IntrinsicReward, ...]:
+    """What has points in concept space."""
+    if isinstance(proposal, Passage):
+        return proposal.subgoal, proposal.initiation
+    return () if isinstance(proposal, Repeat) else (proposal,)

@@ -74,7 +74,7 @@ class PlaceGraph:
                 if len(self._points) >= self.max_places:
                     continue
                 number = self._number[key] = len(self._points)
-                self._points.append(places.points[row])
+                self._points.append(places.points[row].copy())  # a view would keep all of its trajectory
                 self._allowed.append(False)
             numbers[row] = number
             self._allowed[number] = bool(places.allowed[row])

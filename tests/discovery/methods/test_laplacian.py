@@ -30,6 +30,9 @@ def path(n: int) -> csr_array:
 
 
 class TestPlaceGraph:
+    def test_keeps_no_trajectory_alive(self) -> None:
+        assert all(point.base is None for point in graph_of([0, 1, 2], [1, 3])._points)
+
     def test_it_joins_what_follows_each_other(self) -> None:
         part = graph_of([0, 1, 1, 2], [2, 1, 3]).largest_component()
         assert part.points.ravel().tolist() == [0, 1, 2, 3]

@@ -102,7 +102,13 @@ class TestRelativeNovelty:
         assert RelativeNovelty(lag=3).update(experience([0, 1, 2] * 30)) == []
 
     def test_a_short_trajectory_says_nothing(self) -> None:
-        assert RelativeNovelty().update(experience([0, 1, 2])) == []
+        method = RelativeNovelty()
+        assert method.update(experience([0, 1, 2])) == []
+        told = experience([0, 1, 2])
+        several = np.repeat(told.features, 3, axis=1), told.visits, told.allowed, np.ones(3)
+        features, visits, allowed, scale = several
+        of_three = Experience(features, visits, success=True, allowed=allowed, scale=scale, radius=0.5)
+        assert RelativeNovelty().update(of_three) == []
 
 
 class TestGraphs:
