@@ -15,6 +15,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_options.callbacks import checkpoint_state
 from sb3_options.callbacks.counting import all_callbacks
+from sb3_options.checked import whole
 from sb3_options.checkpoints import environments, event_files, models
 from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.checkpoints.tree import State
@@ -55,8 +56,11 @@ class CheckpointCallback(BaseCallback):
         verbose: int = 0,
     ) -> None:
         super().__init__(verbose)
-        if freq < 1:
-            raise ValueError(f"freq must be at least 1 primitive step, got {freq}.")
+        if not whole(freq, 1):
+            raise ValueError(
+                f"freq must be a whole number of at least 1 primitive step, got {freq!r}. The folder comes first here: "
+                "CheckpointCallback(folder, freq); SB3's callback of this name has save_freq first."
+            )
         self.folder, self.freq, self.end_when = CheckpointFolder(folder), freq, end_when
         self._there: int | None = None
         self._resumed: State | None = None

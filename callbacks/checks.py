@@ -53,10 +53,10 @@ def check_arguments(
         TypeError: The rule of success or the static filter cannot be called, the path is none, or hparams no mapping.
         ValueError: Another one is out of its range.
     """
-    if not callable(success):
+    if not (callable(success) or isinstance(success, str)):
         raise TypeError(
             f"success must be a function from a Trajectory to whether it succeeded, got {success!r}: success_by_return"
-            "(threshold) of sb3_options.experience.success is one."
+            "(threshold) of sb3_options.experience.success is one. Or 'terminated', or 'return:30'."
         )
     if static_filter is not None and not callable(static_filter):
         raise TypeError(
@@ -199,6 +199,8 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
     check_wrapped(venv, "The model's environment")
     if not isinstance(model, MacroQ):
         _check_deep(model, venv)
+    if masks_actions(model):
+        _check_masks(venv)
     _check_nothing_above_changes_observations(venv)
     check_nothing_above_changes_steps(venv)
     check_normalized_rewards(model)
@@ -208,6 +210,17 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
             f"There is no default feature map for {venv.observation_space}: pass OptionsWrapper(env, "
             "feature_map=...) a function from a batch of observations to features of shape (batch, d), or the name of "
             "one that is learned, 'temporal-distance' or 'laplacian'."
+        )
+
+
+def _check_masks(venv: VecEnv) -> None:
+    """Refuse masks that a wrapper above `OptionsWrapper` made of the environment's own actions."""
+    venv.env_method("expect_empty", True)  # as training does: that no slot is filled is nothing to be told of
+    n, mask = int(venv.action_space.n), np.asarray(venv.env_method("action_masks", indices=[0])[0])  # type: ignore[attr-defined]  # checked to be Discrete
+    if mask.shape != (n,):
+        raise ValueError(
+            f"The environment's action_masks() has shape {mask.shape}, and there are {n} actions with the slots for "
+            "options: put an ActionMasker of the environment's own actions beneath, OptionsWrapper(ActionMasker(...))."
         )
 
 
@@ -280,6 +293,19 @@ def _check_deep(model: BaseAlgorithm, venv: VecEnv) -> None:
     if isinstance(buffer, OptionReplayBuffer):
         _check_stacked_frames(model, buffer, venv)
     heads.option_outputs(model.policy)
+    check_network(model, venv)
+
+
+def check_network(model: BaseAlgorithm, venv: VecEnv) -> None:
+    """Refuse a network of a user's own whose outputs cannot be closed and opened one by one.
+
+    Raises:
+        TypeError: The model has such a network.
+    """
+    observation = getattr(model, "_last_obs", None)
+    if observation is not None:
+        first = {k: v[:1] for k, v in observation.items()} if isinstance(observation, dict) else observation[:1]
+        heads.check_values(model.policy, first, int(venv.action_space.n))  # type: ignore[attr-defined]  # checked to be Discrete
 
 
 def check_replay_buffer(model: BaseAlgorithm) -> None:

@@ -32,9 +32,9 @@ from sb3_options.embedding.settings import EmbeddingSettings
 from sb3_options.execution.exploration import checked_share
 from sb3_options.execution.trials import TrialReport, TrialSettings, Verdict
 from sb3_options.experience.option_run import OptionRun
-from sb3_options.experience.success import SuccessRule, reported_success
+from sb3_options.experience.success import SuccessRule, judged, reported_success, success_rule
 from sb3_options.experience.trajectories import EpisodeRecord, LabelledTrajectory, Trajectory
-from sb3_options.options.bank import OptionBank
+from sb3_options.options.bank import OptionBank, PresentOptions
 from sb3_options.options.creation import OptionGrowth, joined, learn_further, learn_option
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import PolicyInput
@@ -67,7 +67,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         method: How subgoals are found: the name of a method, or a `DiscoveryMethod` of your own; by default what the
             settings say.
         success: Which trajectories make positive bags; by default ``info["is_success"]``, or, in an environment without
-            it, a positive last reward above all earlier ones in a terminal state.
+            it, a positive last reward above all earlier ones in a terminal state. Or a text, as `success_rule` has it.
         static_filter: What may be a subgoal; by default not near the start and end of a trajectory.
         groups: The features that make a concept together, each a `FeatureGroup` or a mapping of its fields; by default
             those that the environment or φ names. Without any, all features do.
@@ -101,7 +101,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         option_settings: OptionLearningSettings | Mapping[str, Any] | None = None,
         *,
         method: MethodName | DiscoveryMethod | None = None,
-        success: SuccessRule = reported_success,
+        success: SuccessRule | str = reported_success,
         static_filter: StaticFilter | None = None,
         groups: Iterable[FeatureGroup | Mapping[str, Any]] | None = None,
         max_new_options: int | None = None,
@@ -124,7 +124,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.method = checked_method(method)
         self.option_settings = given_as(OptionLearningSettings, {} if option_settings is None else option_settings)
         check_arguments(success, static_filter, max_new_options, min_reached, save_path, hparams, seed)
-        self.success, self.static_filter, self.min_reached = success, static_filter, min_reached
+        self.success, self.static_filter, self.min_reached = success_rule(success), static_filter, min_reached
         self.groups = groups_given(groups)
         self.max_new_options, self.interruption, self.save_path = max_new_options, interruption, save_path
         self.trial, self.hparams = trial_given(trial, self.settings), hparams
@@ -146,8 +146,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     @property
     def bank(self) -> OptionBank:
-        """The present options; an empty bank before training starts."""
-        return OptionBank(1, 0) if self._installer is None else self._installer.bank
+        """A copy of the present options, which takes no others; an empty bank before training starts."""
+        return PresentOptions(OptionBank(1, 0) if self._installer is None else self._installer.bank)
 
     def _on_training_start(self) -> None:
         self._ended, venv = False, self.training_env
@@ -164,6 +164,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             interruption=self.interruption,
             earlier=self._installer,
         )
+        self._made_here &= set(self._installer.bank.filled)  # a user may have taken some out
         self._features = features_for(self._features, self._installer, self.embedding, self.seed)
         own = self.method is not None or bool(self.groups)
         check_learned(self._features, self.settings, self.option_settings, own=own)
@@ -176,10 +177,10 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                 success=self.success,
                 static_filter=self.static_filter,
                 kind=venv.env_method("feature_kind", indices=[0])[0],
-                taken=[option.subgoal for option in self.bank.slots if isinstance(option, SubgoalOption)],
+                taken=[option.subgoal for option in self._options.bank.slots if isinstance(option, SubgoalOption)],
             )
         self.discovery.budget.step_seconds = step_seconds_of(self.model)
-        for slot, option in enumerate(self.bank.slots):
+        for slot, option in enumerate(self._options.bank.slots):
             if isinstance(option, SubgoalOption) and slot not in self._made_here and not option.fixed:
                 self._growth.adopted(slot)
         venv.env_method("record_trajectories", True, self.settings.reward_peaks())
@@ -222,7 +223,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     def _episode_ended(self, trajectory: Trajectory, report: TrialReport | None) -> None:
         self.episodes += 1
         try:
-            success, total = bool(self.success(trajectory)), float(trajectory.rewards.sum())
+            success, total = judged(self.success, trajectory), float(trajectory.rewards.sum())
             self.history.append(EpisodeRecord(self.num_timesteps, total, success, len(trajectory)))
             if self._trials is not None:
                 for slot, why in self._trials.episode_ended(report, success=success, filled=self._options.installed()):
@@ -235,7 +236,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     def _learn_from(self, trajectory: Trajectory, success: bool) -> None:
         discovers = self._may_discover()
-        if not (discovers or (self.option_settings.goes_on and len(self.bank))):
+        if not (discovers or (self.option_settings.goes_on and len(self._options.bank))):
             return
         labelled = self._search.add(trajectory, self._options.features_of(trajectory.states), success=success)
         if self._features.learn_if_due(self._search, self._options):
@@ -249,7 +250,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     def _learn_further(self, labelled: LabelledTrajectory) -> None:
         for slot in self._options.installed():
-            option = self.bank[slot]
+            option = self._options.bank[slot]
             if not isinstance(option, SubgoalOption) or option.fixed:
                 continue
             later: SubgoalOption | None = option
@@ -274,8 +275,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         )
 
     def _may_discover(self) -> bool:
-        most = self.bank.max_options if self.max_new_options is None else self.max_new_options
-        return len(self._made_here) < most and len(self.bank) < self.bank.max_options
+        most = self._options.bank.max_options if self.max_new_options is None else self.max_new_options
+        return len(self._made_here) < most and len(self._options.bank) < self._options.bank.max_options
 
     def _make_option(self, subgoal: Region) -> None:
         found = self._search.found[-1]
@@ -288,7 +289,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         if option is None:
             self._complaints.no_option(where)
             return self._search.withdraw()
-        slot = self.bank.slots.index(None)
+        slot = self._options.bank.slots.index(None)
         self._options.install(slot, option)
         self._features.remember(slot, option, self._search)
         self._statistics.forget(slot)  # a closed option went on to the end of its rollout, after it was forgotten
@@ -300,7 +301,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.discoveries.append(DiscoveredOption(slot, *at, *last))
         if self.verbose:
             print(f"Option {slot}: {option.name}, after {self.episodes} episodes and {self.num_timesteps:,} steps")
-        save_or_warn(self.bank, self.save_path)
+        save_or_warn(self._options.bank, self.save_path)
         self.draw()
 
     def _close_unreliable(self) -> None:
@@ -328,18 +329,19 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     def _log(self) -> None:
         assert self._clock is not None  # made when training started
-        counts = {"options/count": len(self.bank), "options/closed": len(self.closed)}
-        others = {"time/primitive_steps": self.num_timesteps, **counts, **self._statistics.values()}
+        others: dict[str, float] = {"options/count": len(self._options.bank), "options/closed": len(self.closed)}
+        others |= {"time/primitive_steps": self.num_timesteps, **self._statistics.values()}
         log_discovery(self.logger.record, self._search, self._clock.share(self._search), others)
 
     def draw(self) -> None:
         """Draw discovery for TensorBoard, and describe the options, with the next dump of the log."""
-        draw_discovery(self.logger, self._search, self.bank, self.discoveries[-1].slot if self.discoveries else None)
-        describe_options(self.logger, self.bank.slots, self.discoveries, self._statistics.values())
+        bank, made = self._options.bank, self.discoveries
+        draw_discovery(self.logger, self._search, bank, made[-1].slot if made else None)
+        describe_options(self.logger, bank.slots, made, self._statistics.values())
 
     def why_nothing(self) -> str | None:
         """Why no option was made since training started; None where one was."""
-        why = why_no_option(self._search, self.bank, self.max_new_options)
+        why = why_no_option(self.discovery, self.bank, self.max_new_options)
         return None if self.discoveries else self._complaints.told(why, self.episodes)
 
     def get_state(self) -> dict[str, Any]:
@@ -387,8 +389,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._options.on_training_end()
         if self._trials is not None:
             self._trials.end()
-        if self.closed or len(self.bank):
-            save_or_warn(self.bank, self.save_path)  # without those that were closed, and as the others have become
+        if self.closed or len(self._options.bank):  # without those that were closed, and as the others are now
+            save_or_warn(self._options.bank, self.save_path)
         self.draw()
         if self.verbose and self.max_new_options != 0 and (why := self.why_nothing()) is not None:
             print(why)

@@ -9,6 +9,7 @@ from typing import Any
 from stable_baselines3.common.callbacks import BaseCallback
 
 from sb3_options.callbacks.checks import (
+    check_network,
     check_normalized_rewards,
     check_nothing_above_changes_steps,
     check_replay_buffer,
@@ -75,6 +76,7 @@ class PrimitiveStepsCallback(BaseCallback):
         keep_options(self.model)
         self.training_env.env_method("expect_empty", True)
         if heads.has_heads(self.model.policy):
+            check_network(self.model, self.training_env)
             bank: OptionBank = self.training_env.get_attr("bank", [0])[0]
             for slot, option in enumerate(bank.slots):
                 action = bank.n_primitive + slot

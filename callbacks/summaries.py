@@ -166,16 +166,18 @@ def save_or_warn(bank: OptionBank, path: str | os.PathLike[str] | None) -> None:
         logger.warning("The options could not be saved to %s, training goes on: %s", path, error)
 
 
-def why_no_option(search: SubgoalDiscovery, bank: OptionBank, most: int | None) -> str:
+def why_no_option(search: SubgoalDiscovery | None, bank: OptionBank, most: int | None) -> str:
     """Why a training has made no option, in a sentence.
 
     Args:
-        search: Discovery.
+        search: Discovery; None before training.
         bank: The present options.
         most: Options that it might have made; None for as many as there are slots.
     """
     if most == 0:
         return "Discovery was switched off."
+    if search is None:
+        return "No training has started."
     if len(bank) == bank.max_options:
         return "There was no free slot for an option."
     return search.why_nothing()

@@ -34,7 +34,7 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.runs import config as configs
 from sb3_options.runs import evaluation
 from sb3_options.runs import folder as runs
-from sb3_options.runs.algorithms import callback_settings, check_algo_kwargs, check_device, make_model
+from sb3_options.runs.algorithms import callback_settings, check_algo_kwargs, check_device, make_model, warn_without_gpu
 from sb3_options.runs.budget import KeepToBudget, memory_is_short, rounded_up
 from sb3_options.runs.card import CARD, write_card
 from sb3_options.runs.closing import after_interrupt, closing_table, how_to_resume, next_commands, program_name, unit_of
@@ -156,6 +156,7 @@ def _train(
     torch.set_num_threads(config.num_threads)
     runs.check_env_id(config.env)
     check_device(config.device)
+    warn_without_gpu(config.device)
     check_algo_kwargs(config)
     stock: SubgoalDiscoveryCallback | None = None
     with interrupts or Interrupts() as interrupts:
@@ -201,6 +202,7 @@ def _discovery(config: TrainConfig, resumed: Path | None = None) -> SubgoalDisco
         config.option,
         max_new_options=config.max_new_options if config.discover else 0,
         trial=TrialSettings() if config.close_harmful else None,
+        success=config.success,
         min_reached=config.min_reached,
         hparams=hparams_of(config, options),
         seed=config.seed,
@@ -358,11 +360,12 @@ def _report(
 
 def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path) -> None:
     assert discovery.discovery is not None  # training has started
+    bank = discovery.bank
     if config.vec_env != "dummy":  # φ was in a process that has ended
         env = runs.make_env(config, 1, config.seed)
-        discovery.bank.bind(lambda observations: env.env_method("concept_features", observations)[0])
+        bank.bind(lambda observations: env.env_method("concept_features", observations)[0])
     with without(folder / runs.SUBGOALS), atomic_write(folder / runs.SUBGOALS) as temporary:
-        figure = subgoals_figure(discovery.discovery, discovery.bank, discovery.why_nothing())
+        figure = subgoals_figure(discovery.discovery, bank, discovery.why_nothing())
         figure.savefig(temporary, dpi=110)
 
 

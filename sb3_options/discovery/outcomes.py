@@ -87,12 +87,14 @@ class Outcomes:
             return seen + 'info["is_success"] was false in all of them. If it means something else, pass success=...'
         seen += 'the environment reports no info["is_success"], and no terminal state brought a positive reward above '
         seen += "all earlier ones. "
-        if low == high == 0.0:
+        if not self._terminated and low == high:
+            seen += "All went alike, so perhaps the goal was not found so far: explore more. Else say"
+        elif low == high == 0.0:
             seen += "If the goal is a reward, it was not found so far: explore more. Else say"
         else:
             seen += "Say"
         return (
             f"{seen} what success is: SubgoalDiscoveryCallback(success=lambda trajectory: trajectory.terminated) where "
             "every terminal state is a good one, or sb3_options.experience.success.success_by_return(threshold). "
-            'For train.py, let an --env-wrapper of your own put info["is_success"] into the last step.'
+            "On the command line and in YAML that is success: terminated, or success: return:NUMBER."
         )

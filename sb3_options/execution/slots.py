@@ -165,7 +165,13 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         self._random = np.random.default_rng([seed, EMPTY_SLOT_SEED])
 
     def set_option(self, slot: int, option: Option | None) -> None:
-        """Fill slot ``slot`` with ``option``, or empty it with None."""
+        """Fill slot ``slot`` with ``option``, or empty it with None.
+
+        Raises:
+            TypeError: It is no option.
+            ValueError: There is no such slot.
+        """
+        self.bank.check_slot(slot)
         if option is not None:
             self.bank.add(option, slot)
         elif slot in self.bank.filled:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 import numpy as np
 
+from sb3_options.checked import is_number
 from sb3_options.experience.trajectories import Trajectory
 
 SuccessRule: TypeAlias = Callable[[Trajectory], bool]
@@ -46,8 +48,26 @@ def reported_success(trajectory: Trajectory) -> bool:
     return trajectory.terminated and len(rewards) > 0 and float(rewards[-1]) > float(rewards[:-1].max(initial=0.0))
 
 
+def judged(rule: SuccessRule, trajectory: Trajectory) -> bool:
+    """What a rule says of a trajectory.
+
+    Raises:
+        TypeError: That is no truth value, and might count as success by being something, as "no" does.
+    """
+    said: object = rule(trajectory)
+    if not (said is None or isinstance(said, (bool, np.bool_)) or is_number(said)):
+        raise TypeError(f"success must return True or False, got {said!r}.")
+    return bool(said)
+
+
 def success_by_return(threshold: float) -> SuccessRule:
-    """Success is an undiscounted return of at least ``threshold``."""
+    """Success is an undiscounted return of at least ``threshold``.
+
+    Raises:
+        ValueError: ``threshold`` is NaN.
+    """
+    if math.isnan(threshold):
+        raise ValueError("threshold must be a number, got nan.")
     return lambda trajectory: float(trajectory.rewards.sum()) >= threshold
 
 
@@ -60,3 +80,33 @@ def success_by_steps(limit: int) -> SuccessRule:
     if limit < 1:
         raise ValueError(f"limit must be at least 1 primitive step, got {limit}.")
     return lambda trajectory: reported_success(trajectory) and len(trajectory) <= limit
+
+
+def success_rule(given: SuccessRule | str) -> SuccessRule:
+    """A rule of success, or the one that a text names, as in a YAML file or on a command line.
+
+    Args:
+        given: A function; or "reported" (`reported_success`), "terminated" (every terminal state is a success),
+            "return:30" (`success_by_return`), or "steps:500" (`success_by_steps`).
+
+    Raises:
+        ValueError: The text names no rule.
+    """
+    if not isinstance(given, str):
+        return given
+    name, _, value = given.partition(":")
+    try:
+        if name == "return":
+            return success_by_return(float(value))
+        if name == "steps":
+            return success_by_steps(int(value))
+        return {"reported": reported_success, "terminated": _terminated}[given]
+    except (KeyError, ValueError):
+        raise ValueError(
+            f"success takes 'reported', 'terminated', 'return:NUMBER' or 'steps:NUMBER', for instance return:30, got "
+            f"{given!r}; in a script also a function of a Trajectory."
+        ) from None
+
+
+def _terminated(trajectory: Trajectory) -> bool:
+    return trajectory.terminated

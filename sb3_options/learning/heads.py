@@ -20,6 +20,12 @@ CLOSED_VALUE = -1e6
 """Bias of a closed output: below any return, of probability 0 as a logit, and far from where float32 overflows."""
 
 
+TOLERANCE = 1e-2
+"""Differences of values that are rounding."""
+
+OWN_NETWORK = "let a network of your own end in torch.nn.Linear(n, n_actions), and return what that gives."
+
+
 def option_outputs(policy: Any) -> list[tuple[torch.nn.Linear, int]]:
     """The last layers that give one value (or one set of quantiles) per action.
 
@@ -83,7 +89,10 @@ def last_layer_of(network: Any) -> torch.nn.Linear:
     """
     layer = _layers_of(network)[-1]
     if not isinstance(layer, torch.nn.Linear):
-        raise TypeError(f"Expected a linear last layer, got {type(layer).__name__}.")
+        raise TypeError(
+            f"The last layer of {type(network).__name__} is {type(layer).__name__}, and options need a linear one with "
+            f"an output for each action, whose row is closed while a slot is empty: {OWN_NETWORK}"
+        )
     return layer
 
 
@@ -169,3 +178,41 @@ def close_empty(model: BaseAlgorithm, slot: int, n_primitive: int) -> None:
             slot,
         )
     close_head(model.policy, action)
+
+
+@torch.no_grad()
+def check_values(policy: Any, observation: Any, n_actions: int) -> None:
+    """Refuse a network of values whose last layer does not give each action its own, as one that is the user's may be.
+
+    Args:
+        policy: Of DQN or QRDQN; others are left alone.
+        observation: A batch of one, as the environment gives it.
+        n_actions: Primitive ones, and slots.
+
+    Raises:
+        TypeError: The last layer has no output for each action, or the network makes something else of its outputs.
+    """
+    if not has_networks(policy):
+        return
+    network, _ = networks(policy)
+    layer, outputs = option_outputs(policy)[0]
+    name = type(network).__name__
+    if layer.out_features != n_actions * outputs:
+        raise TypeError(
+            f"The last layer of {name} has {layer.out_features} outputs, and options need {n_actions * outputs}, for "
+            f"each of the {n_actions} actions, slots among them: {OWN_NETWORK}"
+        )
+    training = policy.training
+    policy.set_training_mode(False)
+    batch, _ = policy.obs_to_tensor(observation)
+    last, rows = n_actions - 1, rows_of(layer, outputs, n_actions - 1)
+    before, bias = network(batch), layer.bias.clone()
+    layer.bias[rows] += 1.0
+    moved = (network(batch) - before).abs().reshape(-1, n_actions)
+    layer.bias.copy_(bias)
+    policy.set_training_mode(training)
+    if moved[:, :last].max() > TOLERANCE or moved[:, last].min() < 1.0 - TOLERANCE:
+        raise TypeError(
+            f"{name} gives other values than the outputs of its last layer, as dueling networks do, so that the output "
+            f"of an empty slot would change those of all actions: {OWN_NETWORK}"
+        )

@@ -50,6 +50,8 @@ def load_model(algorithm: type[M], path: str | os.PathLike[str], env: gym.Env[An
     path = Path(path)
     if not path.is_file() and path.suffix != ".zip":
         path = Path(f"{os.fspath(path)}.zip")  # as SB3 does
+    if not path.is_file():
+        raise FileNotFoundError(f"There is no model at {path}.")
     content = content_in(path)
     try:
         model = algorithm.load(path, env=env, **kwargs)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import Any, cast
+from typing import Any, NoReturn, cast
 
 import numpy as np
 
@@ -18,6 +18,12 @@ from sb3_options.options.option import LastFeatures, Option, SingleCache, Subgoa
 
 MAX_SLOTS = 1_000_000
 """Each slot is an action, for which a network has an output."""
+
+
+THOSE_OF_A_TRAINING = (
+    "callback.bank tells which options a training has, and changes none of them. Between two trainings change those of "
+    "the environments: "
+)
 
 
 class OptionBank:
@@ -65,6 +71,17 @@ class OptionBank:
         self.filled: tuple[int, ...] = ()
         self._forget_results()
 
+    def copy(self) -> OptionBank:
+        """The same options in slots of its own."""
+        bank = OptionBank.__new__(OptionBank)
+        bank.__dict__.update(self.__dict__, _slots=list(self._slots))
+        bank._forget_results()
+        return bank
+
+    def __repr__(self) -> str:
+        names = [None if option is None else option.name for option in self._slots]
+        return f"<{type(self).__name__} of {self.n_primitive} primitive actions and {names}>"
+
     @property
     def slots(self) -> tuple[Option | None, ...]:
         """Every slot in order; None where empty."""
@@ -100,7 +117,7 @@ class OptionBank:
                     "larger max_options."
                 )
             slot = self._slots.index(None)
-        self._check_slot(slot)
+        self.check_slot(slot)
         self._put(slot, self._bound(option))
         return slot
 
@@ -110,7 +127,7 @@ class OptionBank:
         Raises:
             ValueError: There is no such slot, or it is empty.
         """
-        self._check_slot(slot)
+        self.check_slot(slot)
         option = self._slots[slot]
         if option is None:
             raise ValueError(f"Slot {slot} is empty already.")
@@ -220,6 +237,43 @@ class OptionBank:
         learned = self.feature_map if isinstance(self.feature_map, LearnedMap) else None
         return {**self.__dict__, "feature_map": learned, "_shared": None, "_known": SingleCache()}
 
-    def _check_slot(self, slot: int) -> None:
+    def check_slot(self, slot: int) -> None:
+        """Refuse a slot that there is not.
+
+        Raises:
+            ValueError: There is no such slot.
+        """
         if not 0 <= slot < self.max_options:
             raise ValueError(f"slot must be between 0 and {self.max_options - 1}, got {slot}.")
+
+
+class PresentOptions(OptionBank):
+    """The options that a training has at the moment: a copy, by which nothing can be changed.
+
+    Args:
+        bank: Of the training.
+    """
+
+    def __init__(self, bank: OptionBank) -> None:
+        self.__dict__.update(bank.copy().__dict__)
+
+    def add(self, option: Option, slot: int | None = None) -> NoReturn:
+        """Refuse; as `remove`."""
+        del option
+        self._refuse("SLOT" if slot is None else slot, "OPTION")
+
+    def remove(self, slot: int) -> NoReturn:
+        """Refuse.
+
+        Raises:
+            TypeError: Always; the text says how options are changed.
+        """
+        self._refuse(slot, None)
+
+    def load(self, source: Source) -> NoReturn:
+        """Refuse; as `remove`."""
+        del source
+        raise TypeError(f"{THOSE_OF_A_TRAINING}sb3_options.load_options(FILE, model.get_env()).")
+
+    def _refuse(self, slot: object, option: str | None) -> NoReturn:
+        raise TypeError(f'{THOSE_OF_A_TRAINING}model.get_env().env_method("set_option", {slot}, {option}).')

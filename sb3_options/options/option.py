@@ -100,6 +100,9 @@ class Option:
         TypeError: One of the three is not callable.
     """
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.name!r}, of at most {self.max_duration} steps>"
+
     def __init__(
         self,
         initiation: Callable[[Observations], npt.ArrayLike],

@@ -6,17 +6,22 @@ import dataclasses
 import difflib
 import importlib
 import inspect
+import logging
 from typing import Any
 
 import gymnasium as gym
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.preprocessing import is_image_space
 from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import VecEnv
 
+from sb3_options.embedding.encoders import MIN_IMAGE
 from sb3_options.extras import how_to_install
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.runs.config import COMMON, DQNConfig, TrainConfig
+
+logger = logging.getLogger("sb3_options")
 
 LOCATIONS = {
     "dqn": ("stable_baselines3", "DQN"),
@@ -59,8 +64,10 @@ def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> Ba
     """
     check_device(config.device)
     check_algo_kwargs(config)
-    image = len(env.observation_space.shape or ()) == 3
-    policy = "MultiInput" if isinstance(env.observation_space, gym.spaces.Dict) else "Cnn" if image else "Mlp"
+    space = env.observation_space
+    # NatureCNN takes no smaller picture, such as a view of 7 x 7 cells.
+    image = is_image_space(space) and min(sorted(space.shape or ())[1:]) >= MIN_IMAGE
+    policy = "MultiInput" if isinstance(space, gym.spaces.Dict) else "Cnn" if image else "Mlp"
     own = {f.name for f in dataclasses.fields(config)} - COMMON - ELSEWHERE
     settings: dict[str, Any] = {name: getattr(config, name) for name in own} | config.algo_kwargs
     policy_kwargs = {"net_arch": list(config.net_arch)} | (settings.pop("policy_kwargs", None) or {})
@@ -96,6 +103,12 @@ def check_device(name: str) -> None:
     except Exception as error:  # torch and its backends raise what they like
         said = " ".join(str(error).split())
         raise ValueError(f"--device {name!r} cannot be used: choose auto, cpu or cuda. Torch says: {said}") from error
+
+
+def warn_without_gpu(name: str) -> None:
+    """Say that training is on the CPU where a GPU was asked for."""
+    if name.startswith("cuda") and get_device(name).type == "cpu":
+        logger.warning("--device %s: torch finds no GPU, so training is on the CPU.", name)
 
 
 def check_algo_kwargs(config: TrainConfig) -> None:

@@ -10,27 +10,19 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias, get_args, get_type_hints
 
 import tyro
-from pydantic import BeforeValidator, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BeforeValidator, TypeAdapter, ValidationError
 
 from sb3_options.atomic import atomic_write
 from sb3_options.checked import Field, readable, settings
 from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.envs.minigrid import is_minigrid
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.runs import yaml_file
-from sb3_options.runs.keywords import PAIRS, SERIES, algo_keywords_of, keywords_of, tasks_of
+from sb3_options.runs.keywords import PAIRS, SERIES, algo_keywords_of, keywords_of, rule_of, tasks_of
+from sb3_options.runs.shipped import shipped
 from sb3_options.runs.users_code import IMPORTING, flag, importing
 
 DEFAULT_ALGO = "maskableppo"
 """What ``train.py`` demonstrates: its options run in their initiation sets only, and lead where they are meant to."""
-
-TUNED_FOLDER = Path(__file__).parent / "tuned"
-
-TUNED = {
-    f"sb3_options/{name}-v0": "pioneer.yml"
-    for name in ("Pioneer", "PioneerCorner", "PioneerClutter", "PioneerTwoBalls", "PioneerMuJoCo")
-}
-"""File of the settings that ship for an environment, by its id."""
 
 MAX_SEED = 2**32 - 1
 """NumPy's generators, which SB3 seeds, take no larger one."""
@@ -81,6 +73,7 @@ class TrainConfig:
         bonus: "counts" or "rnd": an intrinsic reward.
         close_harmful: Close options that prove harmful.
         min_reached: Least share of runs to reach; 0: any.
+        success: terminated, return:30, steps:500.
         discovery: How subgoals are found.
         option: How options are learned.
     """
@@ -110,11 +103,12 @@ class TrainConfig:
     compare: bool = False
     gamma: Annotated[float, Field(gt=0.0, le=1.0)] = 0.97
     learning_rate: Annotated[Positive, REAL] = 5e-4
-    net_arch: tuple[Count, ...] = (64, 64)
+    net_arch: Annotated[tuple[Count, ...], tyro.conf.arg(metavar="N ...")] = (64, 64)
     algo_kwargs: Annotated[dict[str, Any], BeforeValidator(algo_keywords_of), PAIRS] = field(default_factory=dict)
     bonus: Annotated[Literal["none", "counts", "rnd"], KIND] = "none"
     close_harmful: bool = False
     min_reached: Annotated[Share, SHARE] = 0.0
+    success: Annotated[str, AfterValidator(rule_of), tyro.conf.arg(metavar="RULE")] = "reported"
     discovery: DiscoverySettings = field(default_factory=DiscoverySettings)
     option: OptionLearningSettings = field(default_factory=OptionLearningSettings)
 
@@ -234,7 +228,7 @@ class MaskablePPOConfig(PPOConfig):
 
     algo: Annotated[Literal["maskableppo"], tyro.conf.Suppress] = "maskableppo"  # type: ignore[assignment]  # likewise
     max_option_exploration: Share = 0.5
-    max_runs: Count | None = None
+    max_runs: Annotated[Count | None, NUMBER] = None
 
     def __post_init__(self) -> None:
         """Refuse what does not go together."""
@@ -242,6 +236,9 @@ class MaskablePPOConfig(PPOConfig):
         if self.max_runs is not None and self.discovery.segmentation == "peaks":
             raise ValueError("--max-runs counts in an episode, and a continuing task has none: leave it out.")
 
+
+COMMANDS = ("train", "evaluate", "resume", "compare", "tune", "options")
+"""The other first words of a command line."""
 
 CLASSES: dict[str, type[TrainConfig]] = {
     algo: of
@@ -309,13 +306,7 @@ def read(path: Path, trusted: Mapping[str, str | None] | None = None) -> dict[st
 
 def default_algo(env_id: str) -> str:
     """The algorithm of a command line that names none."""
-    return str(_shipped(env_id).get("algo", DEFAULT_ALGO))
-
-
-def _shipped(env_id: str) -> dict[str, Any]:
-    """The settings that ship for an environment."""
-    file = TUNED.get(env_id, "minigrid.yml" if is_minigrid(env_id) else None)
-    return {} if file is None else yaml_file.read_mapping(TUNED_FOLDER / file)
+    return str(shipped(env_id).get("algo", DEFAULT_ALGO))
 
 
 def tuned(env_id: str, algo: str = "dqn") -> TrainConfig:
@@ -362,7 +353,7 @@ def made(values: Mapping[str, Any], where: str | Path) -> TrainConfig:
                 raise ValueError(f"{where}: {no_effect(group + name, algo)}")
         return those
 
-    content = {name: value for name, value in _shipped(env_id).items() if name in known[""]} | {"algo": algo}
+    content = {name: value for name, value in shipped(env_id).items() if name in known[""]} | {"algo": algo}
     for name, value in kept(values).items():
         content[name] = {**content.get(name, {}), **value} if name in GROUPS and isinstance(value, dict) else value
     try:
@@ -389,7 +380,9 @@ def names_of(algo: str) -> list[str]:
         ValueError: There is no such algorithm.
     """
     if algo not in CLASSES:
-        raise ValueError(f"There is no algorithm {algo!r}: choose from {', '.join(CLASSES)}.")
+        near = difflib.get_close_matches(algo, [*CLASSES, *COMMANDS], n=1)
+        hint = f" Did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"There is no algorithm {algo!r}: choose from {', '.join(CLASSES)}.{hint}")
     return [f.name for f in dataclasses.fields(CLASSES[algo])]
 
 

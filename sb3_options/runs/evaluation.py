@@ -23,7 +23,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from sb3_options.atomic import atomic_write
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.recording import LONGEST_EPISODE
-from sb3_options.experience.success import reported_success
+from sb3_options.experience.success import success_rule
 from sb3_options.learning.value_snapshot import interrupt_options
 from sb3_options.options.bank import OptionBank
 from sb3_options.runs import config as configs
@@ -311,10 +311,10 @@ def _play(
             interrupt_options(model, venv)
         venv.env_method("record_trajectories", True)
         played = greedy_episodes(model, venv, episodes, masked=config.algo == "maskableppo")
-        found = []
+        found, succeeded = [], success_rule(config.success)
         for _, info in track(played, "Evaluating", total=episodes, transient=True):
             trajectory = info["trajectory"]
-            found.append((float(trajectory.rewards.sum()), reported_success(trajectory), float(len(trajectory))))
+            found.append((float(trajectory.rewards.sum()), succeeded(trajectory), float(len(trajectory))))
     returns, successes, steps = zip(*found, strict=True)
     return Evaluation(
         episodes,

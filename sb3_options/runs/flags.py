@@ -45,6 +45,7 @@ LAST = (
     "bonus",
     "close_harmful",
     "min_reached",
+    "success",
     "checkpoint_freq",
     "eval_episodes",
     "eval_max_steps",

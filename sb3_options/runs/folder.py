@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import difflib
+import importlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import gymnasium as gym
+from gymnasium.envs.registration import EnvSpec
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.preprocessing import get_obs_shape
@@ -94,6 +96,14 @@ def check_env_id(env_id: str) -> None:
         if env_id.startswith(prefix):
             hint = f"The package {package} registers it: pip install {package}, and pass --env {module}:{env_id}."
     raise ValueError(f"There is no environment {env_id!r}. {hint}")
+
+
+def _spec_of(env_id: str) -> EnvSpec:
+    """What is registered under an id, which may name the module that registers it."""
+    module, _, name = env_id.rpartition(":")
+    if module:
+        importlib.import_module(module)
+    return gym.spec(name)
 
 
 def check_observations(venv: VecEnv, env_id: str) -> None:
@@ -205,7 +215,7 @@ def make_env(
     """
     keywords = config.env_kwargs | ({} if render_mode is None else {"render_mode": render_mode})
     if max_steps:
-        own = keywords.get("max_episode_steps", gym.spec(config.env).max_episode_steps)
+        own = keywords.get("max_episode_steps", _spec_of(config.env).max_episode_steps)
         # Beneath the Monitor, for SB3 counts the episodes that a Monitor reports.
         keywords = keywords | {"max_episode_steps": max_steps if own is None else min(own, max_steps)}
     options = options_file(config)

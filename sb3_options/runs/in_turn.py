@@ -211,13 +211,14 @@ class _InTurn:
                 done = self.train(resumed[0], series=self.series, resumed=resumed[1])
                 resumed = None
             last = self.series.is_last
-            gone = [] if last else free_slots(done.discovery.discovery, done.discovery.bank)
+            bank = done.discovery.bank.copy()
+            gone = [] if last else free_slots(done.discovery.discovery, bank)
             options = done.folder / KEPT
-            done.discovery.bank.save(options)
+            bank.save(options)
             left -= done.discovery.num_timesteps
             self.folders.append(done.folder)
             learned = "yes" if learned_after(done.discovery.history) is not None else "no"
-            kept = ", ".join(option.name for option in done.discovery.bank.slots if option is not None)
+            kept = ", ".join(option.name for option in bank.slots if option is not None)
             row = name, f"{done.discovery.num_timesteps:,}", learned, kept or "–", ", ".join(gone) or "–"
             self.series = Series(whole, (*self.series.before, done.folder.name), (*self.series.rows, row))
             if done.interrupted or left <= 0:

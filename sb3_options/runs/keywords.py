@@ -13,6 +13,7 @@ import tyro
 from gymnasium.envs.registration import load_env_creator
 
 from sb3_options.envs import minigrid
+from sb3_options.experience.success import success_rule
 from sb3_options.runs import yaml_file
 
 OF_MAKE = frozenset(inspect.signature(gym.make).parameters) - {"id", "kwargs"}
@@ -46,6 +47,16 @@ def keywords_of(pairs: Any, given_for: str = "--env-kwargs") -> Any:
                 f"{given_for}: the value of {name!r} is no YAML that can be read safely: {error}"
             ) from error
     return keywords
+
+
+def rule_of(text: str) -> str:
+    """The text of ``--success``, if it names a rule.
+
+    Raises:
+        ValueError: It does not.
+    """
+    success_rule(text)
+    return text
 
 
 def algo_keywords_of(pairs: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import math
@@ -131,6 +132,11 @@ def read_space(path: Path, trusted: Mapping[str, str | None]) -> SearchSpace:
     if "method" in base:
         base["discovery"] = {**base.get("discovery", {}), "method": base.pop("method")}
     base.setdefault("algo", configs.default_algo(str(base.get("env", TrainConfig.env))))
+    for name in search:
+        first, _, inner = name.partition(".")
+        of = [f.name for f in dataclasses.fields(GROUPS[first])] if inner and first in GROUPS else ["method"]
+        if (inner or first) not in (*of, *configs.names_of(str(base["algo"]))):
+            configs.made({**base, name: None}, path)  # which says what it may mean
     space = SearchSpace(path, base, {name: _dimension(path, name, of) for name, of in search.items()})
     for name in space.search:
         if name in FIXED or name in IMPORTING or name in GROUPS or name == "method":

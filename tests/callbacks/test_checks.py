@@ -1,3 +1,5 @@
+import copy
+import re
 from typing import Any
 
 import gymnasium as gym
@@ -6,6 +8,7 @@ import pytest
 from gymnasium import spaces
 from sb3_contrib import QRDQN, MaskablePPO
 from sb3_contrib.common.maskable.callbacks import MaskableEvalCallback
+from sb3_contrib.common.wrappers import ActionMasker
 from stable_baselines3 import DQN, PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import RolloutBuffer
@@ -17,9 +20,10 @@ from sb3_options import MacroQ, OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.learning import heads
 from sb3_options.learning.linear_features import OneHot
+from sb3_options.options.option import SubgoalOption
 from tests.learning.test_replay_buffer import all_samples
 from tests.support.helpers import CountingEnv, DictEnv, place_of, steady_option
-from tests.support.sb3_helpers import optioned_rooms, small_rooms
+from tests.support.sb3_helpers import fast_callback, optioned_rooms, small_rooms
 
 DQN_KWARGS: dict[str, Any] = {"gamma": 0.9, "buffer_size": 200, "learning_starts": 10, "seed": 0}
 
@@ -157,9 +161,10 @@ class TestArguments:
         with pytest.raises(TypeError, match=r"got no settings. Pass an object, callback=NAME\(\), and not the class"):
             dqn(optioned_rooms(2)).learn(10, callback=SubgoalDiscoveryCallback)
 
-    @pytest.mark.parametrize("success", [100, "is_success"])
+    @pytest.mark.parametrize("success", [100, ["is_success"]])
     def test_a_rule_that_is_none(self, success: Any) -> None:
-        with pytest.raises(TypeError, match=f"^success must be a function from a Trajectory .*, got {success!r}"):
+        text = rf"^success must be a function from a Trajectory .*, got {re.escape(repr(success))}"
+        with pytest.raises(TypeError, match=text):
             SubgoalDiscoveryCallback(success=success)
 
     def test_max_new_options(self) -> None:
@@ -225,3 +230,64 @@ def test_a_setting_that_is_none_is_told_with_the_nearest() -> None:
         SubgoalDiscoveryCallback({"min_pos": 3})
     with pytest.raises(TypeError, match=r"FeatureGroup: there is no setting 'feature'. Did you mean 'features'\?"):
         SubgoalDiscoveryCallback(groups=[{"name": "a", "feature": [0]}])
+
+
+def test_masks_of_the_environments_own_actions_are_refused_above_options() -> None:
+    masked = ActionMasker(optioned_rooms(2), lambda _: np.ones(4, dtype=bool))
+    model = MaskablePPO("MlpPolicy", masked, gamma=0.9, n_steps=16, batch_size=16)
+    with pytest.raises(
+        ValueError, match=r"action_masks\(\) has shape \(4,\), and there are 6 actions .* beneath, Option"
+    ):
+        model.learn(16, callback=SubgoalDiscoveryCallback())
+
+
+def test_a_rule_by_name() -> None:
+    callback = SubgoalDiscoveryCallback(success="return:0.5")
+    dqn(optioned_rooms(2)).learn(300, callback=callback)
+    assert [each.success for each in callback.history] == [each.total_reward >= 0.5 for each in callback.history]
+    with pytest.raises(ValueError, match="success takes 'reported', 'terminated'"):
+        SubgoalDiscoveryCallback(success="sometimes")
+
+
+def test_a_rule_that_says_no_in_words_ends_training() -> None:
+    callback = SubgoalDiscoveryCallback(success=lambda _: "no")  # type: ignore[arg-type, return-value]
+    with pytest.raises(TypeError, match="success must return True or False, got 'no'"):
+        dqn(optioned_rooms(2)).learn(1000, callback=callback)
+
+
+def test_why_nothing_before_training() -> None:
+    assert SubgoalDiscoveryCallback().why_nothing() == "No training has started."
+
+
+def test_the_options_of_a_training_are_changed_in_its_environments() -> None:
+    """What the callback tells is a copy; between trainings the environments count."""
+    callback = fast_callback()
+    env = optioned_rooms(2)
+    model = MaskablePPO("MlpPolicy", env, gamma=0.9, n_steps=128, seed=0, device="cpu")
+    model.learn(6000, callback=callback)
+    assert callback.bank.filled
+    slot = callback.bank.filled[0]
+    told: Any = callback.bank
+    for change, arguments in ((told.remove, (slot,)), (told.add, (steady_option(),)), (told.load, (b"",))):
+        with pytest.raises(TypeError, match=r"changes none of them. Between two trainings change those of the envir"):
+            change(*arguments)
+    renamed = copy.copy(callback.bank[slot])
+    assert isinstance(renamed, SubgoalOption)
+    renamed.name = "mine"
+    venv = model.get_env()
+    assert venv is not None
+    venv.env_method("set_option", slot, renamed)
+    model.learn(200, callback=callback, reset_num_timesteps=False)
+    assert callback.bank[slot].name == env.bank[slot].name == "mine"  # type: ignore[union-attr]  # filled
+    assert "mine" in repr(callback.bank)
+    assert repr(callback.bank[slot]) == f"<SubgoalOption 'mine', of at most {renamed.max_duration} steps>"
+    for each in env.bank.filled:
+        venv.env_method("set_option", each, None)
+    callback.max_new_options = 0
+    model.learn(200, callback=callback, reset_num_timesteps=False)
+    assert not callback.bank.filled
+    assert not env.bank.filled
+    assert heads.is_closed(model.policy, env.n_primitive + slot)
+    assert not callback._made_here
+    with pytest.raises(ValueError, match="slot must be between 0 and 1, got 7"):
+        env.set_option(7, None)

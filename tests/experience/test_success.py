@@ -3,7 +3,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sb3_options.experience.success import reported_success, success_by_return, success_by_steps, success_in
+from sb3_options.experience.success import (
+    judged,
+    reported_success,
+    success_by_return,
+    success_by_steps,
+    success_in,
+    success_rule,
+)
 from sb3_options.experience.trajectories import Trajectory
 from tests.support.helpers import trajectory_of
 
@@ -60,3 +67,38 @@ def test_what_an_info_says(said: Any) -> None:
 def test_an_info_that_says_neither(said: Any) -> None:
     with pytest.raises(ValueError, match=r'info\["is_success"\] must be True or False \(or 1 or 0\), got .+'):
         success_in({"is_success": said})
+
+
+@pytest.mark.parametrize(
+    ("text", "successes"),
+    [
+        ("reported", [True, False, False]),
+        ("terminated", [True, True, False]),
+        ("return:2", [False, True, False]),
+        ("return:-1", [True, True, True]),
+        ("steps:1", [True, False, False]),
+    ],
+)
+def test_a_text_names_a_rule(text: str, successes: list[bool]) -> None:
+    episodes = [episode([1.0]), episode([3.0, -1.0]), episode([0.0, 0.0], terminated=False)]
+    assert list(map(success_rule(text), episodes)) == successes
+
+
+@pytest.mark.parametrize(
+    "text", ["", "return", "return:", "return:nan", "return:x", "steps:0", "steps:1.5", "terminal"]
+)
+def test_a_text_that_names_none(text: str) -> None:
+    with pytest.raises(ValueError, match=rf"for instance return:30, got {text!r}; in a script also a function of a Tr"):
+        success_rule(text)
+
+
+@pytest.mark.parametrize("said", [True, np.bool_(True), 1, 2.5])
+def test_what_a_rule_may_say(said: Any) -> None:
+    assert judged(lambda _: said, episode([1.0])) is True
+    assert judged(lambda _: None, episode([1.0])) is False  # type: ignore[arg-type, return-value]
+
+
+@pytest.mark.parametrize("said", ["no", np.array([True, False]), []])
+def test_what_a_rule_may_not_say(said: Any) -> None:
+    with pytest.raises(TypeError, match=r"^success must return True or False, got "):
+        judged(lambda _: said, episode([1.0]))

@@ -7,8 +7,10 @@ import torch
 from sb3_contrib import QRDQN
 from stable_baselines3 import DQN, SAC
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.dqn.policies import DQNPolicy, QNetwork
 
 from sb3_options import OptionDQN, OptionReplayBuffer
+from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.learning import heads
 from tests.support.helpers import steady_option
 from tests.support.sb3_helpers import RANDOM, env_of, optioned_rooms
@@ -142,7 +144,7 @@ def test_an_unknown_policy_is_refused() -> None:
 def test_a_last_layer_that_is_not_linear_is_refused() -> None:
     model = model_of(DQN)
     model.policy.q_net.q_net.append(torch.nn.Tanh())
-    with pytest.raises(TypeError, match="Expected a linear last layer, got Tanh"):
+    with pytest.raises(TypeError, match=r"^The last layer of QNetwork is Tanh, and options need a linear one with an"):
         heads.close_head(model.policy, 4)
 
 
@@ -150,3 +152,63 @@ def test_a_policy_without_values_of_actions_is_refused() -> None:
     policy = type("Policy", (), {})()
     with pytest.raises(TypeError, match="gives no values of actions; DQN, QRDQN and OptionDQN do"):
         heads.networks(policy)
+
+
+class Dueling(QNetwork):
+    """Of a user's own: the value of a state, and advantages less their mean (Wang et al. 2016)."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.value = torch.nn.Linear(self.features_dim, 1)
+
+    def forward(self, obs: Any) -> torch.Tensor:
+        features = self.extract_features(obs, self.features_extractor)
+        advantages = self.q_net(features)
+        return self.value(features) + advantages - advantages.mean(dim=1, keepdim=True)  # type: ignore[no-any-return]
+
+
+class Trunk(QNetwork):
+    """Of a user's own, whose last layer has another name."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.q_net = torch.nn.Sequential(torch.nn.Linear(self.features_dim, 16))
+        self.last = torch.nn.Linear(16, N_ACTIONS)
+
+    def forward(self, obs: Any) -> torch.Tensor:
+        return self.last(self.q_net(self.extract_features(obs, self.features_extractor)))  # type: ignore[no-any-return]
+
+
+@pytest.mark.parametrize("callback", [SubgoalDiscoveryCallback, PrimitiveStepsCallback])
+@pytest.mark.parametrize(
+    ("network", "message"),
+    [
+        (
+            Dueling,
+            r"^Dueling gives other values than the outputs of its last layer, as dueling networks do, .*own end",
+        ),
+        (
+            Trunk,
+            r"^The last layer of Trunk has 16 outputs, and options need 7, for each of the 7 actions, slots a",
+        ),
+    ],
+)
+def test_networks_of_a_users_own_that_cannot_be_closed_are_refused(
+    network: type[QNetwork], message: str, callback: Any
+) -> None:
+    class Policy(DQNPolicy):
+        def make_q_net(self) -> QNetwork:
+            kwargs = self._update_features_extractor(self.net_args, features_extractor=None)
+            return network(**kwargs).to(self.device)
+
+    model = DQN(Policy, optioned_rooms(MAX_OPTIONS), gamma=0.9, replay_buffer_class=OptionReplayBuffer, buffer_size=99)
+    with pytest.raises(TypeError, match=message):
+        model.learn(10, callback=callback())
+
+
+@algorithms
+def test_asking_a_network_leaves_it_as_it_is(algorithm: type[OffPolicyAlgorithm]) -> None:
+    model = model_of(algorithm)
+    before = {name: value.clone() for name, value in model.policy.state_dict().items()}
+    heads.check_values(model.policy, observations(1).numpy(), N_ACTIONS)
+    assert all(torch.equal(before[name], value) for name, value in model.policy.state_dict().items())

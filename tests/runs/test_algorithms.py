@@ -3,10 +3,13 @@
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
+import numpy as np
 import pytest
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.env_util import make_vec_env
 
-from sb3_options.runs.algorithms import RESERVED, check_algo_kwargs, make_model
+from sb3_options.runs.algorithms import RESERVED, check_algo_kwargs, make_model, warn_without_gpu
 from sb3_options.runs.config import CLASSES, TrainConfig, load, made, save
 from sb3_options.runs.flags import parse
 from sb3_options.runs.folder import make_env
@@ -58,3 +61,34 @@ def test_a_slip_is_told_with_what_there_is() -> None:
         check_algo_kwargs(configured("ppo", normalise_advantage=False))
     with pytest.raises(ValueError, match="policy_kwargs takes a mapping"):
         check_algo_kwargs(configured("ppo", policy_kwargs=3))
+
+
+@pytest.mark.parametrize(
+    ("shape", "dtype", "policy"),
+    [
+        ((7, 7, 3), np.uint8, "ActorCriticPolicy"),
+        ((36, 40, 3), np.uint8, "ActorCriticCnnPolicy"),
+        ((36, 40, 3), np.float32, "ActorCriticPolicy"),
+    ],
+)
+def test_a_picture_too_small_for_convolutions_is_laid_flat(shape: tuple[int, ...], dtype: Any, policy: str) -> None:
+    class Seen(gym.ObservationWrapper[Any, Any, Any]):
+        def __init__(self, env: Any) -> None:
+            super().__init__(env)
+            self.observation_space = gym.spaces.Box(0, 255, shape, dtype)
+
+        def observation(self, observation: Any) -> Any:
+            return np.zeros(shape, dtype)
+
+    venv = make_vec_env(lambda: Seen(gym.make("sb3_options/TwoRooms-v0")))
+    model = make_model(made({"algo": "ppo"}, "here"), venv, playing=True)
+    assert type(model.policy).__name__ == policy
+    assert isinstance(model.predict(venv.reset())[0], np.ndarray)  # type: ignore[arg-type]
+
+
+def test_a_gpu_that_is_not_there_is_told_of(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    warn_without_gpu("auto")
+    assert not caplog.records
+    warn_without_gpu("cuda")
+    assert caplog.messages == ["--device cuda: torch finds no GPU, so training is on the CPU."]

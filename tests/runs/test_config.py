@@ -11,6 +11,7 @@ from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.envs.minigrid import DISCOVERY
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.runs import config as configs
+from sb3_options.runs import shipped
 from sb3_options.runs.config import (
     CLASSES,
     A2CConfig,
@@ -28,6 +29,7 @@ COMMON: dict[str, Any] = {
     "progress": False, "device": "cpu", "num_threads": 2, "vec_env": "subproc", "options": Path("a/run"),
     "max_options": 2, "max_new_options": None, "discover": False, "compare": True, "gamma": 0.5,
     "learning_rate": 3e-05, "net_arch": (3,), "close_harmful": True, "min_reached": 0.3, "bonus": "rnd",
+    "success": "return:3",
     "algo_kwargs": {"max_grad_norm": 0.25},
     "series": ({"goal": [4, 2]}, {"goal": [8, 4], "max_steps": 9}),
     "discovery": DiscoverySettings(
@@ -159,7 +161,7 @@ def test_an_environment_brings_its_own_defaults() -> None:
 
 
 def test_every_shipped_default_is_of_an_environment_there_is() -> None:
-    for env_id in configs.TUNED:
+    for env_id in shipped.TUNED:
         assert env_id in gym.registry
         assert configs.tuned(env_id) != DQNConfig(env=env_id)
 

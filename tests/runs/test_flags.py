@@ -6,6 +6,7 @@ import pytest
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options.runs import config as configs
+from sb3_options.runs import shipped
 from sb3_options.runs.config import CLASSES, A2CConfig, DQNConfig, MaskablePPOConfig, PPOConfig, TrainConfig
 from sb3_options.runs.flags import parse
 
@@ -115,6 +116,7 @@ def refusal(capsys: pytest.CaptureFixture[str], args: list[str]) -> str:
         (["--algo=ppo", "--max-runs=5"], "--max-runs has no effect on ppo: it is a setting of maskableppo."),
         (["dqn", "--teach-head"], "--teach-head has no effect on dqn: it was removed in 0.2"),
         (["--algo", "sarsa"], "There is no algorithm 'sarsa': choose from dqn, qrdqn,"),
+        (["evaluat", "run"], "Did you mean 'evaluate'?"),
         (["sarsa"], "There is no algorithm 'sarsa': choose from dqn, qrdqn,"),
         (["ppo", "--seed", "1", "dqn"], "One algorithm is trained at a time: ppo or dqn?"),
         (["--seed", "1", "dqn", "--n-epochs", "3"], "--n-epochs has no effect on dqn"),
@@ -281,7 +283,7 @@ def test_what_gymnasium_takes_for_itself_is_no_mistake() -> None:
 
 @pytest.mark.parametrize("algo", CLASSES)
 def test_every_algorithm_has_valid_defaults_for_every_environment(algo: str) -> None:
-    for env_id in (*configs.TUNED, TrainConfig.env):
+    for env_id in (*shipped.TUNED, TrainConfig.env):
         config = parse(["--algo", algo, "--env", env_id])
         assert (config.algo, config.env) == (algo, env_id)
         assert config.discovery == configs.tuned(env_id).discovery

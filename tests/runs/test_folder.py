@@ -4,6 +4,7 @@ from pathlib import Path
 
 import gymnasium as gym
 import minigrid  # noqa: F401  # registers its environments, before a test takes a copy of the registry
+import numpy as np
 import pytest
 
 import sb3_options.envs  # noqa: F401  # registers them
@@ -70,3 +71,14 @@ def test_a_place_that_holds_no_folders_is_named_with_its_flag(tmp_path: Path) ->
         f"--tensorboard-log {tmp_path / 'a file'} cannot hold run folders: Not a directory "
         f"({tmp_path / 'a file' / 'dqn'}). Name another one."
     )
+
+
+@pytest.mark.parametrize(
+    "env_id", ["minigrid:MiniGrid-Empty-5x5-v0", "sb3_options.envs:sb3_options/TwoRooms-v0", "gymnasium:CartPole-v1"]
+)
+def test_an_id_with_its_module_can_have_shorter_episodes(env_id: str) -> None:
+    """As those of an evaluation are."""
+    venv = runs.make_env(MaskablePPOConfig(env=env_id), 1, 0, max_steps=3)
+    venv.reset()
+    ends = [venv.step(np.array([0]))[2][0] for _ in range(3)]
+    assert ends == [False, False, True]

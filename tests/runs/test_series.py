@@ -67,12 +67,13 @@ def test_options_that_no_success_needs_leave_their_slots() -> None:
     MaskablePPO("MlpPolicy", env, gamma=0.9, n_steps=128, seed=0, device="cpu").learn(6_000, callback=callback)
     (needed,) = callback.bank.filled
     option: Any = callback.bank[needed]
-    assert free_slots(callback.discovery, callback.bank) == []  # every way leads through the doorway
-    callback.bank.remove(needed)
+    bank = callback.bank.copy()
+    assert free_slots(callback.discovery, bank) == []  # every way leads through the doorway
+    bank.remove(needed)
     corner = replace(option.subgoal, points=option.subgoal.points * 0.0)
-    callback.bank.add(option.with_regions(corner, option.initiation_set))
-    assert free_slots(callback.discovery, callback.bank) == [option.name]
-    assert len(callback.bank) == 0
+    bank.add(option.with_regions(corner, option.initiation_set))
+    assert free_slots(callback.discovery, bank) == [option.name]
+    assert len(bank) == 0
 
 
 def test_a_mistake_in_a_later_task_is_found_before_training(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

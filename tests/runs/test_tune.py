@@ -94,6 +94,8 @@ def test_a_space_is_read(tmp_path: Path) -> None:
         ({"learning_rate": {"low": 0.01, "high": 0.1, "log": True, "step": 0.01}}, "a step > 0, and none where log"),
         ({"gamma": {"low": 0.9, "high": 1.1}}, "gamma"),
         ({"seed": [0, 1]}, "seed cannot be varied"),
+        ({"learning_rat": [0.1]}, "there is no setting 'learning_rat'. Did you mean 'learning_rate'"),
+        ({"discovery.decai": [0.1]}, "there is no setting 'discovery.decai'. Did you mean 'discovery.decay'"),
         ({"env": ["CartPole-v1", "Acrobot-v1"]}, "env cannot be varied"),
         ({"buffer_size": [10, 20]}, "--buffer-size has no effect on ppo"),
     ],
