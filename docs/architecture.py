@@ -64,7 +64,7 @@ class Place(NamedTuple):
 
 DOORS = ("cli", "zoo")
 PLACES = {
-    "doors": Place(2, 0, SAND),
+    "entry points": Place(2, 0, SAND),
     "callbacks": Place(0, 1, BLUE),
     "runs": Place(1, 1, BLUE),
     "envs": Place(2, 1, SAND),
@@ -151,9 +151,9 @@ def draw(content: Architecture) -> Figure:
     axes.set_axis_off()
     axes.add_patch(Polygon(PURE, facecolor="#f4faf5", edgecolor="#8fbf9a", linestyle=(0, (4, 3)), zorder=0))
     label: dict[str, Any] = {"fontsize": 10, "style": "italic"}
-    axes.text(82.0, 87.2, "pure: numpy and torch", color="#3d7a4b", **label)
+    axes.text(82.0, 87.2, "pure: numpy, scipy and torch", color="#3d7a4b", **label)
     axes.text(2.6, HEIGHT - 4.5, "on Gymnasium and Stable-Baselines3", color="#4a6fa5", **label)
-    _box(axes, "doors", f"import {PACKAGE}", DOORS, [])
+    _box(axes, "entry points", f"import {PACKAGE}", DOORS, [])
     boxes = {
         name: _box(axes, name, content.captions[name], modules, content.implied(name))
         for name, modules in content.modules.items()

@@ -130,7 +130,7 @@ def subgoals_table(figures: dict[str, Any]) -> str:
         "baseline: most visits, same trial and filter": figures["figure2"]["every_visit_baseline"],
         "step limit, negative bags, η = 1": figures["negatives"]["step_limit_strict"],
         "step limit, negative bags, η = 0.1": figures["negatives"]["step_limit_soft"],
-        "the same without loops, passages only: the library's default": figures["negatives"]["without_loops"],
+        "the same without loops, passages only: the library's bags": figures["negatives"]["without_loops"],
         "noisy negative bags, η = 1": figures["negatives"]["noisy_strict"],
         "noisy negative bags, η = 0.1": figures["negatives"]["noisy_soft"],
     }
