@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-import tempfile
+import secrets
+import stat
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -24,7 +25,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     removed (`remove_stale`).
 
     Args:
-        path: The final place; folders are made.
+        path: The final place; folders are made. Who may read a new file the system decides; an older one's rights stay.
 
     Yields:
         Where to write, beside ``path`` and with the same ending.
@@ -37,13 +38,13 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     try:
         final.parent.mkdir(parents=True, exist_ok=True)
         remove_stale(final.parent)
-        descriptor, name = tempfile.mkstemp(dir=final.parent, prefix=PREFIX, suffix=final.suffix)
-        os.close(descriptor)
-        temporary = Path(name)
+        temporary = final.parent / f"{PREFIX}{secrets.token_hex(8)}{final.suffix}"
+        temporary.touch(exist_ok=False)  # who may read it the system decides, as for any new file
         yield temporary
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())
-        temporary.chmod(0o644)
+        if final.exists():
+            temporary.chmod(stat.S_IMODE(final.stat().st_mode))
         temporary.replace(final)
     except OSError as error:
         # A full disk is noticed by a file that is open, and names none.

@@ -1,4 +1,4 @@
-"""Settings that check themselves: the one idiom for ranges.
+"""Settings that check themselves, and what a value is.
 
 A field says its range in its type, as in ``capacity: Annotated[int, Field(ge=1)] = 100``, and `settings` makes a
 frozen dataclass that refuses anything else by name. pydantic does the checking, here and where a file is loaded into
@@ -17,7 +17,7 @@ from typing import Any, TypeVar, dataclass_transform
 from pydantic import ConfigDict, Field, ValidationError
 from pydantic.dataclasses import dataclass
 
-__all__ = ["Field", "is_number", "readable", "settings", "whole"]
+__all__ = ["Field", "given_as", "is_number", "readable", "settings", "whole"]
 
 T = TypeVar("T")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from contextlib import closing
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -44,7 +45,8 @@ class Nothing(gym.Env[Any, int]):
     """Costs nothing: a step is what it takes to ask for it. Observations are as large as the Pioneer's."""
 
     def __init__(self) -> None:
-        size = gym.make(PIONEER).observation_space.shape
+        with closing(gym.make(PIONEER)) as env:
+            size = env.observation_space.shape
         self.observation_space: Any = spaces.Box(-1.0, 1.0, size, np.float32)
         self.action_space: Any = spaces.Discrete(4)
         self._seen = np.zeros(size or (1,), dtype=np.float32)

@@ -74,7 +74,7 @@ class Study(Flags):
     def chosen(self, name: str) -> list[str]:
         """The values of a flag that has commas between them."""
         values = [value.strip() for value in getattr(self, name).split(",") if value.strip()]
-        return values or [env for task, env in TASKS if task == self.task]
+        return values or ([env for task, env in TASKS if task == self.task] if name == "env" else [])
 
 
 def main(study: Study) -> None:

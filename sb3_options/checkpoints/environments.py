@@ -25,6 +25,7 @@ from sb3_options.checkpoints.tree import State, encode
 from sb3_options.execution import layers
 from sb3_options.execution.ray_vec_env import RayVecEnv
 from sb3_options.execution.slots import OptionSlots
+from sb3_options.learning.novelty import set_statistics, statistics_of
 
 REMEMBER_NOTHING = (VecTransposeImage, VecCheckNan, VecExtractDictObs)
 
@@ -133,10 +134,9 @@ class _Outermost(metaclass=_Kind):
 
 def _wrapper_state(venv: VecEnvWrapper) -> State:
     if isinstance(venv, VecNormalize):
-        running = venv.obs_rms if isinstance(venv.obs_rms, dict) else {"": venv.obs_rms} if venv.norm_obs else {}
         return {
-            "observations": {key: _statistics(each) for key, each in running.items()},
-            "rewards": _statistics(venv.ret_rms),
+            "observations": {key: statistics_of(each) for key, each in _running(venv).items()},
+            "rewards": statistics_of(venv.ret_rms),
             "returns": venv.returns,
             "old": (venv.old_obs, venv.old_reward),
         }
@@ -151,10 +151,10 @@ def _wrapper_state(venv: VecEnvWrapper) -> State:
 
 def _set_wrapper_state(venv: VecEnvWrapper, state: State) -> None:
     if isinstance(venv, VecNormalize):
-        running = venv.obs_rms if isinstance(venv.obs_rms, dict) else {"": venv.obs_rms}
+        running = _running(venv)
         for key, statistics in state["observations"].items():
-            _set_statistics(running[key], statistics)
-        _set_statistics(venv.ret_rms, state["rewards"])
+            set_statistics(running[key], statistics)
+        set_statistics(venv.ret_rms, state["rewards"])
         venv.returns = state["returns"]
         venv.old_obs, venv.old_reward = state["old"]
     if isinstance(venv, VecFrameStack):
@@ -164,14 +164,13 @@ def _set_wrapper_state(venv: VecEnvWrapper, state: State) -> None:
         vec_monitor.set_state(venv, state)
 
 
+def _running(venv: VecNormalize) -> dict[str, RunningMeanStd]:
+    """Those of observations; none where these are not normalised."""
+    if not venv.norm_obs:
+        return {}
+    return venv.obs_rms if isinstance(venv.obs_rms, dict) else {"": venv.obs_rms}
+
+
 def _stacks(venv: VecFrameStack) -> dict[str, StackedObservations[Any]]:
     top: Any = venv.stacked_obs
     return dict(top.sub_stacked_observations) if hasattr(top, "sub_stacked_observations") else {"": top}
-
-
-def _statistics(running: RunningMeanStd) -> State:
-    return {"mean": running.mean, "var": running.var, "count": running.count}
-
-
-def _set_statistics(running: RunningMeanStd, state: State) -> None:
-    running.mean, running.var, running.count = state["mean"], state["var"], state["count"]

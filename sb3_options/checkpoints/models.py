@@ -126,9 +126,10 @@ def set_state(model: BaseAlgorithm, state: State) -> None:
         buffer_state.set_state(model.replay_buffer, state["replay_buffer"])  # type: ignore[attr-defined]  # as there
     if model.use_sde:
         noise: Any = model.policy.action_dist
-        noise.exploration_mat, noise.exploration_matrices = state["noise"]
+        noise.exploration_mat, noise.exploration_matrices = (each.to(model.device) for each in state["noise"])
     if state.get("lstm") is not None:
-        model._last_lstm_states = type(model._last_lstm_states)(*state["lstm"])  # type: ignore[attr-defined]  # as there
+        lstm = (tuple(each.to(model.device) for each in states) for states in state["lstm"])
+        model._last_lstm_states = type(model._last_lstm_states)(*lstm)  # type: ignore[attr-defined]  # as there
 
 
 def begin_episodes(model: BaseAlgorithm) -> None:
@@ -160,7 +161,7 @@ def set_random_states(state: State) -> None:
     random.setstate((version, tuple(numbers.tolist()), gauss))
     torch.set_rng_state(state["torch"])
     if torch.cuda.is_available() and state["cuda"]:
-        torch.cuda.set_rng_state_all(state["cuda"])
+        torch.cuda.set_rng_state_all(state["cuda"][: torch.cuda.device_count()])  # there may be fewer here
 
 
 def logged(logger: Logger) -> State:

@@ -1,5 +1,6 @@
 """Types of arrays, and rows as keys."""
 
+from hashlib import blake2b
 from typing import TypeAlias
 
 import numpy as np
@@ -9,9 +10,17 @@ FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 
+LONGEST_KEY = 64
+"""Bytes of a key that is kept as it is."""
+
 
 def row_keys(rows: FloatArray) -> list[bytes]:
     """The bytes of each row (n, d), d ≥ 1, which equal rows share: adding 0 makes -0 a 0."""
     rows = np.ascontiguousarray(rows + 0.0)
     keys: list[bytes] = rows.view(f"V{rows.itemsize * rows.shape[1]}").ravel().tolist()
     return keys
+
+
+def short_key(key: bytes) -> bytes:
+    """A key itself, or, of one longer than `LONGEST_KEY`, a digest that takes less memory."""
+    return key if len(key) <= LONGEST_KEY else blake2b(key, digest_size=16).digest()

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from hashlib import blake2b
 from typing import Any
 
 import numpy as np
 
-from sb3_options.density.arrays import row_keys
+from sb3_options.density.arrays import row_keys, short_key
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 
 STEPS = 3
@@ -16,8 +15,8 @@ STEPS = 3
 MAX_STATES = 10_000
 """As many are in the graph; of states that come later nothing is known."""
 
-MAX_KEY = 64
-"""Bytes of a state that are its own key; a longer one has a digest, which takes less memory."""
+FEW = 8
+"""The key of a state of so many features is the state itself, which takes no longer to make than a digest."""
 
 UNKNOWN = 0.5
 """The share of a state of which nothing is known: as far as anybody knows it parts its surroundings in two."""
@@ -115,7 +114,7 @@ class LocalCuts:
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave."""
         self.n_computed = state["n_computed"]
-        self._number = {short(each.tobytes()): number for number, each in enumerate(state["states"])}
+        self._number = {short_key(each.tobytes()): number for number, each in enumerate(state["states"])}
         self._neighbours = [set() for _ in self._number]
         self._edges = {one * MAX_STATES + other for one, other in state["edges"].tolist()}
         for one, other in state["edges"].tolist():
@@ -157,10 +156,4 @@ class LocalCuts:
 
 def keys_of(features: FloatArray) -> list[bytes]:
     """A key for each state (n, d), which equal ones share."""
-    keys = row_keys(features)
-    return keys if not keys or len(keys[0]) <= MAX_KEY else list(map(short, keys))
-
-
-def short(key: bytes) -> bytes:
-    """The key itself, or its digest."""
-    return key if len(key) <= MAX_KEY else blake2b(key, digest_size=16).digest()
+    return list(map(short_key, row_keys(features))) if features.shape[1] > FEW else row_keys(features)

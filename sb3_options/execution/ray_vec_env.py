@@ -16,6 +16,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
+from sb3_options.checked import whole
 from sb3_options.execution.hosted import HostedEnvironments, Infos, Settings, Steps
 from sb3_options.execution.ray_cluster import connect, emptiest, n_cores
 from sb3_options.execution.workers import PATIENCE, WorkerLostError
@@ -216,7 +217,7 @@ class RayVecEnv(VecEnv):
         """What a method of some environments returns."""
         results = self._call("env_method", indices, method_name, *args, **kwargs)
         if method_name not in ASKING:
-            number = args[0] if args and isinstance(args[0], int) and not isinstance(args[0], bool) else None
+            number = int(args[0]) if args and whole(args[0], 0) else None  # of a slot
             self._note("env_method", indices, (method_name, *args), kwargs, key=(method_name, number))
         return results
 

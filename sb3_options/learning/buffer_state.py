@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy.typing as npt
-from stable_baselines3.common.buffers import DictReplayBuffer, NStepReplayBuffer, ReplayBuffer
+from stable_baselines3.common.buffers import ReplayBuffer
 
-from sb3_options.learning.bonus_replay import BonusDictReplayBuffer, BonusNStepReplayBuffer, BonusReplayBuffer
+from sb3_options.learning.bonus_replay import WITH_BONUS
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 
-STOCK = (ReplayBuffer, DictReplayBuffer, NStepReplayBuffer)
-KNOWN = (*STOCK, BonusReplayBuffer, BonusDictReplayBuffer, BonusNStepReplayBuffer)
+KNOWN = (*WITH_BONUS, *WITH_BONUS.values())
 COLUMNS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 """What SB3's buffers store, (steps, environments, ...), or a dictionary of such arrays."""
 

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.buffers import BaseBuffer, DictReplayBuffer, NStepReplayBuffer, ReplayBuffer
+from stable_baselines3.common.buffers import BaseBuffer, ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv
@@ -21,6 +21,7 @@ from sb3_options.embedding.settings import MapName
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.observations import FeatureMap
 from sb3_options.learning import heads
+from sb3_options.learning.bonus_replay import WITH_BONUS
 from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.joined_linear import JoinedLinear, check_optimizer, widened_linear
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
@@ -29,7 +30,7 @@ logger = logging.getLogger("sb3_options")
 
 Model = TypeVar("Model", bound=BaseAlgorithm)
 
-STOCK_BUFFERS = (ReplayBuffer, DictReplayBuffer, NStepReplayBuffer)
+STOCK_BUFFERS = tuple(WITH_BONUS)
 """Buffers whose rows are single primitive steps; of their subclasses that is not known."""
 
 KEPT_KWARGS = frozenset({"handle_timeout_termination", "n_steps", "gamma"})
@@ -258,6 +259,7 @@ def check_stock_buffer(buffer: ReplayBuffer | None) -> None:
     """
     if buffer is not None and type(buffer) not in STOCK_BUFFERS and not isinstance(buffer, OptionReplayBuffer):
         raise TypeError(
-            f"The transitions of a {type(buffer).__name__} cannot be taken over, only those of ReplayBuffer and "
-            "DictReplayBuffer: set model.replay_buffer = None to go on with an empty one."
+            f"The transitions of a {type(buffer).__name__} cannot be taken over, only those of "
+            f"{', '.join(each.__name__ for each in STOCK_BUFFERS)}: set model.replay_buffer = None to go on with an "
+            "empty one."
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -16,6 +15,7 @@ from torch import nn
 from torch.nn import functional
 
 from sb3_options.checked import Field, settings
+from sb3_options.density.arrays import short_key
 from sb3_options.experience.observations import FeatureMap, FloatArray, Observations, batch_size, flatten
 
 Keys: TypeAlias = Callable[[Observations], list[bytes]]
@@ -23,9 +23,6 @@ Keys: TypeAlias = Callable[[Observations], list[bytes]]
 
 NoveltyKind: TypeAlias = Literal["counts", "rnd"]
 """How novelty is measured: by `StateCounts` or by `RandomNetworkDistillation`."""
-
-LONGEST_KEY = 64
-"""Bytes; an observation of more, an image say, is counted under its hash."""
 
 CLIP = 5.0
 """Normalised observations are clipped to ± this (Burda et al. 2018, §2.4)."""
@@ -110,7 +107,7 @@ def exact_keys(space: spaces.Space[Any]) -> Keys:
     def keys(observations: Observations) -> list[bytes]:
         given = observations if isinstance(observations, Mapping) else {"": observations}
         rows = [np.asarray(given[name], dtype=part.dtype) for name, part in sorted(parts.items())]
-        return [_short(b"".join(row[i].tobytes() for row in rows)) for i in range(batch_size(observations))]
+        return [short_key(b"".join(row[i].tobytes() for row in rows)) for i in range(batch_size(observations))]
 
     return keys
 
@@ -142,7 +139,7 @@ def binned_keys(features: FeatureMap, bin_width: float | FloatArray = 1.0) -> Ke
 
     def keys(observations: Observations) -> list[bytes]:
         bins = np.rint(checked_features(features, observations) / bin_width).astype(np.int64)
-        return [_short(row.tobytes()) for row in bins]
+        return [short_key(row.tobytes()) for row in bins]
 
     return keys
 
@@ -159,10 +156,6 @@ def checked_features(features: FeatureMap, observations: Observations) -> FloatA
     if not np.isfinite(made).all():
         raise ValueError("The feature map of the bonus gave NaN or infinite features.")
     return made
-
-
-def _short(key: bytes) -> bytes:
-    return key if len(key) <= LONGEST_KEY else hashlib.blake2b(key, digest_size=16).digest()
 
 
 @settings
@@ -233,7 +226,7 @@ class RandomNetworkDistillation:
         """For a checkpoint."""
         return {
             "size": len(self.statistics.mean),
-            "statistics": _statistics(self.statistics),
+            "statistics": statistics_of(self.statistics),
             "loss": self.loss,
             "target": dict(self.target.state_dict()),
             "predictor": dict(self.predictor.state_dict()),
@@ -243,7 +236,7 @@ class RandomNetworkDistillation:
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave."""
-        _set_statistics(self.statistics, state["statistics"])
+        set_statistics(self.statistics, state["statistics"])
         self.loss, self._visited = state["loss"], state["visited"]
         self.target.load_state_dict(state["target"])
         self.predictor.load_state_dict(state["predictor"])
@@ -280,11 +273,13 @@ def _network(size: int, settings: RNDSettings, *, n_hidden: int) -> nn.Sequentia
     return made
 
 
-def _statistics(running: RunningMeanStd) -> dict[str, Any]:
+def statistics_of(running: RunningMeanStd) -> dict[str, Any]:
+    """What a running mean and variance hold, for a checkpoint."""
     return {"mean": running.mean, "var": running.var, "count": running.count}
 
 
-def _set_statistics(running: RunningMeanStd, state: dict[str, Any]) -> None:
+def set_statistics(running: RunningMeanStd, state: dict[str, Any]) -> None:
+    """Go on with what `statistics_of` gave."""
     running.mean, running.var, running.count = state["mean"], state["var"], state["count"]
 
 
@@ -318,12 +313,12 @@ class ReturnScale:
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint."""
-        return {"returns": self.returns, "statistics": _statistics(self.statistics)}
+        return {"returns": self.returns, "statistics": statistics_of(self.statistics)}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave."""
         self.returns = state["returns"]
-        _set_statistics(self.statistics, state["statistics"])
+        set_statistics(self.statistics, state["statistics"])
 
     @property
     def std(self) -> float:

@@ -172,6 +172,7 @@ class SubgoalOption(Option):
         feature_map: φ; None until `bind` sets it, because functions do not travel in files or between processes.
         max_duration: Longest run, in primitive steps, at least 1.
         name: For people, in logs and figures.
+        fixed: Whether it stays as it was made, and is not learned on.
 
     Raises:
         ValueError: ``max_duration`` < 1.

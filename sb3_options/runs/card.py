@@ -20,7 +20,7 @@ from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import LOCATIONS
 from sb3_options.runs.closing import measures
-from sb3_options.runs.config import GROUPS, TrainConfig
+from sb3_options.runs.config import GROUPS, HOW_IT_RAN, TrainConfig
 from sb3_options.runs.inspection import Contents, contents_of, subgoal_of
 
 CARD = "README.md"
@@ -28,7 +28,7 @@ CARD = "README.md"
 
 PACKAGES = ("sb3-options", "stable-baselines3", "sb3-contrib", "torch", "gymnasium", "numpy")
 
-NOT_TOLD = ("tensorboard_log", "progress", "compare", "num_threads", "algo", "env", "seed")
+NOT_TOLD = HOW_IT_RAN | {"algo", "env", "seed"}
 """Settings that say nothing of what was learned, or are said elsewhere."""
 
 

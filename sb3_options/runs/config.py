@@ -19,7 +19,7 @@ from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.runs import yaml_file
 from sb3_options.runs.keywords import PAIRS, SERIES, algo_keywords_of, keywords_of, rule_of, tasks_of
 from sb3_options.runs.shipped import shipped
-from sb3_options.runs.users_code import IMPORTING, flag, importing
+from sb3_options.runs.users_code import with_trusted
 
 DEFAULT_ALGO = "maskableppo"
 """What ``train.py`` demonstrates: its options run in their initiation sets only, and lead where they are meant to."""
@@ -237,6 +237,11 @@ class MaskablePPOConfig(PPOConfig):
             raise ValueError("--max-runs counts in an episode, and a continuing task has none: leave it out.")
 
 
+HOW_IT_RAN = frozenset(
+    {"checkpoint_freq", "compare", "device", "num_threads", "progress", "tensorboard_log", "vec_env"}
+)
+"""Settings that say nothing of what is learned."""
+
 COMMANDS = ("train", "evaluate", "resume", "compare", "tune", "options")
 """The other first words of a command line."""
 
@@ -294,14 +299,7 @@ def read(path: Path, trusted: Mapping[str, str | None] | None = None) -> dict[st
     """
     values = yaml_file.read_mapping(path)
     values = {str(name).replace("-", "_"): value for name, value in values.items()}
-    given = {name: value for name, value in (trusted or {}).items() if value is not None}
-    for name, text in importing(values).items():
-        if name not in given:
-            raise ValueError(
-                f"{path} names the {IMPORTING[name]} {text!r}, which would import a module. If you trust it, pass "
-                f"{flag(name)} {text}."
-            )
-    return values | given
+    return with_trusted(values, trusted or {}, path)
 
 
 def default_algo(env_id: str) -> str:
@@ -327,7 +325,7 @@ def made(values: Mapping[str, Any], where: str | Path) -> TrainConfig:
     Raises:
         ValueError: A setting is not known, has no effect, or is out of its range.
     """
-    values = _with_method(values, where)
+    values = with_method(values, where)
     algo, env_id = str(values.get("algo", "dqn")), str(values.get("env"))
     known = {"": names_of(algo)} | {f"{name}.": [f.name for f in dataclasses.fields(of)] for name, of in GROUPS.items()}
 
@@ -362,7 +360,7 @@ def made(values: Mapping[str, Any], where: str | Path) -> TrainConfig:
         raise ValueError(f"{where}: {readable(error)}") from None
 
 
-def _with_method(values: Mapping[str, Any], where: str | Path) -> Mapping[str, Any]:
+def with_method(values: Mapping[str, Any], where: str | Path) -> Mapping[str, Any]:
     """Values in which ``method``, if there is one, is a setting of discovery: ``--method`` for short."""
     if "method" not in values:
         return values

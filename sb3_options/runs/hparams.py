@@ -7,10 +7,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from sb3_options.runs.config import TrainConfig
-
-NOT_TOLD = ("checkpoint_freq", "compare", "device", "num_threads", "progress", "tensorboard_log", "vec_env")
-"""Settings that say nothing of what is learned."""
+from sb3_options.runs.config import HOW_IT_RAN, TrainConfig
 
 
 def hparams_of(config: TrainConfig, options: Path | None) -> dict[str, Any]:
@@ -23,4 +20,4 @@ def hparams_of(config: TrainConfig, options: Path | None) -> dict[str, Any]:
     """
     settings: dict[str, Any] = TypeAdapter(type(config)).dump_python(config, mode="json")
     settings["options"] = None if options is None else "/".join(options.parts[-2:])
-    return {name: value for name, value in settings.items() if name not in NOT_TOLD}
+    return {name: value for name, value in settings.items() if name not in HOW_IT_RAN}

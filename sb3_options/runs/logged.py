@@ -14,6 +14,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from sb3_options.experience.observations import FloatArray
 from sb3_options.runs import yaml_file
+from sb3_options.runs.config import HOW_IT_RAN
 from sb3_options.runs.folder import CONFIG, MONITOR
 
 Measure: TypeAlias = Literal["success", "return", "length"]
@@ -28,7 +29,7 @@ TAGS: dict[str, dict[Measure, str]] = {
 }
 """Where SB3 logs a measure: in evaluations, and of the last 100 training episodes."""
 
-NO_SETTING = ("seed", "tensorboard_log", "progress", "device", "num_threads", "compare", "checkpoint_freq")
+NO_SETTING = HOW_IT_RAN | {"seed"}
 """What runs of one group may differ in."""
 
 MOST_NAMED = 3

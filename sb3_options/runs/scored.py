@@ -161,9 +161,11 @@ def score(
     if status != 0:
         said = (folder / LOG).read_text(encoding="utf-8", errors="replace").strip().splitlines()
         raise RunFailedError(" ".join([*said[-1:], f"Its output is in {folder / LOG}."]))
+    new = set(folder.glob("*/*/")) - before
+    if not new:
+        raise RunFailedError(f"Training left no run folder. Its output is in {folder / LOG}.")
+    made = max(new, key=lambda path: int(path.name.rpartition("_")[2]))  # two where a machine was lost
     try:
-        # Where a machine was lost there are two: the newest has the highest number.
-        made = max(set(folder.glob("*/*/")) - before, key=lambda path: int(path.name.rpartition("_")[2]))
         done = read_run(made)
         found = score_of(done, goal, objective, run.n_timesteps)
     except NothingLoggedError as error:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 from sb3_options.runs import config as configs
 from sb3_options.runs import yaml_file
 from sb3_options.runs.config import GROUPS, TrainConfig
-from sb3_options.runs.users_code import IMPORTING, flag, importing, named_in_errors
+from sb3_options.runs.users_code import IMPORTING, named_in_errors, with_trusted
 
 Value: TypeAlias = Any
 """Of a setting: a number, text, truth value or list."""
@@ -121,16 +121,7 @@ def read_space(path: Path, trusted: Mapping[str, str | None]) -> SearchSpace:
     base, search = ({str(k).replace("-", "_"): v for k, v in _part(content, part, path).items()} for part in PARTS)
     if not search:
         raise ValueError(f"{path}: `search:` names nothing. Say what is to be varied: `learning_rate: [0.001, 0.01]`.")
-    given = {name: value for name, value in trusted.items() if value is not None}
-    for name, text in importing(base).items():
-        if name not in given:
-            raise ValueError(
-                f"{path} names the {IMPORTING[name]} {text!r}, which would import a module. If you trust it, pass "
-                f"{flag(name)} {text}."
-            )
-    base |= given
-    if "method" in base:
-        base["discovery"] = {**base.get("discovery", {}), "method": base.pop("method")}
+    base = dict(configs.with_method(with_trusted(base, trusted, path), path))
     base.setdefault("algo", configs.default_algo(str(base.get("env", TrainConfig.env))))
     for name in search:
         first, _, inner = name.partition(".")

@@ -25,6 +25,27 @@ def importing(values: Mapping[str, Any]) -> dict[str, str]:
     return {n: t for n, t in texts.items() if (":" in t or t.startswith("GymV") if n == "env" else t)}
 
 
+def with_trusted(values: Mapping[str, Any], given: Mapping[str, str | None], where: str | Path) -> dict[str, Any]:
+    """Settings of a file, with those that the command line names in their place.
+
+    Args:
+        values: Of the file.
+        given: ``env``, ``env_wrapper`` and ``feature_map`` of the command line; None leaves the file's own.
+        where: The file.
+
+    Raises:
+        ValueError: The file names what would import a module, and the command line does not.
+    """
+    trusted = {name: value for name, value in given.items() if value is not None}
+    for name, text in importing(values).items():
+        if name not in trusted:
+            raise ValueError(
+                f"{where} names the {IMPORTING[name]} {text!r}, which would import a module. If you trust it, pass "
+                f"{flag(name)} {text}."
+            )
+    return {**values, **trusted}
+
+
 def flag(name: str) -> str:
     """How the command line spells a setting."""
     return f"--{name.replace('_', '-')}"

@@ -182,6 +182,7 @@ def test_cut_in_the_middle_of_a_trial(tmp_path: Path) -> None:
     ("name", "wrap"),
     [
         ("MaskablePPO", lambda venv: VecNormalize(venv, gamma=GAMMA)),
+        ("PPO", lambda venv: VecNormalize(venv, gamma=GAMMA, norm_obs=False)),
         ("DQN", lambda venv: VecNormalize(venv, gamma=GAMMA, norm_reward=False)),
         ("PPO", lambda venv: VecFrameStack(venv, 2)),
     ],

@@ -91,7 +91,7 @@ def test_states_of_many_features_have_short_keys_and_the_same_shares(monkeypatch
     assert {len(key) for key in cuts._number} == {16}
     again = LocalCuts()
     again.set_state(cuts.get_state())
-    monkeypatch.setattr(local_cuts, "MAX_KEY", 10_000)
+    monkeypatch.setattr(local_cuts, "FEW", 100)
     before = walked(LocalCuts(), ways)
     assert {len(key) for key in before._number} == {160}
     expected = shares_of(before, many).tolist()

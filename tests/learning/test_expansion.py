@@ -502,7 +502,7 @@ def test_other_models_are_refused() -> None:
         expand_action_space(PPO("MlpPolicy", Continuous(), n_steps=8, batch_size=8, device="cpu"))
     model = small_model()
     model.policy.q_net.q_net.append(torch.nn.Tanh())
-    with pytest.raises(TypeError, match="Expected a linear last layer, got Tanh"):
+    with pytest.raises(TypeError, match="The last layer of QNetwork is Tanh"):
         expand_action_space(model)
     model = small_model()
     model.policy.q_net_target = None
