@@ -43,13 +43,13 @@ from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.eval_callback import eval_callback_class
 from sb3_options.runs.flags import parse
 from sb3_options.runs.hparams import hparams_of
-from sb3_options.runs.in_turn import Series, Trained, train_in_turn
 from sb3_options.runs.inspection import InspectConfig, show_options
 from sb3_options.runs.interrupts import PATIENCE, Interrupts, StopWhenNoted
 from sb3_options.runs.keywords import NUMBERS
 from sb3_options.runs.logs import KeepTraining, without
 from sb3_options.runs.resume import ResumeConfig, lengthen, mark_finished, options_of, resume_run
-from sb3_options.runs.series import StopWhenLearned
+from sb3_options.runs.series import Series, Trained, train_in_turn
+from sb3_options.runs.task_ends import StopWhenLearned
 from sb3_options.runs.tune_config import TuneConfig
 from sb3_options.runs.under_way import held
 from sb3_options.runs.video import mode_among

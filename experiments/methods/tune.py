@@ -21,6 +21,7 @@ import optuna
 import tyro
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
+from optuna.trial import FrozenTrial, TrialState
 from rich.json import JSON
 
 from experiments.common.machines import Machines
@@ -78,25 +79,37 @@ def main(tuning: Tuning) -> None:
         direction="minimize",
         load_if_exists=True,
     )
-    finished = sum(trial.state.is_finished() for trial in study.trials)
-    if finished == 0:
-        study.enqueue_trial(defaults_of(tuning.method), skip_if_exists=True)
+    for cut in study.get_trials(states=(TrialState.RUNNING,)):  # with its finished seeds
+        study.tell(cut.number, state=TrialState.FAIL)
+        study.enqueue_trial(cut.params, user_attrs={"place": _place(cut)})
+    defaults = defaults_of(tuning.method)
+    if not study.trials:
+        study.enqueue_trial(defaults)
     else:
         study.sampler.reseed_rng()  # or it would propose what it began with
-    for _ in range(finished, tuning.trials):
+    for _ in range(len(_completed(study)), tuning.trials):
         trial = study.ask(fixed_distributions=SPACES[tuning.method])
-        study.tell(trial, score(tuning, trial.params, folder / str(trial.number)))
+        study.tell(trial, score(tuning, trial.params, folder / _place(trial)))
     best = study.best_trial
     content = {
         "command": tuning.command(),
         "settings": best.params,
         "trial": best.number,
         "score": best.value,
-        "score_of_defaults": study.trials[0].value,
+        "score_of_defaults": next(trial.value for trial in _completed(study) if trial.params == defaults),
     }
     chosen: dict[str, Any] = json.loads(tuning.chosen.read_text(encoding="utf-8")) if tuning.chosen.is_file() else {}
     write_json(tuning.chosen, dict(sorted({**chosen, tuning.method: content}.items())))
     show(JSON.from_data(content), f"Written to {tuning.chosen}")
+
+
+def _completed(study: optuna.Study) -> list[FrozenTrial]:
+    return study.get_trials(states=(TrialState.COMPLETE,))
+
+
+def _place(trial: optuna.Trial | FrozenTrial) -> str:
+    """The folder of a trial's runs, which is that of the one that was cut off and is made again."""
+    return str(trial.user_attrs.get("place", trial.number))
 
 
 def score(tuning: Tuning, settings: dict[str, Any], folder: Path) -> float:

@@ -20,7 +20,7 @@ from experiments.common.study import Flags, show, write
 from experiments.series.conditions import ARMS, SETTINGS, Arm, run
 from experiments.series.plots import draw
 from experiments.series.tasks import Chain
-from sb3_options.runs.series import PAYS
+from sb3_options.runs.task_ends import PAYS
 
 
 @dataclass(frozen=True, kw_only=True)

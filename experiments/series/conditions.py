@@ -19,7 +19,7 @@ from experiments.deep.tasks import SLACK, optimal_steps
 from experiments.series.tasks import Chain
 from sb3_options import OptionsWrapper
 from sb3_options.callbacks import IntrinsicRewardCallback, SubgoalDiscoveryCallback
-from sb3_options.runs.series import free_slots
+from sb3_options.runs.task_ends import free_slots
 
 Arm: TypeAlias = Literal["options", "network", "options and network", "alone", "alone, count bonus"]
 ARMS: tuple[Arm, ...] = get_args(Arm)

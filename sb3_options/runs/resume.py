@@ -16,10 +16,11 @@ from sb3_options.atomic import atomic_write
 from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
-from sb3_options.runs import in_turn, yaml_file
+from sb3_options.runs import series as in_series
+from sb3_options.runs import yaml_file
 from sb3_options.runs.config import TrainConfig
-from sb3_options.runs.in_turn import Train
 from sb3_options.runs.logs import without
+from sb3_options.runs.series import Train
 from sb3_options.runs.under_way import held
 from sb3_options.runs.users_code import IMPORTING
 
@@ -66,7 +67,7 @@ def resume_run(resumed: ResumeConfig, train: Train, console: Console) -> None:
         raise FileNotFoundError(f"{run} is no run folder: there is no {runs.CONFIG} in it.")
     with held(run):
         config = config_of(resumed)
-        series = in_turn.read(run, {name: getattr(resumed, name) for name in IMPORTING})
+        series = in_series.read(run, {name: getattr(resumed, name) for name in IMPORTING})
         if series is not None and resumed.n_timesteps is not None:
             raise ValueError("--n-timesteps cannot be given for a series: its tasks share what it was to train for.")
         if is_finished(config, run) and (series is None or series.is_last):
@@ -78,7 +79,7 @@ def resume_run(resumed: ResumeConfig, train: Train, console: Console) -> None:
         else:
             run = run.absolute()  # the next tasks come beside it, wherever it is now
             whole = dataclasses.replace(series.config, progress=resumed.progress, tensorboard_log=run.parents[1])
-            in_turn.go_on(dataclasses.replace(series, config=whole), config, run, train, console)
+            in_series.go_on(dataclasses.replace(series, config=whole), config, run, train, console)
 
 
 def config_of(resumed: ResumeConfig) -> TrainConfig:

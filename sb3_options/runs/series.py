@@ -1,68 +1,248 @@
-"""A series of tasks: each begins with the options of the one before, and ends when it is learned."""
+"""Training in a series of tasks, one after another, and going on with one that was cut off."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+import dataclasses
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, TypeGuard
 
-from stable_baselines3.common.callbacks import BaseCallback
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
+from sb3_options.atomic import atomic_write
+from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.trajectories import EpisodeRecord
 from sb3_options.options.bank import OptionBank
-from sb3_options.options.option import SubgoalOption
-from sb3_options.runs.closing import IN_A_ROW
+from sb3_options.runs import config as configs
+from sb3_options.runs import folder as runs
+from sb3_options.runs import yaml_file
+from sb3_options.runs.closing import IN_A_ROW, learned_after
+from sb3_options.runs.config import TrainConfig
+from sb3_options.runs.task_ends import KEPT, free_slots
 
-PAYS = 0.5
-"""An option is kept if the ways of this share of the last successes lead through its subgoal."""
+SERIES, BEFORE = "series.yml", "before.yml"
+"""Files in the run folder of a task: the configuration of its series, and what was done before the task."""
 
-KEPT = "kept_options.safetensors"
-"""File in the run folder of a task: the options that the next one begins with."""
+CELLS = 5
+"""Of a row of the table."""
 
 
-class StopWhenLearned(BaseCallback):
-    """Ends training when a task is learned: after `IN_A_ROW` training episodes in a row that succeeded.
+@dataclass(frozen=True)
+class Series:
+    """A series, when one of its tasks begins.
 
-    Args:
-        history: Of the training episodes so far; it grows.
+    Attributes:
+        config: Of all tasks.
+        before: Names of the run folders of the tasks before, in order.
+        rows: What the table at the end says of each of them.
     """
 
-    def __init__(self, history: Sequence[EpisodeRecord]) -> None:
-        super().__init__()
-        self.history = history
-        self._seen = self._in_a_row = 0
+    config: TrainConfig
+    before: tuple[str, ...] = ()
+    rows: tuple[tuple[str, ...], ...] = ()
 
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint; the episodes are in that of whoever keeps them."""
-        return {"seen": self._seen, "in_a_row": self._in_a_row}
+    @property
+    def is_last(self) -> bool:
+        """Whether the task is the last one."""
+        return len(self.before) + 1 == len(self.config.series)
 
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        self._seen, self._in_a_row = state["seen"], state["in_a_row"]
-
-    def _on_step(self) -> bool:
-        for episode in self.history[self._seen :]:
-            self._in_a_row = self._in_a_row + 1 if episode.success else 0
-        self._seen = len(self.history)
-        return self._in_a_row < IN_A_ROW
+    def save(self, folder: Path) -> None:
+        """Leave in the run folder of the task what `read` needs."""
+        configs.save(self.config, folder / SERIES)
+        content = {"before": list(self.before), "rows": [list(row) for row in self.rows]}
+        with atomic_write(folder / BEFORE) as temporary:
+            temporary.write_text(yaml_file.dump(content), encoding="utf-8")
 
 
-def free_slots(discovery: SubgoalDiscovery | None, bank: OptionBank) -> list[str]:
-    """Take the options that no success needs out of their slots, after a training and before the next.
+class Discovering(Protocol):
+    """What is asked of a `SubgoalDiscoveryCallback` after training."""
+
+    history: list[EpisodeRecord]
+    num_timesteps: int
+
+    @property
+    def bank(self) -> OptionBank:
+        """The slots."""
+
+    @property
+    def discovery(self) -> SubgoalDiscovery | None:
+        """Of the training."""
+
+
+class Trained(NamedTuple):
+    """What is left of one training."""
+
+    folder: Path
+    discovery: Discovering
+    interrupted: bool
+
+
+class Train(Protocol):
+    """Trains in one task."""
+
+    def __call__(self, config: TrainConfig, *, series: Series | None = None, resumed: Path | None = None) -> Trained:
+        """Train with a configuration; ``resumed`` is the run folder to go on in."""
+
+
+def read(run: Path, trusted: Mapping[str, str | None]) -> Series | None:
+    """The series that the task of a run folder is in; None where it is in none.
 
     Args:
-        discovery: Of the training; None before it.
-        bank: The slots. An option stays if `PAYS` of the last successes lead through its subgoal, and all stay if
-            there was no success.
+        run: Of the task.
+        trusted: As `configs.load` takes it.
+
+    Raises:
+        ValueError: Its files hold something else, or the series has gone on with the next task.
+    """
+    if not (run / SERIES).is_file():
+        return None
+    config, content = configs.load(run / SERIES, trusted), yaml_file.read_mapping(run / BEFORE)
+    before, rows = content.get("before"), content.get("rows")
+    if not (
+        _is_texts(before)
+        and isinstance(rows, list)
+        and all(_is_texts(row) and len(row) == CELLS for row in rows)
+        and len(before) == len(rows) < len(config.series)
+        and all(Path(name).name == name for name in before)
+    ):
+        raise ValueError(f"{run / BEFORE} does not say what was done before this task of {run / SERIES}.")
+    for other in sorted(run.resolve().parent.glob(f"*/{BEFORE}")):
+        if run.resolve().name in _names(other) and any(CheckpointFolder(other.parent / runs.CHECKPOINTS)):
+            raise ValueError(
+                f"The series has gone on after {run}: resume the last one, {run.parent / other.parent.name}."
+            )
+    return Series(config, tuple(before), tuple(map(tuple, rows)))
+
+
+def _is_texts(value: Any) -> TypeGuard[list[str]]:
+    return isinstance(value, list) and all(type(each) is str for each in value)
+
+
+def _names(file: Path) -> list[str]:
+    """The tasks before one of any series; none where the file says nothing of the kind."""
+    try:
+        names = yaml_file.read_mapping(file).get("before")
+    except (OSError, ValueError):
+        return []
+    return names if isinstance(names, list) else []
+
+
+def train_in_turn(config: TrainConfig, train: Train, console: Console) -> list[Path]:
+    """Train in one task after another; each begins with the options of the one before, and with a network of its own.
+
+    A task ends when it is learned (`StopWhenLearned`), the last one with the budget, which all tasks share. Options
+    that its successes do not need leave their slots (`free_slots`).
+
+    Args:
+        config: With a ``series``.
+        train: Trains in one.
+        console: Where the table goes.
 
     Returns:
-        Names of those that are gone.
+        The run folder of each task that was begun.
+
+    Raises:
+        As ``train``; and ValueError: A task cannot be made.
     """
-    if discovery is None or not any(each.success for each in discovery.database):
-        return []
-    gone = []
-    for slot in bank.filled:
-        option = bank[slot]
-        if isinstance(option, SubgoalOption) and discovery.passing_share(option.subgoal) < PAYS:
-            gone.append(bank.remove(slot).name)
-    return gone
+    if config.compare:
+        raise ValueError("--compare is for one task: leave it out, or train the last task of the series alone.")
+    runs.check_env_id(config.env)
+    for number, task in enumerate(_tasks(config), start=1):  # a mistake in the last one is no surprise after hours
+        try:
+            runs.make_env(task, 1, config.seed).close()
+        except Exception as error:
+            error.add_note(f"This is task {number} of the series.")
+            raise
+    return _reported(_InTurn(Series(config), train, console, []), None)
+
+
+def go_on(series: Series, config: TrainConfig, run: Path, train: Train, console: Console) -> list[Path]:
+    """Go on with a series in the task that was under way; what the tasks before have left stays as it is.
+
+    Args:
+        series: As `read` gave it.
+        config: Of the task.
+        run: Its run folder.
+        train: Trains in one.
+        console: Where the table goes.
+
+    Returns:
+        As `train_in_turn`.
+    """
+    return _reported(_InTurn(series, train, console, [run.parent / name for name in series.before]), (config, run))
+
+
+def _tasks(config: TrainConfig) -> list[TrainConfig]:
+    return [dataclasses.replace(config, series=(), env_kwargs={**config.env_kwargs, **task}) for task in config.series]
+
+
+@dataclass
+class _InTurn:
+    """A series under way.
+
+    Attributes:
+        series: Before the task that comes next.
+        train: Trains in one.
+        console: For what is printed.
+        folders: Of the tasks that were begun.
+    """
+
+    series: Series
+    train: Train
+    console: Console
+    folders: list[Path]
+
+    def run(self, resumed: tuple[TrainConfig, Path] | None) -> None:
+        """Train until the last task or the budget is at its end; the first training may be one that goes on."""
+        whole = self.series.config
+        left, options = whole.n_timesteps, whole.options
+        for number, task in list(enumerate(_tasks(whole), start=1))[len(self.folders) :]:
+            name = json.dumps(whole.series[number - 1])
+            self.console.print(f"\n[bold]Task {number} of {len(whole.series)}[/]: {escape(name)}")
+            if resumed is None:
+                done = self.train(dataclasses.replace(task, n_timesteps=left, options=options), series=self.series)
+            else:
+                left = resumed[0].n_timesteps
+                done = self.train(resumed[0], series=self.series, resumed=resumed[1])
+                resumed = None
+            last = self.series.is_last
+            bank = done.discovery.bank.copy()
+            gone = [] if last else free_slots(done.discovery.discovery, bank)
+            options = done.folder / KEPT
+            bank.save(options)
+            left -= done.discovery.num_timesteps
+            self.folders.append(done.folder)
+            learned = "yes" if learned_after(done.discovery.history) is not None else "no"
+            kept = ", ".join(option.name for option in bank.slots if option is not None)
+            row = name, f"{done.discovery.num_timesteps:,}", learned, kept or "–", ", ".join(gone) or "–"
+            self.series = Series(whole, (*self.series.before, done.folder.name), (*self.series.rows, row))
+            if done.interrupted or left <= 0:
+                return
+            if not (last or kept):
+                self.console.print(
+                    "No option to carry on: the task was learned before a subgoal was found. A shorter time limit "
+                    "(max_steps) or a farther goal makes tasks that need one."
+                )
+
+
+def _reported(in_turn: _InTurn, resumed: tuple[TrainConfig, Path] | None) -> list[Path]:
+    """Run it, and print what was done, however it ends."""
+    console, folders, n_tasks = in_turn.console, in_turn.folders, len(in_turn.series.config.series)
+    before = len(folders)
+    try:
+        in_turn.run(resumed)
+    finally:
+        if len(folders) > before:
+            table = Table("task", "primitive steps", f"{IN_A_ROW} successes in a row", "options", "taken out")
+            for row in in_turn.series.rows:
+                table.add_row(*map(escape, row))
+            console.print(table)
+            console.print(f"Run folders:  {escape(', '.join(map(str, folders)))}")
+        if len(folders) < n_tasks:
+            console.print(f"Of {n_tasks} tasks {n_tasks - len(folders)} were not begun.")
+    return folders

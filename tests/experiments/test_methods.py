@@ -300,6 +300,31 @@ def test_tuning_goes_on_and_keeps_the_best(tmp_path: Path, monkeypatch: pytest.M
         tune.Tuning(out=tmp_path, method="random-repeats")
 
 
+def test_tuning_that_was_killed_goes_on_with_the_trial_it_was_at(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where that were the defaults."""
+    tried: list[tuple[str, float]] = []
+    killed_at = {0, 2}
+
+    def score(tuning: object, settings: dict[str, Any], folder: Path) -> float:
+        tried.append((folder.name, settings["min_trajectories"]))
+        if len(tried) - 1 in killed_at:
+            raise KeyboardInterrupt
+        return float(settings["min_trajectories"])
+
+    monkeypatch.setattr(tune, "score", score)
+    told = tune.Tuning(out=tmp_path, method="covering", trials=3, chosen=tmp_path / "tuned.json", jobs=1)
+    for _ in killed_at:
+        with pytest.raises(KeyboardInterrupt):
+            tune.main(told)
+    tune.main(told)
+    assert tried[0] == tried[1] == ("0", 10)
+    assert tried[2] == tried[3]
+    assert len(tried) == 5
+    assert json.loads((tmp_path / "tuned.json").read_text())["covering"]["score_of_defaults"] == 10.0
+
+
 def test_a_trial_is_scored_by_its_steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     told = tune.Tuning(out=tmp_path, method="covering", seeds=1, tasks=("FourRooms",), n_timesteps=SHORT, jobs=1)
     scored = tune.score(told, {"n_pairs": 1, "min_trajectories": 3}, tmp_path / "0")

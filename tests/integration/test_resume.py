@@ -16,9 +16,9 @@ from sb3_options.callbacks import CheckpointCallback
 from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
-from sb3_options.runs.in_turn import BEFORE
 from sb3_options.runs.resume import FINISHED, is_finished
-from sb3_options.runs.series import KEPT
+from sb3_options.runs.series import BEFORE
+from sb3_options.runs.task_ends import KEPT
 from sb3_options.runs.under_way import held
 
 CONFIG = """

@@ -14,7 +14,7 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.runs import config as configs
 from sb3_options.runs.closing import IN_A_ROW
 from sb3_options.runs.flags import parse
-from sb3_options.runs.series import KEPT, StopWhenLearned, free_slots
+from sb3_options.runs.task_ends import KEPT, StopWhenLearned, free_slots
 from tests.support.sb3_helpers import SMALL_ROOMS, fast_callback, optioned_rooms
 
 
