@@ -15,9 +15,9 @@ from stable_baselines3.common.callbacks import (
     EventCallback,
     ProgressBarCallback,
 )
-from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, is_vecenv_wrapped
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor, is_vecenv_wrapped
 
+from sb3_options.execution.slots import Outermost
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.rollout_buffer import SMDPAdvantages, n_decisions
@@ -105,11 +105,9 @@ def all_callbacks(root: BaseCallback | None) -> Iterator[BaseCallback]:
 
 
 def monitor_primitive_steps(venv: VecEnv) -> None:
-    """Move a ``Monitor`` from above the `OptionsWrapper` to beneath it.
+    """Let each ``Monitor`` above the `OptionsWrapper` count primitive steps, wherever it stands.
 
-    SB3 puts a ``Monitor`` around an environment that has none. There it would count decisions and sum discounted
-    rewards; beneath the options it counts primitive steps and undiscounted rewards. A ``VecMonitor`` cannot be moved,
-    and there is a warning.
+    SB3 puts one around an environment that has none. A ``VecMonitor`` cannot do so, and there is a warning.
     """
     if is_vecenv_wrapped(venv, VecMonitor):
         # It records an episode before a callback could correct the last step.
@@ -117,11 +115,6 @@ def monitor_primitive_steps(venv: VecEnv) -> None:
             "VecMonitor above OptionsWrapper counts decisions and sums discounted rewards: leave it out and put a "
             "Monitor beneath, as make_vec_env(..., wrapper_class=OptionsWrapper) does."
         )
-    inner = venv.unwrapped
-    if not isinstance(inner, DummyVecEnv):
-        return  # SB3 puts no Monitor around environments in worker processes
-    for i, env in enumerate(inner.envs):
-        if isinstance(env, Monitor) and isinstance(env.env, OptionsWrapper):
-            options = env.env
-            env.env, options.env = options.env, env
-            inner.envs[i] = options
+    if all(venv.env_is_wrapped(OptionsWrapper)):
+        venv.env_is_wrapped(Outermost)  # type: ignore[arg-type]  # a kind of wrapper
+        venv.env_method("count_primitive_steps")

@@ -11,6 +11,7 @@ from gymnasium import spaces
 from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 
+from sb3_options.callbacks.counting import all_callbacks
 from sb3_options.checked import is_number
 from sb3_options.execution.features import MAX_FEATURES
 from sb3_options.execution.vec_env import as_environments_gave, as_wrapper_sees, space_of_environments
@@ -122,6 +123,12 @@ class IntrinsicRewardCallback(BaseCallback):
         self._has_options = any(self.training_env.env_is_wrapped(OptionsWrapper))
         if self._replay is not None:
             set_bonus(self._replay, None)  # refuses classes that are not known
+            both = [each for each in all_callbacks(self.locals.get("callback")) if isinstance(each, type(self))]
+            if len(both) > 1:
+                raise ValueError(
+                    f"learn() got {len(both)} IntrinsicRewardCallbacks, and a replay buffer adds one bonus: leave the "
+                    "others out."
+                )
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint, at the start of a rollout."""

@@ -24,7 +24,7 @@ from sb3_options.checkpoints.records import RECORDS
 from sb3_options.checkpoints.tree import State, encode
 from sb3_options.execution import layers
 from sb3_options.execution.ray_vec_env import RayVecEnv
-from sb3_options.execution.slots import OptionSlots
+from sb3_options.execution.slots import OptionSlots, Outermost
 from sb3_options.learning.novelty import set_statistics, statistics_of
 
 REMEMBER_NOTHING = (VecTransposeImage, VecCheckNan, VecExtractDictObs)
@@ -50,7 +50,7 @@ def prepare(venv: VecEnv, *, just_reset: bool = False) -> None:
         raise ValueError(f"Checkpoints of {type(venv).__name__} are not supported yet.")
     if not all(venv.env_is_wrapped(OptionSlots)):
         raise ValueError("Checkpoints of environments in worker processes need OptionsWrapper around each of them.")
-    venv.env_is_wrapped(_Outermost)  # type: ignore[arg-type]  # it is asked whether they are instances
+    venv.env_is_wrapped(Outermost)  # type: ignore[arg-type]  # it is asked whether they are instances
     for why in venv.env_method("prepare_layers", just_reset):
         if why is not None:
             raise ValueError(why)
@@ -117,19 +117,6 @@ def set_state(venv: VecEnv, state: State) -> list[str]:
         if failure is not None:
             failures.append(f"environment {i}: {failure}")
     return failures
-
-
-class _Kind(type):
-    def __instancecheck__(cls, env: Any) -> bool:
-        inner = env
-        while not isinstance(inner, OptionSlots):
-            inner = inner.env
-        inner._outermost = env
-        return True
-
-
-class _Outermost(metaclass=_Kind):
-    """For ``VecEnv.env_is_wrapped``, which asks the outermost wrapper first: `OptionSlots` knows it then."""
 
 
 def _wrapper_state(venv: VecEnvWrapper) -> State:

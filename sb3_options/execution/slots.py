@@ -19,7 +19,7 @@ from sb3_options.density.groups import FeatureGroup
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.embedding.settings import MapName
 from sb3_options.execution import features as feature_maps
-from sb3_options.execution import layers
+from sb3_options.execution import layers, monitoring
 from sb3_options.execution.interruption import Interruption
 from sb3_options.execution.recording import RecordTrajectories
 from sb3_options.execution.run_limit import RunLimit
@@ -281,6 +281,10 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self._withholding.set_state(state["withholding"])
         self.bank.feature_size = state["feature_size"]
 
+    def count_primitive_steps(self) -> None:
+        """`monitoring.count_primitive_steps` above this wrapper, in its own process."""
+        monitoring.count_primitive_steps(self._outermost, self)
+
     def prepare_layers(self, just_reset: bool) -> str | None:
         """`layers.prepare` this environment, in its own process; returns why it cannot: an error would end it."""
         try:
@@ -304,3 +308,16 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         # A copied or unpickled bank has no feature map (see `OptionBank.__getstate__`); this wrapper does.
         self.__dict__.update(state)
         self.bank.bind(self.features.map if self.features else None)
+
+
+class _Kind(type):
+    def __instancecheck__(cls, env: Any) -> bool:
+        inner = env
+        while not isinstance(inner, OptionSlots):
+            inner = inner.env
+        inner._outermost = env
+        return True
+
+
+class Outermost(metaclass=_Kind):
+    """For ``VecEnv.env_is_wrapped``, which asks the outermost wrapper first: `OptionSlots` knows it then."""

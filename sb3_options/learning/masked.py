@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.preprocessing import maybe_transpose
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from sb3_options.execution.vec_env import as_wrapper_sees
@@ -60,6 +61,13 @@ def stored_availability(buffer: OptionReplayBuffer, venv: VecEnv) -> BoolArray:
     return np.concatenate([venv.env_method("available", chunk, indices=[0])[0] for chunk in chunks])
 
 
+def _channels_first(observations: Any, space: spaces.Space[Any]) -> Any:
+    """A batch whose images have their channels where the algorithm has them; SB3 takes those of an environment, too."""
+    if isinstance(space, spaces.Dict):
+        return {key: maybe_transpose(part, space[key]) for key, part in observations.items()}
+    return maybe_transpose(observations, space)
+
+
 class MaskedPrediction(BaseAlgorithm):
     """Base class of `OptionDQN` and `MacroQ`: ε-greedy among the available actions."""
 
@@ -100,6 +108,7 @@ class MaskedPrediction(BaseAlgorithm):
         """Masks for a batch of observations as the algorithm sees them, (batch, n_actions)."""
         if self.env is None or not self._n_slots:
             return np.ones((batch_size(observations), n_actions_of(self)), dtype=bool)
+        observations = _channels_first(observations, self.observation_space)
         if self._vec_normalize_env is not None:
             observations = unnormalized(self._vec_normalize_env, observations)
         mask: BoolArray = self.env.env_method("available", as_wrapper_sees(self.env, observations), indices=[0])[0]

@@ -79,6 +79,8 @@ class Successors:
             dones: Of all stored rows, 1 where the episode ended.
             pos: The row behind the newest one.
         """
+        if not len(dones):
+            return
         n_envs, size = len(self._newest), len(self.following)
         rows = np.arange(len(dones))
         newest = (pos - n_envs + np.arange(n_envs)) % size

@@ -18,6 +18,7 @@ from stable_baselines3.common.vec_env import (
     VecNormalize,
     VecTransposeImage,
     is_vecenv_wrapped,
+    unwrap_vec_normalize,
     unwrap_vec_wrapper,
 )
 
@@ -60,13 +61,15 @@ class ValueSnapshot:
 
     Args:
         model: Whose online network is copied, with the statistics of a ``VecNormalize`` around its environment.
+        venv: In place of its environment, where it has none.
     """
 
-    def __init__(self, model: BaseAlgorithm) -> None:
+    def __init__(self, model: BaseAlgorithm, venv: VecEnv | None = None) -> None:
         network = heads.networks(model.policy)[0]
         _, self._outputs = heads.option_outputs(model.policy)[0]
-        self._scales = _scales(model.get_vec_normalize_env())
-        self._transposed = _transposed_keys(model)
+        venv = model.get_env() or venv
+        self._scales = _scales(unwrap_vec_normalize(venv))  # type: ignore[arg-type]  # None is no wrapper
+        self._transposed = _transposed_keys(venv, model.observation_space)
         self._layers = _numpy_layers(network, self._outputs)
         self._states = int(model.observation_space.n) if isinstance(model.observation_space, spaces.Discrete) else 0
         self._network = None if self._layers else copy.deepcopy(network).cpu().eval()
@@ -127,7 +130,8 @@ def interrupt_options(
     """
     if not heads.has_networks(model.policy) or is_vecenv_wrapped(venv, VecFrameStack):
         return False
-    rule = Interruption(values or ValueSnapshot(model), masks=isinstance(model, OptionDQN), every_choice=every_choice)
+    values = values or ValueSnapshot(model, venv)
+    rule = Interruption(values, masks=isinstance(model, OptionDQN), every_choice=every_choice)
     venv.env_method("set_interruption", rule)
     return True
 
@@ -189,7 +193,19 @@ def _numpy_layers(network: Any, outputs: int) -> list[tuple[FloatArray, FloatArr
     return layers
 
 
-def _transposed_keys(model: BaseAlgorithm) -> frozenset[str]:
-    """The images whose channels SB3 moves to the front, by key; the empty key where observations are no ``Dict``."""
-    venv = unwrap_vec_wrapper(model.get_env(), VecTransposeImage)  # type: ignore[arg-type]  # None is no wrapper
-    return frozenset() if venv is None or venv.skip else frozenset(getattr(venv, "image_space_keys", [""]))
+def _transposed_keys(venv: VecEnv | None, space: spaces.Space[Any]) -> frozenset[str]:
+    """The images whose channels are moved to the front, by key; the empty key where observations are no ``Dict``.
+
+    Args:
+        venv: The model's environment, or one as a user made it, in which nothing is moved yet.
+        space: Of observations as the model sees them.
+    """
+    if venv is None:
+        return frozenset()
+    inner = unwrap_vec_wrapper(venv, VecTransposeImage)
+    if inner is not None:
+        return frozenset() if inner.skip else frozenset(getattr(inner, "image_space_keys", [""]))
+    seen = venv.observation_space
+    here = seen.spaces if isinstance(seen, spaces.Dict) else {"": seen}
+    there = space.spaces if isinstance(space, spaces.Dict) else {"": space}
+    return frozenset(key for key, part in here.items() if part.shape != there[key].shape)

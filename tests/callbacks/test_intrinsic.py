@@ -388,3 +388,11 @@ def test_where_features_are_learned_observations_are_counted() -> None:
     model = DQN("MlpPolicy", env, gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, learning_starts=10_000, seed=0)
     model.learn(200, callback=[PrimitiveStepsCallback(), bonus])
     assert len(visits_of(bonus)) > 10  # φ makes one and the same of all before it is learned
+
+
+def test_a_second_bonus_is_refused_where_one_would_be_lost() -> None:
+    model = DQN(
+        "MlpPolicy", optioned_rooms(1), gamma=0.9, replay_buffer_class=OptionReplayBuffer, buffer_size=50, device="cpu"
+    )
+    with pytest.raises(ValueError, match=r"^learn\(\) got 2 IntrinsicRewardCallbacks, and a replay buffer adds one bo"):
+        model.learn(10, callback=[IntrinsicRewardCallback(), PrimitiveStepsCallback(), IntrinsicRewardCallback("rnd")])

@@ -5,7 +5,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import torch
-from sb3_contrib import RecurrentPPO
+from sb3_contrib import MaskablePPO, RecurrentPPO
+from sb3_contrib.common.wrappers import ActionMasker
 from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import (
@@ -16,16 +17,18 @@ from stable_baselines3.common.callbacks import (
     ProgressBarCallback,
 )
 from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
-from sb3_options import OptionReplayBuffer, OptionsWrapper
+from sb3_options import Option, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.callbacks.counting import all_callbacks, monitor_primitive_steps
+from sb3_options.execution.monitoring import PrimitiveMonitor
 from sb3_options.learning import heads
 from sb3_options.learning.rollout_buffer import n_decisions
 from tests.support.helpers import CountingEnv, steady_option
-from tests.support.sb3_helpers import RANDOM, StepLog, make_optioned_rooms, optioned_rooms, small_rooms
+from tests.support.sb3_helpers import RANDOM, StepLog, optioned_rooms, small_rooms
 
 K = 5
 
@@ -42,6 +45,30 @@ def dqn(env: Any, **kwargs: Any) -> DQN:
         "MlpPolicy", env, gamma=0.9, replay_buffer_class=OptionReplayBuffer, buffer_size=2000, learning_starts=100,
         train_freq=1, gradient_steps=0, policy_kwargs={"net_arch": [8]}, seed=0, **kwargs,
     )  # fmt: skip
+
+
+def corridor() -> OptionsWrapper:
+    """Every episode is 30 steps of −1, for the goal is too far away."""
+    return optioned_rooms(map=f"{'#' * 50}\n#S{'.' * 46}G#\n{'#' * 50}", max_steps=30, step_reward=-1.0)
+
+
+def everywhere(observations: Any) -> Any:
+    return np.ones(len(observations), dtype=bool)
+
+
+def nowhere(observations: Any) -> Any:
+    return np.zeros(len(observations), dtype=bool)
+
+
+def to_and_fro(observations: Any) -> Any:
+    return np.zeros(len(observations), dtype=int)
+
+
+def masked_and_monitored() -> Any:
+    """What a worker process calls."""
+    rooms = corridor()
+    rooms.bank.add(Option(everywhere, to_and_fro, nowhere, max_duration=7))
+    return Monitor(ActionMasker(rooms, lambda env: env.get_wrapper_attr("action_masks")()))
 
 
 class Spy(BaseCallback):
@@ -144,30 +171,46 @@ class TestMonitor:
         assert {e["l"] for e in episodes} == {17}
         assert {e["r"] for e in episodes} == {sum(range(1, 18))}
 
-    def test_stands_beneath_the_options_afterwards(self) -> None:
-        venv = DummyVecEnv([lambda: Monitor(optioned_rooms())])
-        monitor_primitive_steps(venv)
-        outer = venv.envs[0]
-        assert isinstance(outer, OptionsWrapper)
-        assert isinstance(outer.env, Monitor)
-        assert outer.env.env is outer.unwrapped
-        assert venv.env_is_wrapped(Monitor) == venv.env_is_wrapped(OptionsWrapper) == [True]
-        monitor_primitive_steps(venv)
-        assert venv.envs[0] is outer
+    def test_stays_where_it_is(self) -> None:
+        """A user holds the same environment, with its slots, after training."""
+        env: Any = Monitor(corridor())
+        model = dqn(env, **RANDOM)
+        model.learn(100, callback=PrimitiveStepsCallback())
+        assert isinstance(env.env, OptionsWrapper)
+        assert env.action_space.n == 8
+        assert type(env) is PrimitiveMonitor
+        assert env.total_steps == model.num_timesteps
+        model.set_env(env)
+        env.get_wrapper_attr("set_option")(0, steady_option(max_duration=7))
+        with torch.no_grad():
+            cast("Any", model.q_net).q_net[-1].bias[4] += 1e7  # it is chosen always
+        mean, _ = evaluate_policy(model, env, n_eval_episodes=1)
+        assert env.get_episode_lengths()[-1] == 30
+        assert mean == env.get_episode_rewards()[-1] == -30.0
+        for _ in range(30):
+            env.step(0)
+        with pytest.raises(RuntimeError, match="needs reset"):
+            env.step(0)
+
+    @pytest.mark.parametrize("subproc", [False, True])
+    def test_above_others_and_in_worker_processes(self, subproc: bool) -> None:
+        make = [masked_and_monitored] * 2
+        venv: VecEnv = SubprocVecEnv(make, start_method="fork") if subproc else DummyVecEnv(make)
+        try:
+            model = MaskablePPO("MlpPolicy", venv, gamma=0.9, n_steps=64, seed=0, device="cpu")
+            model.learn(600, callback=PrimitiveStepsCallback())
+            episodes = list(cast("Any", model.ep_info_buffer))
+            assert len(episodes) > 5
+            assert {episode["l"] for episode in episodes} == {30}
+            assert {episode["r"] for episode in episodes} == {-30.0}
+        finally:
+            venv.close()
 
     def test_leaves_others_alone(self) -> None:
         bare = DummyVecEnv([lambda: Monitor(small_rooms())])
         monitor = bare.envs[0]
         monitor_primitive_steps(bare)
         assert bare.envs[0] is monitor
-
-    def test_leaves_worker_processes_alone(self) -> None:
-        venv: VecEnv = SubprocVecEnv([make_optioned_rooms], start_method="fork")
-        try:
-            monitor_primitive_steps(venv)
-            assert venv.env_is_wrapped(OptionsWrapper) == [True]
-        finally:
-            venv.close()
 
 
 def test_finds_every_callback() -> None:

@@ -281,6 +281,15 @@ def test_n_step_returns_go_on() -> None:
     assert model.replay_buffer.size() > 128
 
 
+@pytest.mark.filterwarnings("ignore:`n_steps=3` is ignored")  # SB3 says so of its own buffer
+def test_n_step_returns_of_a_model_that_was_loaded(tmp_path: Path) -> None:
+    """SB3 saves no replay buffer."""
+    trained("dqn", steps=128, n_steps=3).save(tmp_path / "model.zip")
+    model = expand_action_space(DQN.load(tmp_path / "model.zip", env=small_rooms()), MAX_OPTIONS)
+    model.learn(60, reset_num_timesteps=False, callback=PrimitiveStepsCallback())
+    assert cast("Any", model.replay_buffer).n_steps == 3
+
+
 def test_a_buffer_that_was_taken_away_or_knows_options_already() -> None:
     model = trained("dqn", steps=64)
     model.replay_buffer = None
@@ -430,8 +439,8 @@ def test_another_environment_takes_the_place_of_the_models(capsys: pytest.Captur
     model.verbose = 0
     model.learn(64, callback=fast_callback(), reset_num_timesteps=False)
     (env,) = cast("DummyVecEnv", env_of(model)).envs
-    assert env is other
-    assert isinstance(env.env, Monitor)
+    assert isinstance(env, Monitor)
+    assert env.env is other
     assert n_actions_of(model) == N_PRIMITIVE + 2
 
 

@@ -1,11 +1,13 @@
 import logging
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
+from sb3_options import Option, OptionDQN, OptionsWrapper
 from sb3_options.learning.masked import unnormalized
 from tests.support.helpers import DictEnv
 
@@ -36,3 +38,25 @@ def test_other_dict_observations_that_are_clipped_are_warned_of(caplog: pytest.L
     with caplog.at_level(logging.WARNING):
         assert unnormalized(normalizer, other) is not normalizer.old_obs
     assert WARNING in caplog.text
+
+
+@pytest.mark.parametrize("channels_last", [True, False])
+def test_pictures_as_the_environment_gives_them_or_the_algorithm_sees_them(channels_last: bool) -> None:
+    seen: list[tuple[int, ...]] = []
+
+    def initiation(observations: Any) -> Any:
+        seen.append(observations.shape)
+        return np.ones(len(observations), dtype=bool)
+
+    def make() -> OptionsWrapper:
+        env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0", observation="image"), 1, gamma=0.97)
+        env.bank.add(Option(initiation, lambda x: np.zeros(len(x), int), lambda x: np.zeros(len(x)), max_duration=5))
+        return env
+
+    model = OptionDQN("CnnPolicy", make(), gamma=0.97, buffer_size=10)
+    own, _ = make().reset(seed=0)
+    seen.clear()
+    given = own if channels_last else own.transpose(2, 0, 1)
+    model.predict(given, deterministic=True)
+    model.predict(given[None], deterministic=True)
+    assert seen == [(1, *own.shape)] * 2
