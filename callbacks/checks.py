@@ -199,7 +199,7 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
     check_wrapped(venv, "The model's environment")
     if not isinstance(model, MacroQ):
         _check_deep(model, venv)
-    if masks_actions(model):
+    if masks_actions(model) and model._last_obs is not None:  # before a reset there are no masks
         _check_masks(venv)
     _check_nothing_above_changes_observations(venv)
     check_nothing_above_changes_steps(venv)

@@ -21,7 +21,7 @@ def add(discovery: SubgoalDiscovery, n: int = 1, **kwargs: Any) -> None:
         discovery.add(trajectory, np.asarray(trajectory.states))
 
 
-FOR_TRAIN_PY = 'For train.py, let an --env-wrapper of your own put info["is_success"] into the last step.'
+FOR_TRAIN_PY = "On the command line and in YAML that is success: terminated, or success: return:NUMBER."
 
 
 @pytest.mark.parametrize(
@@ -48,6 +48,16 @@ FOR_TRAIN_PY = 'For train.py, let an --env-wrapper of your own put info["is_succ
         ),
         (
             {},
+            {"rewards": [-1.0, -1.0]},
+            "none of the 20 episodes seen counts as a success. 0 ended in a terminal state, 20 were cut off, with "
+            'returns from -2 to -2; the environment reports no info["is_success"], and no terminal state brought a '
+            "positive reward above all earlier ones. All went alike, so perhaps the goal was not found so far: explore "
+            "more. Else say what success is: SubgoalDiscoveryCallback(success=lambda trajectory: "
+            "trajectory.terminated) where every terminal state is a good one, or "
+            "sb3_options.experience.success.success_by_return(threshold). " + FOR_TRAIN_PY,
+        ),
+        (
+            {},
             {"is_success": False},
             "none of the 20 episodes seen counts as a success. 0 ended in a terminal state, 20 were cut off, with "
             'returns from 0 to 0; info["is_success"] was false in all of them. If it means something else, pass '
@@ -66,7 +76,7 @@ FOR_TRAIN_PY = 'For train.py, let an --env-wrapper of your own put info["is_succ
             "DiscoverySettings for this task.",
         ),
     ],
-    ids=["nothing reported", "no reward", "reported", "a rule of the user", "segments"],
+    ids=["nothing reported", "no reward", "all alike", "reported", "a rule of the user", "segments"],
 )
 def test_there_is_one_warning_where_nothing_succeeds(
     kwargs: Any, outcome: Any, text: str, caplog: pytest.LogCaptureFixture

@@ -27,7 +27,7 @@ MADE: dict[str, tuple[Callable[..., Any], Callable[..., Any], dict[str, Any]]] =
 }
 
 ALIASES = {
-    "env_kwargs": "env-kwargs",
+    **{name: name.replace("_", "-") for name in ("env_kwargs", "n_steps", "n_envs", "batch_size")},
     "groups": "FeatureGroup",
     "settings": "DiscoverySettings",
     "option_settings": "OptionLearningSettings",
