@@ -282,7 +282,7 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         self.bank.feature_size = state["feature_size"]
 
     def count_primitive_steps(self) -> None:
-        """`monitoring.count_primitive_steps` above this wrapper, in its own process."""
+        """Let each ``Monitor`` above this wrapper count primitive steps (`PrimitiveMonitor`), in its own process."""
         monitoring.count_primitive_steps(self._outermost, self)
 
     def prepare_layers(self, just_reset: bool) -> str | None:

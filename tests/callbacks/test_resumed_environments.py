@@ -224,9 +224,8 @@ def test_what_is_still_refused(tmp_path: Path) -> None:
     text = r"^Checkpoints of Remembering are not supported above OptionsWrapper: put the wrapper beneath it, "
     with pytest.raises(ValueError, match=text):
         model_of("PPO", vec(lambda: Remembering(make_optioned_rooms()))).learn(8, CheckpointCallback(tmp_path))
-    recorder = VecVideoRecorder(
-        vec(lambda: OptionsWrapper(gym.make("CartPole-v1", render_mode="rgb_array"), 2)), "x", bool
-    )
+    rendered = vec(lambda: OptionsWrapper(gym.make("CartPole-v1", render_mode="rgb_array"), 2))
+    recorder = VecVideoRecorder(rendered, str(tmp_path / "videos"), bool)
     assert refusal(recorder) == "Checkpoints of VecVideoRecorder are not supported yet."
     recorder.close()
 
