@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sb3_options.density.arrays import row_keys, short_key
+from sb3_options.density.arrays import LONGEST_KEY, row_keys, short_key
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 
 STEPS = 3
@@ -15,7 +15,7 @@ STEPS = 3
 MAX_STATES = 10_000
 """As many are in the graph; of states that come later nothing is known."""
 
-FEW = 8
+FEW = LONGEST_KEY // 8
 """The key of a state of so many features is the state itself, which takes no longer to make than a digest."""
 
 UNKNOWN = 0.5

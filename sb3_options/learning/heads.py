@@ -20,8 +20,8 @@ CLOSED_VALUE = -1e6
 """Bias of a closed output: below any return, of probability 0 as a logit, and far from where float32 overflows."""
 
 
-TOLERANCE = 1e-2
-"""Differences of values that are rounding."""
+ROUNDING = 1e-4
+"""By so much of what is added to one output others may move."""
 
 OWN_NETWORK = "let a network of your own end in torch.nn.Linear(n, n_actions), and return what that gives."
 
@@ -207,11 +207,12 @@ def check_values(policy: Any, observation: Any, n_actions: int) -> None:
     batch, _ = policy.obs_to_tensor(observation)
     last, rows = n_actions - 1, rows_of(layer, outputs, n_actions - 1)
     before, bias = network(batch), layer.bias.clone()
-    layer.bias[rows] += 1.0
-    moved = (network(batch) - before).abs().reshape(-1, n_actions)
+    added = 1.0 + float(before.abs().max())  # as large as the values, or it would be lost in their rounding
+    layer.bias[rows] += added
+    moved = (network(batch) - before).abs().reshape(-1, n_actions) / added
     layer.bias.copy_(bias)
     policy.set_training_mode(training)
-    if moved[:, :last].max() > TOLERANCE or moved[:, last].min() < 1.0 - TOLERANCE:
+    if moved[:, :last].max() > ROUNDING or moved[:, last].min() < 0.5:
         raise TypeError(
             f"{name} gives other values than the outputs of its last layer, as dueling networks do, so that the output "
             f"of an empty slot would change those of all actions: {OWN_NETWORK}"

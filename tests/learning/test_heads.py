@@ -207,8 +207,13 @@ def test_networks_of_a_users_own_that_cannot_be_closed_are_refused(
 
 
 @algorithms
-def test_asking_a_network_leaves_it_as_it_is(algorithm: type[OffPolicyAlgorithm]) -> None:
+@pytest.mark.parametrize("scale", [0.0, 1e5, -1e7])
+def test_asking_a_network_leaves_it_as_it_is(algorithm: type[OffPolicyAlgorithm], scale: float) -> None:
+    """Of small values and of large ones, in which an addition of 1 is rounding."""
     model = model_of(algorithm)
+    for layer, _ in heads.option_outputs(model.policy):
+        layer.bias.data += scale
+    close_all(model)
     before = {name: value.clone() for name, value in model.policy.state_dict().items()}
     heads.check_values(model.policy, observations(1).numpy(), N_ACTIONS)
     assert all(torch.equal(before[name], value) for name, value in model.policy.state_dict().items())

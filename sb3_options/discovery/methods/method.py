@@ -174,6 +174,10 @@ def proposed_by(method: DiscoveryMethod, experience: Experience) -> list[Proposa
 def kept(proposal: Proposal, method: DiscoveryMethod) -> Proposal:
     """A proposal that is taken, of arrays that the method cannot change later on.
 
+    Args:
+        proposal: As `proposed_by` gave it.
+        method: Whose it is.
+
     Raises:
         ValueError: It has numbers that are not finite, or a radius below 0.
     """
