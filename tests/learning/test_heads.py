@@ -207,7 +207,7 @@ def test_networks_of_a_users_own_that_cannot_be_closed_are_refused(
 
 
 @algorithms
-@pytest.mark.parametrize("scale", [0.0, 1e5, -1e7])
+@pytest.mark.parametrize("scale", [0.0, 1e5, -1e8])
 def test_asking_a_network_leaves_it_as_it_is(algorithm: type[OffPolicyAlgorithm], scale: float) -> None:
     """Of small values and of large ones, in which an addition of 1 is rounding."""
     model = model_of(algorithm)
