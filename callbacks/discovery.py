@@ -138,9 +138,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._made_here: set[int] = set()
         self._trials: OptionTrials | None = None
         self._generator = torch.Generator().manual_seed(seed)
-        self._statistics, self._growth = OptionStatistics(min_reached), OptionGrowth()
+        self._statistics, self._growth, self._features = OptionStatistics(min_reached), OptionGrowth(), GivenFeatures()
         self.embedding = given_as(EmbeddingSettings, {} if embedding is None else embedding)
-        self._features = GivenFeatures()
         self._installer: OptionInstaller | None = None
         self._clock: DiscoveryClock | None = None
 
@@ -199,6 +198,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     def _on_rollout_start(self) -> None:
         self._options.on_rollout_start()
+        if not self.episodes and self.settings.segmentation == "episodes" and self.max_new_options != 0:
+            self._complaints.no_end(self.num_timesteps, self.training_env.num_envs, self.settings.max_segment)
 
     def _on_rollout_end(self) -> None:
         super()._on_rollout_end()
@@ -366,8 +367,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         """Go on with what `get_state` gave, once training has started."""
         super().set_state(state)
         self.episodes = state["episodes"]
-        columns = [column.tolist() for column in state["history"]]
-        self.history[:] = [EpisodeRecord(*each) for each in zip(*columns, strict=True)]
+        self.history[:] = [EpisodeRecord(*each) for each in zip(*map(np.ndarray.tolist, state["history"]), strict=True)]
         self.discoveries[:] = [DiscoveredOption(**each) for each in state["discoveries"]]
         self.closed[:] = [ClosedOption(**each) for each in state["closed"]]
         self._made_here = set(state["made_here"])

@@ -61,6 +61,8 @@ class Complaints:
     def __init__(self) -> None:
         self._n, self._last = 0, ""
         self._without_option: set[str] = set()
+        self._began: int | None = None
+        self._no_end_told = False
 
     def say(self, episode: int, why: Exception) -> None:
         """Warn, unless it would be too often."""
@@ -75,6 +77,24 @@ class Complaints:
             return why
         unusable = f"{self._n} of {episodes} episodes could not be used, the last one because of {self._last}"
         return f"No subgoal was discovered: {unusable}." if self._n == episodes else f"{why} And {unusable}."
+
+    def no_end(self, steps: int, n_envs: int, longest: int) -> None:
+        """Warn once where no episode has ended yet, after ``longest`` steps of every environment.
+
+        Args:
+            steps: Primitive steps of all environments so far.
+            n_envs: How many these are.
+            longest: Steps of an episode that few tasks exceed.
+        """
+        self._began = steps if self._began is None else self._began
+        if not self._no_end_told and steps - self._began >= longest * n_envs:
+            self._no_end_told = True
+            logger.warning(
+                "Nothing can be discovered so far: no episode has ended in %s primitive steps of each environment. End "
+                "them with gymnasium.wrappers.TimeLimit, or let peaks of reward separate trajectories: "
+                'DiscoverySettings(segmentation="peaks").',
+                f"{longest:,}",
+            )
 
     def no_option(self, where: str) -> None:
         """Warn that there is no option for a subgoal, the first time."""

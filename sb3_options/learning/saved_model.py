@@ -45,7 +45,7 @@ def load_model(algorithm: type[M], path: str | os.PathLike[str], env: gym.Env[An
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: It holds no options, or these do not fit the environment.
+        ValueError: It holds no options, these do not fit the environment, or another algorithm saved it.
     """
     path = Path(path)
     if not path.is_file() and path.suffix != ".zip":
@@ -61,6 +61,10 @@ def load_model(algorithm: type[M], path: str | os.PathLike[str], env: gym.Env[An
         raise ValueError(
             f"{path} does not fit the environment: {error}. It needs OptionsWrapper(env, max_options=...) with as many "
             "slots as in training, and the same environment beneath."
+        ) from error
+    except (AttributeError, TypeError) as error:  # what SB3 raises where the networks are another algorithm's
+        raise ValueError(
+            f"{path} could not be loaded by {algorithm.__name__}: {error}. Load it with the algorithm that saved it."
         ) from error
     model.__dict__.pop(CARRIED, None)
     load_options(content, _env_of(model))

@@ -94,7 +94,7 @@ def tune(config: TuneConfig, *, console: Console) -> TrainConfig:
     configs.save(best, config.out / BEST)
     with pyplot.rc_context():  # Optuna changes the style of all later pictures
         _draw(study, config, goal)
-    console.print(_table(study, config, goal))
+    console.print(_table(study, config, goal, best.n_timesteps))
     trusted = [word for name in IMPORTING if (text := getattr(config, name)) is not None for word in (flag(name), text)]
     words = ["--config", str(config.out / BEST), "--seed", str(config.first_seed + config.seeds), *trusted]
     console.print(escape(f"Judge it on another seed: sb3-options train {shlex.join(words)}"), soft_wrap=True)
@@ -137,7 +137,7 @@ def _shown(value: float, config: TuneConfig) -> str:
     return f"{math.exp(value):,.0f}" if config.objective == "steps" else f"{value:.3g}"
 
 
-def _table(study: optuna.Study, config: TuneConfig, goal: Goal) -> Table:
+def _table(study: optuna.Study, config: TuneConfig, goal: Goal, n_timesteps: int) -> Table:
     done = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
     sign = 1.0 if study.direction == optuna.study.StudyDirection.MINIMIZE else -1.0
     names = list(done[0].params)
@@ -146,6 +146,10 @@ def _table(study: optuna.Study, config: TuneConfig, goal: Goal) -> Table:
         f"{len(done)} trials on {config.seeds} seeds, {states.count(TrialState.PRUNED)} stopped early, "
         f"{states.count(TrialState.FAIL)} failed. The best of many is better on these seeds than on others."
     )
+    budgets = [math.log(trial.params.get("n_timesteps", n_timesteps)) for trial in done]
+    never = sum(math.isclose(trial.value or 0.0, most) for trial, most in zip(done, budgets, strict=True))
+    if config.objective == "steps" and never:
+        caption += f" In {never} of these trials no run reached {goal}: they count with all their steps."
     what = f"primitive steps to {goal}, geometric mean" if config.objective == "steps" else f"{goal.measure}, mean"
     table = Table("trial", what, *names, caption=caption)
     for trial in sorted(done, key=lambda trial: sign * (trial.value or 0.0))[:N_SHOWN]:

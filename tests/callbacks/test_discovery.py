@@ -59,6 +59,16 @@ def model_of(env: Any = None, algorithm: type[OffPolicyAlgorithm] = DQN, **kwarg
     return algorithm("MlpPolicy", env, gamma=0.9, **buffer | TINY | RANDOM | kwargs)
 
 
+class Endless(gym.Wrapper[Any, Any, Any, Any]):
+    """Goes on from the start after the goal."""
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        obs, reward, terminated, truncated, info = self.env.step(action)
+        if terminated:
+            obs, _ = self.env.reset()
+        return obs, float(reward), False, truncated, info
+
+
 def to_the_doorway(action: int, *nearby: tuple[float, float]) -> SubgoalOption:
     """An option for the doorway that always takes one action, in force near some places."""
     scale = np.ones(2)
@@ -340,6 +350,18 @@ class TestGoesOn:
         model.learn(500, callback=callback)
         assert callback.episodes >= 90
         assert callback.discoveries == []
+
+    @pytest.mark.parametrize(("max_segment", "n_told"), [(100, 1), (600, 0)])
+    def test_when_episodes_never_end(self, caplog: pytest.LogCaptureFixture, max_segment: int, n_told: int) -> None:
+        """It says so once, long before training ends."""
+        callback = SubgoalDiscoveryCallback({**FAST_DISCOVERY, "max_segment": max_segment})
+        model_of(DummyVecEnv([lambda: OptionsWrapper(Endless(small_rooms(max_steps=10**6)), 1, gamma=0.9)] * 2)).learn(
+            1000, callback=callback
+        )
+        assert callback.episodes == 0
+        said = [record.getMessage() for record in caplog.records if "no episode has ended" in record.getMessage()]
+        assert len(said) == n_told
+        assert all(f"in {max_segment} primitive steps of each environment" in text for text in said)
 
 
 class TestSuccess:

@@ -208,6 +208,12 @@ def test_other_slots_than_in_training_are_told(tmp_path: Path) -> None:
             load_model(DQN, tmp_path / "model.zip", env)
 
 
+def test_another_algorithm_than_saved_it_is_told(tmp_path: Path) -> None:
+    trained(PPO).save(tmp_path / "model.zip")
+    with pytest.raises(ValueError, match=r"model\.zip could not be loaded by DQN: .*Load it with the algorithm that"):
+        load_model(DQN, tmp_path / "model.zip", optioned_rooms())
+
+
 def test_environments_without_slots_are_refused(tmp_path: Path) -> None:
     trained(DQN).save(tmp_path / "model.zip")
     with pytest.raises(ValueError, match="is not wrapped in OptionsWrapper"):

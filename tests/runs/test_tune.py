@@ -134,6 +134,22 @@ def test_the_best_is_found_and_kept(tmp_path: Path, trained: list[TrainConfig]) 
     assert to_hex(rcParams["axes.edgecolor"]) == "#000000", "the style of Optuna's pictures is that of no other"
 
 
+def test_the_table_says_how_many_trials_never_got_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rates: list[float] = []
+
+    def score(run: TrainConfig, *_: object) -> float:
+        rates.append(run.learning_rate)
+        return math.log(run.n_timesteps if run.learning_rate > 1e-3 else 100)
+
+    monkeypatch.setattr(tune, "score", score)
+    space, console = written(tmp_path, {"learning_rate": SEARCH["learning_rate"]}), quiet()
+    tune.tune(TuneConfig(space, tmp_path / "out", trials=8, seeds=1), console=console)
+    n_never = sum(rate > 1e-3 for rate in rates)
+    assert 0 < n_never < 8
+    said = " ".join(console.file.getvalue().split())  # type: ignore[attr-defined]  # a StringIO
+    assert f"In {n_never} of these trials no run reached success rate ≥ 0.9: they count with all their steps." in said
+
+
 def test_a_goal_that_is_there_at_once_is_warned_of(
     tmp_path: Path, trained: list[TrainConfig], monkeypatch: pytest.MonkeyPatch
 ) -> None:
