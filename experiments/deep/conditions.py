@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import numpy as np
+from sb3_contrib.common.maskable.callbacks import MaskableEvalCallback
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback, CallbackList, EvalCallback
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 
 from experiments.common.gridworlds import world_of
 from experiments.common.seeds import Result
@@ -27,7 +28,7 @@ SOURCE_SEED, EVAL_SEED, FINAL_SEED = 300_000, 500_000, 10_000_000
 """Added to a run's seed for the old task, for its evaluations, and for those at its end."""
 
 
-class Served(EvalCallback):
+class Served(MaskableEvalCallback):
     """Lets the discovery callback see an evaluation environment, and evaluates nothing itself."""
 
     def _on_step(self) -> bool:
