@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -91,4 +92,7 @@ def _single_threaded(index: int, call: Callable[[], T]) -> tuple[int, T]:
     import torch
 
     torch.set_num_threads(1)
-    return index, call()
+    try:
+        return index, call()
+    finally:
+        gc.collect()  # a model and its callbacks refer to each other: hundreds of finished runs would stay
