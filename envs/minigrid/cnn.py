@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from math import isqrt
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 import torch
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 
 from sb3_options.envs.minigrid.cells import DEPTH
+
+MOST_WORDS = 500
+"""More than the missions of any task have, and fewer than the numbers that the next larger view has more."""
 
 
 class MiniGridCNN(BaseFeaturesExtractor):
@@ -21,18 +24,24 @@ class MiniGridCNN(BaseFeaturesExtractor):
 
     Args:
         observation_space: Of the wrapper, (v·v·21 + words,).
+        view: v, cells across the view: odd, at least 7. Another than 7 goes into ``features_extractor_kwargs``.
 
     Raises:
-        ValueError: Observations are shorter than a view of 7 by 7 cells.
+        ValueError: Observations are no single vector of such a view.
     """
 
-    def __init__(self, observation_space: gym.Space[Any]) -> None:
-        (length,) = observation_space.shape or (0,)
-        view = isqrt(length // DEPTH)
-        view -= 1 - view % 2  # views are odd, and words fewer than the cells of a larger one
-        if view < 7:
-            raise ValueError(f"MiniGridCNN needs the vectors of a MiniGridWrapper, 1029 numbers or more, got {length}.")
-        side, n_cells = (view - 1) // 2 - 2, view * view * DEPTH
+    def __init__(self, observation_space: gym.Space[Any], view: int = 7) -> None:
+        if view < 7 or view % 2 == 0:
+            raise ValueError(f"MiniGridCNN needs an odd view of 7 cells or more, got {view}.")
+        length, n_cells = int(np.prod(observation_space.shape or (0,))), view * view * DEPTH
+        if not n_cells <= length <= n_cells + MOST_WORDS:
+            raise ValueError(
+                f"MiniGridCNN needs the vectors of a MiniGridWrapper, of {n_cells} numbers for a view of {view} by "
+                f"{view} cells and some for the mission, got {length}. For another view pass policy_kwargs="
+                '{"features_extractor_class": MiniGridCNN, "features_extractor_kwargs": {"view": 9}}; it reads no '
+                "stacked frames (VecFrameStack)."
+            )
+        side = (view - 1) // 2 - 2
         super().__init__(observation_space, 64 * side * side + length - n_cells)
         self.view, self.n_cells = view, n_cells
         self.cnn = nn.Sequential(

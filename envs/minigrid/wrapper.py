@@ -83,6 +83,20 @@ class MiniGridWrapper(
             )
         return np.concatenate([cells, words])
 
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Vector, dict[str, Any]]:
+        """As the environment's.
+
+        Raises:
+            FileNotFoundError: MiniGrid lacks a file that its ``WFC`` tasks are made from.
+        """
+        try:
+            return super().reset(seed=seed, options=options)
+        except FileNotFoundError as error:
+            raise FileNotFoundError(
+                f"{self.spec.id if self.spec else self.unwrapped} cannot be made: the package minigrid lacks its file "
+                f"{error.filename or error}. Choose another task, or install minigrid from its repository."
+            ) from error
+
     def step(self, action: Any) -> tuple[Vector, SupportsFloat, bool, bool, dict[str, Any]]:
         """As the environment's, with ``is_success`` at the end of an episode."""
         observation, reward, terminated, truncated, info = super().step(action)

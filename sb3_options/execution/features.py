@@ -16,7 +16,14 @@ from sb3_options.density.groups import FeatureGroup, checked_groups
 from sb3_options.embedding.encoders import ObservationForm, form_of_array
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.embedding.settings import SIZES, MapName
-from sb3_options.experience.observations import FeatureMap, FloatArray, Observations, batch_of_one, flatten
+from sb3_options.experience.observations import (
+    FeatureMap,
+    FloatArray,
+    Observations,
+    batch_of_one,
+    concatenate,
+    flatten,
+)
 from sb3_options.options.file import SpaceSignature
 
 MAX_FEATURES = 4096
@@ -184,24 +191,40 @@ def _sample(space: gym.Space[Any]) -> Observations:
 def _size_of(feature_map: FeatureMap, space: gym.Space[Any], name: str) -> int | None:
     sample = _sample(space)
     try:
-        features = feature_map(sample)
+        feature_map(sample)
     except Exception:
         # A random element of the space need not be an observation (random pixels show no agent), and a user's function
         # may raise anything then. The first observation of an episode tells the size.
         return None
-    return checked_size(features, name)
+    return checked_size(feature_map, sample, name)
 
 
-def checked_size(features: FloatArray, name: str = "feature_map") -> int:
-    """Dimensions d of what a feature map made of a batch of one observation.
+def checked_size(feature_map: FeatureMap, one: Observations, name: str = "feature_map") -> int:
+    """Dimensions d of what a feature map makes of observations.
+
+    Args:
+        feature_map: φ.
+        one: A batch of one observation.
+        name: Of the map, for the text.
 
     Raises:
-        ValueError: It does not have shape (1, d).
+        ValueError: It does not make d numbers of every observation of a batch.
     """
-    features = np.asarray(features)
+    features = np.asarray(feature_map(one))
     if features.ndim != 2 or len(features) != 1:
         raise ValueError(
             f"{name} must return features of shape (batch, d); for a batch of one it gave shape {features.shape}."
+        )
+    if features.shape[1] == 0 or features.dtype.kind not in "biufO":
+        raise ValueError(
+            f"{name} must return real numbers, at least one for an observation; it gave {features.shape[1]} of type "
+            f"{features.dtype}."
+        )
+    of_two = np.asarray(feature_map(concatenate([one, one])))
+    if of_two.shape != (2, features.shape[1]):
+        raise ValueError(
+            f"{name} must return as many features in every batch; for one observation it gave shape {features.shape}, "
+            f"for two {of_two.shape}."
         )
     return int(features.shape[1])
 

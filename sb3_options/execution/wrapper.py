@@ -84,7 +84,7 @@ class OptionsWrapper(OptionSlots):
         self._limit.runs[:] = 0
         self._running = None  # an error may have ended the last episode within an option
         if self.features is not None and self.bank.feature_size is None:
-            self.bank.feature_size = checked_size(self.features.map(batch_of_one(observation)))
+            self.bank.feature_size = checked_size(self.features.map, batch_of_one(observation))
         if self._withholding is not None:
             self._withholding.begin(self.bank.filled)
         return observation, info

@@ -61,7 +61,8 @@ def check_signature(there: SpaceSignature, here: SpaceSignature, policy_inputs: 
     """Refuse options that were made for other observations.
 
     A policy that acts on the observation needs the same space, one that acts on features does not. Both need the same
-    kind of feature map, because the subgoals lie in its space. A map that the user passed is taken to be that one.
+    kind of feature map, because the subgoals lie in its space. A map that the user passed is taken to be that one,
+    unless that was learned.
 
     Args:
         there: Of the file.
@@ -78,12 +79,16 @@ def check_signature(there: SpaceSignature, here: SpaceSignature, policy_inputs: 
             "options whose policies act on features (policy_input='features') move between tasks that are observed "
             "differently: learn them so, or make both environments give the same observations"
         )
-    if policy_inputs and here.features not in ("given", there.features):
+    given = here.features == "given" and there.features not in _LEARNED  # of which the file holds the map
+    if policy_inputs and not given and here.features != there.features:
+        name = f'"{there.features}"' if there.features in _LEARNED else "..."
         raise ValueError(
             f"its subgoals lie in {_OF_KIND[there.features]}, this task's in {_OF_KIND[here.features]}; pass the "
-            "feature map they were made with, OptionsWrapper(env, feature_map=...)"
+            f"feature map they were made with, OptionsWrapper(env, feature_map={name})"
         )
 
+
+_LEARNED = ("temporal-distance", "laplacian")
 
 _OF_KIND: dict[str | None, str] = {
     "given": "the features of a feature_map that was passed",

@@ -144,6 +144,23 @@ def test_feature_map() -> None:
         OptionsWrapper(CountingEnv(), feature_map=lambda obs: np.zeros(len(obs)))
 
 
+@pytest.mark.parametrize(
+    ("feature_map", "message"),
+    [
+        (lambda obs: np.zeros((len(obs), 0)), r"at least one for an observation; it gave 0 of type float64\.$"),
+        (lambda obs: np.full((len(obs), 1), "here"), r"must return real numbers, .+ it gave 1 of type <U4\.$"),
+        (lambda obs: np.zeros((len(obs), 1), complex), r"must return real numbers, .+ of type complex128\.$"),
+        (
+            lambda obs: np.zeros((len(obs), len(obs))),
+            r"for one observation it gave shape \(1, 1\), for two \(2, 2\)\.$",
+        ),
+    ],
+)
+def test_a_feature_map_that_makes_no_features_is_refused(feature_map: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        OptionsWrapper(CountingEnv(), feature_map=feature_map)
+
+
 def test_concept_features() -> None:
     env = OptionsWrapper(DictEnv(), feature_map=place_of)
     assert env.concept_features({"place": np.array([[3.0]])}).tolist() == [[3.0]]

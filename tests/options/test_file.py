@@ -14,7 +14,7 @@ from sb3_options import OptionBank, OptionsWrapper
 from sb3_options.envs import FOUR_ROOMS
 from sb3_options.execution.features import signature
 from sb3_options.experience.observations import flatten
-from sb3_options.options.file import FILE_FORMAT, digest, packed, read, slots_of
+from sb3_options.options.file import FILE_FORMAT, SpaceSignature, check_signature, digest, packed, read, slots_of
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import PolicyInput, TabularPolicy
 from tests.support.helpers import ball, steady_option
@@ -166,6 +166,13 @@ class TestOtherFeatures:
         other = grid(feature_map=flatten)
         other.bank.load(path)
         assert other.bank.filled == (0,)
+
+    @pytest.mark.parametrize("name", ["temporal-distance", "laplacian"])
+    def test_a_learned_one_is_in_the_file(self, name: str) -> None:
+        there, here = (SpaceSignature("Box", "0", features) for features in (name, "given"))
+        with pytest.raises(ValueError, match=rf'with, OptionsWrapper\(env, feature_map="{name}"\)$'):
+            check_signature(there, here, {"features"})
+        check_signature(there, there, {"features"})
 
     def test_a_file_without_discovered_options_fits_everywhere(self, tmp_path: Path) -> None:
         bank = grid().bank

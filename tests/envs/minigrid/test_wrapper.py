@@ -213,6 +213,12 @@ def test_missions_that_cannot_be_listed_are_refused() -> None:
     assert env.observation_space.contains(env.reset(seed=0)[0])
 
 
+def test_a_task_whose_files_are_missing_is_named() -> None:
+    env = make("MiniGrid-WFC-MazeSimple-v0")
+    with pytest.raises(FileNotFoundError, match=r"^MiniGrid-WFC-MazeSimple-v0 cannot be made: .+SimpleMaze\.png"):
+        env.reset()
+
+
 def test_convolutions_read_the_cells_as_a_picture() -> None:
     for env_id, n_words in (("MiniGrid-DoorKey-5x5-v0", 0), ("MiniGrid-Fetch-5x5-N2-v0", 13)):
         env = make(env_id)
@@ -226,9 +232,17 @@ def test_convolutions_read_the_cells_as_a_picture() -> None:
         objects = picture[0, :OBJECTS].argmax(dim=0).numpy()
         np.testing.assert_array_equal(objects, env.images(observation[None])[0, ..., 0])
     wider = MiniGridWrapper(ViewSizeWrapper(gym.make("MiniGrid-LockedRoom-v0"), agent_view_size=9))  # type: ignore[no-untyped-call]  # of minigrid
-    assert MiniGridCNN(wider.observation_space).view == 9
-    with pytest.raises(ValueError, match="1029 numbers or more, got 500"):
+    assert MiniGridCNN(wider.observation_space, view=9).view == 9
+    with pytest.raises(ValueError, match=r"got 1719\. For another view pass policy_kwargs="):
+        MiniGridCNN(wider.observation_space)
+    with pytest.raises(ValueError, match="1029 numbers for a view of 7 by 7 cells and some for the mission, got 500"):
         MiniGridCNN(gym.spaces.Box(0, 1, (500,)))
+    for n_frames in (2, 3, 4, 9):
+        with pytest.raises(ValueError, match=r"reads no stacked frames \(VecFrameStack\)"):
+            MiniGridCNN(gym.spaces.Box(0, 1, (n_frames * 1029,)))
+    for view in (5, 8):
+        with pytest.raises(ValueError, match=f"an odd view of 7 cells or more, got {view}"):
+            MiniGridCNN(wider.observation_space, view=view)
     optioned = OptionsWrapper(make("MiniGrid-DoorKey-5x5-v0"), max_options=2, gamma=0.99)
     how = {"features_extractor_class": MiniGridCNN}
     PPO("MlpPolicy", optioned, n_steps=16, batch_size=16, n_epochs=1, device="cpu", policy_kwargs=how).learn(32)
