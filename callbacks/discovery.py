@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 import os
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -32,7 +31,7 @@ from sb3_options.embedding.settings import EmbeddingSettings
 from sb3_options.execution.exploration import checked_share
 from sb3_options.execution.trials import TrialReport, TrialSettings, Verdict
 from sb3_options.experience.option_run import OptionRun
-from sb3_options.experience.success import SuccessRule, judged, reported_success, success_rule
+from sb3_options.experience.success import SuccessRule, judged, reported_success, success_rule, tell_success
 from sb3_options.experience.trajectories import EpisodeRecord, LabelledTrajectory, Trajectory
 from sb3_options.options.bank import OptionBank, PresentOptions
 from sb3_options.options.creation import OptionGrowth, joined, learn_further, learn_option
@@ -40,8 +39,6 @@ from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import PolicyInput
 from sb3_options.options.proposals import Proposal
 from sb3_options.options.settings import OptionLearningSettings
-
-logger = logging.getLogger("sb3_options")
 
 SEGMENTS_PER_LOG = 4
 """Segments between two dumps of the log; SB3's default is as many episodes."""
@@ -142,6 +139,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.embedding = given_as(EmbeddingSettings, {} if embedding is None else embedding)
         self._installer: OptionInstaller | None = None
         self._clock: DiscoveryClock | None = None
+        self._ended = True
 
     @property
     def bank(self) -> OptionBank:
@@ -149,7 +147,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         return PresentOptions(OptionBank(1, 0) if self._installer is None else self._installer.bank)
 
     def _on_training_start(self) -> None:
-        self._ended, venv = False, self.training_env
+        self._ended, venv = True, self.training_env
         before = None if self._installer is None else self._installer.model
         check_training(self, before)
         self._start_counting()
@@ -185,6 +183,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         venv.env_method("record_trajectories", True, self.settings.reward_peaks())
         self._trials = None if self.trial is None else OptionTrials(venv, self.trial, self.seed)
         self._clock = DiscoveryClock(self._search.seconds)
+        self._ended = False
 
     @property
     def _options(self) -> OptionInstaller:
@@ -213,20 +212,22 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             if run.index >= 0:
                 self._statistics.add(run)
             if "trajectory" in info:
-                self._episode_ended(info.pop("trajectory"), info.pop("option_trial", None))
+                self._episode_ended(info.pop("trajectory"), info)
             for segment in info.pop("segments", ()):
-                self._episode_ended(segment, None)
+                self._episode_ended(segment, {})
                 # An algorithm without rollouts dumps its log when episodes end, and there may be no end.
                 if self.episodes % SEGMENTS_PER_LOG == 0 and self._rollout_buffer is None:
                     self.logger.dump(self.num_timesteps)
         return goes_on
 
-    def _episode_ended(self, trajectory: Trajectory, report: TrialReport | None) -> None:
+    def _episode_ended(self, trajectory: Trajectory, info: dict[str, Any]) -> None:
         self.episodes += 1
         try:
             success, total = judged(self.success, trajectory), float(trajectory.rewards.sum())
+            tell_success(info, success, trajectory, self.success, len(self.model.ep_success_buffer or ()))
             self.history.append(EpisodeRecord(self.num_timesteps, total, success, len(trajectory)))
             if self._trials is not None:
+                report: TrialReport | None = info.pop("option_trial", None)
                 for slot, why in self._trials.episode_ended(report, success=success, filled=self._options.installed()):
                     self._close_option(slot, why)
             self._close_unreliable()
@@ -324,9 +325,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._statistics.forget(slot)
         self._growth.forget(slot)
         self.closed.append(ClosedOption(slot, self.episodes, self.num_timesteps, why))
-        logger.info("The option in slot %d proved %s and is closed, after %d episodes.", slot, why, self.episodes)
-        if self.verbose:
-            print(f"Option {slot} proved {why} and is closed, after {self.episodes} episodes")
+        self.closed[-1].tell(printed=self.verbose > 0)
 
     def _log(self) -> None:
         assert self._clock is not None  # made when training started
@@ -382,7 +381,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._options.set_state(state["options"])
 
     def _on_training_end(self) -> None:
-        if self._ended:  # rl-zoo3 ends training twice
+        if self._ended:  # rl-zoo3 ends training twice, and when it was refused
             return
         self._ended = True
         super()._on_training_end()

@@ -28,7 +28,7 @@ from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning import heads
 from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
-from sb3_options.learning.rollout_buffer import option_rollout_buffer
+from sb3_options.learning.rollout_buffer import SMDPAdvantages, option_rollout_buffer
 from sb3_options.learning.saved_model import keep_options, put_back
 from sb3_options.options.bank import OptionBank
 
@@ -61,6 +61,10 @@ class PrimitiveStepsCallback(BaseCallback):
     def __init__(self, verbose: int = 0, *, primitive_rollouts: bool = False) -> None:
         super().__init__(verbose)
         self.primitive_rollouts = primitive_rollouts
+        # rl-zoo3 ends trainings that were refused before they started, too.
+        self._stock_schedules: dict[str, Any] = {}
+        self._rollouts: PrimitiveRollouts | None = None
+        self._rollout_buffer: SMDPAdvantages | None = None
 
     def _on_training_start(self) -> None:
         check_replay_buffer(self.model)

@@ -119,6 +119,13 @@ class ClosedOption:
     timestep: int
     why: Verdict
 
+    def tell(self, *, printed: bool) -> None:
+        """Log it, and print it if asked."""
+        text = f"Option {self.slot} proved {self.why} and is closed, after {self.episode} episodes"
+        logger.info("%s.", text)
+        if printed:
+            print(text)
+
 
 class OptionStatistics:
     """Runs of each slot, with durations and terminations of the last ones, for TensorBoard.

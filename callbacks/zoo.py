@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from stable_baselines3.common.callbacks import EvalCallback
+
+from sb3_options.callbacks.counting import all_callbacks
 from sb3_options.callbacks.discovery import SubgoalDiscoveryCallback
 from sb3_options.callbacks.summaries import save_or_warn
 from sb3_options.options.archive import NAME
@@ -21,18 +24,28 @@ class ZooDiscoveryCallback(SubgoalDiscoveryCallback):
     """
 
     def _on_training_start(self) -> None:
-        super()._on_training_start()
-        if self.save_path is None:
-            if not all(self.training_env.env_is_wrapped(ZooOptionsWrapper)):
-                raise ValueError(
-                    "ZooDiscoveryCallback needs ZooOptionsWrapper, which tells it the folder of the run: write "
-                    "`env_wrapper: sb3_options.zoo.ZooOptionsWrapper`."
-                )
+        if all(self.training_env.env_is_wrapped(ZooOptionsWrapper)):
             folder: str | None = self.training_env.env_method("run_folder", indices=[0])[0]
-            # A search for hyperparameters keeps no runs.
-            self.save_path = None if folder is None else Path(folder) / NAME
+            if folder is None:  # a search for hyperparameters keeps no runs, and draws γ
+                self._discount_as_the_model()
+            elif self.save_path is None:
+                self.save_path = Path(folder) / NAME
+        elif self.save_path is None:
+            raise ValueError(
+                "ZooDiscoveryCallback needs ZooOptionsWrapper, which tells it the folder of the run: write "
+                "`env_wrapper: sb3_options.zoo.ZooOptionsWrapper`."
+            )
+        super()._on_training_start()
         save_or_warn(self.bank, self.save_path)  # a run that discovers nothing can be played too
 
+    def _discount_as_the_model(self) -> None:
+        callbacks = all_callbacks(self.locals.get("callback"))
+        for venv in [self.training_env, *(each.eval_env for each in callbacks if isinstance(each, EvalCallback))]:
+            if all(venv.env_is_wrapped(ZooOptionsWrapper)):
+                venv.env_method("discount_with", self.model.gamma)  # type: ignore[attr-defined]  # every algorithm over discrete actions has it
+
     def _on_training_end(self) -> None:
+        started = not self._ended
         super()._on_training_end()
-        save_or_warn(self.bank, self.save_path)  # options may have learned further since they were made
+        if started:
+            save_or_warn(self.bank, self.save_path)  # options may have learned further since they were made

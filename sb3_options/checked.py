@@ -17,7 +17,7 @@ from typing import Any, TypeVar, dataclass_transform
 from pydantic import ConfigDict, Field, ValidationError
 from pydantic.dataclasses import dataclass
 
-__all__ = ["Field", "given_as", "is_number", "readable", "settings", "whole"]
+__all__ = ["Field", "given_as", "is_number", "readable", "settings", "truth_values", "whole"]
 
 T = TypeVar("T")
 
@@ -40,6 +40,8 @@ def settings(cls: type[T]) -> type[T]:
         except ValidationError as error:
             unknown = any(e["type"].startswith("unexpected_") for e in error.errors())  # by keyword or position
             raise (TypeError if unknown else ValueError)(f"{cls.__name__}: {readable(error, names)}") from None
+        if wrong := truth_values(kwargs, self):
+            raise ValueError(f"{cls.__name__}: {wrong}")
 
     made.__init__ = __init__  # type: ignore[method-assign]  # it takes what the generated one takes
     return made  # type: ignore[return-value]  # pydantic types it as a class of its own, and it is ``cls`` itself
@@ -71,6 +73,27 @@ def given_as(cls: type[T], given: T | Mapping[str, Any]) -> T:
             near = difflib.get_close_matches(str(name), names, n=1, cutoff=0.0)[0]
             raise TypeError(f"{cls.__name__}: there is no setting {name!r}. Did you mean {near!r}?")
     return cls(**given) if isinstance(given, Mapping) else given
+
+
+def truth_values(given: Mapping[str, Any], made: object) -> str:
+    """What is wrong with truth values where a number is meant: pydantic takes True, and YAML's ``yes``, for 1.
+
+    Args:
+        given: Settings by name.
+        made: What pydantic made of them.
+
+    Returns:
+        One line; empty where there are none.
+    """
+    wrong = []
+    for name, value in given.items():
+        got = getattr(made, name, value)
+        if isinstance(value, Mapping) and dataclasses.is_dataclass(got):
+            inner = truth_values(value, got)
+            wrong += [f"{name}.{inner}"] if inner else []
+        elif isinstance(value, bool) and is_number(got):
+            wrong.append(f"{name} should be a number, got {value}")
+    return "; ".join(wrong)
 
 
 def readable(error: ValidationError, names: Sequence[str] = ()) -> str:

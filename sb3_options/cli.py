@@ -29,6 +29,7 @@ from sb3_options.checkpoints.environments import refusal
 from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.execution.trials import TrialSettings
 from sb3_options.execution.workers import WorkerLostError, end_workers
+from sb3_options.experience.success import success_rule
 from sb3_options.extras import how_to_install
 from sb3_options.options.bank import OptionBank
 from sb3_options.runs import config as configs
@@ -246,9 +247,9 @@ def _learn(
             limit = config.eval_max_steps
             seed = evaluation.EVAL_SEED + config.seed
             envs.append(runs.make_env(config, 1, seed, vec_env=config.vec_env, max_steps=limit))
-            evaluation_callback = eval_callback_class(config.algo)(
-                interrupts, folder, envs[1], n_eval_episodes=config.eval_episodes, eval_freq=1, verbose=0
-            )
+            how = {"n_eval_episodes": config.eval_episodes, "eval_freq": 1, "verbose": 0}
+            watched, rule = eval_callback_class(config.algo), success_rule(config.success)
+            evaluation_callback = watched(interrupts, folder, rule, envs[1], **how)
             # EvalCallback counts calls of step, of which one may be many primitive steps.
             callbacks.append(EveryNTimesteps(config.eval_freq, evaluation_callback))
         callbacks += [KeepToBudget(), StopWhenNoted(interrupts), KeepTraining()]

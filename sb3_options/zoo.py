@@ -21,7 +21,8 @@ from stable_baselines3.common.monitor import Monitor
 from sb3_options.embedding.settings import MapName
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.observations import FeatureMap
-from sb3_options.options.archive import NAME
+from sb3_options.experience.option_run import OptionRun
+from sb3_options.options.archive import NAME, content_in
 
 PLAYERS = ("enjoy", "record_video", "push_to_hub")
 """The programs of rl-zoo3 that load a run."""
@@ -32,7 +33,7 @@ class ZooOptionsWrapper(OptionsWrapper):
 
     In ``rl_zoo3.enjoy``, ``record_video`` and ``push_to_hub`` these are the options in the folder of the run played;
     in ``rl_zoo3.train --trained-agent FILE`` those beside that file; else there are none to start with. The file is
-    what `ZooDiscoveryCallback` wrote.
+    what `ZooDiscoveryCallback` wrote; where it is missing, the model's own zip has them, too.
 
     Args:
         env: Its action space must be ``Discrete`` and start at 0.
@@ -44,7 +45,7 @@ class ZooOptionsWrapper(OptionsWrapper):
         check_finite: Likewise.
 
     Raises:
-        FileNotFoundError: The run has no options file: it was trained without `ZooDiscoveryCallback`.
+        FileNotFoundError: The run has neither an options file nor a model.
         ValueError: Its options do not fit, or which program runs cannot be told.
     """
 
@@ -60,14 +61,8 @@ class ZooOptionsWrapper(OptionsWrapper):
         check_finite: bool = False,
     ) -> None:
         if options_file is None:
-            folder = loaded_run(_program(), sys.argv[1:])
-            if folder is not None:
-                options_file = folder / NAME
-                if not options_file.is_file():
-                    raise FileNotFoundError(
-                        f"There is no {NAME} in {folder}: the run was trained without ZooDiscoveryCallback. Name it "
-                        "under `callback`, or name an options_file for ZooOptionsWrapper."
-                    )
+            loaded = loaded_model(_program(), sys.argv[1:])
+            options_file = None if loaded is None else _options_of(loaded)
         super().__init__(
             env,
             max_options,
@@ -77,6 +72,11 @@ class ZooOptionsWrapper(OptionsWrapper):
             max_runs=max_runs,
             check_finite=check_finite,
         )
+
+    def discount_with(self, gamma: float) -> None:
+        """Take another discount: a search for hyperparameters draws the algorithm's."""
+        self.gamma = float(gamma)
+        self._primitive = OptionRun(-1, 1, self.gamma, self.gamma, "primitive").as_info()
 
     def run_folder(self) -> str | None:
         """The folder of the run that is being trained: where ``Monitor`` writes; None where it writes nothing."""
@@ -88,21 +88,46 @@ class ZooOptionsWrapper(OptionsWrapper):
         return None
 
 
-def loaded_run(program: str, arguments: Sequence[str]) -> Path | None:
-    """The folder of the run that a program of rl-zoo3 loads.
+def _options_of(model: Path) -> Path:
+    """The file that holds the options of a model: the one beside it, else the model itself.
+
+    Raises:
+        FileNotFoundError: There is neither.
+        ValueError: The model holds no options.
+    """
+    beside = model.with_name(NAME)
+    if beside.is_file():
+        return beside
+    if not model.is_file():
+        raise FileNotFoundError(
+            f"There is neither {NAME} nor {model.name} in {model.parent}. Name an options_file for ZooOptionsWrapper."
+        )
+    try:
+        content_in(model)
+    except ValueError as error:
+        raise ValueError(
+            f"There is no {NAME} in {model.parent}, and {error} Train with ZooDiscoveryCallback under `callback`, or "
+            "name an options_file for ZooOptionsWrapper."
+        ) from error
+    return model
+
+
+def loaded_model(program: str, arguments: Sequence[str]) -> Path | None:
+    """The model that a program of rl-zoo3 loads, or another in the same folder.
 
     Args:
         program: ``train``, ``enjoy``, ``record_video`` …
-        arguments: Of its command line.
+        arguments: Of its command line. Flags may be abbreviated, as rl-zoo3 has it: what is ambiguous there has ended
+            its program before.
 
     Returns:
-        The folder; None where it loads none.
+        The file, which need not be there; None where it loads none.
     """
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser = argparse.ArgumentParser(add_help=False)
     if program == "train":
         parser.add_argument("-i", "--trained-agent", default="")
         agent = parser.parse_known_args(arguments)[0].trained_agent
-        return Path(agent).parent if agent else None
+        return Path(agent) if agent else None
     if program not in PLAYERS:
         return None
     # Imported here: the wrapper is of use without rl-zoo3 as well.
@@ -118,7 +143,7 @@ def loaded_run(program: str, arguments: Sequence[str]) -> Path | None:
     name = EnvironmentName(known.env)
     runs: Path = Path(known.folder) / known.algo
     run = known.exp_id or get_latest_run_id(str(runs), name)
-    return runs / f"{name}_{run}" if run > 0 else runs
+    return (runs / f"{name}_{run}" if run > 0 else runs) / f"{name}.zip"
 
 
 def _program() -> str:

@@ -7,13 +7,14 @@ from typing import Any
 
 import pytest
 from stable_baselines3 import DQN
+from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv
 
 from sb3_options import OptionBank, OptionReplayBuffer
-from sb3_options.callbacks import ZooDiscoveryCallback
+from sb3_options.callbacks import PrimitiveStepsCallback, ZooDiscoveryCallback
 from sb3_options.options.archive import NAME
-from sb3_options.zoo import ZooOptionsWrapper, loaded_run
+from sb3_options.zoo import ZooOptionsWrapper, loaded_model
 from tests.support.sb3_helpers import FAST_DISCOVERY, RANDOM, TINY, optioned_rooms, small_rooms
 
 
@@ -70,6 +71,29 @@ def test_without_a_folder_nothing_is_written(tmp_path: Path, monkeypatch: pytest
     assert not list(tmp_path.iterdir())
 
 
+def test_a_search_may_draw_the_discount(tmp_path: Path) -> None:
+    """rl-zoo3 draws γ in every search for hyperparameters, which keeps no runs."""
+    venv = zoo_rooms(None, 2)
+    evaluation = EvalCallback(zoo_rooms(None), eval_freq=20, n_eval_episodes=1)
+    model = DQN("MlpPolicy", venv, gamma=0.8, replay_buffer_class=OptionReplayBuffer, **TINY)
+    model.learn(50, callback=[ZooDiscoveryCallback(), evaluation])
+    assert venv.get_attr("gamma") == [0.8, 0.8]
+    assert evaluation.eval_env.get_attr("gamma") == [0.8]
+    assert venv.envs[0]._primitive["discount"] == 0.8  # type: ignore[attr-defined]  # a DummyVecEnv
+
+
+def test_a_refused_training_ends_without_another_error(tmp_path: Path) -> None:
+    """rl-zoo3 ends every training, and its error would be the last that a user sees."""
+    venv = zoo_rooms(tmp_path)
+    model = DQN("MlpPolicy", venv, gamma=0.8, replay_buffer_class=OptionReplayBuffer, **TINY)
+    for callback in (ZooDiscoveryCallback(), PrimitiveStepsCallback()):
+        with pytest.raises(ValueError, match=r"discounts with gamma=0\.9, DQN with gamma=0\.8"):
+            model.learn(50, callback=callback)
+        callback.on_training_end()
+    venv.close()
+    assert not (tmp_path / NAME).exists()
+
+
 def test_another_place_for_the_file(tmp_path: Path) -> None:
     train(zoo_rooms(tmp_path), 50, save_path=tmp_path / "mine")
     assert (tmp_path / "mine").exists()
@@ -91,18 +115,37 @@ def test_callback_needs_its_wrapper() -> None:
 
 class TestLoadedRun:
     def test_training_loads_none(self) -> None:
-        assert loaded_run("train", ["--algo", "dqn", "-f", "logs", "--uuid"]) is None
-        assert loaded_run("pytest", ["--folder", "logs"]) is None
+        assert loaded_model("train", ["--algo", "dqn", "-f", "logs", "--uuid"]) is None
+        assert loaded_model("pytest", ["--folder", "logs"]) is None
 
-    @pytest.mark.parametrize("flag", ["-i", "--trained-agent"])
+    @pytest.mark.parametrize("flag", ["-i", "--trained-agent", "--trained"])
     def test_training_goes_on_from_an_agent(self, flag: str) -> None:
-        assert loaded_run("train", ["--algo", "dqn", flag, "logs/dqn/Rooms_1/Rooms.zip"]) == Path("logs/dqn/Rooms_1")
+        assert loaded_model("train", ["--algo", "dqn", flag, "logs/dqn/Rooms_1/Rooms.zip"]) == Path(
+            "logs/dqn/Rooms_1/Rooms.zip"
+        )
 
 
 def test_a_run_without_options_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["rl_zoo3/train.py", "--trained-agent", f"{tmp_path}/Rooms.zip"])
-    with pytest.raises(FileNotFoundError, match=r"no options\.safetensors in .* trained without ZooDiscoveryCallback"):
+    with pytest.raises(
+        FileNotFoundError, match=r"neither options\.safetensors nor Rooms\.zip in .*Name an options_file"
+    ):
         ZooOptionsWrapper(small_rooms())
+    DQN("MlpPolicy", optioned_rooms(), gamma=0.9, replay_buffer_class=OptionReplayBuffer, **TINY).save(
+        tmp_path / "Rooms.zip"
+    )
+    with pytest.raises(ValueError, match=r"no options\.safetensors in .*Rooms\.zip holds no options: .*Train with Zoo"):
+        ZooOptionsWrapper(small_rooms())
+
+
+def test_a_model_that_was_moved_without_its_options_file_has_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    callback = train(zoo_rooms(tmp_path))
+    (tmp_path / NAME).unlink()
+    callback.model.save(tmp_path / "A.zip")
+    monkeypatch.setattr(sys, "argv", ["rl_zoo3/train.py", "-i", f"{tmp_path}/A.zip"])
+    assert ZooOptionsWrapper(small_rooms()).bank.filled == (0,)
 
 
 def test_options_beside_a_trained_agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

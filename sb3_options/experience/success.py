@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, MutableMapping
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -106,6 +106,25 @@ def success_rule(given: SuccessRule | str) -> SuccessRule:
             f"success takes 'reported', 'terminated', 'return:NUMBER' or 'steps:NUMBER', for instance return:30, got "
             f"{given!r}; in a script also a function of a Trajectory."
         ) from None
+
+
+def tell_success(
+    info: MutableMapping[str, Any], said: bool, trajectory: Trajectory, rule: SuccessRule, seen: int
+) -> None:
+    """Put success by a rule into the info that ends an episode, where Stable-Baselines3 logs it from.
+
+    The environment may report another success than the rule, or report it in those episodes alone that succeed. Where
+    it never reports any, and the rule is to go by that, there is none to log.
+
+    Args:
+        info: Gets ``is_success``.
+        said: What the rule says.
+        trajectory: The episode's.
+        rule: Which.
+        seen: Number of earlier episodes that have logged success.
+    """
+    if rule is not reported_success or trajectory.is_success is not None or seen:
+        info["is_success"] = said
 
 
 def _terminated(trajectory: Trajectory) -> bool:

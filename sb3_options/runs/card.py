@@ -71,8 +71,8 @@ def card_of(
     parts = [
         "---\nlibrary_name: stable-baselines3\ntags:\n- reinforcement-learning\n- options\n- sb3-options\n---",
         f"# {name} on {config.env}, with options",
-        f"An agent of Stable-Baselines3 that also chooses options. It was trained for {config.n_timesteps:,} primitive "
-        f"steps at most, with seed {config.seed}: one run, and no study.",
+        f"An agent of Stable-Baselines3 that also chooses options. Its budget was {config.n_timesteps:,} primitive "
+        f"steps, its seed {config.seed}: one run, and no study.",
         "## Options",
         *_options(contents, found),
         *([f"![Subgoals, and what was seen]({runs.SUBGOALS})"] if picture else []),

@@ -13,7 +13,7 @@ import tyro
 from pydantic import AfterValidator, BeforeValidator, TypeAdapter, ValidationError
 
 from sb3_options.atomic import atomic_write
-from sb3_options.checked import Field, readable, settings
+from sb3_options.checked import Field, readable, settings, truth_values
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.runs import yaml_file
@@ -355,9 +355,12 @@ def made(values: Mapping[str, Any], where: str | Path) -> TrainConfig:
     for name, value in kept(values).items():
         content[name] = {**content.get(name, {}), **value} if name in GROUPS and isinstance(value, dict) else value
     try:
-        return TypeAdapter(CLASSES[algo]).validate_python(content)
+        config: TrainConfig = TypeAdapter(CLASSES[algo]).validate_python(content)
     except ValidationError as error:
         raise ValueError(f"{where}: {readable(error)}") from None
+    if wrong := truth_values(content, config):
+        raise ValueError(f"{where}: {wrong}.")
+    return config
 
 
 def with_method(values: Mapping[str, Any], where: str | Path) -> Mapping[str, Any]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import io
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback, ProgressBarCallback
 
 from sb3_options.atomic import atomic_write
+from sb3_options.experience.success import SuccessRule, judged, tell_success
 from sb3_options.runs.interrupts import Interrupts
 from sb3_options.runs.logs import Tolerance
 
@@ -27,20 +29,23 @@ class _InterruptedError(Exception):
 class WatchedEvalCallback(EvalCallback):
     """SB3's ``EvalCallback``, whose evaluations the progress bar shows, and which an interrupt ends with training.
 
-    It writes ``evaluations.npz`` and ``best_model.zip`` whole or not at all; a full disk ends no training.
+    It writes ``evaluations.npz`` and ``best_model.zip`` whole or not at all; a full disk ends no training. It logs
+    success by the run's rule, as training and ``evaluate`` do.
 
     Args:
         interrupts: Notes them.
         folder: Where to write.
+        success: The rule.
         *args: Of ``EvalCallback``.
         **kwargs: Likewise.
     """
 
     remembers_nothing = True  # more than EvalCallback does, from one evaluation to the next
 
-    def __init__(self, interrupts: Interrupts, folder: Path, *args: Any, **kwargs: Any) -> None:
+    def __init__(self, interrupts: Interrupts, folder: Path, success: SuccessRule, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs | {"callback_on_new_best": _SaveBest(folder / BEST)})
-        self.interrupts = interrupts
+        self.interrupts, self.success = interrupts, success
+        self._unreported: list[bool] = []
         self.log_path: Any = io.BytesIO()  # SB3's file, rewritten with every evaluation
         self._file = folder / EVALUATIONS
         self._write = Tolerance(self._file).tolerant(self._write_evaluations)
@@ -50,8 +55,10 @@ class WatchedEvalCallback(EvalCallback):
         self.log_path, file = None, self.log_path  # SB3 would make its folder
         super()._init_callback()
         self.log_path = file
+        self.eval_env.env_method("record_trajectories", True)
 
     def _on_step(self) -> bool:
+        self._unreported = []
         self.log_path.seek(0)
         self.log_path.truncate()
         try:
@@ -70,6 +77,9 @@ class WatchedEvalCallback(EvalCallback):
 
     def _log_success_callback(self, locals_: dict[str, Any], globals_: dict[str, Any]) -> None:
         # SB3 calls it after every decision of an evaluation.
+        with suppress(ValueError):  # what the environment reports is no truth value, which training says
+            if "trajectory" in locals_["info"]:
+                self._tell_success(locals_["info"])
         super()._log_success_callback(locals_, globals_)
         if self.interrupts.due():
             raise _InterruptedError
@@ -77,6 +87,15 @@ class WatchedEvalCallback(EvalCallback):
             episode = min(sum(locals_["episode_counts"]) + 1, self.n_eval_episodes)
             self._show(f"evaluating: episode {episode} of {self.n_eval_episodes}, decision {self._decisions}")
         self._decisions = 0 if locals_["done"] else self._decisions + 1
+
+    def _tell_success(self, info: dict[str, Any]) -> None:
+        trajectory, earlier = info.pop("trajectory"), self._is_success_buffer
+        said = judged(self.success, trajectory)
+        tell_success(info, said, trajectory, self.success, len(earlier) + len(self.model.ep_success_buffer or ()))
+        if "is_success" not in info:
+            self._unreported.append(said)
+        elif not earlier:
+            earlier.extend(self._unreported)  # it was told only now that the environment reports success
 
     def _show(self, text: str) -> None:
         for callback in getattr(self.locals.get("callback"), "callbacks", ()):  # learn adds the bar to all others

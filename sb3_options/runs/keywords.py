@@ -24,7 +24,7 @@ IDS = ("id", "env_id")
 
 
 def keywords_of(pairs: Any, given_for: str = "--env-kwargs") -> Any:
-    """Pairs ``name:value`` as keyword arguments; a value is read as YAML, so that 3 is a number.
+    """Pairs ``name:value`` as keyword arguments; a value is read as YAML, so that 3 is a number, or it is None.
 
     Args:
         pairs: Of the command line or a file; a mapping is let be.
@@ -41,7 +41,7 @@ def keywords_of(pairs: Any, given_for: str = "--env-kwargs") -> Any:
         if not colon:
             raise ValueError(f"{given_for} takes pairs name:value, got {pair}.")
         try:
-            keywords[name] = yaml_file.parse(value)
+            keywords[name] = None if value == "None" else yaml_file.parse(value)
         except ValueError as error:
             raise ValueError(
                 f"{given_for}: the value of {name!r} is no YAML that can be read safely: {error}"

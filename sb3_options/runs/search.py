@@ -104,11 +104,16 @@ def opened(search: Search) -> optuna.Study:
     return study
 
 
+class FirstTrialsFailedError(ValueError):
+    """The first trials failed for the same reason, as others would."""
+
+
 def work(study: optuna.Study, search: Search, console: Console) -> None:
     """Try one set of settings after another until there are enough.
 
     Raises:
-        ValueError: The first trials failed for the same reason, or time and again a trial failed.
+        FirstTrialsFailedError: The first trials failed for the same reason.
+        ValueError: Time and again a trial failed.
     """
     counted = (TrialState.COMPLETE, TrialState.PRUNED, TrialState.RUNNING)
     while len(study.get_trials(deepcopy=False, states=counted)) < search.trials:
@@ -146,7 +151,7 @@ def _check_failures(study: optuna.Study, search: Search) -> None:
     why = last[-1].user_attrs["failed"]
     came_to_an_end = any(trial.state in (TrialState.COMPLETE, TrialState.PRUNED) for trial in trials)
     if not came_to_an_end and len({_reason(trial) for trial in last}) == 1:
-        raise ValueError(f"The first {len(failures)} trials all failed, and for the same reason: {why}")
+        raise FirstTrialsFailedError(f"The first {len(failures)} trials all failed, and for the same reason: {why}")
     if len(failures) >= (max(N_RANDOM, search.trials) if came_to_an_end else search.trials):
         raise ValueError(f"{len(failures)} trials failed. The last one: {why}")
 

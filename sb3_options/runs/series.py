@@ -111,11 +111,14 @@ def read(run: Path, trusted: Mapping[str, str | None]) -> Series | None:
         and all(Path(name).name == name for name in before)
     ):
         raise ValueError(f"{run / BEFORE} does not say what was done before this task of {run / SERIES}.")
-    for other in sorted(run.resolve().parent.glob(f"*/{BEFORE}")):
-        if run.resolve().name in _names(other) and any(CheckpointFolder(other.parent / runs.CHECKPOINTS)):
-            raise ValueError(
-                f"The series has gone on after {run}: resume the last one, {run.parent / other.parent.name}."
-            )
+    later = [
+        other
+        for other in sorted(run.resolve().parent.glob(f"*/{BEFORE}"))
+        if run.resolve().name in _names(other) and any(CheckpointFolder(other.parent / runs.CHECKPOINTS))
+    ]
+    if later:
+        last = max(later, key=lambda other: len(_names(other)))
+        raise ValueError(f"The series has gone on after {run}: resume the last one, {run.parent / last.parent.name}.")
     return Series(config, tuple(before), tuple(map(tuple, rows)))
 
 

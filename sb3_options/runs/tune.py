@@ -10,6 +10,7 @@ import shlex
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,7 @@ from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.interrupts import raised
 from sb3_options.runs.pictures import DPI
 from sb3_options.runs.scored import ClusterProcesses, Processes, score, was_there_at_once
-from sb3_options.runs.search import Search, best_of, opened, short, work
+from sb3_options.runs.search import FirstTrialsFailedError, Search, best_of, opened, short, work
 from sb3_options.runs.search_space import SearchSpace, Value, read_space
 from sb3_options.runs.tune_config import TuneConfig
 from sb3_options.runs.users_code import IMPORTING, flag
@@ -85,7 +86,11 @@ def tune(config: TuneConfig, *, console: Console) -> TrainConfig:
         jobs = [threads.submit(work, study, search, console) for _ in range(config.jobs)]
         try:
             for job in jobs:
-                job.result()
+                with suppress(FirstTrialsFailedError):
+                    job.result()
+            if not study.get_trials(deepcopy=False, states=(TrialState.COMPLETE, TrialState.PRUNED)):
+                for job in jobs:
+                    job.result()
         except BaseException:
             processes.end()
             raise

@@ -293,6 +293,17 @@ class TestSeries:
             capsys.readouterr().err.split()
         )
 
+    def test_the_last_of_three_is_named(self, tasks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        for each in tasks.iterdir():
+            shutil.copytree(each, tmp_path / each.name)
+        first, second = sorted(tmp_path.iterdir())
+        third = tmp_path / "z"
+        shutil.copytree(second, third)
+        (third / "before.yml").write_text(f"before: [{first.name}, {second.name}]\n")
+        with pytest.raises(SystemExit):
+            cli.main(["resume", str(first)])
+        assert f"resume the last one, {third}." in " ".join(capsys.readouterr().err.split())
+
     @pytest.mark.parametrize(
         "content",
         [

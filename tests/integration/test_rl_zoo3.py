@@ -12,7 +12,7 @@ import yaml
 
 from sb3_options import OptionBank
 from sb3_options.options.archive import NAME
-from sb3_options.zoo import loaded_run
+from sb3_options.zoo import loaded_model
 from tests.support import processes
 from tests.support.sb3_helpers import FAST_DISCOVERY, SMALL_ROOMS
 
@@ -123,8 +123,17 @@ def test_which_run_is_played(tmp_path: Path) -> None:
     for name in ("Rooms-v0_1", "Rooms-v0_2", "a-Rooms-v0_1"):
         (tmp_path / "dqn" / name).mkdir(parents=True)
     arguments = ["--algo", "dqn", "-f", str(tmp_path), "--no-render", "-n", "10"]
-    assert loaded_run("enjoy", [*arguments, "--env", "Rooms-v0"]) == tmp_path / "dqn" / "Rooms-v0_2"
-    assert loaded_run("enjoy", [*arguments, "--env", "a/Rooms-v0"]) == tmp_path / "dqn" / "a-Rooms-v0_1"
-    assert loaded_run("enjoy", [*arguments, "--env", "Rooms-v0", "--exp-id", "1"]) == tmp_path / "dqn" / "Rooms-v0_1"
+    assert loaded_model("enjoy", [*arguments, "--env", "Rooms-v0"]) == tmp_path / "dqn" / "Rooms-v0_2" / "Rooms-v0.zip"
+    assert (
+        loaded_model("enjoy", [*arguments, "--env", "a/Rooms-v0"])
+        == tmp_path / "dqn" / "a-Rooms-v0_1" / "a-Rooms-v0.zip"
+    )
+    assert (
+        loaded_model("enjoy", [*arguments, "--env", "Rooms-v0", "--exp-id", "1"])
+        == tmp_path / "dqn" / "Rooms-v0_1" / "Rooms-v0.zip"
+    )
     for player in ("record_video", "push_to_hub"):
-        assert loaded_run(player, [*arguments, "--env", "Rooms-v0", "--exp-id", "-1"]) == tmp_path / "dqn"
+        assert (
+            loaded_model(player, [*arguments, "--env", "Rooms-v0", "--exp-id", "-1"])
+            == tmp_path / "dqn" / "Rooms-v0.zip"
+        )

@@ -26,7 +26,7 @@ def test_a_card_names_options_numbers_and_settings(file: Path) -> None:
     assert "| 0 | reach 10, 5 | 10, 5 | 4,000 | 2 |" in body
     assert "| 1 | turn round | made by hand: code, not in the file | given at the start |  |" in body
     assert "| success rate, all episodes | 1 |" in body
-    assert "with seed 3: one run, and no study" in body
+    assert " steps, its seed 3: one run, and no study" in body
     assert contents_of(file).digest in body
     assert "subgoals.png" not in body
     (settings,) = re.findall(r"```yaml\n(.*?)```", body, re.DOTALL)

@@ -176,6 +176,9 @@ def test_every_shipped_default_is_of_an_environment_there_is() -> None:
         (PPOConfig, {"learning_starts": 9}, TypeError, "PPOConfig: there is no setting 'learning_starts'"),
         (PPOConfig, {"algo": "dqn"}, ValueError, "algo should be 'ppo' or 'recurrentppo', got 'dqn'"),
         (DQNConfig, {"env_kwargs": ["map"]}, ValueError, "--env-kwargs takes pairs name:value, got map"),
+        (DQNConfig, {"learning_rate": True}, ValueError, "DQNConfig: learning_rate should be a number, got True"),
+        (DQNConfig, {"discovery": {"goal_radius": False}}, ValueError, r"discovery\.goal_radius should be a number"),
+        (DiscoverySettings, {"min_positive": True}, ValueError, "min_positive should be a number, got True"),
         (DQNConfig, {"env_kwargs": 3}, ValueError, "env_kwargs should be a valid dictionary, got 3"),
     ],
 )
@@ -184,9 +187,27 @@ def test_values_out_of_range_are_refused(of: Any, values: Any, error: type[Excep
         of(**values)
 
 
+def test_truth_values_in_files_are_no_numbers() -> None:
+    for values in ({"learning_rate": True}, {"n_timesteps": True}, {"discovery": {"goal_radius": True}}):
+        with pytest.raises(ValueError, match=r"^run\.yml: .* should be a number, got True\.$"):
+            configs.made(values, "run.yml")
+    assert (
+        configs.made({"discover": False, "env_kwargs": {"continuing": True}}, "run.yml").env_kwargs["continuing"]
+        is True
+    )
+
+
 def test_keyword_arguments_are_read_as_yaml() -> None:
-    pairs: Any = ("is_rainy:true", 'map:"S#\\nSG"', "max_steps:7", "p:0.5", "goal:[1, 1]", "note:a:b")
-    expected = {"is_rainy": True, "map": "S#\nSG", "max_steps": 7, "p": 0.5, "goal": [1, 1], "note": "a:b"}
+    pairs: Any = ("is_rainy:true", 'map:"S#\\nSG"', "max_steps:7", "p:0.5", "goal:[1, 1]", "note:a:b", "limit:None")
+    expected = {
+        "limit": None,
+        "is_rainy": True,
+        "map": "S#\nSG",
+        "max_steps": 7,
+        "p": 0.5,
+        "goal": [1, 1],
+        "note": "a:b",
+    }
     assert DQNConfig(env_kwargs=pairs).env_kwargs == DQNConfig(env_kwargs=expected).env_kwargs == expected
 
 

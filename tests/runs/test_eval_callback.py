@@ -18,6 +18,7 @@ from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.runs import folder as runs
 from sb3_options.runs.config import DQNConfig, MaskablePPOConfig, TrainConfig
 from sb3_options.runs.evaluation import evaluate_run
+from sb3_options.runs.logged import read_run
 from tests.support.helpers import CountingEnv
 
 Register = Callable[..., list[int]]
@@ -45,6 +46,40 @@ def register() -> Iterator[Register]:
 def settings(tmp_path: Path, of: type[TrainConfig] = DQNConfig, **kwargs: Any) -> Any:
     common: dict[str, Any] = {"eval_freq": 50, "progress": False, "device": "cpu", "tensorboard_log": tmp_path}
     return of(env="Evaluated-v0", **(common | kwargs))
+
+
+@pytest.mark.parametrize(
+    ("rule", "told", "rate"),
+    [
+        ("reported", "of successes", 0.25),
+        ("reported", "always", 0.25),
+        ("reported", "never", None),
+        ("steps:4", "always", 0.0),
+        ("terminated", "never", 1.0),
+    ],
+)
+def test_success_is_logged_by_the_rule(rule: str, told: str, rate: float | None, tmp_path: Path) -> None:
+    """Also where the environment reports another, or reports it at the end of successes alone."""
+    episodes = [0]
+
+    def step(env: CountingEnv, action: int) -> Any:
+        over = env.time >= 5
+        episodes[0] += over
+        good = episodes[0] % 4 == 0
+        says = over and (told == "always" or (told == "of successes" and good))
+        return np.array([float(env.time)]), 1.0, over, False, {"is_success": good} if says else {}
+
+    gym.register("Evaluated-v0", lambda: CountingEnv(step=step))  # type: ignore[arg-type]  # no arguments
+    try:
+        folder = cli.train(settings(tmp_path, success=rule, n_envs=1, n_timesteps=400, eval_episodes=4))
+    finally:
+        gym.registry.pop("Evaluated-v0")
+    curves = read_run(folder).curves
+    if rate is None:
+        assert "success" not in curves["eval"] | curves["rollout"]
+        return
+    assert set(curves["eval"]["success"].values) == {np.float32(rate)}
+    assert curves["rollout"]["success"].values[-1] == pytest.approx(rate, abs=0.02)
 
 
 @pytest.mark.parametrize(("own", "limit", "expected"), [(None, 30, 30), (20, 30, 20), (200, 30, 30)])

@@ -251,6 +251,40 @@ def test_a_search_ends_when_its_first_trials_fail_for_the_same_reason(
     )
 
 
+def test_a_search_that_completes_trials_ends_well_though_one_of_its_jobs_gave_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first five fail beside one that takes longer, and is the first to be completed."""
+    failed, begun = [0], threading.Barrier(2)
+    gave_up = threading.Event()
+
+    def score(run: TrainConfig, *_: object) -> float:
+        number = int(run.tensorboard_log.parent.name)
+        if number < 2:
+            begun.wait(60)
+        if number == 0:
+            assert gave_up.wait(60)
+        if number in range(1, search.N_FAILED + 1):
+            failed[0] += 1
+            raise scored.RunFailedError("no memory")
+        return 1.0
+
+    check = search._check_failures
+
+    def checked(*args: Any) -> None:
+        try:
+            check(*args)
+        except ValueError:
+            gave_up.set()
+            raise
+
+    monkeypatch.setattr(tune, "score", score)
+    monkeypatch.setattr(search, "_check_failures", checked)
+    best = tune.tune(TuneConfig(written(tmp_path), tmp_path / "out", trials=3, seeds=1, jobs=2), console=quiet())
+    assert failed[0] == search.N_FAILED
+    assert best.env == BASE["env"]
+
+
 def test_trials_in_place_of_those_that_failed_have_no_number_above_what_was_asked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
