@@ -36,7 +36,8 @@ def loop_erased(features: FloatArray, visits: IntArray, radius: float) -> IntArr
 
     Returns:
         Rows of ``features``, shape (k,), k ≤ m, each at most once. The first is ``visits[0]``; the last is within
-        ``radius`` of where the trajectory ended.
+        ``radius`` of where the trajectory ended, or, where that is within ``radius`` of its start, of the last state
+        before it came back.
     """
     if np.linalg.norm(features[visits[-1]] - features[visits[0]]) <= radius:
         away = np.linalg.norm(features - features[visits[0]], axis=1) > radius

@@ -8,8 +8,8 @@ under the same drift of learning, and their discounted returns G = Σ γᵗ rₜ
 
 U being the one-sided Mann-Whitney statistic for "without it returns are greater" over the last episodes, and a look
 taken after every so many withheld episodes. Σ 1/(j (j + 1)) = 1, so that an option without effect is closed with a
-probability of at most α, however long the trial goes on. Because the draws are independent of everything before them,
-this needs neither normal nor stationary returns.
+probability of at most α, however long the trial goes on, as far as the tail of U is known (`harm`). The draws are
+independent of everything before them, so that this needs neither normal nor stationary returns.
 
 Cost: the share of episodes withheld × what the option is worth in an episode, and α.
 """
@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Annotated, Any, Literal, TypeAlias, TypedDict
 
 import numpy as np
-from scipy.stats import mannwhitneyu
+from scipy.stats import hypergeom, mannwhitneyu, norm, rankdata
 
 from sb3_options.checked import Field, settings
 from sb3_options.execution.interruption import Interruption
@@ -131,6 +131,11 @@ class OptionTrial:
 def harm(with_it: FloatArray, without_it: FloatArray) -> float:
     """The probability of a U as great as this one if the option made no difference (Mann & Whitney 1947), one-sided.
 
+    U counts the pairs in which the outcome without the option is greater, and half of those with equal outcomes. Where
+    few episodes succeed, all others have the same outcome, and U is far from normal: one more success is worth dozens
+    of pairs. How many of the outcomes above the least were without the option is hypergeometric, so with ties this sums
+    over that number; given it, U among them is taken as normal, corrected for ties and continuity.
+
     Args:
         with_it: Outcomes of episodes with the option, (n,).
         without_it: Outcomes of episodes without it, (m,).
@@ -138,9 +143,25 @@ def harm(with_it: FloatArray, without_it: FloatArray) -> float:
     Returns:
         Small if outcomes without it are greater; 1 where there is nothing to compare.
     """
-    if len(with_it) == 0 or len(without_it) == 0 or np.ptp(np.concatenate([with_it, without_it])) == 0:
+    everything = np.concatenate([with_it, without_it])
+    if len(with_it) == 0 or len(without_it) == 0 or np.ptp(everything) == 0:
         return 1.0
-    return float(mannwhitneyu(without_it, with_it, alternative="greater").pvalue)
+    n_all, n_without = len(everything), len(without_it)
+    if len(np.unique(everything)) == n_all:
+        return float(mannwhitneyu(without_it, with_it, alternative="greater").pvalue)
+    u = float(rankdata(everything)[len(with_it) :].sum()) - n_without * (n_without + 1) / 2
+    above = everything[everything > everything.min()]
+    n_above, n_least = len(above), n_all - len(above)
+    k = np.arange(max(0, n_without - n_least), min(n_without, n_above) + 1)
+    of_least = (n_least - (n_without - k)) * (k + (n_without - k) / 2)  # pairs whose other outcome is the least
+    ties = np.unique(above, return_counts=True)[1]
+    spread = n_above + 1 - float((ties**3 - ties).sum()) / max(n_above * (n_above - 1), 1)
+    mean, deviation = k * (n_above - k) / 2, np.sqrt(np.maximum(k * (n_above - k) * spread / 12, 0.0))
+    missing = u - of_least - mean
+    certain = deviation < 1e-9
+    given_k = norm.sf((missing - 0.5) / np.where(certain, 1.0, deviation))
+    given_k = np.where(certain, missing < 0.25, given_k)  # U is a multiple of a half
+    return min(float(hypergeom.pmf(k, n_all, n_above, n_without) @ given_k), 1.0)
 
 
 class Withholding:

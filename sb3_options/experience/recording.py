@@ -125,10 +125,7 @@ class EpisodeRecorder(TrajectoryRecorder):
 
     def record(self, action: int, reward: float, observation: Any) -> None:
         """Add one primitive step that led to ``observation``."""
-        if self._gave_up:
-            return
-        super().record(action, reward, observation)
-        if len(self._actions) == LONGEST_EPISODE:
+        if not self._gave_up and len(self._actions) == LONGEST_EPISODE:
             self._gave_up = True
             self._forget()
             logger.warning(
@@ -137,6 +134,8 @@ class EpisodeRecorder(TrajectoryRecorder):
                 "(DiscoverySettings(segmentation='peaks'); train.py --discovery.segmentation peaks).",
                 LONGEST_EPISODE,
             )
+        if not self._gave_up:
+            super().record(action, reward, observation)
 
     def end(self, *, terminated: bool, truncated: bool, is_success: bool | None) -> None:
         """Complete the episode as a `Trajectory`, unless it was too long."""
@@ -206,13 +205,16 @@ class SegmentRecorder(TrajectoryRecorder):
 
     def record(self, action: int, reward: float, observation: Any) -> None:
         """Add one primitive step that led to ``observation``; the one before may turn out to have been a peak."""
-        if self._may_be_peak and not reward > self._before:
-            self._cut(success=True)
+        if self._may_be_peak:
+            if not reward > self._before:
+                self._cut(success=True)
+            elif self._is_full():
+                self._cut(success=False)
         super().record(action, reward, observation)
         self._may_be_peak = self.peaks.may_peak(reward, self._before)
         self._before = reward
-        if len(self._actions) >= self.peaks.max_segment:
-            self._cut(success=self._may_be_peak)
+        if self._is_full() and not self._may_be_peak:
+            self._cut(success=False)
 
     def end(self, *, terminated: bool, truncated: bool, is_success: bool | None) -> None:
         """End the episode, and with it the last segment; what the environment calls success is of no account."""
@@ -231,6 +233,9 @@ class SegmentRecorder(TrajectoryRecorder):
         """Go on with what `get_state` gave."""
         super().set_state(state)
         self._before, self._may_be_peak = state["before"], state["may_be_peak"]
+
+    def _is_full(self) -> bool:
+        return len(self._actions) >= self.peaks.max_segment
 
     def _cut(self, *, success: bool) -> None:
         here = self.last_observation

@@ -233,8 +233,17 @@ def packed(about: dict[str, Any], tensors: Arrays) -> bytes:
     file_format = FILE_FORMAT_GROUP if group else FILE_FORMAT_HALF_SPACE if half_space else FILE_FORMAT
     text = json.dumps({**about, "format": file_format})  # here it is under the digest
     metadata = {"format": file_format, "bank": text, "digest": digest(text, tensors)}
-    content: bytes = to_safetensors(tensors, metadata=metadata)
-    return content
+    return _in_order(to_safetensors(tensors, metadata=metadata))
+
+
+def _in_order(content: bytes) -> bytes:
+    """The same file with its metadata in order, so that the same options are the same bytes: safetensors draws one."""
+    start = 8 + int.from_bytes(content[:8], "little")
+    header = json.loads(content[8:start])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
+    text += b" " * (-len(text) % 8)
+    return len(text).to_bytes(8, "little") + text + content[start:]
 
 
 def read(source: Source) -> tuple[dict[str, Any], Arrays]:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import mannwhitneyu
+from scipy.stats import hypergeom, mannwhitneyu, rankdata
 
 from sb3_options.execution.interruption import Interruption
 from sb3_options.execution.trials import OptionTrial, TrialSettings, Withholding, harm
@@ -54,6 +54,43 @@ def test_harm_is_the_one_sided_mann_whitney_test() -> None:
     expected = mannwhitneyu(without_it, with_it, alternative="greater").pvalue
     assert harm(with_it, without_it) == expected < 0.5
     assert harm(without_it, with_it) > 0.5
+
+
+@pytest.mark.parametrize("n_good", [1, 2, 5, 30])
+def test_of_two_outcomes_the_probability_is_exact(n_good: int) -> None:
+    """Then U says how many of the good ones were without the option, which is hypergeometric."""
+    outcomes = np.zeros(100)
+    outcomes[:n_good] = 0.7
+    for n_without in range(min(n_good, 10) + 1):
+        without_it = np.r_[np.full(n_without, 0.7), np.zeros(10 - n_without)]
+        with_it = np.r_[np.full(n_good - n_without, 0.7), np.zeros(90 - n_good + n_without)]
+        assert harm(with_it, without_it) == pytest.approx(hypergeom.sf(n_without - 1, 100, n_good, 10))
+
+
+@pytest.mark.parametrize("succeeds", [0.02, 0.1, 0.5, 0.95])
+def test_an_option_without_effect_stays_where_few_or_nearly_all_succeed(succeeds: float) -> None:
+    rng, settings = np.random.default_rng(0), TrialSettings()
+    closed = 0
+    for _ in range(150):
+        trial = OptionTrial(settings)
+        outcomes = (rng.random(500) < succeeds) * 0.95 ** rng.integers(10, 60, 500)
+        drawn = rng.random(500) < settings.withhold
+        closed += any(trial.add(withheld=bool(w), outcome=float(g)) for w, g in zip(drawn, outcomes, strict=True))
+    assert closed / 150 <= 0.05 + 2 * (0.05 * 0.95 / 150) ** 0.5
+
+
+def test_the_probability_is_that_of_random_draws() -> None:
+    """Of 100 episodes, most of which have the same outcome, 10 are drawn again and again."""
+    rng = np.random.default_rng(3)
+    for succeeds in (0.1, 0.4, 0.8):
+        outcomes = np.where(rng.random(100) < succeeds, 0.95 ** rng.integers(10, 30, 100), 0.0)
+        ranks = rankdata(outcomes)
+        sums = ranks[np.argsort(rng.random((20_000, 100)), axis=1)[:, :10]].sum(axis=1)
+        for noise in (1e9, 60.0, 30.0):  # the less, the more of the best are drawn
+            drawn = np.zeros(100, dtype=bool)
+            drawn[np.argsort(ranks + rng.normal(size=100) * noise)[-10:]] = True
+            exact = (sums >= ranks[drawn].sum() - 1e-9).mean()
+            assert harm(outcomes[~drawn], outcomes[drawn]) == pytest.approx(exact, abs=0.04)
 
 
 def test_where_there_is_nothing_to_compare_there_is_no_harm() -> None:

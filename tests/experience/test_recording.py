@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sb3_options.experience import recording
 from sb3_options.experience.recording import EpisodeRecorder, RewardPeaks, SegmentRecorder, TrajectoryRecorder
 from sb3_options.experience.trajectories import Trajectory
 
@@ -119,7 +120,21 @@ def test_the_least_reward_of_a_peak() -> None:
 def test_a_segment_too_long_without_a_peak() -> None:
     assert segments([0] * 7, max_segment=3) == [(0, 3, False), (3, 6, False)]
     assert segments([0, 0, 1, 0], max_segment=3) == [(0, 3, True)]
-    assert segments([1, 2, 3, 4, 5], max_segment=2) == [(0, 2, True), (2, 4, True)]
+    # Where the reward still rises there is no peak yet.
+    assert segments([1, 2, 3, 4, 5], max_segment=2) == [(0, 2, False), (2, 4, False)]
+    assert segments([0, 0, 0, 0, 1, 3, 0], max_segment=5) == [(0, 5, False), (5, 6, True)]
+    assert segments([0, 0, 1], max_segment=3, truncated=True) == [(0, 3, True)]
+
+
+def test_an_episode_may_have_as_many_steps_as_the_longest(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "LONGEST_EPISODE", 5)
+    for length, n_finished in ((4, 1), (5, 1), (6, 0)):
+        recorder = EpisodeRecorder()
+        recorder.begin(np.array([0]))
+        for t in range(length):
+            recorder.record(0, 0.0, np.array([t + 1]))
+        recorder.end(terminated=True, truncated=False, is_success=None)
+        assert len(recorder.finished) == n_finished
 
 
 def test_a_segment_at_the_end_of_an_episode() -> None:

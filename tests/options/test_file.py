@@ -248,6 +248,15 @@ def test_a_file_that_says_nothing_of_its_options_is_damaged(its_digest: str, why
         read(tmp_path / "options")
 
 
+def test_the_same_options_are_the_same_bytes() -> None:
+    bank = OptionBank(4, 4)
+    bank.add(option("features"))
+    assert len({bank.content() for _ in range(20)}) == 1
+    again = OptionBank(4, 4)
+    again.load(bank.content())
+    assert again.content() == bank.content()
+
+
 class TestPrecision:
     """A file holds float64, whatever an option or another program wrote with."""
 
