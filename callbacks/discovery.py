@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Iterable, Mapping
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -65,6 +66,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             settings say.
         success: Which trajectories make positive bags; by default ``info["is_success"]``, or, in an environment without
             it, a positive last reward above all earlier ones in a terminal state. Or a text, as `success_rule` has it.
+            SB3 logs ``rollout/success_rate`` by it, but for ``segmentation="peaks"``.
         static_filter: What may be a subgoal; by default not near the start and end of a trajectory.
         groups: The features that make a concept together, each a `FeatureGroup` or a mapping of its fields; by default
             those that the environment or φ names. Without any, all features do.
@@ -127,7 +129,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.trial, self.hparams = trial_given(trial, self.settings), hparams
         self.max_option_exploration = checked_share(max_option_exploration)
         self.opening_share = checked_share(max_option_exploration if opening_share is None else opening_share)
-        self.episodes, self.seed, self._complaints = 0, seed, Complaints()
+        self.episodes, self.seed, self._began, self._complaints, self._ended = 0, seed, 0, Complaints(), True
         self.history: list[EpisodeRecord] = []
         self.discoveries: list[DiscoveredOption] = []
         self.discovery: SubgoalDiscovery | None = None
@@ -139,7 +141,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.embedding = given_as(EmbeddingSettings, {} if embedding is None else embedding)
         self._installer: OptionInstaller | None = None
         self._clock: DiscoveryClock | None = None
-        self._ended = True
 
     @property
     def bank(self) -> OptionBank:
@@ -147,7 +148,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         return PresentOptions(OptionBank(1, 0) if self._installer is None else self._installer.bank)
 
     def _on_training_start(self) -> None:
-        self._ended, venv = True, self.training_env
+        self._ended, self._began, venv = True, len(self.history), self.training_env
         before = None if self._installer is None else self._installer.model
         check_training(self, before)
         self._start_counting()
@@ -182,8 +183,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                 self._growth.adopted(slot)
         venv.env_method("record_trajectories", True, self.settings.reward_peaks())
         self._trials = None if self.trial is None else OptionTrials(venv, self.trial, self.seed)
-        self._clock = DiscoveryClock(self._search.seconds)
-        self._ended = False
+        self._clock, self._ended = DiscoveryClock(self._search.seconds), False
 
     @property
     def _options(self) -> OptionInstaller:
@@ -224,7 +224,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.episodes += 1
         try:
             success, total = judged(self.success, trajectory), float(trajectory.rewards.sum())
-            tell_success(info, success, trajectory, self.success, len(self.model.ep_success_buffer or ()))
+            before = (each.success for each in islice(self.history, self._began, None))
+            tell_success(info, success, trajectory, self.success, self.model.ep_success_buffer, before)
             self.history.append(EpisodeRecord(self.num_timesteps, total, success, len(trajectory)))
             if self._trials is not None:
                 report: TrialReport | None = info.pop("option_trial", None)

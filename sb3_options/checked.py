@@ -40,7 +40,7 @@ def settings(cls: type[T]) -> type[T]:
         except ValidationError as error:
             unknown = any(e["type"].startswith("unexpected_") for e in error.errors())  # by keyword or position
             raise (TypeError if unknown else ValueError)(f"{cls.__name__}: {readable(error, names)}") from None
-        if wrong := truth_values(kwargs, self):
+        if wrong := truth_values({**dict(zip(names, args, strict=False)), **kwargs}, self):
             raise ValueError(f"{cls.__name__}: {wrong}")
 
     made.__init__ = __init__  # type: ignore[method-assign]  # it takes what the generated one takes
@@ -91,9 +91,15 @@ def truth_values(given: Mapping[str, Any], made: object) -> str:
         if isinstance(value, Mapping) and dataclasses.is_dataclass(got):
             inner = truth_values(value, got)
             wrong += [f"{name}.{inner}"] if inner else []
-        elif isinstance(value, bool) and is_number(got):
+        elif _stands_for_a_number(value, got):
             wrong.append(f"{name} should be a number, got {value}")
     return "; ".join(wrong)
+
+
+def _stands_for_a_number(value: Any, got: Any) -> bool:
+    if isinstance(value, list | tuple) and isinstance(got, list | tuple):
+        return any(map(_stands_for_a_number, value, got))
+    return isinstance(value, bool) and is_number(got)
 
 
 def readable(error: ValidationError, names: Sequence[str] = ()) -> str:

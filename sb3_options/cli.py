@@ -248,8 +248,9 @@ def _learn(
             seed = evaluation.EVAL_SEED + config.seed
             envs.append(runs.make_env(config, 1, seed, vec_env=config.vec_env, max_steps=limit))
             how = {"n_eval_episodes": config.eval_episodes, "eval_freq": 1, "verbose": 0}
-            watched, rule = eval_callback_class(config.algo), success_rule(config.success)
-            evaluation_callback = watched(interrupts, folder, rule, envs[1], **how)
+            # What is success of a segment is none of an episode.
+            rule = success_rule(config.success) if config.discovery.segmentation == "episodes" else None
+            evaluation_callback = eval_callback_class(config.algo)(interrupts, folder, rule, envs[1], **how)
             # EvalCallback counts calls of step, of which one may be many primitive steps.
             callbacks.append(EveryNTimesteps(config.eval_freq, evaluation_callback))
         callbacks += [KeepToBudget(), StopWhenNoted(interrupts), KeepTraining()]

@@ -33,7 +33,7 @@ class ZooOptionsWrapper(OptionsWrapper):
 
     In ``rl_zoo3.enjoy``, ``record_video`` and ``push_to_hub`` these are the options in the folder of the run played;
     in ``rl_zoo3.train --trained-agent FILE`` those beside that file; else there are none to start with. The file is
-    what `ZooDiscoveryCallback` wrote; where it is missing, the model's own zip has them, too.
+    what `ZooDiscoveryCallback` wrote. A model whose zip has options brings its own.
 
     Args:
         env: Its action space must be ``Discrete`` and start at 0.
@@ -89,31 +89,30 @@ class ZooOptionsWrapper(OptionsWrapper):
 
 
 def _options_of(model: Path) -> Path:
-    """The file that holds the options of a model: the one beside it, else the model itself.
+    """The file that holds the options of a model: the model itself, else the one beside it.
 
     Raises:
         FileNotFoundError: There is neither.
-        ValueError: The model holds no options.
+        ValueError: The model holds no options, and there is no other file.
     """
-    beside = model.with_name(NAME)
+    beside, why = model.with_name(NAME), f"there is no {model.name}."
+    if model.is_file():
+        try:
+            content_in(model)
+        except ValueError as error:
+            why = str(error)
+        else:
+            return model
     if beside.is_file():
         return beside
-    if not model.is_file():
-        raise FileNotFoundError(
-            f"There is neither {NAME} nor {model.name} in {model.parent}. Name an options_file for ZooOptionsWrapper."
-        )
-    try:
-        content_in(model)
-    except ValueError as error:
-        raise ValueError(
-            f"There is no {NAME} in {model.parent}, and {error} Train with ZooDiscoveryCallback under `callback`, or "
-            "name an options_file for ZooOptionsWrapper."
-        ) from error
-    return model
+    raise (ValueError if model.is_file() else FileNotFoundError)(
+        f"There is no {NAME} in {model.parent}, and {why} Train with ZooDiscoveryCallback under `callback`, or name an "
+        "options_file for ZooOptionsWrapper."
+    )
 
 
 def loaded_model(program: str, arguments: Sequence[str]) -> Path | None:
-    """The model that a program of rl-zoo3 loads, or another in the same folder.
+    """The model that a program of rl-zoo3 loads.
 
     Args:
         program: ``train``, ``enjoy``, ``record_video`` …
@@ -132,18 +131,25 @@ def loaded_model(program: str, arguments: Sequence[str]) -> Path | None:
         return None
     # Imported here: the wrapper is of use without rl-zoo3 as well.
     from huggingface_sb3 import EnvironmentName
-    from rl_zoo3.utils import get_latest_run_id
+    from rl_zoo3.utils import get_latest_run_id, get_model_path
 
     # The names and defaults are rl-zoo3's own.
     parser.add_argument("--env", default="CartPole-v1")
     parser.add_argument("-f", "--folder", default="rl-trained-agents")
     parser.add_argument("--algo", default="ppo")
     parser.add_argument("--exp-id", default=0, type=int)
+    parser.add_argument("--load-best", action="store_true")
+    parser.add_argument("--load-checkpoint")
+    parser.add_argument("--load-last-checkpoint", action="store_true")
     known = parser.parse_known_args(arguments)[0]
     name = EnvironmentName(known.env)
     runs: Path = Path(known.folder) / known.algo
     run = known.exp_id or get_latest_run_id(str(runs), name)
-    return (runs / f"{name}_{run}" if run > 0 else runs) / f"{name}.zip"
+    which = known.load_best, known.load_checkpoint, known.load_last_checkpoint
+    try:
+        return Path(get_model_path(run or -1, known.folder, known.algo, name, *which)[1])
+    except (AssertionError, ValueError):  # there is none, which rl-zoo3 says itself
+        return (runs / f"{name}_{run}" if run > 0 else runs) / f"{name}.zip"
 
 
 def _program() -> str:

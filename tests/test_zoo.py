@@ -128,7 +128,7 @@ class TestLoadedRun:
 def test_a_run_without_options_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["rl_zoo3/train.py", "--trained-agent", f"{tmp_path}/Rooms.zip"])
     with pytest.raises(
-        FileNotFoundError, match=r"neither options\.safetensors nor Rooms\.zip in .*Name an options_file"
+        FileNotFoundError, match=r"no options\.safetensors in .*, and there is no Rooms\.zip\. .*name an"
     ):
         ZooOptionsWrapper(small_rooms())
     DQN("MlpPolicy", optioned_rooms(), gamma=0.9, replay_buffer_class=OptionReplayBuffer, **TINY).save(

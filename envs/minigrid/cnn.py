@@ -38,7 +38,8 @@ class MiniGridCNN(BaseFeaturesExtractor):
             raise ValueError(
                 f"MiniGridCNN needs the vectors of a MiniGridWrapper, of {n_cells} numbers for a view of {view} by "
                 f"{view} cells and some for the mission, got {length}. For another view pass policy_kwargs="
-                '{"features_extractor_class": MiniGridCNN, "features_extractor_kwargs": {"view": 9}}; it reads no '
+                '{"features_extractor_class": MiniGridCNN, "features_extractor_kwargs": {"view": 9}}, for a model '
+                'that was saved without them load(..., custom_objects={"policy_kwargs": ...}). It reads no '
                 "stacked frames (VecFrameStack)."
             )
         side = (view - 1) // 2 - 2

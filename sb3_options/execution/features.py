@@ -191,26 +191,29 @@ def _sample(space: gym.Space[Any]) -> Observations:
 def _size_of(feature_map: FeatureMap, space: gym.Space[Any], name: str) -> int | None:
     sample = _sample(space)
     try:
-        feature_map(sample)
+        found = feature_map(sample)
     except Exception:
         # A random element of the space need not be an observation (random pixels show no agent), and a user's function
         # may raise anything then. The first observation of an episode tells the size.
         return None
-    return checked_size(feature_map, sample, name)
+    return checked_size(feature_map, sample, name, found)
 
 
-def checked_size(feature_map: FeatureMap, one: Observations, name: str = "feature_map") -> int:
+def checked_size(
+    feature_map: FeatureMap, one: Observations, name: str = "feature_map", found: FloatArray | None = None
+) -> int:
     """Dimensions d of what a feature map makes of observations.
 
     Args:
         feature_map: φ.
         one: A batch of one observation.
         name: Of the map, for the text.
+        found: What it made of that, if this is known.
 
     Raises:
         ValueError: It does not make d numbers of every observation of a batch.
     """
-    features = np.asarray(feature_map(one))
+    features = np.asarray(feature_map(one) if found is None else found)
     if features.ndim != 2 or len(features) != 1:
         raise ValueError(
             f"{name} must return features of shape (batch, d); for a batch of one it gave shape {features.shape}."
@@ -220,7 +223,10 @@ def checked_size(feature_map: FeatureMap, one: Observations, name: str = "featur
             f"{name} must return real numbers, at least one for an observation; it gave {features.shape[1]} of type "
             f"{features.dtype}."
         )
-    of_two = np.asarray(feature_map(concatenate([one, one])))
+    try:
+        of_two = np.asarray(feature_map(concatenate([one, one])))
+    except Exception as error:
+        raise ValueError(f"{name} fails for a batch of two observations: {error!r}") from error
     if of_two.shape != (2, features.shape[1]):
         raise ValueError(
             f"{name} must return as many features in every batch; for one observation it gave shape {features.shape}, "

@@ -26,7 +26,7 @@ from scipy.stats import hypergeom, mannwhitneyu, norm, rankdata
 from sb3_options.checked import Field, settings
 from sb3_options.execution.interruption import Interruption
 from sb3_options.execution.option_step import primitive_of
-from sb3_options.experience.observations import BoolArray, FloatArray
+from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 from sb3_options.options.option import Option
 
 Verdict: TypeAlias = Literal["harmful", "unreliable"]
@@ -132,36 +132,51 @@ def harm(with_it: FloatArray, without_it: FloatArray) -> float:
     """The probability of a U as great as this one if the option made no difference (Mann & Whitney 1947), one-sided.
 
     U counts the pairs in which the outcome without the option is greater, and half of those with equal outcomes. Where
-    few episodes succeed, all others have the same outcome, and U is far from normal: one more success is worth dozens
-    of pairs. How many of the outcomes above the least were without the option is hypergeometric, so with ties this sums
-    over that number; given it, U among them is taken as normal, corrected for ties and continuity.
+    few episodes succeed, or fail, all others have the same outcome, and U is far from normal: one more success is worth
+    dozens of pairs. How many of the outcomes above the commonest one, and of those below it, were without the option is
+    hypergeometric. With ties this sums over both numbers; given them, U among those above and among those below is
+    taken as normal, corrected for ties and continuity.
 
     Args:
         with_it: Outcomes of episodes with the option, (n,).
         without_it: Outcomes of episodes without it, (m,).
 
     Returns:
-        Small if outcomes without it are greater; 1 where there is nothing to compare.
+        Small if outcomes without it are greater; 1 where there is nothing to compare, or an outcome is NaN.
     """
     everything = np.concatenate([with_it, without_it])
-    if len(with_it) == 0 or len(without_it) == 0 or np.ptp(everything) == 0:
+    if len(with_it) == 0 or len(without_it) == 0 or np.isnan(everything).any() or np.ptp(everything) == 0:
         return 1.0
-    n_all, n_without = len(everything), len(without_it)
-    if len(np.unique(everything)) == n_all:
+    values, counts = np.unique(everything, return_counts=True)
+    n, m = len(everything), len(without_it)
+    if len(values) == n:
         return float(mannwhitneyu(without_it, with_it, alternative="greater").pvalue)
-    u = float(rankdata(everything)[len(with_it) :].sum()) - n_without * (n_without + 1) / 2
-    above = everything[everything > everything.min()]
-    n_above, n_least = len(above), n_all - len(above)
-    k = np.arange(max(0, n_without - n_least), min(n_without, n_above) + 1)
-    of_least = (n_least - (n_without - k)) * (k + (n_without - k) / 2)  # pairs whose other outcome is the least
-    ties = np.unique(above, return_counts=True)[1]
-    spread = n_above + 1 - float((ties**3 - ties).sum()) / max(n_above * (n_above - 1), 1)
-    mean, deviation = k * (n_above - k) / 2, np.sqrt(np.maximum(k * (n_above - k) * spread / 12, 0.0))
-    missing = u - of_least - mean
-    certain = deviation < 1e-9
-    given_k = norm.sf((missing - 0.5) / np.where(certain, 1.0, deviation))
-    given_k = np.where(certain, missing < 0.25, given_k)  # U is a multiple of a half
-    return min(float(hypergeom.pmf(k, n_all, n_above, n_without) @ given_k), 1.0)
+    u = float(rankdata(everything)[len(with_it) :].sum()) - m * (m + 1) / 2
+    commonest = values[counts.argmax()]
+    n_above, n_below = int((everything > commonest).sum()), int((everything < commonest).sum())
+    n_same = n - n_above - n_below
+    above, below = np.ogrid[: min(n_above, m) + 1, : min(n_below, m) + 1]  # of those without the option
+    same = m - above - below
+    of_these = hypergeom.pmf(above, n, n_above, m) * hypergeom.pmf(below, n - n_above, n_below, m - above)
+    worse = n_below - below  # with the option, likewise
+    certain = above * (n_same - same + worse) + same * ((n_same - same) / 2 + worse)
+    expected = above * (n_above - above) / 2 + below * (n_below - below) / 2
+    variance = above * (n_above - above) * _spread(counts[values > commonest])
+    variance = variance + below * (n_below - below) * _spread(counts[values < commonest])
+    missing = u - certain - expected
+    tail = norm.sf((missing - 0.5) / np.sqrt(np.where(variance > 0, variance, 1.0)))
+    tail = np.where(variance > 0, tail, missing < 0.25)  # U is a multiple of a half
+    return min(float((of_these * tail).sum()), 1.0)
+
+
+def _spread(ties: IntArray) -> float:
+    """Variance of U within a group, as a multiple of the product of the two numbers that are compared.
+
+    Args:
+        ties: How often each outcome occurs in it.
+    """
+    n = int(ties.sum())
+    return 0.0 if n < 2 else max((n + 1 - float((ties**3 - ties).sum()) / (n * (n - 1))) / 12, 0.0)
 
 
 class Withholding:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, MutableMapping
+from collections.abc import Callable, Iterable, Mapping, MutableMapping, MutableSequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -109,7 +109,14 @@ def success_rule(given: SuccessRule | str) -> SuccessRule:
 
 
 def tell_success(
-    info: MutableMapping[str, Any], said: bool, trajectory: Trajectory, rule: SuccessRule, seen: int
+    info: MutableMapping[str, Any],
+    said: bool,
+    trajectory: Trajectory,
+    rule: SuccessRule,
+    logged: MutableSequence[bool] | None,
+    before: Iterable[bool],
+    *,
+    reported: bool = False,
 ) -> None:
     """Put success by a rule into the info that ends an episode, where Stable-Baselines3 logs it from.
 
@@ -121,10 +128,15 @@ def tell_success(
         said: What the rule says.
         trajectory: The episode's.
         rule: Which.
-        seen: Number of earlier episodes that have logged success.
+        logged: Successes that Stable-Baselines3 takes the mean of. Gets those before the first that was reported.
+        before: What the rule said of earlier episodes.
+        reported: Whether the environment has reported success elsewhere.
     """
-    if rule is not reported_success or trajectory.is_success is not None or seen:
-        info["is_success"] = said
+    if logged is None or (rule is reported_success and trajectory.is_success is None and not (logged or reported)):
+        return
+    if not logged:
+        logged.extend(before)
+    info["is_success"] = said
 
 
 def _terminated(trajectory: Trajectory) -> bool:

@@ -45,7 +45,8 @@ def load_model(algorithm: type[M], path: str | os.PathLike[str], env: gym.Env[An
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: It holds no options, these do not fit the environment, or another algorithm saved it.
+        ValueError: It holds no options, these do not fit the environment, or the algorithm cannot load it, as one that
+            another saved; not every such model is told.
     """
     path = Path(path)
     if not path.is_file() and path.suffix != ".zip":
@@ -64,7 +65,8 @@ def load_model(algorithm: type[M], path: str | os.PathLike[str], env: gym.Env[An
         ) from error
     except (AttributeError, TypeError) as error:  # what SB3 raises where the networks are another algorithm's
         raise ValueError(
-            f"{path} could not be loaded by {algorithm.__name__}: {error}. Load it with the algorithm that saved it."
+            f"{path} could not be loaded by {algorithm.__name__}: {error}. If another algorithm saved it, load it with "
+            "that one."
         ) from error
     model.__dict__.pop(CARRIED, None)
     load_options(content, _env_of(model))

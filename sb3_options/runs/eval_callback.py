@@ -35,14 +35,16 @@ class WatchedEvalCallback(EvalCallback):
     Args:
         interrupts: Notes them.
         folder: Where to write.
-        success: The rule.
+        success: The rule; None for what the environment reports.
         *args: Of ``EvalCallback``.
         **kwargs: Likewise.
     """
 
     remembers_nothing = True  # more than EvalCallback does, from one evaluation to the next
 
-    def __init__(self, interrupts: Interrupts, folder: Path, success: SuccessRule, *args: Any, **kwargs: Any) -> None:
+    def __init__(
+        self, interrupts: Interrupts, folder: Path, success: SuccessRule | None, *args: Any, **kwargs: Any
+    ) -> None:
         super().__init__(*args, **kwargs | {"callback_on_new_best": _SaveBest(folder / BEST)})
         self.interrupts, self.success = interrupts, success
         self._unreported: list[bool] = []
@@ -55,7 +57,8 @@ class WatchedEvalCallback(EvalCallback):
         self.log_path, file = None, self.log_path  # SB3 would make its folder
         super()._init_callback()
         self.log_path = file
-        self.eval_env.env_method("record_trajectories", True)
+        if self.success is not None:
+            self.eval_env.env_method("record_trajectories", True)
 
     def _on_step(self) -> bool:
         self._unreported = []
@@ -78,8 +81,8 @@ class WatchedEvalCallback(EvalCallback):
     def _log_success_callback(self, locals_: dict[str, Any], globals_: dict[str, Any]) -> None:
         # SB3 calls it after every decision of an evaluation.
         with suppress(ValueError):  # what the environment reports is no truth value, which training says
-            if "trajectory" in locals_["info"]:
-                self._tell_success(locals_["info"])
+            if self.success is not None and "trajectory" in locals_["info"]:
+                self._tell_success(locals_["info"], self.success)
         super()._log_success_callback(locals_, globals_)
         if self.interrupts.due():
             raise _InterruptedError
@@ -88,14 +91,12 @@ class WatchedEvalCallback(EvalCallback):
             self._show(f"evaluating: episode {episode} of {self.n_eval_episodes}, decision {self._decisions}")
         self._decisions = 0 if locals_["done"] else self._decisions + 1
 
-    def _tell_success(self, info: dict[str, Any]) -> None:
-        trajectory, earlier = info.pop("trajectory"), self._is_success_buffer
-        said = judged(self.success, trajectory)
-        tell_success(info, said, trajectory, self.success, len(earlier) + len(self.model.ep_success_buffer or ()))
-        if "is_success" not in info:
-            self._unreported.append(said)
-        elif not earlier:
-            earlier.extend(self._unreported)  # it was told only now that the environment reports success
+    def _tell_success(self, info: dict[str, Any], rule: SuccessRule) -> None:
+        trajectory, logged = info.pop("trajectory"), self._is_success_buffer
+        said = judged(rule, trajectory)
+        in_training = bool(self.model.ep_success_buffer)
+        tell_success(info, said, trajectory, rule, logged, self._unreported, reported=in_training)
+        self._unreported.append(said)
 
     def _show(self, text: str) -> None:
         for callback in getattr(self.locals.get("callback"), "callbacks", ()):  # learn adds the bar to all others

@@ -91,6 +91,7 @@ def tune(config: TuneConfig, *, console: Console) -> TrainConfig:
             if not study.get_trials(deepcopy=False, states=(TrialState.COMPLETE, TrialState.PRUNED)):
                 for job in jobs:
                     job.result()
+            work(study, search, console)  # what is left where a job gave up before another came to an end
         except BaseException:
             processes.end()
             raise
@@ -151,7 +152,7 @@ def _table(study: optuna.Study, config: TuneConfig, goal: Goal, n_timesteps: int
         f"{len(done)} trials on {config.seeds} seeds, {states.count(TrialState.PRUNED)} stopped early, "
         f"{states.count(TrialState.FAIL)} failed. The best of many is better on these seeds than on others."
     )
-    budgets = [math.log(trial.params.get("n_timesteps", n_timesteps)) for trial in done]
+    budgets = [math.log(float(trial.params.get("n_timesteps", n_timesteps))) for trial in done]
     never = sum(math.isclose(trial.value or 0.0, most) for trial, most in zip(done, budgets, strict=True))
     if config.objective == "steps" and never:
         caption += f" In {never} of these trials no run reached {goal}: they count with all their steps."

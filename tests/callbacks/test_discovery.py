@@ -59,6 +59,29 @@ def model_of(env: Any = None, algorithm: type[OffPolicyAlgorithm] = DQN, **kwarg
     return algorithm("MlpPolicy", env, gamma=0.9, **buffer | TINY | RANDOM | kwargs)
 
 
+class SilentFailures(gym.Wrapper[Any, Any, Any, Any]):
+    """Says whether an episode succeeded where it did."""
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        obs, reward, terminated, truncated, info = self.env.step(action)
+        if not info.get("is_success"):
+            info.pop("is_success", None)
+        return obs, float(reward), terminated, truncated, info
+
+
+@pytest.mark.parametrize("n_envs", [1, 3])
+def test_failures_before_the_first_reported_success_are_logged_with_it(n_envs: int) -> None:
+    venv = DummyVecEnv([lambda: OptionsWrapper(SilentFailures(small_rooms(max_steps=60)), 1, gamma=0.9)] * n_envs)
+    callback, model = SubgoalDiscoveryCallback(max_new_options=0), model_of(venv)
+    for _ in range(2):  # the second training forgets what the first has logged
+        began = len(callback.history)
+        model.learn(4000, callback=callback)
+        successes = [each.success for each in callback.history[began:]]
+        assert not successes[0]
+        assert any(successes)
+        assert list(model.ep_success_buffer) == successes[-100:]
+
+
 class Endless(gym.Wrapper[Any, Any, Any, Any]):
     """Goes on from the start after the goal."""
 

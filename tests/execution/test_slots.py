@@ -154,6 +154,7 @@ def test_feature_map() -> None:
             lambda obs: np.zeros((len(obs), len(obs))),
             r"for one observation it gave shape \(1, 1\), for two \(2, 2\)\.$",
         ),
+        (lambda obs: np.zeros((1, 1)) if len(obs) == 1 else 1 / 0, r"^feature_map fails for a batch of two .+ZeroDiv"),
     ],
 )
 def test_a_feature_map_that_makes_no_features_is_refused(feature_map: Any, message: str) -> None:

@@ -93,6 +93,15 @@ def test_the_probability_is_that_of_random_draws() -> None:
             assert harm(outcomes[~drawn], outcomes[drawn]) == pytest.approx(exact, abs=0.04)
 
 
+def test_a_rare_failure_beside_rare_successes_is_no_evidence() -> None:
+    """Both of two successes among 10 of 104 episodes: 0.9 %; one of them failed worse than all others."""
+    assert harm(np.r_[-5.0, np.zeros(93)], np.r_[np.zeros(8), 1.0, 1.0]) == pytest.approx(0.0077, abs=2e-4)
+
+
+def test_a_return_that_is_nan_closes_nothing() -> None:
+    assert harm(np.array([0.0, 0.0, 1.0, np.nan]), np.array([0.0, 1.0, 1.0])) == 1.0
+
+
 def test_where_there_is_nothing_to_compare_there_is_no_harm() -> None:
     assert harm(np.zeros(0), np.ones(5)) == 1.0
     assert harm(np.ones(5), np.ones(5)) == 1.0

@@ -210,7 +210,7 @@ def test_other_slots_than_in_training_are_told(tmp_path: Path) -> None:
 
 def test_another_algorithm_than_saved_it_is_told(tmp_path: Path) -> None:
     trained(PPO).save(tmp_path / "model.zip")
-    with pytest.raises(ValueError, match=r"model\.zip could not be loaded by DQN: .*Load it with the algorithm that"):
+    with pytest.raises(ValueError, match=r"model\.zip could not be loaded by DQN: .*If another algorithm saved it"):
         load_model(DQN, tmp_path / "model.zip", optioned_rooms())
 
 

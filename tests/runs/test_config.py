@@ -176,6 +176,7 @@ def test_every_shipped_default_is_of_an_environment_there_is() -> None:
         (PPOConfig, {"learning_starts": 9}, TypeError, "PPOConfig: there is no setting 'learning_starts'"),
         (PPOConfig, {"algo": "dqn"}, ValueError, "algo should be 'ppo' or 'recurrentppo', got 'dqn'"),
         (DQNConfig, {"env_kwargs": ["map"]}, ValueError, "--env-kwargs takes pairs name:value, got map"),
+        (DQNConfig, {"net_arch": [True, 8]}, ValueError, "net_arch should be a number, got "),
         (DQNConfig, {"learning_rate": True}, ValueError, "DQNConfig: learning_rate should be a number, got True"),
         (DQNConfig, {"discovery": {"goal_radius": False}}, ValueError, r"discovery\.goal_radius should be a number"),
         (DiscoverySettings, {"min_positive": True}, ValueError, "min_positive should be a number, got True"),
