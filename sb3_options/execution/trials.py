@@ -135,7 +135,7 @@ def harm(with_it: FloatArray, without_it: FloatArray) -> float:
     few episodes succeed, or fail, all others have the same outcome, and U is far from normal: one more success is worth
     dozens of pairs. How many of the outcomes above the commonest one, and of those below it, were without the option is
     hypergeometric. With ties this sums over both numbers; given them, U among those above and among those below is
-    taken as normal, corrected for ties and continuity.
+    taken as normal, corrected for ties and continuity, which is rough for fewer than ten episodes without the option.
 
     Args:
         with_it: Outcomes of episodes with the option, (n,).
@@ -155,7 +155,8 @@ def harm(with_it: FloatArray, without_it: FloatArray) -> float:
     commonest = values[counts.argmax()]
     n_above, n_below = int((everything > commonest).sum()), int((everything < commonest).sum())
     n_same = n - n_above - n_below
-    above, below = np.ogrid[: min(n_above, m) + 1, : min(n_below, m) + 1]  # of those without the option
+    fewest = max(0, m - n_same - n_below)  # the others are too few for all of those without the option
+    above, below = np.ogrid[fewest : min(n_above, m) + 1, : min(n_below, m) + 1]  # of those without the option
     same = m - above - below
     of_these = hypergeom.pmf(above, n, n_above, m) * hypergeom.pmf(below, n - n_above, n_below, m - above)
     worse = n_below - below  # with the option, likewise

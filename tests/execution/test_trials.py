@@ -98,6 +98,19 @@ def test_a_rare_failure_beside_rare_successes_is_no_evidence() -> None:
     assert harm(np.r_[-5.0, np.zeros(93)], np.r_[np.zeros(8), 1.0, 1.0]) == pytest.approx(0.0077, abs=2e-4)
 
 
+@pytest.mark.parametrize("n_without", [10, 30, 50])
+@pytest.mark.parametrize("n_values", [2, 4, 20])
+def test_there_is_a_probability_whatever_is_drawn(n_without: int, n_values: int) -> None:
+    """Also where the outcomes that are no greater than the commonest are fewer than those without the option."""
+    rng = np.random.default_rng(n_values)
+    for _ in range(20):
+        outcomes = np.where(rng.random(60) < 0.8, rng.integers(1, n_values + 1, 60) / 10, 0.0)
+        ranks, drawn = rankdata(outcomes), rng.permutation(60)[:n_without]
+        sums = ranks[np.argsort(rng.random((2000, 60)), axis=1)[:, :n_without]].sum(axis=1)
+        exact = (sums >= ranks[drawn].sum() - 1e-9).mean()
+        assert harm(np.delete(outcomes, drawn), outcomes[drawn]) == pytest.approx(exact, abs=0.06)
+
+
 def test_a_return_that_is_nan_closes_nothing() -> None:
     assert harm(np.array([0.0, 0.0, 1.0, np.nan]), np.array([0.0, 1.0, 1.0])) == 1.0
 
