@@ -15,6 +15,7 @@ from safetensors.numpy import save as to_safetensors
 
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import HalfSpace, Region
+from sb3_options.embedding.settings import SIZES
 from sb3_options.options import policies
 from sb3_options.options.archive import Source, content_in, name_of
 from sb3_options.options.option import Option, SubgoalOption
@@ -79,16 +80,14 @@ def check_signature(there: SpaceSignature, here: SpaceSignature, policy_inputs: 
             "options whose policies act on features (policy_input='features') move between tasks that are observed "
             "differently: learn them so, or make both environments give the same observations"
         )
-    given = here.features == "given" and there.features not in _LEARNED  # of which the file holds the map
+    given = here.features == "given" and there.features not in SIZES  # of which the file holds the map
     if policy_inputs and not given and here.features != there.features:
-        name = f'"{there.features}"' if there.features in _LEARNED else "..."
+        name = f'"{there.features}"' if there.features in SIZES else "..."
         raise ValueError(
             f"its subgoals lie in {_OF_KIND[there.features]}, this task's in {_OF_KIND[here.features]}; pass the "
             f"feature map they were made with, OptionsWrapper(env, feature_map={name})"
         )
 
-
-_LEARNED = ("temporal-distance", "laplacian")
 
 _OF_KIND: dict[str | None, str] = {
     "given": "the features of a feature_map that was passed",
