@@ -12,7 +12,7 @@ from benchmarks.diverse_density.compiled import Compiled
 from benchmarks.diverse_density.data import planted, uneven
 from benchmarks.diverse_density.parts import area_under_curve
 from benchmarks.diverse_density.references import BagByBag, Vectorised, descend_pruned
-from tests.density.test_diverse_density import oracle
+from tests.density.definition import oracle
 
 TABLE: dict[str, Any] = {"table_bags": (20,), "table_instances": (20, 30)}
 

@@ -10,7 +10,7 @@ from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback
 from sb3_options.checkpoints.comparison import differing
 from sb3_options.checkpoints.file import CheckpointFolder, read
 from sb3_options.checkpoints.tree import State
-from tests.callbacks.test_checkpoints import FAST, SLOW, filled, keep_all, model_of, trained, venv_of
+from tests.callbacks.test_checkpoint_resuming import FAST, SLOW, filled, keep_all, model_of, trained, venv_of
 from tests.support.sb3_helpers import fast_callback
 
 __all__ = ["keep_all"]

@@ -20,7 +20,7 @@ from sb3_options.envs import GridWorld
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.learning.macro_q import MacroQ
 from sb3_options.options.option import SubgoalOption
-from tests.callbacks.test_checkpoints import check_resumes, keep_all
+from tests.callbacks.test_checkpoint_resuming import check_resumes, keep_all
 from tests.support.helpers import equal
 from tests.support.sb3_helpers import DOORWAY, FAST_DISCOVERY, RANDOM, TINY, small_rooms
 

@@ -28,7 +28,15 @@ from sb3_options.checkpoints.environments import refusal
 from sb3_options.checkpoints.file import CheckpointFolder, read
 from sb3_options.discovery.grouped import GroupedDiscovery
 from sb3_options.envs.minigrid import make as make_minigrid
-from tests.callbacks.test_checkpoints import TRIAL, Callbacks, check_resumes, discovering, keep_all, model_of, trained
+from tests.callbacks.test_checkpoint_resuming import (
+    TRIAL,
+    Callbacks,
+    check_resumes,
+    discovering,
+    keep_all,
+    model_of,
+    trained,
+)
 from tests.execution.test_repeating import Growing
 from tests.support.sb3_helpers import TAXI, make_optioned_rooms
 

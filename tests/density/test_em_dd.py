@@ -8,7 +8,7 @@ from sb3_options.density.bags import Bags
 from sb3_options.density.concepts import Plane, Point
 from sb3_options.density.em_dd import ExpectationMaximisation, MostLikely
 from sb3_options.density.search import ConceptSearch
-from tests.density.test_diverse_density import planted
+from tests.density.planted import planted
 
 FIXED = ConceptSearch(concept=Point("fixed"), max_starts=64)
 

@@ -17,7 +17,7 @@ from sb3_options.density.diverse_density import log_diverse_density
 from sb3_options.density.energies import Likelihood
 from sb3_options.density.evidence import Evidence
 from sb3_options.density.objective import MAX_PAIRS
-from tests.density.test_diverse_density import oracle, random_bags
+from tests.density.definition import oracle, random_bags
 
 
 def evidence_of(

@@ -19,7 +19,7 @@ from sb3_options.experience.observations import flatten
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
-from tests.density.test_diverse_density import planted, two_rooms
+from tests.density.planted import planted, two_rooms
 from tests.support.documents import ROOT, python_of
 
 DENSITY_PAGE = ROOT / "docs" / "concepts" / "density.md"

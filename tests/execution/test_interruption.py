@@ -24,13 +24,13 @@ from sb3_options.execution.interruption import Interruption
 from sb3_options.experience.observations import FloatArray, batch_of_one
 from sb3_options.learning import heads
 from sb3_options.learning.value_snapshot import ValueSnapshot, interrupt_options
-from tests.learning.test_dqn import corridor_option
 from tests.support.helpers import TableEnv, steady_option, table_option
 from tests.support.sb3_helpers import (
     RANDOM,
     TINY,
     Corridor,
     TableOption,
+    corridor_option,
     env_of,
     fast_callback,
     make_optioned_rooms,

@@ -17,7 +17,7 @@ from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.intra_option import IntraOptionUpdater
 from sb3_options.learning.intra_option import Consistency, ConsistencyTable, consistency_of, intra_option_target
 from sb3_options.learning.replay_buffer import QUANTILE_SHARE
-from tests.learning.test_dqn import (
+from tests.learning.tables import (
     GAMMA,
     N_ACTIONS,
     N_PRIMITIVE,

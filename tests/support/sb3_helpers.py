@@ -13,7 +13,7 @@ from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_options import OptionsWrapper
+from sb3_options import Option, OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.envs import GridWorld
 
@@ -249,3 +249,11 @@ def places(observations: Any) -> npt.NDArray[np.float64]:
 def place_condition(test: Callable[[npt.NDArray[np.float64]], Any]) -> Callable[[Any], Any]:
     """A function of the place as a function of a batch of observations."""
     return lambda observations: test(places(observations)[:, 0])
+
+
+def corridor_option() -> Option:
+    return Option(
+        place_condition(lambda p: (p >= 2) & (p < 8)),
+        place_condition(lambda p: np.ones(len(p), dtype=int)),
+        place_condition(lambda p: p == 8),
+    )

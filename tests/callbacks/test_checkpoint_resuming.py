@@ -2,29 +2,22 @@
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback, EveryNTimesteps
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecFrameStack, VecNormalize
 
 from sb3_options import OptionReplayBuffer
-from sb3_options.callbacks import (
-    CheckpointCallback,
-    EndedAtCheckpointError,
-    IntrinsicRewardCallback,
-    SubgoalDiscoveryCallback,
-    load_checkpoint,
-)
+from sb3_options.callbacks import CheckpointCallback, IntrinsicRewardCallback, SubgoalDiscoveryCallback
 from sb3_options.checkpoints import file as checkpoint_file
 from sb3_options.checkpoints.comparison import differing
-from sb3_options.checkpoints.file import CheckpointFolder, read
+from sb3_options.checkpoints.file import read
 from sb3_options.checkpoints.tree import State
-from sb3_options.discovery.methods import DiscoveryMethod, Experience, Proposal
+from sb3_options.discovery.methods import DiscoveryMethod
 from sb3_options.discovery.methods.covering import CoveringOptions
 from sb3_options.discovery.methods.eigenoptions import Eigenoptions
 from sb3_options.discovery.methods.graphs import Betweenness, LCut
@@ -34,7 +27,7 @@ from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
 from sb3_options.learning.dqn import OptionDQN
 from sb3_options.learning.macro_q import MacroQ
 from tests.integration.test_algorithms import ALGORITHMS, GAMMA, OFF_POLICY
-from tests.support.sb3_helpers import TINY, fast_callback, make_optioned_rooms, optioned_rooms
+from tests.support.sb3_helpers import TINY, fast_callback, make_optioned_rooms
 
 STEPS = 1950
 EVERY = 100
@@ -267,227 +260,6 @@ def test_evaluations(tmp_path: Path) -> None:
     assert (tmp_path / "whole" / "best.safetensors").is_file()
 
 
-def test_states_of_other_seeds_differ(tmp_path: Path) -> None:
-    states = []
-    for seed in (0, 1):
-        model = model_of("PPO", venv_of())
-        model.set_random_seed(seed)
-        _, state = trained([model].pop, [discovering(), CheckpointCallback(tmp_path)], steps=128)
-        states.append(state)
-    wrong = differing(*states)
-    assert any(".random.numpy" in each for each in wrong)
-    assert any(".model.policy" in each for each in wrong)
-
-
-@dataclass
-class Anything:
-    """Settings of a user's own."""
-
-    function: Callable[..., Any]
-
-
-class TestLoadCheckpoint:
-    def test_a_folder_of_another_training_is_refused(self, tmp_path: Path) -> None:
-        """Its checkpoints have more steps, so that they would count as newer, and those of this one be removed."""
-        model_of("PPO", venv_of()).learn(1000, [discovering(), CheckpointCallback(tmp_path, 500)])
-        before = sorted(tmp_path.iterdir())
-        model, callbacks = model_of("PPO", venv_of()), [discovering(), CheckpointCallback(tmp_path, 500)]
-        with pytest.raises(ValueError, match=r"holds a checkpoint of [\d,]+ primitive steps, of another training"):
-            model.learn(500, callbacks)
-        load_checkpoint(tmp_path, model, callbacks)
-        others = [discovering(), CheckpointCallback(tmp_path, 500)]
-        with pytest.raises(ValueError, match=r"with the callbacks that learn\(\) is given\.$"):
-            model.learn(500, others)
-        assert sorted(tmp_path.iterdir()) == before
-
-    def test_goes_on_in_a_users_own_script(self, tmp_path: Path) -> None:
-        def callbacks() -> Callbacks:
-            return [discovering(), CheckpointCallback(tmp_path, 500)]
-
-        model_of("PPO", venv_of()).learn(1000, callbacks())
-        model, again = model_of("PPO", venv_of()), callbacks()
-        steps = load_checkpoint(tmp_path, model, again)
-        assert 500 <= steps < 1000
-        model.learn(1500, again)
-        assert model.num_timesteps >= 1500
-
-    def test_needs_the_callback(self, tmp_path: Path) -> None:
-        with pytest.raises(ValueError, match=r"needs a CheckpointCallback among the callbacks"):
-            load_checkpoint(tmp_path, model_of("PPO", venv_of()), discovering())
-
-    def test_says_that_there_is_none(self, tmp_path: Path) -> None:
-        with pytest.raises(FileNotFoundError, match="There is no checkpoint in"):
-            load_checkpoint(tmp_path, model_of("PPO", venv_of()), CheckpointCallback(tmp_path))
-
-    def test_refuses_another_algorithm(self, tmp_path: Path) -> None:
-        model_of("PPO", venv_of()).learn(64, [discovering(), CheckpointCallback(tmp_path)])
-        with pytest.raises(ValueError, match=r"^The checkpoint is of PPO, the model is A2C\.$"):
-            load_checkpoint(tmp_path, model_of("A2C", venv_of()), CheckpointCallback(tmp_path))
-
-    @pytest.mark.parametrize(
-        ("changed", "text"),
-        [
-            (
-                {"settings": {"min_positive": 9}},
-                r"with settings min_positive=\d+ of SubgoalDisc.* here it is 9",
-            ),
-            (
-                {"option_settings": {"sweeps": 7}},
-                r"with option_settings sweeps=\d+ of SubgoalDisc.* here it is 7",
-            ),
-        ],
-    )
-    def test_refuses_other_settings(self, changed: dict[str, Any], text: str, tmp_path: Path) -> None:
-        model_of("PPO", venv_of()).learn(64, [SubgoalDiscoveryCallback(), CheckpointCallback(tmp_path)])
-        model, other = model_of("PPO", venv_of()), [SubgoalDiscoveryCallback(**changed), CheckpointCallback(tmp_path)]
-        load_checkpoint(tmp_path, model, other)
-        with pytest.raises(ValueError, match=text):
-            model.learn(64, other)
-
-    def test_refuses_another_discount(self, tmp_path: Path) -> None:
-        model_of("PPO", venv_of()).learn(64, [discovering(), CheckpointCallback(tmp_path)])
-        model, same = model_of("PPO", venv_of()), [discovering(), CheckpointCallback(tmp_path)]
-        load_checkpoint(tmp_path, model, same)
-        venv = model.get_env()
-        assert venv is not None
-        model.gamma = 0.5
-        venv.set_attr("gamma", 0.5)
-        with pytest.raises(ValueError, match=r"^The checkpoint is of training with gamma=.*, the model has gamma=0\.5"):
-            model.learn(64, same)
-
-    def test_refuses_another_number_of_slots(self, tmp_path: Path) -> None:
-        model_of("PPO", venv_of()).learn(64, [discovering(), CheckpointCallback(tmp_path)])
-        fewer = DummyVecEnv([lambda: optioned_rooms(2)] * 2)
-        model, same = model_of("PPO", fewer), [discovering(), CheckpointCallback(tmp_path)]
-        load_checkpoint(tmp_path, model, same)
-        with pytest.raises(ValueError, match=r"with 4 slots for options, and this one has 2: pass max_options=4"):
-            model.learn(64, same)
-
-    def test_settings_of_a_users_callback_are_the_users(self, tmp_path: Path) -> None:
-        """They may be anything, which no checkpoint need hold."""
-
-        class Own(BaseCallback):
-            remembers_nothing = True
-
-            def __init__(self, settings: Anything) -> None:
-                super().__init__()
-                self.settings = settings
-
-            def _on_step(self) -> bool:
-                return True
-
-        model_of("PPO", venv_of()).learn(64, [discovering(), Own(Anything(print)), CheckpointCallback(tmp_path)])
-        model, other = model_of("PPO", venv_of()), [discovering(), Own(Anything(len)), CheckpointCallback(tmp_path)]
-        load_checkpoint(tmp_path, model, other)
-        model.learn(64, other)
-
-    def test_refuses_other_callbacks_and_environments(self, tmp_path: Path) -> None:
-        model_of("PPO", venv_of()).learn(64, [discovering(), CheckpointCallback(tmp_path)])
-        model, other = model_of("PPO", venv_of()), CheckpointCallback(tmp_path)
-        load_checkpoint(tmp_path, model, other)
-        with pytest.raises(ValueError, match=r"with the callbacks SubgoalDiscoveryCallback, Check"):
-            model.learn(64, [other, discovering()])
-        model, same = model_of("PPO", venv_of(4)), [discovering(), CheckpointCallback(tmp_path)]
-        load_checkpoint(tmp_path, model, same)
-        with pytest.raises(ValueError, match=r"^The checkpoint is of 2 environments, here are 4 in DummyVecEnv\.$"):
-            model.learn(64, same)
-
-
-class TestCheckpointCallback:
-    def test_writes_every_so_many_steps_and_at_the_start(self, tmp_path: Path) -> None:
-        checkpoints = CheckpointCallback(tmp_path, 200)
-        model_of("PPO", venv_of()).learn(600, [discovering(), checkpoints])
-        assert [int(file.stem) for file in checkpoints.folder] == [512, 256]
-
-    @pytest.mark.usefixtures("keep_all")
-    def test_changes_nothing(self, tmp_path: Path) -> None:
-        _, often = trained(lambda: model_of("DQN", venv_of()), [discovering(), CheckpointCallback(tmp_path / "1", 1)])
-        _, once = trained(
-            lambda: model_of("DQN", venv_of()), [discovering(), CheckpointCallback(tmp_path / "2", 10**9)]
-        )
-        assert differing(often, once) == []
-
-    def test_goes_on_without_where_the_disk_is_full(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-    ) -> None:
-        checkpoints = CheckpointCallback(tmp_path, 10**9)
-
-        def full(*_: Any, **__: Any) -> None:
-            raise OSError("No space left on device")
-
-        monkeypatch.setattr(checkpoints.folder, "save", full)
-        model_of("PPO", venv_of()).learn(64, [discovering(), checkpoints])
-        assert caplog.messages == ["No checkpoint could be written, training goes on: No space left on device"]
-
-    @pytest.mark.parametrize("name", ["PPO", "DQN"])
-    def test_ends_training_at_one_where_it_is_asked_to(self, name: str, tmp_path: Path) -> None:
-        model, asked = model_of(name, venv_of()), [0]
-
-        def when() -> bool:
-            asked[0] += 1
-            return asked[0] == 3
-
-        discovery = discovering()
-        with pytest.raises(EndedAtCheckpointError):
-            model.learn(5_000, [discovery, CheckpointCallback(tmp_path, 10**9, end_when=when)])
-        file, state = CheckpointFolder(tmp_path).newest()
-        assert int(file.stem) == state["model"]["counters"]["num_timesteps"] == model.num_timesteps > 0
-        assert discovery._ended
-
-    def test_ends_training_where_the_disk_is_full(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-    ) -> None:
-        checkpoints = CheckpointCallback(tmp_path, 10**9, end_when=lambda: True)
-        save = checkpoints.folder.save
-
-        def full(steps: int, *args: Any, **kwargs: Any) -> Path:
-            if steps > 0:
-                raise OSError("No space left on device")
-            return save(steps, *args, **kwargs)
-
-        monkeypatch.setattr(checkpoints.folder, "save", full)
-        with pytest.raises(EndedAtCheckpointError):
-            model_of("PPO", venv_of()).learn(5_000, [discovering(), checkpoints])
-        assert caplog.messages == ["No checkpoint could be written, training ends without: No space left on device"]
-        assert [file.name for file in CheckpointFolder(tmp_path)] == ["000000000000.safetensors"]
-
-    def test_refuses_a_frequency_of_nothing(self, tmp_path: Path) -> None:
-        with pytest.raises(ValueError, match=r"^freq must be a whole number of at least 1 primitive step, got 0\. The"):
-            CheckpointCallback(tmp_path, 0)
-
-    def test_refuses_models_that_are_not_known(self, tmp_path: Path) -> None:
-        class Own(PPO):
-            pass
-
-        for model in (SAC("MlpPolicy", "Pendulum-v1"), Own("MlpPolicy", venv_of())):
-            with pytest.raises(
-                ValueError, match=rf"^Checkpoints of {type(model).__name__} are not supported yet; those"
-            ):
-                model.learn(8, CheckpointCallback(tmp_path))
-
-    def test_refuses_callbacks_that_do_not_tell(self, tmp_path: Path) -> None:
-        class Counting(BaseCallback):
-            def __init__(self) -> None:
-                super().__init__()
-                self.counted = 0
-
-            def _on_step(self) -> bool:
-                return True
-
-        with pytest.raises(ValueError, match=r"^Checkpoints of Counting are not supported yet: give the callback get_"):
-            model_of("PPO", venv_of()).learn(8, [discovering(), Counting(), CheckpointCallback(tmp_path)])
-        assert not list(tmp_path.iterdir())
-
-
-def test_refuses_a_method_that_does_not_tell(tmp_path: Path) -> None:
-    class Silent:
-        def update(self, experience: Experience) -> list[Proposal]:
-            return []
-
-    with pytest.raises(ValueError, match=r"^Checkpoints of discovery by Silent are not supported: give it get_state"):
-        model_of("PPO", venv_of()).learn(64, [discovering(method=Silent()), CheckpointCallback(tmp_path)])
-
-
 @pytest.mark.usefixtures("keep_all")
 @pytest.mark.parametrize(
     "make",
@@ -509,6 +281,18 @@ def test_methods_of_discovery(make: Callable[..., DiscoveryMethod], tmp_path: Pa
         lambda: model_of("A2C", venv_of()), lambda: [discovering(method=make(**soon[make]))], tmp_path, cuts=(0.2, 0.7)
     )
     assert callbacks[0].discoveries  # type: ignore[attr-defined]  # of discovery
+
+
+def test_states_of_other_seeds_differ(tmp_path: Path) -> None:
+    states = []
+    for seed in (0, 1):
+        model = model_of("PPO", venv_of())
+        model.set_random_seed(seed)
+        _, state = trained([model].pop, [discovering(), CheckpointCallback(tmp_path)], steps=128)
+        states.append(state)
+    wrong = differing(*states)
+    assert any(".random.numpy" in each for each in wrong)
+    assert any(".model.policy" in each for each in wrong)
 
 
 def test_history_and_discoveries_come_back_as_they_were(tmp_path: Path) -> None:

@@ -1,0 +1,166 @@
+"""Discovery goes on in a second training and in hard tasks, and options that are there change or are closed."""
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from stable_baselines3.common.callbacks import EvalCallback
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from sb3_options import OptionsWrapper
+from sb3_options.callbacks import SubgoalDiscoveryCallback, reliability
+from sb3_options.callbacks.reliability import MIN_RUNS
+from sb3_options.envs import Direction
+from sb3_options.experience.option_run import OptionRun
+from sb3_options.learning import heads
+from sb3_options.options.option import SubgoalOption
+from tests.callbacks.doorway import STEPS, banks, model_of, to_the_doorway
+from tests.support.helpers import steady_option
+from tests.support.sb3_helpers import FAST_DISCOVERY, env_of, fast_callback, optioned_rooms, small_rooms
+
+
+class Endless(gym.Wrapper[Any, Any, Any, Any]):
+    """Goes on from the start after the goal."""
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        obs, reward, terminated, truncated, info = self.env.step(action)
+        if terminated:
+            obs, _ = self.env.reset()
+        return obs, float(reward), False, truncated, info
+
+
+class TestGoesOn:
+    def test_when_learn_is_called_again(self) -> None:
+        callback, model = fast_callback(), model_of()
+        model.learn(STEPS, callback=callback)
+        options, head = banks(env_of(model))[0].slots, heads.option_outputs(model.policy)[0][0].weight.clone()
+        assert len(callback.discoveries) == 1
+        model.learn(0, callback=callback, reset_num_timesteps=False)
+        assert len(callback.discoveries) == 1
+        assert torch.equal(head, heads.option_outputs(model.policy)[0][0].weight)
+        assert [o.name for o in banks(env_of(model))[0].slots if o] == [o.name for o in options if o]
+        model.learn(400, callback=callback, reset_num_timesteps=False)
+        # SB3 only looks at the budget when a rollout of 16 decisions ends.
+        assert model.num_timesteps >= STEPS + 400
+
+    def test_with_a_new_callback_that_finds_the_next_one(self) -> None:
+        model = model_of()
+        model.learn(STEPS, callback=fast_callback())
+        again = fast_callback()
+        model.learn(STEPS, callback=again)
+        assert 0 in again.bank.filled
+        assert all(d.slot == 1 for d in again.discoveries)
+
+    def test_with_hand_made_options_that_were_there_before(self) -> None:
+        env = optioned_rooms()
+        hand_made = steady_option(3, name="mine", max_duration=2)
+        env.bank.add(hand_made, 1)
+        callback, model = fast_callback(), model_of(env)
+        evaluation = EvalCallback(Monitor(optioned_rooms()), eval_freq=100_000, verbose=0)
+        model.learn(STEPS, callback=[callback, evaluation])
+        assert callback.bank[1] is env.bank[1] is banks(evaluation.eval_env)[0][1] is hand_made
+        assert [d.slot for d in callback.discoveries] == [0]
+        assert callback._statistics.values()["options/slot_1/mean_duration"] > 1
+
+    @pytest.mark.parametrize("most", [0, 1])
+    def test_until_it_has_made_as_many_as_it_may(self, most: int) -> None:
+        callback, model = fast_callback(max_new_options=most), model_of()
+        model.learn(STEPS, callback=callback)
+        assert len(callback.discoveries) == len(callback.bank) == most
+
+    def test_until_every_slot_is_filled(self) -> None:
+        callback, model = fast_callback(max_new_options=None), model_of(optioned_rooms(1))
+        model.learn(2 * STEPS, callback=callback)
+        assert len(callback.discoveries) == 1
+
+    def test_after_nan_observations(self, caplog: pytest.LogCaptureFixture) -> None:
+        class Spoilt(gym.ObservationWrapper[Any, Any, Any]):
+            seen = 0
+
+            def observation(self, observation: Any) -> Any:
+                self.seen += 1
+                return observation * np.nan if 40 <= self.seen < 45 else observation
+
+        env = OptionsWrapper(Spoilt(small_rooms(observation="xy")), gamma=0.9, feature_map=lambda o: np.asarray(o))
+        callback, model = fast_callback(), model_of(env)
+        with caplog.at_level(logging.WARNING, "sb3_options"):
+            model.learn(STEPS, callback=callback)
+        assert model.num_timesteps >= STEPS
+        logged = [r.getMessage() for r in caplog.records]
+        assert len(logged) == 1
+        assert logged[0].startswith("No discovery after episode 1: ")
+        assert "NaN" in logged[0]
+        assert len(callback.discoveries) == 1
+
+    def test_when_episodes_never_succeed(self) -> None:
+        callback, model = fast_callback(), model_of(optioned_rooms(max_steps=5))
+        model.learn(500, callback=callback)
+        assert callback.episodes >= 90
+        assert callback.discoveries == []
+
+    @pytest.mark.parametrize(("max_segment", "n_told"), [(100, 1), (600, 0)])
+    def test_when_episodes_never_end(self, caplog: pytest.LogCaptureFixture, max_segment: int, n_told: int) -> None:
+        """It says so once, long before training ends."""
+        callback = SubgoalDiscoveryCallback({**FAST_DISCOVERY, "max_segment": max_segment})
+        model_of(DummyVecEnv([lambda: OptionsWrapper(Endless(small_rooms(max_steps=10**6)), 1, gamma=0.9)] * 2)).learn(
+            1000, callback=callback
+        )
+        assert callback.episodes == 0
+        said = [record.getMessage() for record in caplog.records if "no episode has ended" in record.getMessage()]
+        assert len(said) == n_told
+        assert all(f"in {max_segment} primitive steps of each environment" in text for text in said)
+
+
+def test_an_option_whose_runs_go_on_for_ever_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reliability, "MIN_RUNS", 10)
+    monkeypatch.setattr(reliability, "RUNS_BETWEEN", 5)
+    env = optioned_rooms()
+    right, left = Direction.RIGHT, Direction.LEFT
+    env.bank.add(to_the_doorway(right, (3, 2)))
+    env.bank.add(to_the_doorway(left, (0, 2)))
+    callback = SubgoalDiscoveryCallback(max_new_options=0, min_reached=0.5, interruption=False)
+    model_of(env, seed=0).learn(6000, callback=callback)
+    assert [(closed.slot, closed.why) for closed in callback.closed] == [(1, "unreliable")]
+    assert callback.bank.filled == env.bank.filled == (0,)
+
+
+def test_an_option_is_no_longer_offered_where_it_goes_on_for_ever() -> None:
+    """To the right of (3, 0) is a wall."""
+    env = optioned_rooms()
+    env.bank.add(to_the_doorway(Direction.RIGHT, (3, 2), (3, 0)))
+    callback = SubgoalDiscoveryCallback(max_new_options=0, min_reached=0.5, interruption=False)
+    model_of(env, seed=0).learn(6000, callback=callback)
+    assert not callback.closed
+    for bank in (callback.bank, env.bank):
+        option = bank[0]
+        assert isinstance(option, SubgoalOption)
+        assert option.initiation_set.points.tolist() == [[3, 2]]
+
+
+def test_runs_of_a_closed_option_do_not_count_for_the_next_one_in_its_slot() -> None:
+    """With a rollout buffer a closed option goes on until the rollout ends, after its statistics were forgotten."""
+    callback = fast_callback(max_new_options=1, min_reached=0.5)
+    for _ in range(MIN_RUNS):
+        callback._statistics.add(OptionRun(0, 1, 0.9, 0.9, "max_duration", np.eye(45)[:1], inside=True))
+    model_of(seed=0).learn(2 * STEPS, callback=callback)
+    assert [found.slot for found in callback.discoveries] == [0]
+    assert not callback.closed
+
+
+def test_an_option_from_a_file_grows_where_it_is_used(tmp_path: Path) -> None:
+    env = optioned_rooms()
+    env.bank.add(to_the_doorway(Direction.RIGHT, (3, 2)))
+    env.bank.save(tmp_path / "options")
+    env = OptionsWrapper(small_rooms(), 4, gamma=0.9, options_file=tmp_path / "options")
+    callback = SubgoalDiscoveryCallback(max_new_options=0, option_settings={"grow": True, "value_function": "table"})
+    model_of(env).learn(2 * STEPS, callback=callback)
+    option = env.bank[0]
+    assert isinstance(option, SubgoalOption)
+    points = {tuple(point) for point in option.initiation_set.points}
+    assert (3, 2) in points
+    assert len(points) > 5

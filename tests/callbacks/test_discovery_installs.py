@@ -1,0 +1,249 @@
+"""Options are discovered, reach every environment, and are used; settings that do not fit are refused."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+import torch
+from sb3_contrib import QRDQN
+from stable_baselines3 import DQN
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList, EvalCallback, EveryNTimesteps
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
+
+from sb3_options import OptionBank, OptionDQN, OptionsWrapper
+from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.learning import heads
+from sb3_options.options.option import SubgoalOption
+from tests.callbacks.doorway import N_PRIMITIVE, STEPS, banks, model_of, same_options
+from tests.support import processes
+from tests.support.helpers import DictEnv, place_of
+from tests.support.sb3_helpers import DOORWAY, RANDOM, env_of, fast_callback, make_optioned_rooms, optioned_rooms
+
+
+@pytest.mark.parametrize("algorithm", [DQN, QRDQN, OptionDQN])
+def test_discovers_the_doorway_and_installs_an_option_that_leads_there(algorithm: type[OffPolicyAlgorithm]) -> None:
+    callback = fast_callback()
+    quantiles = {"policy_kwargs": {"net_arch": [16], "n_quantiles": 8}} if algorithm is QRDQN else {}
+    model = model_of(algorithm=algorithm, **quantiles)
+    model.learn(STEPS, callback=callback)
+    (found,) = callback.discoveries
+    assert np.abs(found.subgoal - DOORWAY).sum() <= 1
+    assert found.slot == 0
+    assert 0 < found.episode <= callback.episodes
+    assert 0 < found.timestep <= model.num_timesteps == callback.num_timesteps
+    assert found.initiation_states == len(cast("SubgoalOption", callback.bank[0]).initiation_set.points) > 5
+    assert np.isfinite(found.log_density)
+    assert same_options([callback.bank, *banks(env_of(model))])
+    assert [heads.is_closed(model.policy, N_PRIMITIVE + i) for i in range(4)] == [False, True, True, True]
+
+    # The option itself, from every cell of the left room.
+    reached = []
+    env = optioned_rooms()
+    for x in range(4):
+        for y in range(5):
+            env.reset(seed=5 * x + y, options={"start": (x, y)})
+            env.set_option(0, callback.bank[0])
+            if env.action_masks()[N_PRIMITIVE]:
+                _, _, _, _, info = env.step(N_PRIMITIVE)
+                reached.append(info["option"]["termination"] == "subgoal")
+    assert len(reached) > 5
+    assert np.mean(reached) > 0.7
+
+
+def test_uses_the_option_once_it_has_it() -> None:
+    model, callback = model_of(), fast_callback()
+    model.learn(STEPS, callback=callback)
+    stored = model.replay_buffer.actions[: model.replay_buffer.size(), 0]
+    uses = callback._statistics.values()["options/slot_0/uses"]
+    assert (stored == N_PRIMITIVE).sum() == uses > 5
+    assert not (stored > N_PRIMITIVE).any()
+
+
+class TestReachesEveryEnvironment:
+    @pytest.mark.parametrize("n_envs", [1, 4])
+    def test_in_one_process(self, n_envs: int) -> None:
+        venv = DummyVecEnv([optioned_rooms] * n_envs)
+        callback = fast_callback()
+        model_of(venv).learn(STEPS, callback=callback)
+        assert same_options([callback.bank, *banks(venv)])
+
+    def test_in_worker_processes(self) -> None:
+        venv = SubprocVecEnv([make_optioned_rooms] * 2, start_method="fork")
+        try:
+            callback = fast_callback()
+            model = model_of(venv)
+            model.learn(STEPS, callback=callback)
+            assert len(callback.discoveries) == 1
+            assert same_options([callback.bank, *banks(venv)])
+            # Bound to the feature map that each worker has.
+            assert venv.env_method("available", np.eye(45, dtype=np.float32))[1][:, N_PRIMITIVE].sum() > 5
+        finally:
+            venv.close()
+
+    @pytest.mark.parametrize("how", ["list", "before", "CallbackList", "EveryNTimesteps", "deep"])
+    def test_in_the_evaluation_beside_it(self, how: str) -> None:
+        evaluation = EvalCallback(Monitor(optioned_rooms()), n_eval_episodes=1, eval_freq=100_000, verbose=0)
+        callback = fast_callback()
+        nested: dict[str, Callable[[], Any]] = {
+            "list": lambda: [callback, evaluation],
+            "before": lambda: [evaluation, callback],
+            "CallbackList": lambda: CallbackList([callback, CallbackList([evaluation])]),
+            "EveryNTimesteps": lambda: [callback, EveryNTimesteps(50_000, evaluation)],
+            "deep": lambda: [CallbackList([EveryNTimesteps(50_000, CallbackList([evaluation]))]), callback],
+        }
+        model_of().learn(STEPS, callback=nested[how]())
+        assert len(callback.discoveries) == 1
+        assert same_options([callback.bank, *banks(evaluation.eval_env)])
+
+    def test_and_the_evaluation_uses_it(self) -> None:
+        """Episodes that are evaluated count primitive steps too."""
+        evaluation = EvalCallback(Monitor(optioned_rooms()), n_eval_episodes=3, eval_freq=400, verbose=0)
+        lengths: list[int] = []
+
+        class Lengths(BaseCallback):
+            def _on_step(self) -> bool:
+                lengths.extend(e for e in cast("Any", evaluation.eval_env).envs[0].get_episode_lengths())
+                return True
+
+        evaluation.callback = Lengths()
+        callback = fast_callback()
+        model = model_of()
+        model.learn(STEPS, callback=[callback, evaluation])
+        assert isinstance(cast("Any", evaluation.eval_env).envs[0].env, OptionsWrapper)
+        assert lengths
+        assert max(lengths) <= 150
+
+
+class TestSuccess:
+    def test_is_the_users(self) -> None:
+        asked = []
+
+        def never(trajectory: Any) -> bool:
+            asked.append(len(trajectory))
+            return False
+
+        callback, model = fast_callback(success=never), model_of()
+        model.learn(1000, callback=callback)
+        assert len(asked) == callback.episodes > 5
+        assert callback.discoveries == []
+
+    def test_so_is_the_static_filter(self) -> None:
+        def only_right(features: Any, start: Any, end: Any) -> Any:
+            return features[:, 0] > 5.5
+
+        callback, model = fast_callback(static_filter=only_right), model_of()
+        model.learn(STEPS, callback=callback)
+        assert [d.subgoal[0] > 5.5 for d in callback.discoveries] == [True]
+
+
+def test_one_seed_one_result() -> None:
+    def run() -> tuple[dict[str, torch.Tensor], list[Any], list[OptionBank]]:
+        callback, model = (
+            fast_callback(option_settings={"value_function": "network", "network_updates": 50}),
+            model_of(),
+        )
+        model.learn(STEPS, callback=callback)
+        found = [(d.slot, d.episode, d.timestep, d.subgoal.tolist(), d.log_density) for d in callback.discoveries]
+        return model.policy.state_dict(), found, [callback.bank]
+
+    (weights, found, bank), (weights_2, found_2, bank_2) = run(), run()
+    assert len(found) == 1
+    assert found == found_2
+    assert same_options(bank + bank_2)
+    assert all(torch.equal(weights[name], weights_2[name]) for name in weights)
+
+
+@pytest.mark.parametrize("observation", ["xy", "image"])
+def test_other_observations(observation: str) -> None:
+    policy = {"policy": "CnnPolicy"} if observation == "image" else {}
+    env = optioned_rooms(observation=observation)
+    model = OptionDQN(
+        policy.get("policy", "MlpPolicy"), env, gamma=0.9, buffer_size=3000, learning_starts=2496, train_freq=16,
+        batch_size=4, seed=0, policy_kwargs={"net_arch": [8]}, **RANDOM,
+    )  # fmt: skip
+    callback = fast_callback()
+    model.learn(2500, callback=callback)
+    assert len(callback.discoveries) == 1
+    assert model._option_buffer().next_available.any()
+
+
+def test_dict_observations() -> None:
+    env = OptionsWrapper(DictEnv(), gamma=0.9, feature_map=place_of)
+    model = OptionDQN("MultiInputPolicy", env, gamma=0.9, learning_starts=50, buffer_size=1000, seed=0, **RANDOM)
+    callback = fast_callback(static_filter=lambda f, s, e: np.abs(f[:, 0] - 5) < 2)
+    model.learn(1500, callback=callback)
+    assert [abs(d.subgoal[0] - 5) < 2 for d in callback.discoveries] == [True]
+
+
+ACT_AGAIN = """
+import numpy as np
+from stable_baselines3 import DQN
+from sb3_options import OptionDQN, OptionReplayBuffer
+from tests.support.sb3_helpers import optioned_rooms
+
+observations = np.load("observations.npy")
+for algorithm in (DQN, OptionDQN):
+    name = algorithm.__name__
+    env = optioned_rooms()
+    model = algorithm("MlpPolicy", env, gamma=0.9, replay_buffer_class=OptionReplayBuffer, buffer_size=1,
+                      policy_kwargs={"net_arch": [16]})
+    model.set_parameters(f"{name}.zip")
+    env.bank.load(f"{name}.safetensors")
+    actions = model.predict(observations, deterministic=True)[0]
+    np.save(f"{name}.npy", np.stack([actions, env.bank[0].policy(observations), env.available(observations)[:, 4]]))
+"""
+
+
+def test_saved_and_loaded_in_a_new_process_acts_the_same(tmp_path: Path) -> None:
+    cells = np.random.default_rng(0).integers(45, size=1000)
+    observations = np.eye(45, dtype=np.float32)[cells]
+    np.save(tmp_path / "observations.npy", observations)
+    expected = {}
+    for algorithm in (DQN, OptionDQN):
+        model, callback = model_of(algorithm=algorithm), fast_callback()
+        model.learn(STEPS, callback=callback)
+        for layer, _ in heads.option_outputs(model.policy):
+            torch.nn.init.constant_(layer.bias[N_PRIMITIVE], 0.3)  # so that the option is chosen at times
+        actions = model.predict(observations, deterministic=True)[0]
+        assert (actions == N_PRIMITIVE).any()
+        model.save(tmp_path / f"{algorithm.__name__}.zip")
+        callback.bank.save(tmp_path / f"{algorithm.__name__}.safetensors")
+        (bank,) = banks(env_of(model))
+        expected[algorithm.__name__] = np.stack(
+            [actions, cast("SubgoalOption", bank[0]).policy(observations), bank.available(observations)[:, N_PRIMITIVE]]
+        )
+    script = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[2])!r})\n{ACT_AGAIN}"
+    result = processes.python("-c", script, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    for name, values in expected.items():
+        np.testing.assert_array_equal(np.load(tmp_path / f"{name}.npy"), values)
+
+
+@pytest.mark.parametrize(
+    ("groups", "message"),
+    [
+        ([{"name": "a", "features": [7]}], "7"),
+        ([{"name": "a", "features": [0], "present": [[7]]}], "7"),
+        ([{"name": "a", "features": [0]}, {"name": "a", "features": [1]}], "two groups of features have the same name"),
+    ],
+)
+def test_groups_that_do_not_fit_are_refused_before_the_first_step(groups: list[Any], message: str) -> None:
+    model = model_of()
+    with pytest.raises(ValueError, match=message):
+        model.learn(STEPS, callback=fast_callback(groups=groups))
+    assert model.num_timesteps == 0
+
+
+def test_a_share_is_refused_out_of_range() -> None:
+    with pytest.raises(ValueError, match=r"min_reached must be a share, in \[0, 1\], got 2"):
+        SubgoalDiscoveryCallback(min_reached=2)
+
+
+@pytest.mark.parametrize("name", ["success", "static_filter", "save_path", "hparams"])
+def test_what_is_no_such_thing_is_refused_when_the_callback_is_made(name: str) -> None:
+    with pytest.raises(TypeError, match=f"^{name} must be .*, got 3"):
+        SubgoalDiscoveryCallback(**{name: 3})  # type: ignore[arg-type]

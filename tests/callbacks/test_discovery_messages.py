@@ -1,0 +1,212 @@
+"""What discovery tells: printed, logged as text, in a file of options and in TensorBoard."""
+
+import logging
+import re
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import imageio.v3 as iio
+import pytest
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import DummyVecEnv
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
+
+from sb3_options import OptionsWrapper
+from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.callbacks.records import OptionStatistics
+from sb3_options.callbacks.reliability import WINDOW
+from sb3_options.experience.option_run import OptionRun
+from sb3_options.options.option import SubgoalOption
+from tests.callbacks.doorway import STEPS, model_of, same_options
+from tests.support.sb3_helpers import FAST_DISCOVERY, fast_callback, n_colours, optioned_rooms, small_rooms
+
+
+class SilentFailures(gym.Wrapper[Any, Any, Any, Any]):
+    """Says whether an episode succeeded where it did."""
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        obs, reward, terminated, truncated, info = self.env.step(action)
+        if not info.get("is_success"):
+            info.pop("is_success", None)
+        return obs, float(reward), terminated, truncated, info
+
+
+@pytest.mark.parametrize("n_envs", [1, 3])
+def test_failures_before_the_first_reported_success_are_logged_with_it(n_envs: int) -> None:
+    venv = DummyVecEnv([lambda: OptionsWrapper(SilentFailures(small_rooms(max_steps=60)), 1, gamma=0.9)] * n_envs)
+    callback, model = SubgoalDiscoveryCallback(max_new_options=0), model_of(venv)
+    for _ in range(2):  # the second training forgets what the first has logged
+        began = len(callback.history)
+        model.learn(4000, callback=callback)
+        successes = [each.success for each in callback.history[began:]]
+        assert not successes[0]
+        assert any(successes)
+        assert list(model.ep_success_buffer) == successes[-100:]
+
+
+def test_a_subgoal_that_nothing_leads_to_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    groups = [{"name": "place", "features": [0, 1], "labels": ["row", "column"]}]
+    callback = fast_callback(groups=groups, option_settings={"min_reach": 1.0, "value_function": "table"})
+    with caplog.at_level(logging.WARNING, "sb3_options"):
+        model_of(seed=0).learn(8 * STEPS, callback=callback)
+    assert callback.discovery is not None
+    assert callback.discovery.n_withdrawn > 1
+    said = [record.getMessage() for record in caplog.records if "No option for" in record.getMessage()]
+    assert said
+    assert len(said) == len(set(said)) < callback.discovery.n_withdrawn
+
+
+class TestSavePath:
+    def test_is_written_at_each_new_option(self, tmp_path: Path) -> None:
+        path = tmp_path / "deep" / "options.safetensors"
+        written: list[tuple[bool, int]] = []
+        callback = fast_callback(save_path=path)
+
+        class Look(BaseCallback):
+            def _on_step(self) -> bool:
+                written.append((path.exists(), len(callback.discoveries)))
+                return True
+
+        model_of().learn(STEPS, callback=[callback, Look()])
+        assert set(written) == {(False, 0), (True, 1)}
+        bank = optioned_rooms().bank
+        bank.load(path)
+        assert same_options([bank, callback.bank])
+
+    def test_holds_in_the_end_what_options_have_become(self, tmp_path: Path) -> None:
+        path = tmp_path / "options.safetensors"
+        callback = fast_callback(save_path=path, option_settings={"grow": True, "value_function": "table"})
+        model_of().learn(3 * STEPS, callback=callback)
+        bank = optioned_rooms().bank
+        bank.load(path)
+        assert same_options([bank, callback.bank])
+        saved, present = bank[0], callback.bank[0]
+        assert isinstance(saved, SubgoalOption)
+        assert isinstance(present, SubgoalOption)
+        assert saved.initiation_set.points.tolist() == present.initiation_set.points.tolist()
+
+    def test_prints_if_asked(self, capsys: pytest.CaptureFixture[str]) -> None:
+        callback = fast_callback(verbose=1)
+        model_of().learn(STEPS, callback=callback)
+        (found,) = callback.discoveries
+        place = ", ".join(f"{x:g}" for x in found.subgoal)
+        text = f"Option 0: reach {place}, after {found.episode} episodes and {found.timestep:,} steps"
+        said = capsys.readouterr().out
+        assert text in said
+        assert "No subgoal" not in said
+        assert callback.why_nothing() is None
+
+    @pytest.mark.parametrize(
+        ("asked", "why", "said"),
+        [
+            ({"verbose": 1}, "No subgoal was discovered: no episode has ended", True),
+            ({"verbose": 0}, "No subgoal was discovered: no episode has ended", False),
+            ({"verbose": 1, "max_new_options": 0}, "Discovery was switched off.", False),
+        ],
+    )
+    def test_says_in_the_end_why_there_is_none(
+        self, capsys: pytest.CaptureFixture[str], asked: dict[str, Any], why: str, said: bool
+    ) -> None:
+        callback = fast_callback(**asked)
+        model_of().learn(20, callback=callback)
+        assert (callback.why_nothing() or "").startswith(why)
+        assert (why in capsys.readouterr().out) is said
+
+
+@pytest.fixture(scope="module")
+def events(tmp_path_factory: pytest.TempPathFactory) -> tuple[EventAccumulator, Any]:
+    """What a run left for TensorBoard, and its model."""
+    log = tmp_path_factory.mktemp("log")
+    model = model_of(tensorboard_log=str(log))
+    slower = SubgoalDiscoveryCallback({**FAST_DISCOVERY, "decay": 0.8}, max_new_options=1)
+    model.learn(STEPS, callback=slower)
+    (file,) = log.rglob("events.out.tfevents.*")
+    accumulator = EventAccumulator(str(file), size_guidance={"images": 0, "scalars": 0})
+    accumulator.Reload()
+    return accumulator, model
+
+
+class TestTensorBoard:
+    def last(self, events: EventAccumulator, tag: str) -> float:
+        return float(events.Scalars(tag)[-1].value)
+
+    def test_scalars(self, events: tuple[EventAccumulator, Any]) -> None:
+        accumulator, model = events
+        tags = set(accumulator.Tags()["scalars"])
+        assert tags >= {
+            "options/count", "options/slot_0/uses", "options/slot_0/mean_duration", "options/slot_0/ended_subgoal",
+            "time/primitive_steps", "discovery/seconds", "discovery/leading_average", "discovery/best_log_density",
+        }  # fmt: skip
+        assert accumulator.Scalars("options/count")[0].value == 0
+        assert self.last(accumulator, "options/count") == 1
+        assert 0 < self.last(accumulator, "discovery/seconds") < 60
+        assert self.last(accumulator, "options/slot_0/mean_duration") > 1
+        assert max(s.value for s in accumulator.Scalars("discovery/leading_average")) > 0
+        shares = [self.last(accumulator, t) for t in tags if t.startswith("options/slot_0/ended_")]
+        assert sum(shares) == pytest.approx(1.0)
+        for event in accumulator.Scalars("time/primitive_steps"):
+            assert event.value <= event.step <= model.num_timesteps
+        assert accumulator.Scalars("options/count")[-1].step == model.num_timesteps
+
+    def test_images(self, events: tuple[EventAccumulator, Any]) -> None:
+        accumulator, _ = events
+        names = {"diverse_density", "first_visits", "initiation_set", "option_policy", "options"}
+        assert set(accumulator.Tags()["images"]) == {f"discovery/{name}" for name in names}
+        for name in names:
+            picture = iio.imread(accumulator.Images(f"discovery/{name}")[-1].encoded_image_string)
+            height, width = picture.shape[:2]
+            assert height >= 200
+            assert width >= 300
+            inside = picture[height // 5 : -height // 5, width // 5 : -width // 5, :3]
+            assert n_colours(inside) > 10, name
+
+    def test_text_and_settings(self, events: tuple[EventAccumulator, Any]) -> None:
+        accumulator, model = events
+        *_, last = accumulator.Tensors("options/slot_0/text_summary")
+        assert last.step == model.num_timesteps
+        (text,) = last.tensor_proto.string_val
+        assert b"| option | reach 5, 2 |" in text
+        assert re.search(rb"% of the last runs, 100 at most: the subgoal was reached", text)
+        told = accumulator.PluginTagToContent("hparams")
+        assert "_hparams_/experiment" not in told, "TensorBoard would show the columns of one run for all"
+        settings = HParamsPluginData.FromString(told["_hparams_/session_start_info"]).session_start_info.hparams
+        assert settings["algo"].string_value == type(model).__name__
+        assert settings["discovery.decay"].number_value == 0.8
+        assert [each.step for each in accumulator.Scalars("at_end/success_rate")] == [model.num_timesteps]
+
+
+def test_without_tensorboard_no_picture_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawing = "sb3_options.callbacks.discovery_log.discovery_figures"
+    monkeypatch.setattr(drawing, lambda *_: pytest.fail("drew a picture"))
+    callback = fast_callback()
+    model_of().learn(STEPS, callback=callback)
+    assert callback.discoveries
+
+
+def test_statistics_of_endings_add_up_even_when_one_has_left_the_window() -> None:
+    statistics = OptionStatistics()
+    statistics.add(OptionRun(2, 9, 0.9**9, 0.9, "truncated"))
+    assert statistics.values()["options/slot_2/ended_truncated"] == 1.0
+    for _ in range(WINDOW):
+        statistics.add(OptionRun(2, 3, 0.9**3, 0.9, "subgoal"))
+    assert statistics.values() == {
+        "options/slot_2/uses": WINDOW + 1, "options/slot_2/runs": WINDOW + 1, "options/slot_2/steps_outside": 0,
+        "options/slot_2/mean_duration": 3.0,
+        "options/slot_2/ended_truncated": 0.0, "options/slot_2/ended_subgoal": 1.0,
+    }  # fmt: skip
+
+
+def test_steps_outside_the_initiation_set_are_no_runs() -> None:
+    statistics = OptionStatistics()
+    statistics.add(OptionRun(0, 1, 0.9, 0.9, "left_initiation", inside=False))
+    assert statistics.values() == {
+        "options/slot_0/uses": 1, "options/slot_0/runs": 0, "options/slot_0/steps_outside": 1,
+    }  # fmt: skip
+    for _ in range(3):
+        statistics.add(OptionRun(0, 5, 0.9**5, 0.9, "subgoal", inside=True))
+        statistics.add(OptionRun(0, 1, 0.9, 0.9, "left_initiation", inside=False))
+    values = statistics.values()
+    assert (values["options/slot_0/runs"], values["options/slot_0/steps_outside"]) == (3, 4)
+    assert (values["options/slot_0/mean_duration"], values["options/slot_0/ended_subgoal"]) == (5.0, 1.0)

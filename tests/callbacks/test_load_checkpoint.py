@@ -1,0 +1,128 @@
+"""`load_checkpoint` goes on from the newest checkpoint, and refuses those of another training."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback, load_checkpoint
+from tests.callbacks.test_checkpoint_resuming import Callbacks, discovering, model_of, venv_of
+from tests.support.sb3_helpers import optioned_rooms
+
+
+@dataclass
+class Anything:
+    """Settings of a user's own."""
+
+    function: Callable[..., Any]
+
+
+class TestLoadCheckpoint:
+    def test_a_folder_of_another_training_is_refused(self, tmp_path: Path) -> None:
+        """Its checkpoints have more steps, so that they would count as newer, and those of this one be removed."""
+        model_of("PPO", venv_of()).learn(1000, [discovering(), CheckpointCallback(tmp_path, 500)])
+        before = sorted(tmp_path.iterdir())
+        model, callbacks = model_of("PPO", venv_of()), [discovering(), CheckpointCallback(tmp_path, 500)]
+        with pytest.raises(ValueError, match=r"holds a checkpoint of [\d,]+ primitive steps, of another training"):
+            model.learn(500, callbacks)
+        load_checkpoint(tmp_path, model, callbacks)
+        others = [discovering(), CheckpointCallback(tmp_path, 500)]
+        with pytest.raises(ValueError, match=r"with the callbacks that learn\(\) is given\.$"):
+            model.learn(500, others)
+        assert sorted(tmp_path.iterdir()) == before
+
+    def test_goes_on_in_a_users_own_script(self, tmp_path: Path) -> None:
+        def callbacks() -> Callbacks:
+            return [discovering(), CheckpointCallback(tmp_path, 500)]
+
+        model_of("PPO", venv_of()).learn(1000, callbacks())
+        model, again = model_of("PPO", venv_of()), callbacks()
+        steps = load_checkpoint(tmp_path, model, again)
+        assert 500 <= steps < 1000
+        model.learn(1500, again)
+        assert model.num_timesteps >= 1500
+
+    def test_needs_the_callback(self, tmp_path: Path) -> None:
+        with pytest.raises(ValueError, match=r"needs a CheckpointCallback among the callbacks"):
+            load_checkpoint(tmp_path, model_of("PPO", venv_of()), discovering())
+
+    def test_says_that_there_is_none(self, tmp_path: Path) -> None:
+        with pytest.raises(FileNotFoundError, match="There is no checkpoint in"):
+            load_checkpoint(tmp_path, model_of("PPO", venv_of()), CheckpointCallback(tmp_path))
+
+    def test_refuses_another_algorithm(self, tmp_path: Path) -> None:
+        model_of("PPO", venv_of()).learn(64, [discovering(), CheckpointCallback(tmp_path)])
+        with pytest.raises(ValueError, match=r"^The checkpoint is of PPO, the model is A2C\.$"):
+            load_checkpoint(tmp_path, model_of("A2C", venv_of()), CheckpointCallback(tmp_path))
+
+    @pytest.mark.parametrize(
+        ("changed", "text"),
+        [
+            (
+                {"settings": {"min_positive": 9}},
+                r"with settings min_positive=\d+ of SubgoalDisc.* here it is 9",
+            ),
+            (
+                {"option_settings": {"sweeps": 7}},
+                r"with option_settings sweeps=\d+ of SubgoalDisc.* here it is 7",
+            ),
+        ],
+    )
+    def test_refuses_other_settings(self, changed: dict[str, Any], text: str, tmp_path: Path) -> None:
+        model_of("PPO", venv_of()).learn(64, [SubgoalDiscoveryCallback(), CheckpointCallback(tmp_path)])
+        model, other = model_of("PPO", venv_of()), [SubgoalDiscoveryCallback(**changed), CheckpointCallback(tmp_path)]
+        load_checkpoint(tmp_path, model, other)
+        with pytest.raises(ValueError, match=text):
+            model.learn(64, other)
+
+    def test_refuses_another_discount(self, tmp_path: Path) -> None:
+        model_of("PPO", venv_of()).learn(64, [discovering(), CheckpointCallback(tmp_path)])
+        model, same = model_of("PPO", venv_of()), [discovering(), CheckpointCallback(tmp_path)]
+        load_checkpoint(tmp_path, model, same)
+        venv = model.get_env()
+        assert venv is not None
+        model.gamma = 0.5
+        venv.set_attr("gamma", 0.5)
+        with pytest.raises(ValueError, match=r"^The checkpoint is of training with gamma=.*, the model has gamma=0\.5"):
+            model.learn(64, same)
+
+    def test_refuses_another_number_of_slots(self, tmp_path: Path) -> None:
+        model_of("PPO", venv_of()).learn(64, [discovering(), CheckpointCallback(tmp_path)])
+        fewer = DummyVecEnv([lambda: optioned_rooms(2)] * 2)
+        model, same = model_of("PPO", fewer), [discovering(), CheckpointCallback(tmp_path)]
+        load_checkpoint(tmp_path, model, same)
+        with pytest.raises(ValueError, match=r"with 4 slots for options, and this one has 2: pass max_options=4"):
+            model.learn(64, same)
+
+    def test_settings_of_a_users_callback_are_the_users(self, tmp_path: Path) -> None:
+        """They may be anything, which no checkpoint need hold."""
+
+        class Own(BaseCallback):
+            remembers_nothing = True
+
+            def __init__(self, settings: Anything) -> None:
+                super().__init__()
+                self.settings = settings
+
+            def _on_step(self) -> bool:
+                return True
+
+        model_of("PPO", venv_of()).learn(64, [discovering(), Own(Anything(print)), CheckpointCallback(tmp_path)])
+        model, other = model_of("PPO", venv_of()), [discovering(), Own(Anything(len)), CheckpointCallback(tmp_path)]
+        load_checkpoint(tmp_path, model, other)
+        model.learn(64, other)
+
+    def test_refuses_other_callbacks_and_environments(self, tmp_path: Path) -> None:
+        model_of("PPO", venv_of()).learn(64, [discovering(), CheckpointCallback(tmp_path)])
+        model, other = model_of("PPO", venv_of()), CheckpointCallback(tmp_path)
+        load_checkpoint(tmp_path, model, other)
+        with pytest.raises(ValueError, match=r"with the callbacks SubgoalDiscoveryCallback, Check"):
+            model.learn(64, [other, discovering()])
+        model, same = model_of("PPO", venv_of(4)), [discovering(), CheckpointCallback(tmp_path)]
+        load_checkpoint(tmp_path, model, same)
+        with pytest.raises(ValueError, match=r"^The checkpoint is of 2 environments, here are 4 in DummyVecEnv\.$"):
+            model.learn(64, same)

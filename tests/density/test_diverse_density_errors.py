@@ -1,0 +1,102 @@
+"""Bags, points, settings and searches that are refused."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+from sb3_options.density.bags import Bags
+from sb3_options.density.diverse_density import DiverseDensity, log_diverse_density
+from tests.density.definition import ONE
+
+
+@pytest.mark.parametrize(
+    ("positive", "negative", "text"),
+    [
+        ([], [], "there are no bags: pass at least one"),
+        ([ONE, np.zeros((0, 2))], [], "positive bag 1 is empty, of shape (0, 2): leave empty bags out"),
+        ([ONE], [[]], "negative bag 0 is empty"),
+        ([[1.0, 2.0]], [], "positive bag 0 must have shape (instances, features), got (2,)"),
+        ([ONE], [np.zeros((1, 3))], "negative bag 0 has 3 features, positive bag 0 has 2"),
+        ([ONE, ONE * np.nan], [], "positive bag 1 holds NaN or infinite features"),
+        ([ONE], [ONE + np.inf], "negative bag 0 holds NaN or infinite features"),
+    ],
+)
+def test_bad_bags(positive: list[ArrayLike], negative: list[ArrayLike], text: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(text)):
+        Bags.pack(positive, negative)
+
+
+def test_features_whose_squares_overflow() -> None:
+    with pytest.raises(ValueError, match=re.escape("positive bag 1 holds features beyond ±1e+100")):
+        Bags.pack([ONE, np.full((1, 2), -1e200)])
+    far = Bags.pack([np.zeros((1, 2)), np.full((1, 2), 1e40)])
+    with pytest.raises(ValueError, match=re.escape("features reach 5e+39 widths from their middle, at most 1e+15")):
+        DiverseDensity().search(far)
+    assert DiverseDensity(scale=1e-40).search(far)[0].log_density < 0
+
+
+@pytest.mark.parametrize(
+    ("points", "scales", "eta", "text"),
+    [
+        ([0.0, 0.0], 1.0, 1.0, "points must have shape (S, 2) as in the bags, got (2,)"),
+        ([[0.0]], 1.0, 1.0, "points must have shape (S, 2) as in the bags, got (1, 1)"),
+        ([[0.0, np.nan]], 1.0, 1.0, "one of the points holds NaN"),
+        ([[0.0, 1e200]], 1.0, 1.0, "one of the points holds features beyond ±1e+100, whose squares overflow"),
+        ([[0.0, 0.0]], [1.0, 1.0, 1.0], 1.0, "scales must be a number, (d,) or (S, d) = (1, 2), got (3,)"),
+        ([[0.0, 0.0]], [1.0, 0.0], 1.0, "scales must be positive and finite"),
+        ([[0.0, 0.0]], [1.0, 1e60], 1.0, "scales must be positive and finite"),
+        ([[0.0, 0.0]], 1.0, 0.0, "negative_strength must lie in (0, 1], got 0.0"),
+    ],
+)
+def test_bad_arguments(points: ArrayLike, scales: ArrayLike, eta: float, text: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(text)):
+        log_diverse_density(points, scales, Bags.pack([ONE]), negative_strength=eta)
+
+
+@pytest.mark.parametrize("leak", [-0.1, 1.0, np.nan])
+def test_a_leak_out_of_range(leak: float) -> None:
+    with pytest.raises(ValueError, match=re.escape("leak must lie in [0, 1), got")):
+        log_diverse_density([[0.0, 0.0]], 1.0, Bags.pack([ONE]), leak=leak)
+    with pytest.raises(ValueError, match=re.escape("leak must be in [0, 1), got")):
+        DiverseDensity(leak=leak)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"scale": 0.0}, "scale must be positive, finite"),
+        ({"scale": [[1.0]]}, "scale must be positive, finite, a number or (d,)"),
+        ({"method": "newton"}, 'method must be "gradient" or "exhaustive", got \'newton\''),
+        ({"n_starts": 0}, "n_starts must be a whole number of at least 1, got 0"),
+        ({"n_smallest": 0}, "n_smallest must be a whole number of at least 1"),
+        ({"steps": 0}, "steps must be a whole number of at least 1"),
+        ({"steps": 2.5}, "steps must be a whole number of at least 1, got 2.5"),
+        ({"n_starts": True}, "n_starts must be a whole number of at least 1, got True"),
+        ({"merge_radius": -1.0}, "merge_radius must be at least 0, got -1.0"),
+        ({"tolerance": float("nan")}, "tolerance must be at least 0, got nan"),
+        ({"negative_strength": 2.0}, "negative_strength must be in (0, 1], got 2.0"),
+    ],
+)
+def test_bad_settings(arguments: dict[str, object], text: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(text)):
+        DiverseDensity(**arguments)  # type: ignore[arg-type]  # wrong on purpose
+
+
+def test_bad_searches() -> None:
+    gradient, exhaustive = DiverseDensity(), DiverseDensity(method="exhaustive")
+    with pytest.raises(ValueError, match="pass starts to a gradient search"):
+        gradient.search(Bags.pack([ONE]), candidates=ONE)
+    with pytest.raises(ValueError, match="nothing to search from: without positive bags pass starts"):
+        gradient.search(Bags.pack([], [ONE]))
+    with pytest.raises(ValueError, match="nothing to search from: without positive bags pass candidates"):
+        exhaustive.search(Bags.pack([], [ONE]))
+    with pytest.raises(ValueError, match=re.escape("starts must be finite, of shape (m, 2), got (1, 3)")):
+        gradient.search(Bags.pack([ONE]), starts=np.zeros((1, 3)))
+    with pytest.raises(ValueError, match="candidates must be finite"):
+        exhaustive.search(Bags.pack([ONE]), candidates=ONE * np.nan)
+    with pytest.raises(ValueError, match=re.escape("scale has shape (3,), the bags have 2 features")):
+        DiverseDensity(scale=[1.0, 1.0, 1.0]).search(Bags.pack([ONE]))

@@ -1,0 +1,220 @@
+"""Values and gradients of the log diverse density against its definition, near, far and on an instance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+import torch
+
+from sb3_options.density import objective
+from sb3_options.density.arrays import FloatArray
+from sb3_options.density.bags import Bags
+from sb3_options.density.diverse_density import DiverseDensity, log_diverse_density
+from tests.density.definition import ONE, ROUNDING, density, oracle, random_bags
+
+
+def test_value_against_the_definition() -> None:
+    rng = np.random.default_rng(0)
+    for case in range(500):
+        d = int(rng.integers(1, 7))
+        spread = 10.0 ** rng.uniform(-1, 1)
+        positive = random_bags(rng, int(rng.integers(0, 4)), d, spread)
+        negative = random_bags(rng, int(rng.integers(0 if positive else 1, 3)), d, spread)
+        scale = rng.uniform(0.3, 2.0, size=d)
+        eta = float(rng.choice([1.0, 0.5]))
+        point = rng.normal(scale=spread, size=d)
+        if positive and case % 5 == 0:
+            point = positive[0][0]
+        expected = float(oracle(point, scale, positive, negative, eta))
+        assert density([point], scale, positive, negative, eta)[0] == pytest.approx(expected, rel=1e-9, abs=ROUNDING), (
+            case
+        )
+
+
+@pytest.mark.parametrize("d", [2, 20])
+@pytest.mark.parametrize("distance", [0.0, 1e-3, 0.1, 1.0, 3.0, 4.3, 4.4, 10.0, 27.0, 40.0, 100.0, 1e4])
+def test_value_at_any_distance(distance: float, d: int) -> None:
+    rng = np.random.default_rng(1)
+    positive = [rng.normal(scale=0.1, size=(n, d)) + np.eye(d)[0] * distance for n in (3, 5)]
+    positive[0][0] = np.eye(d)[0] * distance
+    expected = oracle(np.zeros(d), 1.0, positive)
+    assert density(np.zeros((1, d)), 1.0, positive)[0] == pytest.approx(float(expected), rel=1e-9, abs=ROUNDING)
+
+
+def test_order_of_bags_and_instances_does_not_matter() -> None:
+    rng = np.random.default_rng(2)
+    positive, negative, points = random_bags(rng, 5, 2, 2), random_bags(rng, 3, 2, 2), rng.normal(size=(7, 2))
+    shuffled = [rng.permutation(bag) for bag in positive[::-1]], [rng.permutation(bag) for bag in negative[::-1]]
+    np.testing.assert_allclose(density(points, 1.0, *shuffled), density(points, 1.0, positive, negative), rtol=1e-12)
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+def test_an_offset_costs_no_digits(dtype: torch.dtype) -> None:
+    rng = np.random.default_rng(3)
+    offset = np.array([1024.0, -4096.0])  # on the grid of the features, so that adding it is exact
+    positive = [np.round(bag * 64) / 64 for bag in random_bags(rng, 5, 2, 2)]
+    points = np.round(rng.normal(size=(7, 2)) * 64) / 64
+    here = log_diverse_density(points, 1.0, Bags.pack(positive, dtype=dtype))
+    there = log_diverse_density(points + offset, 1.0, Bags.pack([b + offset for b in positive], dtype=dtype))
+    assert here.dtype == dtype
+    torch.testing.assert_close(there, here, rtol=1e-14 if dtype == torch.float64 else 1e-7, atol=0)
+
+
+def test_single_precision() -> None:
+    rng = np.random.default_rng(4)
+    positive, negative = random_bags(rng, 5, 2, 3), random_bags(rng, 3, 2, 3)
+    points = np.concatenate([rng.normal(size=(20, 2)), [[1e4, 0.0]], positive[0]])
+    single = log_diverse_density(points, 1.0, Bags.pack(positive, negative, dtype=torch.float32))
+    np.testing.assert_allclose(single, density(points, 1.0, positive, negative), rtol=2e-5, atol=2e-6)
+
+
+@pytest.mark.parametrize(("n_positive", "n_negative"), [(3, 2), (3, 0), (0, 2), (1, 0)])
+@pytest.mark.parametrize("eta", [1.0, 0.3])
+@pytest.mark.parametrize("d", [1, 2, 6])
+def test_gradient(n_positive: int, n_negative: int, eta: float, d: int) -> None:
+    rng = np.random.default_rng(5)
+    bags = Bags.pack(random_bags(rng, n_positive, d, 1.5), random_bags(rng, n_negative, d, 1.5))
+    points = torch.tensor(rng.normal(scale=2, size=(4, d)), requires_grad=True)
+    scales = torch.tensor(rng.uniform(0.5, 1.5, size=(4, d)), requires_grad=True)
+
+    def f(t: torch.Tensor, s: torch.Tensor) -> torch.Tensor:
+        return log_diverse_density(t, s, bags, negative_strength=eta)
+
+    assert torch.autograd.gradcheck(f, (points, scales))
+    assert torch.autograd.gradcheck(lambda s: f(points.detach(), s), (scales[0].detach().requires_grad_(),))
+
+
+@pytest.mark.parametrize("leak", [1e-6, 0.2, 0.9])
+@pytest.mark.parametrize("d", [2, 20])
+def test_leaky_noisy_or_against_the_definition(leak: float, d: int) -> None:
+    rng = np.random.default_rng(6)
+    positive, negative = random_bags(rng, 5, d, 1.0), random_bags(rng, 2, d, 1.0)
+    points = np.concatenate([rng.normal(size=(6, d)), positive[0], np.full((1, d), 1e3)])
+    expected = density(points, 1.0, [], negative)
+    for bag in positive:
+        expected = expected + np.log(leak + (1 - leak) * np.exp(density(points, 1.0, [bag])))
+    value = log_diverse_density(points, 1.0, Bags.pack(positive, negative), leak=leak)
+    np.testing.assert_allclose(value, expected, rtol=1e-10, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("d", [1, 2, 6])
+def test_gradient_with_a_leak(d: int) -> None:
+    rng = np.random.default_rng(7)
+    bags = Bags.pack(random_bags(rng, 3, d, 1.5), random_bags(rng, 2, d, 1.5), weights=[1, 2, 1, 1, 3])
+    points = torch.tensor(rng.normal(scale=2, size=(4, d)), requires_grad=True)
+    scales = torch.tensor(rng.uniform(0.5, 1.5, size=(4, d)), requires_grad=True)
+    assert torch.autograd.gradcheck(lambda t, s: log_diverse_density(t, s, bags, leak=0.2), (points, scales))
+
+
+def test_with_a_leak_a_far_bag_costs_no_more_than_its_log() -> None:
+    value = log_diverse_density([[0.0, 0.0]], 1.0, Bags.pack([ONE, ONE + 1e6]), leak=0.2)
+    assert value.item() == pytest.approx(np.log(0.2))
+
+
+def test_a_far_point_is_pulled_by_the_soft_max_of_the_bag() -> None:
+    bag = np.array([[0.0, 0.0], [1e-4, 0.3], [-1e-4, -0.5]])
+    t = torch.tensor([[1e4, 0.0]], dtype=torch.float64, requires_grad=True)
+    value = log_diverse_density(t, 1.0, Bags.pack([bag]))
+    value.backward()  # type: ignore[no-untyped-call]  # torch's
+    difference = bag - [1e4, 0.0]
+    weights = torch.softmax(torch.tensor(-np.square(difference).sum(1)), dim=0).numpy()
+    assert value.item() == pytest.approx(float(oracle([1e4, 0.0], 1.0, [bag])), rel=1e-12)
+    assert t.grad is not None
+    np.testing.assert_allclose(t.grad[0], 2 * weights @ difference, rtol=1e-6)
+
+
+def value_and_gradient(
+    point: FloatArray, positive: Sequence[FloatArray], negative: Sequence[FloatArray] = ()
+) -> tuple[float, FloatArray]:
+    t = torch.tensor(point[None], requires_grad=True)
+    s = torch.ones(1, len(point), dtype=torch.float64, requires_grad=True)
+    value = log_diverse_density(t, s, Bags.pack(positive, negative))
+    value.backward()  # type: ignore[no-untyped-call]  # torch's
+    assert t.grad is not None
+    assert s.grad is not None
+    return value.item(), np.concatenate([t.grad[0].numpy(), s.grad[0].numpy()])
+
+
+@pytest.mark.parametrize("d", [2, 20])
+def test_a_hit_on_a_positive_instance(d: int) -> None:
+    rng = np.random.default_rng(6)
+    bag = rng.normal(size=(5, d))
+    value, gradient = value_and_gradient(bag[2], [bag])
+    assert value == 0.0
+    np.testing.assert_allclose(gradient, 0.0, atol=1e-12)
+    others = [rng.normal(size=(3, d)) for _ in range(2)]
+    _, with_hit = value_and_gradient(bag[2], [bag, *others])
+    _, without = value_and_gradient(bag[2], others)
+    np.testing.assert_allclose(with_hit, without, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("d", [2, 20])
+def test_a_hit_on_a_negative_instance(d: int) -> None:
+    rng = np.random.default_rng(7)
+    positive, negative = [rng.normal(size=(3, d))], [rng.normal(size=(4, d))]
+    value, gradient = value_and_gradient(negative[0][1], positive, negative)
+    assert value == -np.inf
+    _, without = value_and_gradient(negative[0][1], positive, [np.delete(negative[0], 1, axis=0)])
+    np.testing.assert_allclose(gradient, without, rtol=1e-9, atol=1e-12)
+
+
+def test_near_a_negative_instance_everything_is_finite() -> None:
+    for distance in 10.0 ** -np.arange(1, 320, 3.0):
+        value, gradient = value_and_gradient(np.array([distance, 0.0]), [np.ones((1, 2))], [np.zeros((1, 2))])
+        assert np.isfinite(gradient).all()
+        assert value < 0
+
+
+def test_saturation() -> None:
+    bag = np.full((100, 2), 3.0)
+    assert density([[3.0, 3.0]], 1.0, [bag] * 4).tolist() == [0.0]
+    assert density([[3.0, 3.0]], 1.0, [], [bag]).tolist() == [-np.inf]
+    near = [3.0, 3.1]
+    assert density([near], 1.0, [], [bag])[0] == pytest.approx(float(oracle(near, 1.0, [], [bag])), rel=1e-12)
+    value, gradient = value_and_gradient(np.array(near), [bag])
+    assert value == pytest.approx(0.0, abs=ROUNDING)
+    np.testing.assert_allclose(gradient, 0.0, atol=1e-12)
+
+
+def test_duplicates_count() -> None:
+    instance = np.array([[1.0, 0.0]])
+    once, twice = density([[0.0, 0.0]], 1.0, [instance])[0], density([[0.0, 0.0]], 1.0, [np.tile(instance, (2, 1))])[0]
+    assert twice == pytest.approx(np.log1p(-((1 - np.exp(once)) ** 2)))
+
+
+@pytest.mark.parametrize("lengths", [[1], [1, 1, 1], [1, 400, 3], [60] * 3, [33, 31, 35, 1000], [1000] + [2] * 50])
+def test_uneven_bags(lengths: list[int]) -> None:
+    rng = np.random.default_rng(8)
+    positive = [rng.normal(scale=4, size=(n, 2)) for n in lengths]
+    points = rng.normal(scale=6, size=(3, 2))
+    separate = sum(density(points, 0.7, [bag]) for bag in positive)
+    np.testing.assert_allclose(density(points, 0.7, positive), separate, rtol=1e-11, atol=ROUNDING)
+    assert sum(len(segment.powers) for segment in Bags.pack(positive).segments) == sum(lengths)
+
+
+@pytest.mark.parametrize("max_pairs", [1, 50, 333])
+@pytest.mark.parametrize("d", [2, 20])
+def test_chunks_change_nothing(max_pairs: int, d: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(9)
+    positive, negative = random_bags(rng, 6, d, 1.0), random_bags(rng, 3, d, 1.0)
+    points = np.concatenate([rng.normal(size=(30, d)), positive[0]])
+    whole = density(points, 1.0, positive, negative)
+    peaks = DiverseDensity().search(Bags.pack(positive, negative))
+    monkeypatch.setattr(objective, "MAX_PAIRS", max_pairs)
+    np.testing.assert_allclose(density(points, 1.0, positive, negative), whole, rtol=1e-12, atol=ROUNDING)
+    for peak, same in zip(peaks, DiverseDensity().search(Bags.pack(positive, negative)), strict=True):
+        np.testing.assert_allclose(peak.point, same.point, atol=1e-3)
+
+
+def test_many_features_agree_with_few() -> None:
+    rng = np.random.default_rng(10)
+    positive, negative = random_bags(rng, 5, 2, 2), random_bags(rng, 2, 2, 2)
+    points = np.concatenate([rng.normal(size=(9, 2)), positive[0], positive[1] + 1e-9])
+
+    def widen(x: FloatArray) -> FloatArray:
+        return np.hstack([x, np.full((len(x), 30), 50.0)])
+
+    wide = density(widen(points), 1.0, [widen(b) for b in positive], [widen(b) for b in negative])
+    np.testing.assert_allclose(wide, density(points, 1.0, positive, negative), rtol=1e-9, atol=ROUNDING)

@@ -1,0 +1,43 @@
+"""Trajectories along a line, and settings with which a few of them are searched."""
+
+from typing import Any, Literal
+
+import numpy as np
+
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.subgoals import SubgoalDiscovery
+from sb3_options.experience.observations import FloatArray
+from sb3_options.experience.trajectories import Trajectory
+from tests.support.helpers import trajectory_of
+
+SMALL: dict[str, Any] = {
+    "min_positive": 1,
+    "start_radius": 0.0,
+    "goal_radius": 0.0,
+    "search": "exhaustive",
+    "decay": 0.5,
+    "threshold": 0.4,
+    "negative_strength": 1.0,
+    "loops": "keep",
+    "min_passing": 0.0,
+    "leak": 0.0,
+    "search_growth": 0.0,
+}
+"""The paper's bags and diverse density, of few trajectories, which may be searched again and again."""
+
+SEARCHES: tuple[Literal["gradient", "exhaustive", "incremental"], ...] = ("gradient", "exhaustive", "incremental")
+
+
+def settings_of(**changes: Any) -> DiscoverySettings:
+    return DiscoverySettings(**{**SMALL, **changes})
+
+
+def on_a_line(*places: float, success: bool = True) -> tuple[Trajectory, FloatArray]:
+    """A trajectory and its features: the places themselves."""
+    trajectory = trajectory_of([np.array([float(p)]) for p in places], is_success=success)
+    return trajectory, np.asarray(trajectory.states)
+
+
+def found(discovery: SubgoalDiscovery) -> list[float] | None:
+    subgoal = discovery.search()
+    return None if subgoal is None else subgoal.points.ravel().tolist()

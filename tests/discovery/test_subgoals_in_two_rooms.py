@@ -1,0 +1,115 @@
+"""Random walks in two rooms lead discovery to the doorway."""
+
+from typing import Literal
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import sb3_options.envs  # noqa: F401  # registers them
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.subgoals import SubgoalDiscovery
+from sb3_options.experience.observations import FloatArray
+from sb3_options.experience.recording import EpisodeRecorder
+from sb3_options.experience.trajectories import Trajectory
+from tests.discovery.lines import SEARCHES
+
+DOORWAY = (10.0, 5.0)
+N_WALKS = 40
+
+
+@pytest.fixture(scope="module")
+def walks() -> list[list[tuple[Trajectory, FloatArray]]]:
+    """For each of 6 seeds the first 40 successful trajectories of a random walk, failures left out."""
+    result = []
+    for seed in range(6):
+        env = gym.make("sb3_options/TwoRooms-v0")
+        rng = np.random.default_rng(seed)
+        features = env.get_wrapper_attr("concept_features")
+        recorder, kept = EpisodeRecorder(), list[tuple[Trajectory, FloatArray]]()
+        observation, _ = env.reset(seed=seed)
+        recorder.begin(observation)
+        while len(kept) < N_WALKS:
+            action = int(rng.integers(4))
+            observation, reward, terminated, truncated, info = env.step(np.int64(action))
+            recorder.record(action, float(reward), observation)
+            if terminated or truncated:
+                recorder.end(terminated=terminated, truncated=truncated, is_success=info["is_success"])
+                trajectory = recorder.finished[-1]
+                if trajectory.is_success:
+                    kept.append((trajectory, features(trajectory.states)))
+                observation, _ = env.reset()
+                recorder.begin(observation)
+        result.append(kept)
+    return result
+
+
+class TestTwoRooms:
+    @pytest.mark.parametrize("search", SEARCHES)
+    def test_random_walks_lead_to_the_doorway(
+        self,
+        walks: list[list[tuple[Trajectory, FloatArray]]],
+        search: Literal["gradient", "exhaustive", "incremental"],
+    ) -> None:
+        near = 0
+        for trajectories in walks:
+            discovery = SubgoalDiscovery(DiscoverySettings(search=search, search_growth=0.0), kind="environment")
+            for trajectory, features in trajectories:
+                discovery.add(trajectory, features)
+            subgoals = [discovery.search() for _ in range(2)]  # 1 − λⁿ > 0.4
+            assert subgoals[0] is None
+            subgoal = subgoals[1]
+            near += subgoal is not None and bool(np.linalg.norm(subgoal.points[0] - DOORWAY) <= 1.0)
+        assert near >= 5
+
+    @pytest.mark.parametrize(("noise", "searches"), [(0.0, 2), (0.2, 4)])
+    def test_a_state_that_is_known_to_cut_needs_to_persist_for_less(
+        self, walks: list[list[tuple[Trajectory, FloatArray]]], noise: float, searches: int
+    ) -> None:
+        """The doorway of positions that are seen again; where they never are, it persists as long as before."""
+        rng = np.random.default_rng(0)
+        discovery = SubgoalDiscovery(DiscoverySettings(search_growth=0.0), kind="environment")
+        for trajectory, features in walks[0]:
+            discovery.add(trajectory, features + rng.uniform(-noise, noise, features.shape))
+        subgoals = [discovery.search() for _ in range(searches)]
+        assert subgoals[:-1] == [None] * (searches - 1)
+        subgoal = subgoals[-1]
+        assert subgoal is not None
+        assert np.linalg.norm(subgoal.points[0] - DOORWAY) <= 1.0 + 2 * noise
+
+    @pytest.mark.parametrize("capacity", [100, 20])
+    def test_incremental_search_finds_what_exhaustive_search_finds(
+        self, walks: list[list[tuple[Trajectory, FloatArray]]], capacity: int
+    ) -> None:
+        """The first subgoal of every training, within a cell and an episode; a capacity of 20 evicts."""
+        same = 0
+        for trajectories in walks[:4]:
+            firsts = []
+            for search in SEARCHES[1:]:
+                discovery = SubgoalDiscovery(DiscoverySettings(search=search, capacity=capacity), kind="environment")
+                firsts.append((N_WALKS, np.zeros(2)))
+                for episode, (trajectory, features) in enumerate(trajectories):
+                    discovery.add(trajectory, features)
+                    subgoal = discovery.search()
+                    if subgoal is not None:
+                        firsts[-1] = (episode, subgoal.points[0])
+                        break
+            (one, place), (other, again) = firsts
+            same += abs(one - other) <= 1 and bool(np.linalg.norm(place - again) <= 1.0)
+        assert same >= 3
+
+    @pytest.mark.parametrize("search", ["gradient", "incremental"])
+    def test_one_seed_one_result(
+        self, walks: list[list[tuple[Trajectory, FloatArray]]], search: Literal["gradient", "incremental"]
+    ) -> None:
+        results = []
+        for _ in range(2):
+            discovery = SubgoalDiscovery(DiscoverySettings(search=search), kind="environment")
+            for trajectory, features in walks[0][:25]:
+                discovery.add(trajectory, features)
+                discovery.search()
+            results.append(
+                [(f.subgoal.points.tolist(), f.log_density) for f in discovery.found]
+                + [(c.point.tolist(), c.average) for c in discovery.tracker.concepts]
+            )
+        assert results[0] == results[1]

@@ -1,0 +1,142 @@
+"""Observations of every kind, and the cell and the key that concept features read from them."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+from sb3_options.envs import FOUR_ROOMS, KEY_DOOR, KEY_FEATURE_SCALE, TWO_ROOMS, Direction, GridWorld
+from tests.envs.gridworld.cells import KINDS, Kind, cell_of, no_display, without_windows
+
+__all__ = ["no_display"]
+
+pytestmark = without_windows
+
+
+def test_observation_spaces() -> None:
+    def shape(map: str, kind: Kind) -> tuple[tuple[int, ...] | None, str]:
+        space = GridWorld(map, observation=kind).observation_space
+        return space.shape, str(space.dtype)
+
+    assert shape(TWO_ROOMS, "onehot") == ((210,), "float32")
+    assert shape(KEY_DOOR, "onehot") == ((208,), "float32")
+    assert shape(TWO_ROOMS, "xy") == ((2,), "float32")
+    assert shape(KEY_DOOR, "xy") == ((3,), "float32")
+    assert shape(TWO_ROOMS, "image") == ((40, 84, 3), "uint8")
+    assert shape(FOUR_ROOMS, "image") == ((39, 39, 3), "uint8")
+    assert shape("SG", "image") == ((36, 72, 3), "uint8")
+
+
+def test_xy_bounds_are_the_map() -> None:
+    space = GridWorld(KEY_DOOR, observation="xy").observation_space
+    assert isinstance(space, gymnasium.spaces.Box)
+    assert space.low.tolist() == [0, 0, 0]
+    assert space.high.tolist() == [12, 7, 1]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_observations_may_be_kept(kind: Kind) -> None:
+    env = GridWorld("S.G", observation=kind, success_probability=1)
+    first, _ = env.reset()
+    kept = first.copy()
+    first[:] = 0
+    assert cell_of(env, env.reset()[0]) == (0, 0)
+    np.testing.assert_array_equal(env.reset()[0], kept)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_key_is_seen_and_is_lost_with_the_episode(kind: Kind) -> None:
+    env = GridWorld("KS.DG", success_probability=1, observation=kind)
+    observations = [env.reset()[0]]
+    observations += [env.step(action)[0] for action in (Direction.LEFT, Direction.RIGHT)]
+    observations += [env.reset()[0]]
+    features = env.concept_features(np.stack(observations))
+    assert features.tolist() == [
+        [1, 0, 0],
+        [0, 0, KEY_FEATURE_SCALE],
+        [1, 0, KEY_FEATURE_SCALE],
+        [1, 0, 0],
+    ]
+
+
+def test_key_is_far_from_no_key() -> None:
+    assert np.exp(-(KEY_FEATURE_SCALE**2)) < 1e-10
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.int64, np.float32, np.float64])
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("map", [TWO_ROOMS, FOUR_ROOMS])
+def test_is_the_cell_for_all_cells(map: str, kind: Kind, dtype: type[np.generic]) -> None:
+    env = GridWorld(map, observation=kind)
+    cells = [(int(x), int(y)) for y, x in np.argwhere(~env.walls)]
+    cells.remove(env.goal)
+    observations = np.stack([env.reset(options={"start": cell})[0] for cell in cells]).astype(dtype)
+    features = env.concept_features(observations)
+    assert features.dtype == np.float64
+    assert features.tolist() == [list(cell) for cell in cells]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_is_the_cell_of_the_goal(kind: Kind) -> None:
+    env = GridWorld("S.\n.G", observation=kind, success_probability=1)
+    env.reset()
+    observation = [env.step(action)[0] for action in (Direction.RIGHT, Direction.DOWN)][-1]
+    assert cell_of(env, observation) == (1, 1)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_is_the_cell_with_the_key(kind: Kind) -> None:
+    """A tour with the key through every cell of a room, the door and the room behind it."""
+    env = GridWorld("K..S#G\n....D.", observation=kind, success_probability=1)
+    env.reset(options={"start": (0, 0)})
+    right, left, down, up = Direction.RIGHT, Direction.LEFT, Direction.DOWN, Direction.UP
+    tour = [right, right, right, down, left, left, left, right, right, right, right, right, up]
+    observations = np.stack([env.step(action)[0] for action in tour])
+    cells = [
+        (1, 0),
+        (2, 0),
+        (3, 0),
+        (3, 1),
+        (2, 1),
+        (1, 1),
+        (0, 1),
+        (1, 1),
+        (2, 1),
+        (3, 1),
+        (4, 1),
+        (5, 1),
+    ]
+    cells.append((5, 0))
+    expected = [[x, y, KEY_FEATURE_SCALE] for x, y in cells]
+    assert env.concept_features(observations).tolist() == expected
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_empty_batch(kind: Kind) -> None:
+    env = GridWorld(observation=kind)
+    shape = env.observation_space.shape
+    assert shape is not None
+    assert env.concept_features(np.empty((0, *shape))).shape == (0, 2)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_leaves_the_observations_alone(kind: Kind) -> None:
+    env = GridWorld("KS.DG", observation=kind)
+    observations = env.reset(options={"start": (0, 0)})[0][None]
+    kept = observations.copy()
+    env.concept_features(observations)
+    env.concept_features(observations)
+    np.testing.assert_array_equal(observations, kept)
+
+
+def test_unbatched_observation_is_refused() -> None:
+    env = GridWorld()
+    with pytest.raises(ValueError, match=r"observations of shape \(210,\) each, got shape \(210,\)"):
+        env.concept_features(env.reset()[0])
+
+
+def test_image_without_agent_is_refused() -> None:
+    env = GridWorld("S.G", observation="image")
+    images = np.stack([env.reset()[0]] * 3)
+    images[1] = 0
+    with pytest.raises(ValueError, match=r"observations\[1\] shows no agent: pass the environment's own"):
+        env.concept_features(images)

@@ -1,0 +1,264 @@
+"""A grid world keeps Gymnasium's protocol: ids, arguments, errors, pictures."""
+
+import copy
+import importlib
+import pickle
+from typing import Any
+
+import gymnasium
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
+import sb3_options.envs
+from sb3_options.envs import FOUR_ROOMS, KEY_DOOR, TWO_ROOMS, Direction, GridWorld
+from sb3_options.envs.gridworld.drawing import AGENT, GOAL, RENDER_CELL_PX
+from sb3_options.envs.gridworld.grid_map import Cell
+from sb3_options.envs.gridworld.maps import FOUR_ROOMS_MAX_STEPS, KEY_DOOR_MAX_STEPS, TWO_ROOMS_MAX_STEPS
+from tests.envs.gridworld.cells import KINDS, Kind, no_display, without_windows
+
+__all__ = ["no_display"]
+
+pytestmark = without_windows
+
+IDS = ["sb3_options/TwoRooms-v0", "sb3_options/FourRooms-v0", "sb3_options/KeyDoor-v0"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("env_id", IDS)
+def test_gymnasium_check_env(env_id: str, kind: Kind) -> None:
+    check_env(gymnasium.make(env_id, observation=kind, render_mode="rgb_array").unwrapped)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("env_id", IDS)
+def test_sb3_check_env(env_id: str, kind: Kind) -> None:
+    sb3_check_env(gymnasium.make(env_id, observation=kind))
+
+
+def test_pickle_and_deepcopy_go_on_alike() -> None:
+    env = GridWorld()
+    env.reset(seed=3)
+    twins = [env, copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
+    paths = [[twin.step(Direction.RIGHT)[0].argmax() for _ in range(50)] for twin in twins]
+    assert paths[0] == paths[1] == paths[2]
+
+
+@pytest.mark.parametrize(
+    ("env_id", "goal", "max_steps"),
+    [
+        (IDS[0], (20, 9), TWO_ROOMS_MAX_STEPS),
+        (IDS[1], (11, 11), FOUR_ROOMS_MAX_STEPS),
+        (IDS[2], (12, 7), KEY_DOOR_MAX_STEPS),
+    ],
+)
+def test_ids_make_their_maps(env_id: str, goal: Cell, max_steps: int) -> None:
+    spec = gymnasium.spec(env_id)
+    env = spec.make().unwrapped
+    assert isinstance(env, GridWorld)
+    assert env.goal == goal
+    assert spec.kwargs["max_steps"] == max_steps
+    assert spec.max_episode_steps is None
+
+
+def test_every_keyword_argument_can_be_overridden() -> None:
+    env = gymnasium.make(
+        IDS[0],
+        map="S..\n###",
+        goal=(2, 0),
+        starts=[(1, 0)],
+        success_probability=1.0,
+        goal_reward=5.0,
+        step_reward=-1.0,
+        max_steps=1,
+        observation="xy",
+        render_mode="ansi",
+    )
+    observation, _ = env.reset()
+    assert observation.tolist() == [1, 0]
+    assert env.render() == ".AG\n###"
+    assert env.step(np.int64(Direction.UP))[1:] == (-1.0, False, True, {"is_success": False})
+    env.reset()
+    assert env.step(np.int64(Direction.RIGHT))[1:] == (5.0, True, False, {"is_success": True})
+
+
+def test_reload_registers_nothing_twice() -> None:
+    before = gymnasium.spec(IDS[0])
+    importlib.reload(sb3_options.envs)
+    assert gymnasium.spec(IDS[0]) is before
+
+
+def test_properties() -> None:
+    env = GridWorld(goal=(20, 0))
+    assert (env.width, env.height, env.goal) == (21, 10, (20, 0))
+    assert env.walls.shape == (10, 21)
+    assert env.doorways == [(10, 5)]
+    assert len(env.start_cells) == 100
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "error", "message"),
+    [
+        ({"map": "S"}, ValueError, r"map must have exactly one goal 'G', got 0"),
+        ({"goal": (10, 0)}, ValueError, r"goal \(10, 0\) is a wall"),
+        ({"starts": [(10, 0)]}, ValueError, r"starts\[0\] \(10, 0\) is a wall"),
+        ({"success_probability": 1.1}, ValueError, r"success_probability must be in 0\.\.1, got 1\.1"),
+        ({"success_probability": -0.1}, ValueError, r"success_probability must be in 0\.\.1, got -0\.1"),
+        (
+            {"success_probability": float("nan")},
+            ValueError,
+            r"success_probability must be in 0\.\.1, got nan",
+        ),
+        ({"success_probability": "0.9"}, TypeError, r"success_probability must be a number, got '0\.9'"),
+        ({"goal_reward": float("inf")}, ValueError, r"goal_reward must be finite, got inf"),
+        ({"step_reward": None}, TypeError, r"step_reward must be a number, got None"),
+        ({"max_steps": 0}, ValueError, r"max_steps must be at least 1, or None for no limit, got 0"),
+        ({"continuing": "yes"}, TypeError, r"continuing must be True or False, got 'yes'"),
+        ({"max_steps": 1e3}, TypeError, r"max_steps must be an integer or None, got 1000\.0"),
+        (
+            {"observation": "rgb"},
+            ValueError,
+            r"observation must be one of 'onehot', 'xy', 'image', got 'rgb'",
+        ),
+        (
+            {"render_mode": "depth"},
+            ValueError,
+            r"render_mode must be one of 'human', 'rgb_array', 'ansi', got 'depth'",
+        ),
+    ],
+)
+def test_bad_arguments(kwargs: dict[str, Any], error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        GridWorld(**kwargs)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        (
+            {"strat": (0, 0)},
+            ValueError,
+            r"options has the unknown key 'strat': only 'start' is understood",
+        ),
+        ({"start": (10, 0)}, ValueError, r"options\['start'\] \(10, 0\) is a wall"),
+        ({"start": (20, 9)}, ValueError, r"options\['start'\] \(20, 9\) is the goal"),
+        ({"start": (21, 0)}, ValueError, r"options\['start'\] \(21, 0\) is outside the map"),
+        (
+            {"start": None},
+            TypeError,
+            r"options\['start'\] must be a cell \(x, y\) of two integers, got None",
+        ),
+    ],
+)
+def test_bad_reset_options(options: dict[str, Any], error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        GridWorld().reset(options=options)
+
+
+def test_start_option_cut_off_from_the_goal() -> None:
+    with pytest.raises(ValueError, match=r"options\['start'\] \(3, 0\) cannot reach the goal \(1, 0\)"):
+        GridWorld("SG#.").reset(options={"start": (3, 0)})
+
+
+@pytest.mark.parametrize("action", [-1, 4, 1.0, None, np.float32(1)])
+def test_bad_actions(action: Any) -> None:
+    env = GridWorld()
+    env.reset()
+    with pytest.raises(gymnasium.error.InvalidAction, match=r"action must be an integer in 0\.\.3, got "):
+        env.step(action)
+
+
+@pytest.mark.parametrize("action", [3, np.int64(3), np.array(3), Direction.RIGHT])
+def test_integers_of_all_kinds_are_actions(action: Any) -> None:
+    env = GridWorld("SG", success_probability=1)
+    env.reset()
+    assert env.step(action)[2]
+
+
+def test_step_before_reset() -> None:
+    with pytest.raises(gymnasium.error.ResetNeeded, match=r"step\(\) was called before the first reset\(\)"):
+        GridWorld().step(0)
+
+
+@pytest.mark.parametrize("action", [Direction.RIGHT, Direction.LEFT])
+def test_step_after_the_end(action: Direction) -> None:
+    env = GridWorld("SG", success_probability=1, max_steps=1)
+    env.reset()
+    env.step(action)
+    with pytest.raises(gymnasium.error.ResetNeeded, match=r"after the episode's end: call reset\(\) first"):
+        env.step(action)
+
+
+def test_render_before_reset() -> None:
+    with pytest.raises(gymnasium.error.ResetNeeded, match=r"render\(\) was called before the first reset"):
+        GridWorld(render_mode="ansi").render()
+
+
+def test_render_without_mode() -> None:
+    env = GridWorld()
+    env.reset()
+    with pytest.warns(UserWarning, match=r"render\(\) does nothing without a render mode"):
+        assert env.render() is None
+
+
+def test_ansi() -> None:
+    env = GridWorld("#####\n#KSD#\n##.G#\n#####", success_probability=1, render_mode="ansi", goal=(2, 2))
+    env.reset()
+    assert env.render() == "#####\n#KAD#\n##G.#\n#####"
+    env.step(Direction.LEFT)
+    assert env.render() == "#####\n#A..#\n##G.#\n#####"
+
+
+@pytest.mark.parametrize("map", [TWO_ROOMS, FOUR_ROOMS, KEY_DOOR])
+def test_rgb_array(map: str) -> None:
+    env = GridWorld(map, render_mode="rgb_array")
+    start = env.start_cells[0]
+    env.reset(options={"start": start})
+    picture = env.render()
+    assert isinstance(picture, np.ndarray)
+    assert picture.shape == (RENDER_CELL_PX * env.height, RENDER_CELL_PX * env.width, 3)
+    assert picture.dtype == np.uint8
+
+    def centre(cell: Cell) -> tuple[int, ...]:
+        x, y = (RENDER_CELL_PX * c + RENDER_CELL_PX // 2 for c in cell)
+        return tuple(int(channel) for channel in picture[y, x])
+
+    wall_y, wall_x = np.argwhere(env.walls)[0]
+    colours = [
+        centre(start),
+        centre(env.goal),
+        centre((int(wall_x), int(wall_y))),
+        centre(env.start_cells[1]),
+    ]
+    assert colours[:2] == [AGENT, GOAL]
+    assert len(set(colours)) == 4
+
+
+def test_pictures_follow_the_agent_and_the_key() -> None:
+    env = GridWorld("KS.DG", success_probability=1, render_mode="rgb_array")
+    env.reset()
+    pictures = [env.render()]
+    for action in (Direction.LEFT, Direction.RIGHT):
+        env.step(action)
+        pictures.append(env.render())
+    without_key, picking_up, with_key = map(np.asarray, pictures)
+    columns = [np.argwhere((p == AGENT).all(axis=2))[:, 1].mean() // RENDER_CELL_PX for p in map(np.asarray, pictures)]
+    assert columns == [1, 0, 1]
+    changed = (without_key != with_key).any(axis=(0, 2)).reshape(-1, RENDER_CELL_PX).any(axis=1)
+    assert changed.tolist() == [True, False, False, True, False]
+    assert (picking_up != with_key).any()
+
+
+def test_human_shows_each_step_and_closes() -> None:
+    env = GridWorld("S.G", success_probability=1, render_mode="human")
+    env.metadata = {**env.metadata, "render_fps": 1000}
+    env.reset()
+    first = np.asarray(plt.gcf().axes[0].images[0].get_array()).copy()
+    env.step(Direction.RIGHT)
+    assert (np.asarray(plt.gcf().axes[0].images[0].get_array()) != first).any()
+    assert env.render() is None
+    env.close()
+    env.close()
+    assert plt.get_fignums() == []

@@ -1,0 +1,155 @@
+"""Training by `cli.main` in this process: algorithms, flags, what it prints, and an interrupt."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from matplotlib.figure import Figure
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from sb3_options import OptionBank, cli
+from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.discovery.figures import subgoals_figure
+from sb3_options.execution.trials import TrialSettings
+from sb3_options.runs import config as configs
+from sb3_options.runs import folder as runs
+from sb3_options.runs.config import CLASSES, DQNConfig
+from sb3_options.runs.evaluation import EvaluateConfig
+from sb3_options.runs.flags import parse
+from tests.integration.test_cli_run import CONFIG
+from tests.support.sb3_helpers import DOORWAY
+
+
+class TestTrain:
+    @pytest.mark.parametrize(
+        ("args", "text"),
+        [
+            (["--n-timesteps", "30"], "No subgoal was discovered: no episode has ended. Train for longer"),
+            (["--algo", "dqn", "--env", "CliffWalking-v1"], "No subgoal was discovered: none of the"),
+            (["--no-discover"], "Discovery was switched off."),
+            (["--max-options", "0"], "There was no free slot for an option."),
+        ],
+    )
+    def test_says_why_there_is_no_option_as_the_picture_does(
+        self, args: list[str], text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+        monkeypatch: pytest.MonkeyPatch,
+    ) -> None:  # fmt: skip
+        drawn: list[str] = []
+
+        def draw(discovery: Any, bank: OptionBank, text: str) -> Figure:
+            drawn.append(text)
+            return subgoals_figure(discovery, bank, text)
+
+        monkeypatch.setattr(cli, "subgoals_figure", draw)
+        cli.main(["--n-timesteps", "1500", "--no-progress", "--tensorboard-log", str(tmp_path), *args])
+        printed = capsys.readouterr().out
+        assert text in drawn[0]
+        assert f"{drawn[0]}\n" in printed
+
+    def test_makes_a_new_folder_each_time(self, tmp_path: Path) -> None:
+        config = DQNConfig(tensorboard_log=tmp_path, env="a/B-v0")
+        names = [runs.new_run_folder(config).relative_to(tmp_path).as_posix() for _ in range(3)]
+        assert names == ["dqn/a-B-v0_1", "dqn/a-B-v0_2", "dqn/a-B-v0_3"]
+
+    @pytest.mark.parametrize("algo", [name for name in CLASSES if name != "dqn"])
+    @pytest.mark.filterwarnings("ignore:You have specified a mini-batch size")  # 2 environments, not 8
+    def test_other_algorithms_and_several_environments(self, algo: str, tmp_path: Path) -> None:
+        args = ["--algo", algo, "--n-envs", "2", "--n-timesteps", "400", "--tensorboard-log", str(tmp_path)]
+        args += ["--no-progress", "--no-discover", "--eval-freq", "200", "--eval-episodes", "1", "--num-threads", "1"]
+        args += ["--learning-starts", "300"] if "dqn" in algo else ["--n-steps", "64"]
+        args += ["--n-epochs", "1"] if "ppo" in algo else []
+        cli.main([*args, "--env-kwargs", "max_steps:30"])
+        folder = tmp_path / algo / "sb3_options-TwoRooms-v0_1"
+        assert (folder / "model.zip").is_file()
+        assert len(list((folder / "monitor").iterdir())) == 2
+        assert len(np.load(folder / "evaluations.npz")["timesteps"]) >= 1
+        cli.main(["evaluate", str(folder), "--episodes", "1"])
+
+    @pytest.mark.parametrize("algo", ["ppo", "maskableppo"])
+    def test_on_policy_discovery(self, algo: str, tmp_path: Path) -> None:
+        text = CONFIG.replace("learning_starts: 200\n", "n_envs: 4\nn_steps: 64\n").replace("4000", "7000")
+        (tmp_path / "config.yml").write_text(text)
+        args = ["--config", str(tmp_path / "config.yml"), "--algo", algo, "--tensorboard-log", str(tmp_path)]
+        args += ["--n-epochs", "2"]
+        folder = cli.train(parse([*args, "--discovery.min-positive", "5", "--discovery.decay", "0.5"]))
+        bank = OptionBank(4, 4)
+        bank.load(folder / "options.safetensors")
+        assert bank.filled == (0,)
+        subgoal = bank[0].subgoal.points[0]  # type: ignore[union-attr]  # discovered
+        assert np.abs(subgoal - DOORWAY).sum() <= 1
+        result = cli.evaluate(EvaluateConfig(folder, episodes=2))
+        assert result.episodes == 2
+
+    def test_says_how_it_went_beside_training_without_discovery(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        args = ["--n-timesteps", "2000", "--no-progress", "--tensorboard-log", str(tmp_path)]
+        args += ["--env-kwargs", "max_steps:100"]
+        cli.main([*args, "--compare"])
+        printed = capsys.readouterr().out
+        assert "Once more, without discovery:" in printed
+        assert re.search(r"│ this run +┃ --no-discover|┃ this run +┃ --no-discover", printed)
+        numbers = re.search(r"│ episodes +│ (\d+) +│ (\d+)", printed)
+        assert numbers is not None
+        lengths = [len(list((tmp_path / "maskableppo").glob(f"*_{i}/monitor/*"))) for i in (1, 2)]
+        assert lengths == [8, 8]
+        without = configs.load(tmp_path / "maskableppo" / "sb3_options-TwoRooms-v0_2" / "config.yml")
+        assert (without.discover, without.compare) == (False, False)
+        cli.main(args)
+        assert "Against --no-discover: train with --compare" in capsys.readouterr().out
+
+    def test_switches_reach_the_callback_and_the_buffer(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        made: list[SubgoalDiscoveryCallback] = []
+
+        class Remembered(SubgoalDiscoveryCallback):
+            def _init_callback(self) -> None:
+                super()._init_callback()
+                made.append(self)
+
+        monkeypatch.setattr(cli, "SubgoalDiscoveryCallback", Remembered)
+        args = ["--n-timesteps", "600", "--no-progress", "--tensorboard-log", str(tmp_path), "--eval-episodes", "1"]
+        cli.main(["dqn", *args, "--no-interruption", "--intra-option", "--close-harmful"])
+        cli.main(["dqn", *args, "--max-option-exploration", "0.25"])
+        switched, usual = made
+        assert not switched.interruption
+        assert switched.trial == TrialSettings()
+        assert switched.model.replay_buffer.intra_option  # type: ignore[attr-defined]  # of DQN
+        assert usual.interruption
+        assert usual.trial is None
+        assert usual.max_option_exploration == 0.25
+        assert not usual.model.replay_buffer.intra_option  # type: ignore[attr-defined]  # of DQN
+
+    def test_an_interrupt_keeps_what_was_learned(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        from stable_baselines3 import DQN
+
+        def train(self: Any, *args: Any, **kwargs: Any) -> None:
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(DQN, "train", train)
+        with pytest.raises(SystemExit) as stopped:
+            cli.main(["dqn", "--tensorboard-log", str(tmp_path), "--no-progress", "--device", "cpu"])
+        assert stopped.value.code == 130
+        assert "Interrupted after 50" in capsys.readouterr().out
+        folder = tmp_path / "dqn" / "sb3_options-TwoRooms-v0_1"
+        assert all((folder / name).is_file() for name in ("model.zip", "options.safetensors", "config.yml"))
+
+
+@pytest.mark.parametrize(("algo", "bonus"), [("optiondqn", "rnd"), ("maskableppo", "counts")])
+def test_an_intrinsic_reward(algo: str, bonus: str, tmp_path: Path) -> None:
+    args = [algo, "--bonus", bonus, "--n-timesteps", "1500", "--max-options", "1", "--no-progress"]
+    folder = cli.train(parse([*args, "--env-kwargs", "max_steps:100", "--tensorboard-log", str(tmp_path)]))
+    assert configs.load(folder / "config.yml").bonus == bonus
+    (events,) = folder.rglob("events*")
+    scalars = EventAccumulator(str(events))
+    scalars.Reload()
+    assert scalars.Scalars("intrinsic/bonus")[-1].value > 0
+
+
+def test_torch_keeps_one_thread() -> None:
+    """What the command line sets is what the test suite has set already."""
+    assert torch.get_num_threads() == 1

@@ -1,0 +1,206 @@
+"""What OptionDQN chooses among, which masks it asks for, and what it needs."""
+
+from collections import Counter
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+import torch
+from stable_baselines3 import DQN
+from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize, VecTransposeImage
+
+from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper
+from sb3_options.learning import heads
+from tests.learning.tables import (
+    GAMMA,
+    N_ACTIONS,
+    N_PRIMITIVE,
+    N_STATES,
+    TABULAR,
+    Task,
+    available_in,
+    random_task,
+    tables,
+)
+from tests.support.sb3_helpers import (
+    RANDOM,
+    TINY,
+    Corridor,
+    corridor_option,
+    env_of,
+    optioned_rooms,
+    places,
+    small_rooms,
+)
+
+
+class TestOptionDQN:
+    def run(self, **kwargs: Any) -> tuple[Task, list[tuple[int, int]]]:
+        """States and the augmented actions chosen in them, over thousands of draws; every option is worth 1e3 more."""
+        task = random_task(5)
+        model = OptionDQN("MlpPolicy", task.env, gamma=GAMMA, **TABULAR | kwargs)
+        for layer, _ in heads.option_outputs(model.policy):
+            torch.nn.init.constant_(layer.bias[N_PRIMITIVE:], 1e3)
+        states = []
+        stock = model._sample_action
+
+        def sample(*args: Any, **kwargs: Any) -> Any:
+            states.append(int(cast("Any", model._last_obs)[0]))
+            return stock(*args, **kwargs)
+
+        model._sample_action = sample  # type: ignore[method-assign]  # a spy
+        model.train = lambda gradient_steps, batch_size=100: None  # type: ignore[method-assign]  # choose only
+        model.learn(3000)
+        assert len(states) == len(task.env.chosen) >= 3000 // 4
+        return task, list(zip(states, task.env.chosen, strict=True))
+
+    @pytest.mark.parametrize("kwargs", [{"learning_starts": 10_000}, RANDOM], ids=["warm-up", "epsilon"])
+    def test_random_choices_take_every_available_action_and_no_other(self, kwargs: dict[str, Any]) -> None:
+        task, draws = self.run(**kwargs)
+        taken: dict[int, Counter[int]] = {state: Counter() for state in range(N_STATES)}
+        for state, action in draws:
+            taken[state][action] += 1
+        assert sum(len(c) > 0 for c in taken.values()) >= 6
+        for state, counts in taken.items():
+            available = available_in(state, task.options)
+            assert set(counts) <= set(available)
+            if counts.total() > 60:
+                assert set(counts) == set(available)
+                expected = counts.total() / len(available)
+                assert all(abs(n - expected) < 6 * expected**0.5 for n in counts.values())
+
+    def test_greedy_choices_are_the_best_available_ones(self) -> None:
+        task, draws = self.run(exploration_initial_eps=0.0, exploration_final_eps=0.0)
+        assert all(action in available_in(state, task.options) for state, action in draws)
+        for state, action in draws:
+            some_option = len(available_in(state, task.options)) > N_PRIMITIVE
+            assert (action >= N_PRIMITIVE) == some_option
+
+    def test_epsilon_is_the_share_of_random_choices(self) -> None:
+        model = OptionDQN("MlpPolicy", random_task(5).env, gamma=GAMMA, **TABULAR)
+        model.exploration_rate = 0.3
+        observations = np.zeros(4000, dtype=np.int64)
+        greedy = model.predict(observations, deterministic=True)[0][0]
+        n_available = int(model._available(observations[:1]).sum())
+        share = float(np.mean(model.predict(observations, deterministic=False)[0] != greedy))
+        assert abs(share - 0.3 * (1 - 1 / n_available)) < 0.03
+
+    def test_predicts_one_and_a_batch(self) -> None:
+        task = random_task(5)
+        model = OptionDQN("MlpPolicy", task.env, gamma=GAMMA, **TABULAR)
+        for layer, _ in heads.option_outputs(model.policy):
+            torch.nn.init.uniform_(layer.weight, -1, 1)
+        online, _ = tables(model)
+        batch, state = model.predict(np.arange(N_STATES), deterministic=True)
+        assert state is None
+        for s in range(N_STATES):
+            one, _ = model.predict(np.array(s), deterministic=True)
+            assert one.shape == ()
+            assert int(one) == batch[s] == max(available_in(s, task.options), key=lambda a: online[s, a])
+
+    def test_given_masks_win(self) -> None:
+        model = OptionDQN("MlpPolicy", random_task(5).env, gamma=GAMMA, **TABULAR)
+        for action in range(N_ACTIONS):
+            mask = np.arange(N_ACTIONS) == action
+            for deterministic in (True, False):
+                assert model.predict(np.array(2), deterministic=deterministic, action_masks=mask)[0] == action
+
+    @pytest.mark.parametrize("kind", ["box", "dict", "image", "normalized"])
+    def test_asks_the_wrapper_with_the_observations_it_knows(self, kind: str) -> None:
+        def make() -> OptionsWrapper:
+            wrapped = OptionsWrapper(Corridor(kind.replace("normalized", "box")), 1, gamma=GAMMA, feature_map=places)
+            wrapped.bank.add(corridor_option())
+            return wrapped
+
+        venv: VecEnv = DummyVecEnv([make, make])
+        venv = VecTransposeImage(venv) if kind in ("image", "dict") else venv
+        venv = VecNormalize(venv, gamma=GAMMA) if kind == "normalized" else venv
+        policy = {"dict": "MultiInputPolicy", "image": "CnnPolicy"}.get(kind, "MlpPolicy")
+        model = OptionDQN(policy, venv, gamma=GAMMA, learning_starts=20, train_freq=8, buffer_size=200, seed=0)
+        model.learn(100)
+        buffer = model._option_buffer()
+        at = places(buffer.next_observations_stored())[:, 0]
+        assert buffer.next_available[: buffer.size(), 0].tolist() == ((at >= 2) & (at < 8)).tolist()
+        assert buffer.next_available.any()
+        seen = cast("Any", model._last_obs)
+        now = [cast("Any", c).place for c in venv.unwrapped.get_attr("unwrapped")]
+        assert model._available(seen)[:, 2].tolist() == [2 <= p < 8 for p in now]
+
+    def test_goes_on_with_masks_after_loading_without_an_environment(self, tmp_path: Path) -> None:
+        task = random_task(5)
+        OptionDQN("MlpPolicy", task.env, gamma=GAMMA, **TABULAR).save(tmp_path / "model.zip")
+        model = OptionDQN.load(tmp_path / "model.zip")
+        assert model.predict(np.arange(N_STATES), deterministic=True)[0].shape == (N_STATES,)  # all counts as available
+        model.set_env(random_task(5).env)
+        model.learn(100)
+        assert model._option_buffer().next_available[: model._option_buffer().size()].any()
+
+    def test_masks_of_clipped_observations_are_those_of_the_originals(self, caplog: pytest.LogCaptureFixture) -> None:
+        def make() -> OptionsWrapper:
+            wrapped = OptionsWrapper(Corridor("box"), 1, gamma=GAMMA, feature_map=places)
+            wrapped.bank.add(corridor_option())
+            return wrapped
+
+        venv = VecNormalize(DummyVecEnv([make, make]), gamma=GAMMA, clip_obs=0.5, norm_reward=False)
+        model = OptionDQN("MlpPolicy", venv, gamma=GAMMA, buffer_size=200, seed=0)
+        model.q_net.eval()
+        rng, masks = np.random.default_rng(0), []
+        observations: Any = venv.reset()
+        for _ in range(100):
+            masks.append(np.stack(venv.env_method("action_masks")))
+            np.testing.assert_array_equal(model._available(observations), masks[-1])
+            observations, _, _, _ = venv.step(rng.integers(2, size=2))
+        assert {bool(m) for m in np.concatenate(masks)[:, 2]} == {False, True}
+        assert caplog.text == ""
+        model._available(observations[::-1])  # no longer the environment's own
+        assert "An observation was clipped by VecNormalize" in caplog.text
+
+    def test_a_replay_buffer_of_dqn_is_masked(self, tmp_path: Path) -> None:
+        own = {"replay_buffer_class": OptionReplayBuffer, **TABULAR}
+        stock = DQN("MlpPolicy", random_task(5).env, gamma=GAMMA, **own)
+        stock.learn(300)
+        stock.save_replay_buffer(tmp_path / "buffer")
+        task = random_task(5)
+        model = OptionDQN("MlpPolicy", task.env, gamma=GAMMA, **TABULAR)
+        model.load_replay_buffer(tmp_path / "buffer")
+        model.learn(20)
+        buffer = model._option_buffer()
+        expected = env_of(model).env_method("available", buffer.next_observations_stored())[0][:, N_PRIMITIVE:]
+        assert buffer.size() > 300
+        assert buffer.next_available[: buffer.size()].tolist() == expected.tolist()
+        assert expected.any()
+
+    def test_a_stock_replay_buffer_is_refused(self) -> None:
+        model = OptionDQN("MlpPolicy", optioned_rooms(), gamma=GAMMA, **TINY)
+        model.replay_buffer = ReplayBuffer(100, model.observation_space, model.action_space)
+        with pytest.raises(ValueError, match="OptionDQN needs an OptionReplayBuffer, got ReplayBuffer: set model"):
+            model.learn(10)
+
+    def test_without_a_callback_it_is_checked_and_closed_all_the_same(self) -> None:
+        text = r"OptionsWrapper discounts with gamma=0\.9, OptionDQN with gamma=0\.5: give both the same"
+        with pytest.raises(ValueError, match=text):
+            OptionDQN("MlpPolicy", optioned_rooms(), gamma=0.5, **TINY).learn(10)
+        env = optioned_rooms(2)
+        env.bank.add(corridor_option(), 1)
+        model = OptionDQN("MlpPolicy", env, gamma=GAMMA, **TINY)
+        model.learn(10)
+        assert [heads.is_closed(model.policy, 4 + slot) for slot in range(2)] == [True, False]
+
+    def test_needs_the_wrapper(self) -> None:
+        with pytest.raises(ValueError, match="The environment of OptionDQN is not wrapped in OptionsWrapper: use"):
+            OptionDQN("MlpPolicy", small_rooms())
+
+    def test_needs_the_buffer(self) -> None:
+        with pytest.raises(ValueError, match=r"needs replay_buffer_class=OptionReplayBuffer, got ReplayBuffer"):
+            OptionDQN("MlpPolicy", optioned_rooms(), replay_buffer_class=cast("Any", ReplayBuffer))
+
+    def test_one_seed_one_result(self) -> None:
+        def weights() -> dict[str, torch.Tensor]:
+            model = OptionDQN("MlpPolicy", random_task(5).env, gamma=GAMMA, **TINY)
+            model.learn(600)
+            return model.policy.state_dict()
+
+        first, second = weights(), weights()
+        assert all(torch.equal(first[name], second[name]) for name in first)

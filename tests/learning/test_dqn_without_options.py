@@ -1,0 +1,57 @@
+"""Without slots DQN and QRDQN learn what they learn in stock SB3, and without a callback DQN says what is missing."""
+
+from typing import Any, cast
+
+import gymnasium as gym
+import pytest
+import torch
+from sb3_contrib import QRDQN
+from stable_baselines3 import DQN
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+
+from sb3_options import OptionReplayBuffer
+from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
+from tests.learning.tables import GAMMA
+from tests.support.sb3_helpers import RANDOM, TINY, optioned_rooms, small_rooms
+
+
+class TestWithoutOptions:
+    """No slots, no options: the same weights, bit for bit, as stock SB3 on the bare environment."""
+
+    kwargs: dict[str, Any] = TINY | {"train_freq": 4, "target_update_interval": 50, "gamma": GAMMA}
+
+    def weights(self, algorithm: type[OffPolicyAlgorithm], env: gym.Env[Any, Any], **kwargs: Any) -> dict[str, Any]:
+        callback = kwargs.pop("callback", None)
+        if algorithm is QRDQN:
+            kwargs["policy_kwargs"] = {"net_arch": [16], "n_quantiles": 8}
+        model = algorithm("MlpPolicy", env, **self.kwargs | kwargs)
+        model.learn(1000, callback=callback)
+        assert cast("Any", model)._n_updates > 200
+        return model.policy.state_dict()
+
+    @pytest.mark.parametrize("callback", [False, True])
+    @pytest.mark.parametrize("algorithm", [DQN, QRDQN])
+    def test_learns_the_same(self, algorithm: type[OffPolicyAlgorithm], callback: bool) -> None:
+        bare = self.weights(algorithm, small_rooms())
+        wrapped = self.weights(
+            algorithm,
+            optioned_rooms(0),
+            replay_buffer_class=OptionReplayBuffer,
+            callback=SubgoalDiscoveryCallback() if callback else None,
+        )
+        assert bare.keys() == wrapped.keys()
+        for name, value in bare.items():
+            assert torch.equal(value, wrapped[name]), name
+
+    def test_a_buffer_that_wraps_around_learns_the_same_too(self) -> None:
+        bare = self.weights(DQN, small_rooms(), buffer_size=130)
+        wrapped = self.weights(DQN, optioned_rooms(0), buffer_size=130, replay_buffer_class=OptionReplayBuffer)
+        assert all(torch.equal(value, wrapped[name]) for name, value in bare.items())
+
+
+@pytest.mark.parametrize("callback", [None, PrimitiveStepsCallback])
+def test_stock_dqn_without_a_callback_says_what_is_missing(callback: Any, caplog: pytest.LogCaptureFixture) -> None:
+    """Nobody closes the heads of its empty slots, and nobody counts primitive steps."""
+    model = DQN("MlpPolicy", optioned_rooms(), gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, **TINY | RANDOM)
+    model.learn(50, callback=None if callback is None else callback())
+    assert caplog.text.count("pass PrimitiveStepsCallback() or SubgoalDiscoveryCallback() to learn()") == (not callback)

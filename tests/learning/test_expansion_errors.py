@@ -1,0 +1,92 @@
+"""Models and environments that get no slots, and are left as they were."""
+
+from typing import Any, cast
+
+import pytest
+import torch
+from gymnasium import spaces
+from stable_baselines3 import DQN, PPO
+from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import SubprocVecEnv
+
+from sb3_options import OptionsWrapper, expand_action_space
+from tests.learning.expanded import GAMMA, N_PRIMITIVE, small_model
+from tests.support.sb3_helpers import Corridor, env_of, n_actions_of, optioned_rooms, places, small_rooms
+
+
+def bare_workers() -> Any:
+    return small_rooms()
+
+
+def test_bare_worker_processes_are_refused() -> None:
+    workers = SubprocVecEnv([bare_workers])
+    try:
+        model = DQN("MlpPolicy", workers, buffer_size=10)
+        with pytest.raises(
+            ValueError, match=r"of a SubprocVecEnv cannot be wrapped from here: pass env=.*gamma\": 0.99"
+        ):
+            expand_action_space(model)
+    finally:
+        workers.close()
+
+
+def test_errors_leave_the_model_as_it_was() -> None:
+    model = small_model()
+    weights = {key: value.clone() for key, value in model.policy.state_dict().items()}
+    smaller = {"map": "SSS.\n...G", "max_steps": 9}
+    with pytest.raises(ValueError, match="max_options must be at least 1, got 0"):
+        expand_action_space(model, 0)
+    with pytest.raises(
+        ValueError, match=r"env is not wrapped in OptionsWrapper: use OptionsWrapper\(env, max_options=4, gamma=0.9"
+    ):
+        expand_action_space(model, env=small_rooms())
+    with pytest.raises(ValueError, match="env has 4 option slots, max_options is 3: give both the same"):
+        expand_action_space(model, 3, env=optioned_rooms(4))
+    with pytest.raises(ValueError, match=r"OptionsWrapper discounts with gamma=0.5, DQN with gamma=0.9"):
+        expand_action_space(model, 4, env=OptionsWrapper(small_rooms(), 4, gamma=0.5))
+    with pytest.raises(ValueError, match=r"chooses among 4 actions, env has 2 primitive actions"):
+        expand_action_space(model, 4, env=OptionsWrapper(Corridor(), 4, gamma=GAMMA))
+    with pytest.raises(ValueError, match=r"trained on observations Box.*\(45,\).*, env has Box.*\(8,\)"):
+        expand_action_space(model, 4, env=optioned_rooms(4, **smaller))
+    with pytest.raises(ValueError, match=r"trained with n_envs=1, env has 2: .* DQN.load"):
+        expand_action_space(model, 4, env=make_vec_env(optioned_rooms, 2))
+    with pytest.raises(ValueError, match=r"feature_map belongs to OptionsWrapper: with env=... pass it"):
+        expand_action_space(model, 4, env=optioned_rooms(4), feature_map=places)
+    with pytest.raises(TypeError, match="feature_map must be"):
+        expand_action_space(model, 4, feature_map=cast("Any", 3))
+    assert n_actions_of(model) == N_PRIMITIVE
+    assert not any(env_of(model).env_is_wrapped(OptionsWrapper))
+    assert type(model.replay_buffer) is ReplayBuffer
+    assert all(torch.equal(weights[key], value) for key, value in model.policy.state_dict().items())
+    model.learn(20)
+
+
+def test_slots_cannot_be_added_twice() -> None:
+    model = expand_action_space(small_model(), 2)
+    with pytest.raises(ValueError, match=r"is wrapped in OptionsWrapper already: among its 6 actions are option slots"):
+        expand_action_space(model, 2)
+
+
+def test_other_models_are_refused() -> None:
+    class Continuous(Corridor):
+        def __init__(self) -> None:
+            super().__init__()
+            self.action_space = spaces.Box(-1.0, 1.0, (1,))
+
+    with pytest.raises(TypeError, match=r"whose actions are Discrete and start at 0, got Box\(-1.0, 1.0, \(1,\)"):
+        expand_action_space(PPO("MlpPolicy", Continuous(), n_steps=8, batch_size=8, device="cpu"))
+    model = small_model()
+    model.policy.q_net.q_net.append(torch.nn.Tanh())
+    with pytest.raises(TypeError, match="The last layer of QNetwork is Tanh"):
+        expand_action_space(model)
+    model = small_model()
+    model.policy.q_net_target = None
+    with pytest.raises(TypeError, match="heads of DQNPolicy are not known"):
+        expand_action_space(model)
+
+    class Own(ReplayBuffer):
+        pass
+
+    with pytest.raises(TypeError, match="transitions of a Own cannot be taken over"):
+        expand_action_space(small_model(replay_buffer_class=Own))

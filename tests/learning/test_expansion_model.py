@@ -1,0 +1,255 @@
+"""A model that was trained without options, and what of it is still the same once it has slots."""
+
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+from sb3_contrib import QRDQN
+from stable_baselines3 import DQN
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.utils import set_random_seed
+from stable_baselines3.common.vec_env import VecTransposeImage
+
+from sb3_options import OptionReplayBuffer, expand_action_space
+from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
+from sb3_options.learning import heads
+from sb3_options.learning.joined_linear import JoinedLinear, by_action
+from tests.learning.expanded import (
+    GAMMA,
+    KINDS,
+    MAX_OPTIONS,
+    N_ACTIONS,
+    N_PRIMITIVE,
+    N_QUANTILES,
+    every,
+    every_and_a_size_that_matters,
+    off_policy,
+    outputs,
+    random_observations,
+    trained,
+)
+from tests.support.sb3_helpers import Corridor, env_of, optioned_rooms, places, small_rooms
+
+
+def old_rows(rows: torch.Tensor, outputs_per_action: int, n_later: int = MAX_OPTIONS) -> torch.Tensor:
+    return by_action(rows, outputs_per_action)[:, :-n_later].flatten(0, 1)
+
+
+def weights_of_old(model: Any, stock: Any) -> list[tuple[str, torch.Tensor, torch.Tensor]]:
+    """Every parameter of both, without the rows of slots."""
+    per_action = N_QUANTILES if isinstance(model, QRDQN) else 1
+    before, after = stock.policy.state_dict(), model.policy.state_dict()
+    assert list(before) == list(after)
+    return [
+        (key, old, new if new.shape == old.shape else old_rows(new, per_action))
+        for (key, old), new in zip(before.items(), after.values(), strict=True)
+    ]
+
+
+@every_and_a_size_that_matters
+def test_outputs_for_old_actions_are_bit_identical(name: str, max_options: int) -> None:
+    model = trained(name)
+    batches = [random_observations(model, n) for n in (1, 3, 64)]
+    before = [outputs(model, batch) for batch in batches]
+    chosen = [model.predict(batch, deterministic=True)[0] for batch in batches]
+    assert expand_action_space(model, max_options) is model
+    for opened in (None, *range(max_options)):
+        if opened is not None:
+            heads.open_head(model.policy, N_PRIMITIVE + opened, N_PRIMITIVE)
+        for batch, old in zip(batches, before, strict=True):
+            new = outputs(model, batch)
+            assert len(old) == len(new) == (2 if name in ("dqn", "qrdqn") else 1)
+            for a, b in zip(old, new, strict=True):
+                assert b.shape[-1] == N_PRIMITIVE + max_options
+                assert torch.equal(a, b[..., :N_PRIMITIVE])
+        if opened is None:
+            assert all(heads.is_closed(model.policy, N_PRIMITIVE + i) for i in range(max_options))
+            for batch, actions in zip(batches, chosen, strict=True):
+                assert np.array_equal(actions, model.predict(batch, deterministic=True)[0])
+
+
+@pytest.mark.parametrize("name", ["dqn", "ppo"])
+@pytest.mark.parametrize("kind", ["box", "discrete", "dict", "dict_discrete", "image"])
+def test_every_kind_of_observation(name: str, kind: str) -> None:
+    algorithm = KINDS[name].algorithm
+    policy = {"image": "CnnPolicy", "dict": "MultiInputPolicy", "dict_discrete": "MultiInputPolicy"}
+    kwargs = {**KINDS[name].kwargs, "batch_size": 16, **({"n_epochs": 1} if name == "ppo" else {"buffer_size": 100})}
+    model = algorithm(policy.get(kind, "MlpPolicy"), Corridor(kind), gamma=GAMMA, seed=0, **kwargs).learn(64)
+    seen = env_of(model).reset()
+    before = outputs(model, seen)
+    expand_action_space(model, 2, feature_map=places)
+    after = outputs(model, seen)
+    assert all(torch.equal(a, b[..., :2]) for a, b in zip(before, after, strict=True))
+    assert is_transposed(model) == (kind in ("image", "dict"))
+    callback = SubgoalDiscoveryCallback()
+    model.learn(64, callback=callback, reset_num_timesteps=False)
+    assert model.num_timesteps == 128
+    assert callback.episodes > 0
+    if name == "dqn":
+        assert model.replay_buffer.size() == 100
+        assert (model.replay_buffer.sample(16).discounts == GAMMA).all()
+
+
+def is_transposed(model: BaseAlgorithm) -> bool:
+    return isinstance(env_of(model), VecTransposeImage)
+
+
+@every
+def test_training_goes_on_as_it_would_have(name: str) -> None:
+    """The same batches, without options: old weights stay equal bit for bit, but for TRPO.
+
+    TRPO's step solves a linear system by conjugate gradients whose sums run over the new actions as well.
+    """
+    unclipped: dict[str, Any] = (
+        {} if name == "trpo" else {"max_grad_norm": 1e9}
+    )  # a norm over more numbers rounds otherwise
+    stock, model = (trained(name, **unclipped) for _ in range(2))
+    rollout = dict(vars(stock.rollout_buffer)) if hasattr(stock, "rollout_buffer") else {}
+    expand_action_space(model, MAX_OPTIONS)
+    if name == "maskableppo":  # its masks are wider now; what else was collected goes in again
+        masks = np.pad(rollout["action_masks"], [(0, 0)] * (rollout["action_masks"].ndim - 1) + [(0, MAX_OPTIONS)])
+        kept = {k: v for k, v in rollout.items() if k not in ("action_space", "mask_dims")}
+        vars(model.rollout_buffer).update({**kept, "action_masks": masks})
+    learned = [old.clone() for _, old, _ in weights_of_old(model, stock)]
+    for each in (stock, model):
+        set_random_seed(3)
+        if name in ("dqn", "qrdqn"):
+            each.train(100, 32)
+        else:
+            each.train()
+    for key, old, new in weights_of_old(model, stock):
+        if name == "trpo":
+            torch.testing.assert_close(old, new, rtol=0, atol=1e-5)
+        else:
+            assert torch.equal(old, new), key
+    assert any(not torch.equal(a, old) for a, (_, old, _) in zip(learned, weights_of_old(model, stock), strict=True))
+    assert all(heads.is_closed(model.policy, N_PRIMITIVE + i) for i in range(MAX_OPTIONS))
+    assert stock._n_updates == model._n_updates
+
+
+@every
+def test_optimizer_and_counters_are_kept(name: str) -> None:
+    stock, model = (trained(name, steps=256) for _ in range(2))
+    groups, schedule, step = [*model.policy.optimizer.param_groups], model.lr_schedule, model.num_timesteps
+    expand_action_space(model, MAX_OPTIONS)
+    assert model.num_timesteps == step == 256
+    assert model._n_updates == stock._n_updates > 0
+    assert model.lr_schedule is schedule
+    assert [e["l"] for e in model.ep_info_buffer] == [e["l"] for e in stock.ep_info_buffer] != []
+    assert all(a is b for a, b in zip(groups, model.policy.optimizer.param_groups, strict=True))
+    if name in ("dqn", "qrdqn"):
+        assert model.exploration_rate == stock.exploration_rate
+        assert model.exploration_schedule(0.97) == stock.exploration_schedule(0.97)
+    per_action = N_QUANTILES if name == "qrdqn" else 1
+    online = dict(model.policy.named_parameters())
+    states = stock.policy.optimizer.state
+    named = [(key, p, online[key]) for key, p in stock.policy.named_parameters() if p in states]
+    assert len(states) == len(model.policy.optimizer.state) == len(named) > 0
+    for key, old, new in named:
+        for moment, value in states[old].items():
+            other = model.policy.optimizer.state[new][moment]
+            if torch.is_tensor(value) and value.shape == old.shape != new.shape:
+                assert (by_action(other, per_action)[:, N_PRIMITIVE:] == 0).all()
+                other = old_rows(other, per_action)
+            assert torch.equal(torch.as_tensor(value), torch.as_tensor(other)), (key, moment)
+
+
+@every
+def test_everything_knows_the_new_actions(name: str) -> None:
+    model = trained(name, steps=128)
+    random = model.action_space.np_random
+    expand_action_space(model, MAX_OPTIONS)
+    expected = spaces.Discrete(N_ACTIONS)
+    assert model.action_space == model.policy.action_space == env_of(model).action_space == expected
+    assert model.action_space.np_random is random
+    for network in ("q_net", "q_net_target", "quantile_net", "quantile_net_target"):
+        if hasattr(model, network):
+            assert getattr(model, network) is getattr(model.policy, network)
+            assert getattr(model, network).action_space == expected
+    buffer = model.replay_buffer if name in ("dqn", "qrdqn") else model.rollout_buffer
+    assert buffer.action_space == expected
+    for layer, per_action in heads.option_outputs(model.policy):
+        assert isinstance(layer, JoinedLinear)
+        assert (layer.n_first, layer.outputs_per_action) == (N_PRIMITIVE, per_action)
+        assert layer.weight.shape[0] == N_ACTIONS * per_action
+    if name not in ("dqn", "qrdqn"):
+        assert model.policy.action_dist.action_dim == N_ACTIONS
+    if name == "maskableppo":
+        assert buffer.action_masks.shape[-1] == N_ACTIONS
+
+
+@off_policy
+@pytest.mark.parametrize("n_envs", [1, 3])
+def test_replay_data_is_kept(name: str, n_envs: int) -> None:
+    model = trained(name, make_vec_env(small_rooms, n_envs, seed=0), steps=600, buffer_size=300)
+    stock = model.replay_buffer
+    rewards, actions = stock.rewards.copy(), stock.actions.copy()
+    expand_action_space(model, MAX_OPTIONS)
+    buffer = model.replay_buffer
+    assert isinstance(buffer, OptionReplayBuffer)
+    assert buffer.full
+    assert buffer.buffer_size == 300
+    assert np.array_equal(buffer.rewards, rewards.ravel())
+    assert np.array_equal(buffer.actions[:, 0], actions.ravel())
+    assert (buffer.discounts == np.float32(GAMMA)).all()
+    model.learn(60, reset_num_timesteps=False)
+    assert set(buffer.actions[:, 0]) <= set(range(N_PRIMITIVE))
+
+
+def test_n_step_returns_go_on() -> None:
+    model = trained("dqn", steps=128, n_steps=3)
+    expand_action_space(model, MAX_OPTIONS)
+    assert model.replay_buffer.n_steps == 3
+    model.learn(60, reset_num_timesteps=False, callback=PrimitiveStepsCallback())
+    assert model.replay_buffer.size() > 128
+
+
+@pytest.mark.filterwarnings("ignore:`n_steps=3` is ignored")  # SB3 says so of its own buffer
+def test_n_step_returns_of_a_model_that_was_loaded(tmp_path: Path) -> None:
+    """SB3 saves no replay buffer."""
+    trained("dqn", steps=128, n_steps=3).save(tmp_path / "model.zip")
+    model = expand_action_space(DQN.load(tmp_path / "model.zip", env=small_rooms()), MAX_OPTIONS)
+    model.learn(60, reset_num_timesteps=False, callback=PrimitiveStepsCallback())
+    assert cast("Any", model.replay_buffer).n_steps == 3
+
+
+def test_a_buffer_that_was_taken_away_or_knows_options_already() -> None:
+    model = trained("dqn", steps=64)
+    model.replay_buffer = None
+    expand_action_space(model, MAX_OPTIONS)
+    assert model.replay_buffer.size() == 0
+    assert model.replay_buffer.buffer_size == 1000
+    other = DQN("MlpPolicy", small_rooms(), gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, buffer_size=50)
+    mine = other.replay_buffer
+    expand_action_space(other, MAX_OPTIONS)
+    assert other.replay_buffer is mine
+    other.learn(10)
+
+
+@every_and_a_size_that_matters
+def test_saved_and_loaded(name: str, max_options: int, tmp_path: Path) -> None:
+    model = expand_action_space(trained(name), max_options)
+    heads.open_head(model.policy, N_PRIMITIVE, N_PRIMITIVE)
+    batches = [random_observations(model, n) for n in (1, 3, 64)]
+    model.save(tmp_path / "model.zip")
+    loaded = type(model).load(tmp_path / "model.zip", device="cpu")
+    for batch in batches:
+        for a, b in zip(outputs(model, batch), outputs(loaded, batch), strict=True):
+            assert torch.equal(a, b)
+    assert loaded.action_space == model.action_space
+    env = make_vec_env(optioned_rooms, 1, env_kwargs={"max_options": max_options}, seed=0)
+    again = type(model).load(tmp_path / "model.zip", env=env, device="cpu")
+    kept, loaded_state = (m.policy.optimizer.state_dict()["state"] for m in (model, again))
+    assert len(kept) == len(loaded_state) > 0
+    for key, state in kept.items():
+        for moment, value in state.items():
+            assert torch.equal(torch.as_tensor(value), torch.as_tensor(loaded_state[key][moment]))
+    again.save(tmp_path / "again.zip")
+    plain = KINDS[name].algorithm(KINDS[name].policy, env, gamma=GAMMA, **KINDS[name].kwargs)
+    plain.set_parameters(tmp_path / "again.zip", device="cpu")  # how train.py's evaluate reads weights
+    for a, b in zip(outputs(model, batches[1]), outputs(plain, batches[1]), strict=True):
+        torch.testing.assert_close(a, b)

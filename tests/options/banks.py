@@ -1,0 +1,73 @@
+"""Banks of options with tables and networks drawn at random."""
+
+from typing import Any
+
+import numpy as np
+
+from sb3_options.density.regions import Region
+from sb3_options.experience.observations import FloatArray, Observations, flatten
+from sb3_options.options.bank import OptionBank
+from sb3_options.options.option import SubgoalOption
+from sb3_options.options.policies import NetworkPolicy, TabularPolicy
+
+N_PRIMITIVE, SIZE, CAPACITY = 4, 3, 5
+
+
+def first_two(observations: Observations) -> FloatArray:
+    return flatten(observations)[:, :2]
+
+
+def table(seed: int = 0, *, size: int = SIZE, n_primitive: int = N_PRIMITIVE, features: int = 2) -> SubgoalOption:
+    rng = np.random.default_rng(seed)
+    values = rng.normal(size=(30, n_primitive))
+    values[rng.random(values.shape) < 0.3] = -np.inf
+    return SubgoalOption(
+        Region(0.3 * rng.normal(size=(1, features)), rng.uniform(0.5, 2.0, size=features), 0.6),
+        Region(rng.normal(size=(12, features)), rng.uniform(0.5, 2.0, size=features), 0.8),
+        TabularPolicy(rng.normal(size=(30, size)), values),
+        max_duration=17 + seed,
+        name=f"table {seed}",
+    )
+
+
+def network(seed: int = 1) -> SubgoalOption:
+    rng = np.random.default_rng(seed)
+    policy = NetworkPolicy(
+        rng.normal(size=SIZE),
+        rng.uniform(0.5, 2.0, size=SIZE),
+        [rng.normal(size=(SIZE, 8)), rng.normal(size=(8, N_PRIMITIVE))],
+        [rng.normal(size=8), rng.normal(size=N_PRIMITIVE)],
+    )
+    option = table(seed)
+    return SubgoalOption(option.subgoal, option.initiation_set, policy, max_duration=3, name="network: π ≠ β")
+
+
+def empty_bank(**changes: Any) -> OptionBank:
+    about: dict[str, Any] = {"feature_map": first_two, "observation_size": SIZE, "feature_size": 2, **changes}
+    return OptionBank(about.pop("n_primitive", N_PRIMITIVE), about.pop("max_options", CAPACITY), **about)
+
+
+def filled_bank() -> OptionBank:
+    bank = empty_bank()
+    bank.add(table(), 1)
+    bank.add(network(), 3)
+    return bank
+
+
+def behaviour(bank: OptionBank, observations: FloatArray) -> list[Any]:
+    """I, π, β and the rest of every option."""
+    return [
+        None
+        if option is None
+        else (
+            option.name,
+            option.max_duration,
+            option.initiation(observations).tolist(),
+            option.policy(observations).tolist(),
+            option.termination(observations).tolist(),
+        )
+        for option in bank.slots
+    ]
+
+
+OBSERVATIONS = np.random.default_rng(7).normal(size=(1000, SIZE))

@@ -1,0 +1,201 @@
+"""What a bank wrote to a file comes back as it was, in another process too."""
+
+import errno
+import json
+import os
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from safetensors import safe_open
+
+from sb3_options.density.groups import FeatureGroup
+from sb3_options.density.regions import HalfSpace, Region
+from sb3_options.options.bank import OptionBank
+from sb3_options.options.option import SubgoalOption
+from sb3_options.options.policies import TabularPolicy
+from tests.options.banks import N_PRIMITIVE, OBSERVATIONS, behaviour, empty_bank, filled_bank, table
+from tests.support import processes
+from tests.support.helpers import steady_option
+
+ONE_FEATURE = (
+    "does not fit: the option in slot 0, 'subgoal': its group 'second' names feature 1, the feature map gives 1. "
+    "Discover options on groups that both tasks have, SubgoalDiscoveryCallback(groups=...). In MiniGrid what a mission "
+    "asks for is such a group: discover with make(..., asked=False), train.py --env-kwargs asked:False."
+)
+
+
+class TestFile:
+    def test_save_new_process_load(self, tmp_path: Path) -> None:
+        """I, π and β on 1,000 observations are the same in a process that shares nothing but the file."""
+        bank = filled_bank()
+        bank.save(tmp_path / "new" / "options.safetensors")
+        np.save(tmp_path / "observations.npy", OBSERVATIONS)
+        script = """if True:
+            import json, sys
+            import numpy as np
+            from sb3_options import OptionBank
+
+            folder = sys.argv[1]
+            observations = np.load(folder + "/observations.npy")
+            bank = OptionBank(4, 5, feature_map=lambda obs: obs[:, :2], observation_size=3, feature_size=2)
+            bank.load(folder + "/new/options.safetensors")
+            print(json.dumps([
+                o and (
+                    o.name, o.max_duration, o.initiation(observations).tolist(), o.policy(observations).tolist(),
+                    o.termination(observations).tolist(),
+                ) for o in bank.slots
+            ]))
+        """
+        process = processes.python("-c", script, str(tmp_path), cwd=tmp_path)
+        expected = behaviour(bank, OBSERVATIONS)
+        assert [o if o is None else tuple(o) for o in json.loads(process.stdout)] == expected
+        for option in (expected[1], expected[3]):
+            assert 0 < sum(option[2]) < 1000
+            assert len(set(option[3])) > 1
+            assert 0 < sum(option[4]) < 1000
+
+    def test_slots_that_the_file_does_not_name_are_left_alone(self, tmp_path: Path) -> None:
+        filled_bank().save(tmp_path / "options")
+        bank = empty_bank()
+        mine = steady_option()
+        bank.add(mine, 0)
+        bank.add(steady_option(), 1)
+        bank.load(tmp_path / "options")
+        assert bank[0] is mine
+        assert bank.filled == (0, 1, 3)
+        assert behaviour(bank, OBSERVATIONS)[1:] == behaviour(filled_bank(), OBSERVATIONS)[1:]
+
+    def test_empty_and_larger_banks(self, tmp_path: Path) -> None:
+        empty_bank().save(tmp_path / "empty")
+        bank = empty_bank()
+        bank.load(tmp_path / "empty")
+        assert len(bank) == 0
+        filled_bank().save(tmp_path / "options")
+        larger = empty_bank(max_options=9, observation_size=None, feature_size=None)
+        larger.load(str(tmp_path / "options"))
+        assert larger.filled == (1, 3)
+
+    def test_an_option_without_initiation_states_and_numbers_of_other_types(self, tmp_path: Path) -> None:
+        bank = empty_bank()
+        scale: Any = np.ones(2, dtype=np.float32)
+        single, whole = cast("float", np.float32(0.5)), cast("int", np.int64(5))
+        nowhere = Region(np.zeros((0, 2)), scale, single)
+        subgoal = Region(np.array([[1.0, 2.0]]), scale, 1)
+        bank.add(SubgoalOption(subgoal, nowhere, table().option_policy, max_duration=whole))
+        bank.save(tmp_path / "options")
+        again = empty_bank()
+        again.load(tmp_path / "options")
+        assert behaviour(again, OBSERVATIONS) == behaviour(bank, OBSERVATIONS)
+
+    def test_a_half_space_comes_back_as_one(self, tmp_path: Path) -> None:
+        bank, flat = empty_bank(), table()
+        half_space = HalfSpace(np.array([[0.3, -0.2]]), np.ones(2), 0.0, np.array([1.0, 2.0]))
+        bank.add(SubgoalOption(half_space, flat.initiation_set, flat.option_policy))
+        bank.add(table(1))
+        bank.save(tmp_path / "bank.safetensors")
+        loaded = empty_bank()
+        loaded.load(tmp_path / "bank.safetensors")
+        subgoal, ball = loaded[0].subgoal, loaded[1].subgoal  # type: ignore[union-attr]  # both are SubgoalOptions
+        assert isinstance(subgoal, HalfSpace)
+        assert not isinstance(ball, HalfSpace)
+        points = np.random.default_rng(0).normal(size=(50, 2))
+        np.testing.assert_array_equal(subgoal.contains(points), half_space.contains(points))
+        np.testing.assert_array_equal(subgoal.contains(points), (points - [0.3, -0.2]) @ [1.0, 2.0] >= 0)
+        with safe_open(tmp_path / "bank.safetensors", framework="numpy") as file:
+            assert file.metadata()["format"] == "sb3-options 2"
+        bank.remove(0)
+        bank.save(tmp_path / "balls.safetensors")
+        with safe_open(tmp_path / "balls.safetensors", framework="numpy") as file:
+            assert file.metadata()["format"] == "sb3-options 1"
+
+    def test_an_option_on_a_group_of_features(self, tmp_path: Path) -> None:
+        group = FeatureGroup("second", [1], present=[[1]], scale=[2])
+        policy = TabularPolicy(np.array([[1.0], [2.0]]), np.eye(N_PRIMITIVE)[:2])
+        subgoal = Region(np.array([[3.0]]), np.array([2.0]), 0.5, group=group)
+        initiation = Region(np.array([[1.0], [2.0]]), np.array([2.0]), 0.5, group=group)
+        bank = empty_bank()
+        bank.add(SubgoalOption(subgoal, initiation, policy, policy_input="features"))
+        bank.save(tmp_path / "options")
+        loaded = empty_bank()
+        loaded.load(tmp_path / "options")
+        points = np.array([[9.0, 1.0], [-9.0, 2.0], [0.0, 3.0], [1.0, 0.0]])
+        for option in (bank[0], loaded[0]):
+            assert isinstance(option, SubgoalOption)
+            assert option.subgoal.group == option.initiation_set.group == group
+            option = option.bind(lambda observations: observations)  # type: ignore[arg-type,return-value]  # identity
+            assert option.initiation(points).tolist() == [True, True, False, False]
+            assert option.termination(points).tolist() == [0, 0, 1, 0]
+            assert option.policy(points[:2]).tolist() == [0, 1]
+        with safe_open(tmp_path / "options", framework="numpy") as file:
+            assert file.metadata()["format"] == "sb3-options 3"
+        narrow = OptionBank(N_PRIMITIVE, 4, feature_size=1)
+        with pytest.raises(ValueError, match=f"{re.escape(ONE_FEATURE)}$"):
+            narrow.load(tmp_path / "options")
+
+    def test_an_option_that_sees_more_than_its_subgoal_says(self, tmp_path: Path) -> None:
+        group = FeatureGroup("second", [1], scale=[2], seen={"name": "both", "features": [1, 0], "scale": [2, 1]})
+        policy = TabularPolicy(np.array([[1.0, 0.0], [1.0, 5.0]]), np.eye(N_PRIMITIVE)[:2])
+        subgoal = Region(np.array([[3.0]]), np.array([2.0]), 0.5, group=group)
+        initiation = Region(np.array([[1.0, 0.0], [1.0, 5.0]]), np.array([2.0, 1.0]), 0.5, group=group.sees)
+        bank = empty_bank()
+        bank.add(SubgoalOption(subgoal, initiation, policy, policy_input="features"))
+        bank.save(tmp_path / "options")
+        loaded = empty_bank()
+        loaded.load(tmp_path / "options")
+        points = np.array([[0.0, 1.0], [5.0, 1.0], [2.0, 1.0], [7.0, 3.0]])
+        for option in (bank[0], loaded[0]):
+            assert isinstance(option, SubgoalOption)
+            assert (option.subgoal.group, option.initiation_set.group) == (group, group.sees)
+            option = option.bind(lambda observations: observations)  # type: ignore[arg-type,return-value]  # identity
+            assert option.initiation(points).tolist() == [True, True, False, False]
+            assert option.termination(points).tolist() == [0, 0, 0, 1]
+            assert option.policy(points[:2]).tolist() == [0, 1]
+        narrow = replace(subgoal, group=replace(group, seen={"name": "one", "features": [1]}))
+        other = empty_bank()
+        other.add(SubgoalOption(narrow, initiation, policy, policy_input="features"))
+        other.save(tmp_path / "wrong")
+        with pytest.raises(ValueError, match="its initiation set has 2 features, its group names 1"):
+            empty_bank().load(tmp_path / "wrong")
+
+    def test_hand_made_options_must_be_there_already(self, tmp_path: Path) -> None:
+        bank = filled_bank()
+        bank.add(steady_option(name="mine"), 0)
+        bank.save(tmp_path / "options")
+        other = empty_bank()
+        message = (
+            r"options does not fit: slot 0 held the hand-made option 'mine', which is code and not in the file; "
+            r"add it to the bank first\.$"
+        )
+        with pytest.raises(ValueError, match=message):
+            other.load(tmp_path / "options")
+        assert len(other) == 0
+        other.add(steady_option(name="yours"), 0)
+        with pytest.raises(ValueError, match=message):
+            other.load(tmp_path / "options")
+        mine = steady_option(name="mine")
+        other.add(mine, 0)
+        other.load(tmp_path / "options")
+        assert other[0] is mine
+        assert other.filled == (0, 1, 3)
+
+    @pytest.mark.parametrize(("owner", "name"), [(os, "fsync"), (Path, "replace"), (Path, "write_bytes")])
+    def test_a_full_disk_leaves_the_old_file(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, owner: Any, name: str
+    ) -> None:
+        path = tmp_path / "options.safetensors"
+        empty_bank().save(path)
+        old = path.read_bytes()
+
+        def full(*_: Any) -> None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        monkeypatch.setattr(owner, name, full)
+        with pytest.raises(OSError, match="No space left on device"):
+            filled_bank().save(path)
+        monkeypatch.undo()
+        assert [p.name for p in tmp_path.iterdir()] == ["options.safetensors"]
+        assert path.read_bytes() == old

@@ -1,0 +1,244 @@
+"""Files that are damaged, of another task or a stranger's are refused, and the bank keeps what it had."""
+
+import json
+import os
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from safetensors.numpy import load as from_safetensors
+from safetensors.numpy import save as to_safetensors
+
+from sb3_options.density.regions import Region
+from sb3_options.options.file import FILE_FORMAT, digest
+from sb3_options.options.option import SubgoalOption
+from sb3_options.options.policies import TabularPolicy
+from tests.options.banks import CAPACITY, OBSERVATIONS, behaviour, empty_bank, filled_bank, network
+from tests.support.helpers import steady_option
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("options")
+
+
+@pytest.fixture(scope="module")
+def content(folder: Path) -> bytes:
+    filled_bank().save(folder / "whole")
+    return (folder / "whole").read_bytes()
+
+
+def refused(path: Path, message: str, **changes: Any) -> None:
+    """Loading raises ValueError, and the bank keeps what it had."""
+    bank = empty_bank(**changes)
+    if bank.max_options:
+        bank.add(steady_option(), 0)
+    before = bank.slots
+    with pytest.raises(ValueError, match=message):
+        bank.load(path)
+    assert bank.slots == before
+
+
+class TestDamage:
+    def test_no_such_file(self, tmp_path: Path) -> None:
+        with pytest.raises(FileNotFoundError, match=r"^There is no options file at .+nowhere\.$"):
+            empty_bank().load(tmp_path / "nowhere")
+
+    def test_truncated_anywhere(self, content: bytes, folder: Path) -> None:
+        path = folder / "truncated"
+        header = 8 + int.from_bytes(content[:8], "little")
+        cuts = {*range(12), *range(0, len(content), 97), header - 1, header, header + 1, len(content) - 1}
+        for cut in sorted(cuts):
+            path.write_bytes(content[:cut])
+            refused(path, r"truncated is no options file, or it is damaged: ")
+        path.write_bytes(content + b"\0")
+        refused(path, r"truncated is no options file, or it is damaged: ")
+
+    @settings(max_examples=300, deadline=None)
+    @given(data=st.data())
+    def test_corrupted_anywhere(self, content: bytes, folder: Path, data: st.DataObject) -> None:
+        """A changed byte is noticed, unless it changes nothing that the file says."""
+        damaged = bytearray(content)
+        for _ in range(data.draw(st.integers(1, 4))):
+            # Half of the changes in the header, where most of what can go wrong is.
+            end = data.draw(st.sampled_from([8, 8 + int.from_bytes(content[:8], "little"), len(content)]))
+            damaged[data.draw(st.integers(0, end - 1))] = data.draw(st.integers(0, 255))
+        path = folder / "corrupted"
+        path.write_bytes(damaged)
+        bank = empty_bank()
+        message = None
+        try:
+            bank.load(path)
+        except ValueError as error:
+            message = str(error)
+        if message is not None:
+            assert "corrupted" in message  # it says which file
+            assert bank.slots == (None,) * CAPACITY
+        else:
+            assert behaviour(bank, OBSERVATIONS[:50]) == behaviour(filled_bank(), OBSERVATIONS[:50])
+
+    @settings(max_examples=100, deadline=None)
+    @given(data=st.binary(max_size=200))
+    def test_anything_else(self, folder: Path, data: bytes) -> None:
+        path = folder / "anything"
+        path.write_bytes(data)
+        refused(path, "anything is no options file")
+
+    @pytest.mark.parametrize("position", range(0, 2000, 100))
+    def test_one_bit_of_an_array(self, content: bytes, folder: Path, position: int) -> None:
+        damaged = bytearray(content)
+        damaged[-1 - position] ^= 1
+        path = folder / "bit"
+        path.write_bytes(damaged)
+        refused(path, r"bit is damaged: its contents are not what was written to it\.$")
+
+    def test_a_file_can_run_no_code(self, tmp_path: Path) -> None:
+        class Hostile:
+            def __reduce__(self) -> tuple[Any, tuple[str]]:
+                return (os.system, (f"touch {tmp_path / 'ran'}",))
+
+        for hostile in (Hostile(), {"format": FILE_FORMAT, "bank": Hostile()}):
+            path = tmp_path / "hostile.safetensors"
+            path.write_bytes(pickle.dumps(hostile))
+            refused(path, "hostile.safetensors is no options file, or it is damaged")
+            assert not (tmp_path / "ran").exists()
+            pickle.loads(path.read_bytes())  # the trap is real
+            assert (tmp_path / "ran").exists()
+            (tmp_path / "ran").unlink()
+
+    def test_another_safetensors_file(self, tmp_path: Path) -> None:
+        (tmp_path / "weights").write_bytes(to_safetensors({"w": np.zeros(3)}))
+        versions = r"'sb3-options 1', 'sb3-options 2', 'sb3-options 3'\.$"
+        message = rf"weights is no options file of this version: its format is None, expected one of {versions}"
+        refused(tmp_path / "weights", message)
+
+
+class TestOtherTasks:
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            ({"n_primitive": 3}, r"does not fit: its options choose among 4 primitive actions, this task has 3\.$"),
+            (
+                {"max_options": 3},
+                r"does not fit: it has an option in slot 3, this bank only has 3 slots; make the wrapper with "
+                r"max_options=5\.$",
+            ),
+            ({"max_options": 0}, r"it has an option in slot 1, this bank only has 0 slots"),
+            (
+                {"observation_size": 2},
+                r"the option in slot 1, .*: its table has observations of shape \(30, 3\) and values of shape "
+                r"\(30, 4\), expected 2 numbers an observation and 4 primitive actions\.$",
+            ),
+            (
+                {"feature_size": 3},
+                r"the option in slot ., .*: its subgoals have 2 features, the feature map here gives 3\.$",
+            ),
+        ],
+    )
+    def test_refused(self, content: bytes, folder: Path, changes: dict[str, Any], message: str) -> None:
+        path = folder / "other"
+        path.write_bytes(content)
+        refused(path, message, **changes)
+
+    def test_a_policy_of_features_fits_their_number_and_not_the_observations(self, tmp_path: Path) -> None:
+        bank, region = empty_bank(), Region(np.array([[1.0, 2.0]]), np.ones(2), 0.5)
+        policy = TabularPolicy(np.array([[0.0, 0.0], [2.0, 2.0]]), np.eye(4)[:2])
+        bank.add(SubgoalOption(region, region, policy, policy_input="features"))
+        bank.save(tmp_path / "options")
+        again = empty_bank()
+        again.load(tmp_path / "options")
+        option = again[0]
+        assert isinstance(option, SubgoalOption)
+        assert option.policy_input == "features"
+        assert behaviour(again, OBSERVATIONS) == behaviour(bank, OBSERVATIONS)
+
+    def test_a_network_for_other_observations(self, tmp_path: Path) -> None:
+        bank = empty_bank()
+        bank.add(network())
+        bank.save(tmp_path / "options")
+        refused(tmp_path / "options", r"its network maps 3 numbers to 4 actions.+expected 7", observation_size=7)
+
+
+def resealed(content: bytes, change: Any) -> bytes:
+    """The file with its parts changed by somebody who knows how to make the digest fit."""
+    length = int.from_bytes(content[:8], "little")
+    about = json.loads(json.loads(content[8 : 8 + length])["__metadata__"]["bank"])
+    tensors = from_safetensors(content)
+    change(about, tensors)
+    text = json.dumps(about)
+    return to_safetensors(tensors, {"format": FILE_FORMAT, "bank": text, "digest": digest(text, tensors)})
+
+
+def put(**entries: Any) -> Any:
+    return lambda about, tensors: about["slots"]["1"].update(entries)
+
+
+def tensor(name: str, array: Any) -> Any:
+    return lambda about, tensors: tensors.update({name: array}) if array is not None else tensors.pop(name)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            put(max_duration=0),
+            "slot 1, .*: max_duration must be a whole number of primitive steps, at least 1, got 0",
+        ),
+        (put(max_duration=float("inf")), "slot 1, .*: max_duration must be a whole number"),
+        (put(max_duration=float("nan")), "slot 1, .*: max_duration must be a whole number"),
+        (put(max_duration="10"), "slot 1, .*: max_duration must be a whole number"),
+        (put(max_duration=None), "slot 1, .*: max_duration must be a whole number"),
+        (put(policy_input="state"), "its policy acts on 'state', expected one of observation, features"),
+        (put(radius={"subgoal": -1.0, "initiation": 1.0}), "its subgoal holds numbers that are not finite, or a neg"),
+        (put(radius={"subgoal": 1.0, "initiation": float("nan")}), "its initiation holds numbers that are not finite"),
+        (put(radius={"subgoal": 1.0}), "is damaged: KeyError"),
+        (put(radius={"subgoal": "wide", "initiation": 1.0}), "is damaged: "),
+        (put(radius={"subgoal": 10**400, "initiation": 1.0}), "is damaged: "),
+        (put(radius=3), "is damaged: TypeError"),
+        (lambda about, _: about.pop("slots"), "is damaged: KeyError"),
+        (lambda about, _: about.update(slots=[1]), "is damaged: AttributeError"),
+        (lambda about, _: about.update(slots={"first": {}}), "does not fit: invalid literal for int"),
+        (lambda about, _: about.update(slots={"-1": {}}), "does not fit: it has an option in slot -1"),
+        (lambda about, _: about.update(slots={"0": 5}), "is damaged: AttributeError"),
+        (lambda about, _: about.update(slots={"0": {"hand_made": True}}), "is damaged: KeyError"),
+        (tensor("1.subgoal", None), "is damaged: KeyError"),
+        (tensor("1.subgoal", np.zeros(2)), r"its subgoal has points of shape \(2,\) and a scale of shape \(2,\)"),
+        (
+            tensor("1.subgoal_scale", np.ones(3)),
+            r"its subgoal has points of shape \(1, 2\) and a scale of shape \(3,\)",
+        ),
+        (tensor("1.subgoal", np.full((1, 2), np.nan)), "its subgoal holds numbers that are not finite"),
+        (tensor("1.initiation_scale", np.full(2, np.inf)), "its initiation holds numbers that are not finite"),
+        (
+            lambda about, tensors: tensors.update({"1.initiation": np.zeros((4, 3)), "1.initiation_scale": np.ones(3)}),
+            "its initiation set has 3 features, its subgoal 2",
+        ),
+        (tensor("1.table_values", None), "its policy lacks the array 'network_mean'"),
+        (tensor("3.network_bias_0", None), "its policy lacks the array 'network_bias_0'"),
+        (tensor("3.network_weight_2", np.zeros((4, 4))), "its policy lacks the array 'network_bias_2'"),
+        (tensor("3.network_weight_1", np.zeros((9, 4))), "its network maps 3 numbers to 4 actions"),
+    ],
+)
+def test_a_strangers_file_that_makes_no_sense(content: bytes, folder: Path, change: Any, message: str) -> None:
+    path = folder / "stranger"
+    path.write_bytes(resealed(content, change))
+    refused(path, "stranger .*" + message)
+
+
+def test_resealing_itself_does_no_harm(content: bytes, folder: Path) -> None:
+    path = folder / "resealed"
+    path.write_bytes(resealed(content, put()))
+    bank = empty_bank()
+    bank.load(path)
+    assert behaviour(bank, OBSERVATIONS) == behaviour(filled_bank(), OBSERVATIONS)
+
+
+def test_metadata_that_is_no_json(folder: Path) -> None:
+    for text in ("{", "[" * 100_000, "5"):
+        path = folder / "nested"
+        path.write_bytes(to_safetensors({}, {"format": FILE_FORMAT, "bank": text, "digest": digest(text, {})}))
+        refused(path, "nested is damaged: ")

@@ -1,0 +1,108 @@
+"""Options move into the slots of a bank, stay there, and are available."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+from sb3_options.experience.observations import flatten
+from sb3_options.options.bank import OptionBank
+from tests.options.banks import (
+    CAPACITY,
+    N_PRIMITIVE,
+    OBSERVATIONS,
+    behaviour,
+    empty_bank,
+    filled_bank,
+    first_two,
+    table,
+)
+from tests.support.helpers import steady_option
+
+
+class TestSlots:
+    def test_options_fill_the_first_empty_slot_and_stay_there(self) -> None:
+        bank = OptionBank(2, 3)
+        options = [steady_option(name=str(i)) for i in range(4)]
+        assert [bank.add(option) for option in options[:2]] == [0, 1]
+        assert bank.remove(0) is options[0]
+        assert (bank.slots, bank.filled, len(bank)) == ((None, options[1], None), (1,), 1)
+        assert [bank.add(options[2]), bank.add(options[3])] == [0, 2]
+        assert (bank.slots, bank.filled, len(bank)) == ((options[2], options[1], options[3]), (0, 1, 2), 3)
+        assert bank[2] is options[3]
+
+    def test_a_named_slot_is_replaced(self) -> None:
+        bank = OptionBank(2, 3)
+        first, second = steady_option(), steady_option()
+        assert bank.add(first, 2) == 2
+        assert bank.add(second, 2) == 2
+        assert bank.slots == (None, None, second)
+
+    def test_full(self) -> None:
+        bank = OptionBank(2, 1)
+        bank.add(steady_option())
+        message = r"^All 1 option slots are filled: remove one, or make the wrapper with a larger max_options\.$"
+        with pytest.raises(ValueError, match=message):
+            bank.add(steady_option())
+        assert (len(bank), bank.max_options) == (1, 1)
+        with pytest.raises(ValueError, match=r"^All 0 option slots are filled"):
+            OptionBank(2, 0).add(steady_option())
+
+    @pytest.mark.parametrize("slot", [-1, 3, 100])
+    def test_no_such_slot(self, slot: int) -> None:
+        bank = OptionBank(2, 3)
+        message = rf"^slot must be between 0 and 2, got {slot}\.$"
+        with pytest.raises(ValueError, match=message):
+            bank.add(steady_option(), slot)
+        with pytest.raises(ValueError, match=message):
+            bank.remove(slot)
+        assert len(bank) == 0
+
+    def test_empty_already(self) -> None:
+        bank = OptionBank(2, 3)
+        with pytest.raises(ValueError, match=r"^Slot 1 is empty already\.$"):
+            bank.remove(1)
+
+    def test_not_an_option(self) -> None:
+        with pytest.raises(TypeError, match=r"^option must be an Option, got str\.$"):
+            OptionBank(2, 3).add("go")  # type: ignore[arg-type]  # the point of the test
+
+    def test_arguments(self) -> None:
+        with pytest.raises(ValueError, match=r"^n_primitive must be at least 1, got 0\.$"):
+            OptionBank(0, 3)
+        with pytest.raises(ValueError, match=r"^max_options must be a whole number of at least 0, got -2\.$"):
+            OptionBank(3, -2)
+
+    def test_available(self) -> None:
+        bank = filled_bank()
+        available = bank.available(OBSERVATIONS)
+        assert (available.shape, available.dtype) == ((1000, N_PRIMITIVE + CAPACITY), np.dtype(bool))
+        assert available[:, :N_PRIMITIVE].all()
+        for slot, option in enumerate(bank.slots):
+            expected = np.zeros(1000, dtype=bool) if option is None else option.initiation(OBSERVATIONS)
+            np.testing.assert_array_equal(available[:, N_PRIMITIVE + slot], expected)
+        assert 0 < available[:, N_PRIMITIVE + 1].sum() < 1000
+
+    def test_discovered_options_are_bound_to_the_banks_feature_map(self) -> None:
+        option = table()
+        bank = empty_bank(feature_map=None)
+        bank.add(option)
+        with pytest.raises(ValueError, match="no feature map"):
+            bank.available(OBSERVATIONS)
+        bank.bind(first_two)
+        assert bank.available(OBSERVATIONS).any(axis=0).sum() == N_PRIMITIVE + 1
+        with pytest.raises(ValueError, match="no feature map"):
+            option.initiation(OBSERVATIONS)
+
+    def test_a_bank_without_feature_map_leaves_an_option_its_own(self) -> None:
+        bank = empty_bank(feature_map=None)
+        bank.add(table().bind(first_two))
+        assert bank.available(OBSERVATIONS)[:, N_PRIMITIVE].any()
+
+    def test_pickle_leaves_the_feature_map_behind(self) -> None:
+        bank = empty_bank(feature_map=lambda obs: flatten(obs)[:, :2])
+        bank.add(table())
+        copied = pickle.loads(pickle.dumps(bank))
+        assert copied.feature_map is None
+        copied.bind(first_two)
+        assert behaviour(copied, OBSERVATIONS) == behaviour(bank, OBSERVATIONS)
