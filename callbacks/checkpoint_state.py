@@ -93,7 +93,18 @@ def _settings(callback: BaseCallback) -> State:
     """What a callback of ours was made with."""
     given = {name: getattr(callback, name, None) for name in SETTINGS}
     ours = (DiscoverySettings, OptionLearningSettings, EmbeddingSettings)
-    return {name: dataclasses.asdict(of) for name, of in given.items() if isinstance(of, ours)}
+    settings = {name: dataclasses.asdict(of) for name, of in given.items() if isinstance(of, ours)}
+    method = getattr(callback, "method", None)
+    return settings if method is None else {**settings, "method": _identity(method)}
+
+
+def _identity(method: object) -> State:
+    """The class of a method of discovery, and with what numbers it was made if it is ours."""
+    ours = type(method).__module__.startswith("sb3_options.")
+    numbers = {
+        name: of for name, of in vars(method).items() if not name.startswith("_") and isinstance(of, int | float)
+    }
+    return {"class": type(method).__name__, **(numbers if ours else {})}
 
 
 def _check_settings(callback: BaseCallback, there: State) -> None:

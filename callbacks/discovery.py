@@ -247,7 +247,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             *_, labelled = self._search.database
         if self.option_settings.goes_on:
             self._learn_further(labelled)
-        may_tell = labelled.success or self.settings.negative_bags or self.settings.salient_share > 0
+        may_tell = labelled.success or self._search.learns_from_failures
         if discovers and self._features.ready and may_tell and (subgoal := self._search.search()) is not None:
             self._make_option(subgoal)
 
@@ -290,7 +290,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             self._search.withdraw()
             raise
         if option is None:
-            self._complaints.no_option(where)
+            self._complaints.no_option(where, self._search.LEADS)
             return self._search.withdraw()
         slot = self._options.bank.slots.index(None)
         self._options.install(slot, option)
@@ -394,7 +394,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.draw()
         if self.verbose and self.max_new_options != 0 and (why := self.why_nothing()) is not None:
             print(why)
-        settings = self.hparams or settings_of(self.model, discovery=self.settings, option=self.option_settings)
-        log_results(self.logger, settings, self.history, self.num_timesteps)
+        of = self.hparams or settings_of(self.model, self.method, discovery=self.settings, option=self.option_settings)
+        log_results(self.logger, of, self.history, self.num_timesteps)
         if self.logger.name_to_value:  # an empty dump warns
             self.logger.dump(self.num_timesteps)

@@ -96,11 +96,11 @@ class Complaints:
                 f"{longest:,}",
             )
 
-    def no_option(self, where: str) -> None:
-        """Warn that there is no option for a subgoal, the first time."""
+    def no_option(self, where: str, leads: str) -> None:
+        """Warn that there is no option for a subgoal, the first time; ``leads`` is what no saved trajectory does."""
         if where not in self._without_option:
             self._without_option.add(where)
-            logger.warning("No option for %s: no saved trajectory leads to it surely enough (min_reach).", where)
+            logger.warning("No option for %s: no saved trajectory %s to it.", where, leads)
 
 
 @dataclass(frozen=True)

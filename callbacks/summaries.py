@@ -17,6 +17,7 @@ from stable_baselines3.common.type_aliases import TrainFreq
 from sb3_options.callbacks.counting import SCHEDULES
 from sb3_options.callbacks.records import DiscoveredOption
 from sb3_options.callbacks.reliability import WINDOW
+from sb3_options.discovery.methods import DiscoveryMethod
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.trajectories import EpisodeRecord
 from sb3_options.options.bank import OptionBank
@@ -112,11 +113,12 @@ def flat_settings(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Se
     return flat
 
 
-def settings_of(model: BaseAlgorithm, **others: Any) -> dict[str, Setting]:
+def settings_of(model: BaseAlgorithm, method: DiscoveryMethod | None = None, **others: Any) -> dict[str, Setting]:
     """Settings of a model, and of dataclasses, whose names have theirs before them.
 
     Args:
         model: What its class takes and it has under the same name.
+        method: A user's own method of discovery, whose class takes the place of the name in ``discovery.method``.
         **others: Dataclasses by name.
     """
     arguments = {name for of in type(model).__mro__ for name in inspect.signature(of).parameters} - NOT_TOLD
@@ -127,6 +129,8 @@ def settings_of(model: BaseAlgorithm, **others: Any) -> dict[str, Setting]:
         elif isinstance(value, TrainFreq):
             own[name] = value.frequency
     nested = {name: dataclasses.asdict(other) for name, other in others.items()}
+    if method is not None:
+        nested["discovery"]["method"] = type(method).__name__
     return flat_settings({"algo": type(model).__name__, "n_envs": model.n_envs, **own, **nested})
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
@@ -31,6 +31,8 @@ class GroupedDiscovery(SubgoalDiscovery):
     Args:
         groups: Of features, at least one.
     """
+
+    LEADS: ClassVar[str] = "leads surely enough (min_reach)"
 
     groups: tuple[FeatureGroup, ...] = ()
 

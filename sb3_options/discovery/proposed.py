@@ -16,7 +16,7 @@ from sb3_options.density.regions import Region
 from sb3_options.discovery.found import FoundSubgoal, Search
 from sb3_options.discovery.grouped import GroupedDiscovery
 from sb3_options.discovery.methods import METHODS, DiscoveryMethod, Experience, Proposal, method_named, proposed_by
-from sb3_options.discovery.methods.method import kept
+from sb3_options.discovery.methods.method import kept, seconds_by
 from sb3_options.discovery.most_likely import MostLikelyDiscovery
 from sb3_options.discovery.random_grouped import RandomGroupedDiscovery
 from sb3_options.discovery.settings import DiscoverySettings
@@ -52,6 +52,7 @@ class ProposedDiscovery(SubgoalDiscovery):
         self.outcomes.needed = getattr(self.method, "needs_success", False)
         self._untold: list[LabelledTrajectory] = []
         self._proposals: list[Proposal] = []
+        self._withdrawn: list[tuple[Region, int]] = []  # and after how many trajectories
 
     def add(self, trajectory: Trajectory, features: FloatArray, *, success: bool | None = None) -> LabelledTrajectory:
         """Put a trajectory into the database, and tell the method with the next search; as `SubgoalDiscovery.add`."""
@@ -88,8 +89,7 @@ class ProposedDiscovery(SubgoalDiscovery):
                 self._proposals = [*proposed_by(self.method, experience), *earlier]
                 earlier = self._proposals
                 self.cost += TELL_SECONDS + UPDATE_SECONDS * (len(experience.visits) - 1)
-                if hasattr(self.method, "seconds"):
-                    self.cost += float(self.method.seconds(experience))
+                self.cost += seconds_by(self.method, experience)
             if self.recurrence.is_due(len(self.database)):
                 self._look()
         self.last = Search([], None, time.perf_counter() - began)
@@ -106,7 +106,8 @@ class ProposedDiscovery(SubgoalDiscovery):
 
     def _experience(self, labelled: LabelledTrajectory) -> Experience:
         assert self.scale is not None  # known before the method is told anything
-        allowed = self._maker.may_be_subgoals(labelled, [*self.taken, *(found.subgoal for found in self.found)])
+        taken = [*self.taken, *(found.subgoal for found in self.found)]
+        allowed = self._maker.may_be_subgoals(labelled, taken)
         return Experience(
             labelled.features,
             labelled.trajectory.visits,
@@ -114,19 +115,42 @@ class ProposedDiscovery(SubgoalDiscovery):
             allowed=allowed,
             scale=self.scale,
             radius=self.settings.subgoal_radius,
+            taken=taken,
         )
 
     def _new_subgoal(self) -> Region | None:
         known = [*self.taken, *(found.subgoal for found in self.found)]
         for given in self._proposals:
             goal = goal_of(given)
-            if self._is_apart(goal, known):
+            if self._is_apart(goal, known) and not self._waits(goal):
                 self._proposals = []
                 proposal = kept(given, self.method)
                 goal = goal_of(proposal)
                 self.found.append(FoundSubgoal(goal, None, math.nan, None if goal is proposal else proposal))
                 return goal
         return None
+
+    def withdraw(self) -> None:
+        """Say that there is no option for the last proposal yet; it may come again after twice as many trajectories."""
+        super().withdraw()
+        goal = self.found.pop().subgoal
+        self._withdrawn = [each for each in self._withdrawn if not np.array_equal(each[0].points, goal.points)]
+        self._withdrawn.append((goal, self.outcomes.n))
+
+    def _waits(self, goal: Region) -> bool:
+        """Whether there was no option for this place, after more than half as many trajectories as by now."""
+        waiting = [region for region, n in self._withdrawn if self.outcomes.n < 2 * n]
+        return any(region.contains(goal.points[:1]).any() for region in waiting)
+
+    @property
+    def n_kept(self) -> int:
+        """Subgoals found that there is an option for; what was withdrawn is no longer among those found."""
+        return len(self.found)
+
+    @property
+    def learns_from_failures(self) -> bool:
+        """Always: methods are told of every trajectory."""
+        return True
 
     def _is_apart(self, goal: Region, known: Sequence[Region]) -> bool:
         """Whether a subgoal is farther than `spacing` from all others; what is bound for no place always is.
@@ -163,22 +187,28 @@ class ProposedDiscovery(SubgoalDiscovery):
             "method": self.method.get_state(),
             "untold": self._untold,
             "proposals": self._proposals,
+            "withdrawn": self._withdrawn,
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave."""
         super().set_state(state)
         self._untold, self._proposals = state["untold"], state["proposals"]
+        self._withdrawn = [(region, n) for region, n in state.get("withdrawn", [])]  # those of before have none
         self.method.set_state(state["method"])  # type: ignore[attr-defined]  # it has told
 
     def why_nothing(self) -> str:
         """Why there is no option, in a sentence; where there are some, that there are."""
-        if self.found or self.outcomes.n == 0 or (self.outcomes.needed and not self.outcomes.successes):
+        seen, name = self.outcomes, type(self.method).__name__
+        if self.found or self.n_withdrawn or seen.n == 0 or (seen.needed and not seen.successes):
             return super().why_nothing()
         if self.recurrence.nothing:
             return f"No subgoal was discovered: {self.recurrence.why(len(self.database), f'{self.outcomes.unit}s')}"
-        none = f"{type(self.method).__name__} proposed none that the filters leave.{self._left_out()}"
-        return f"No subgoal was discovered: {none}"
+        for waits_for, n, what in (("min_trajectories", seen.n, ""), ("min_successes", seen.successes, "successful ")):
+            if n < (least := getattr(self.method, waits_for, 0)):
+                waits = f"{name} waits for {least} {what}{seen.unit}s ({waits_for}), and {n} have ended."
+                return f"No subgoal was discovered: {waits}"
+        return f"No subgoal was discovered: {name} proposed none that the filters leave.{self._left_out()}"
 
 
 def discovery_with(

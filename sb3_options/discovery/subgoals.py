@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from sb3_options.density.diverse_density import DiverseDensity, Peak
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.incremental import IncrementalSearch
 from sb3_options.density.regions import Region
-from sb3_options.discovery.anchors import moved, nearest_observations
+from sb3_options.discovery.anchors import moved, nearest_instance, nearest_observations
 from sb3_options.discovery.bag_maker import BagMaker, FilteredBags
 from sb3_options.discovery.budget import (
     CUT_SECONDS,
@@ -62,6 +62,8 @@ class SubgoalDiscovery:
     kind: str | None = None
     taken: Sequence[Region] = ()
     group: FeatureGroup | None = None
+
+    LEADS: ClassVar[str] = "leads"  # what a saved trajectory must do for an option, in words
 
     def __post_init__(self) -> None:
         """Set up what grows with experience."""
@@ -218,6 +220,11 @@ class SubgoalDiscovery:
         return np.array([peak.point for peak in self.last.peaks[:WARM_STARTS]])
 
     @property
+    def learns_from_failures(self) -> bool:
+        """Whether a search may find something after a failure."""
+        return self.settings.negative_bags or self.settings.salient_share > 0
+
+    @property
     def n_kept(self) -> int:
         """Subgoals found that there is an option for."""
         return len(self.found) - self.n_withdrawn
@@ -233,7 +240,7 @@ class SubgoalDiscovery:
         elif self._n_positive == 0:
             why = seen.why_no_success()
         elif self.found or self.n_withdrawn:
-            why = "no saved trajectory leads surely enough (min_reach) to the one that was found: there is no option."
+            why = f"no saved trajectory {self.LEADS} to the one that was found: there is no option."
         elif self.recurrence.nothing:
             why = self.recurrence.why(seen.successes, f"successful {seen.unit}s")
         elif self.last.bags is None:
@@ -345,9 +352,7 @@ class SubgoalDiscovery:
             "incremental": None if self._incremental is None else self._incremental.get_state(),
             "budget": self.budget.get_state(),
             "recurrence": self.recurrence.get_state(),
-            "n_new": self._n_new,
-            "n_since": self._n_since,
-            "n_withdrawn": self.n_withdrawn,
+            **{"n_new": self._n_new, "n_since": self._n_since, "n_withdrawn": self.n_withdrawn},
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -375,7 +380,7 @@ class SubgoalDiscovery:
         s, instances = self.settings, np.concatenate(self.last.evidence.positive)
         for concept in self.tracker.persistent(min(s.threshold, s.cut_threshold)):
             assert self.scale is not None  # a concept is tracked only after a search
-            point = _nearest(instances, concept.point, self.scale)
+            point = nearest_instance(instances, concept.point, self.scale)
             if concept.average <= s.threshold * self.tracker.limit and not self._maker.is_known(point):
                 continue
             subgoal = Region(point[None], self.scale, self.settings.subgoal_radius, group=self.group)
@@ -391,8 +396,3 @@ class SubgoalDiscovery:
             self._maker.forget_bags()
             return subgoal
         return None
-
-
-def _nearest(instances: FloatArray, point: FloatArray, scale: FloatArray) -> FloatArray:
-    """The instance nearest to ``point``: a peak may lie where nobody can stand."""
-    return np.array(instances[np.linalg.norm((instances - point) * scale, axis=1).argmin()])

@@ -41,9 +41,9 @@ class AugmentedLagrangian:
         """The objective for a batch; takes a step of β upwards, too.
 
         Args:
-            began: What the encoder makes of x, (n, d).
-            led: Of what followed it, (n, d).
-            others: Of other observations, drawn apart from these, (n, d): the square of a mean wants two samples.
+            began: What the encoder makes of x, (n, k), in its first k ≤ d dimensions.
+            led: Of what followed it, (n, k).
+            others: Of other observations, drawn apart from these, (n, k): the square of a mean wants two samples.
 
         Returns:
             A number to descend.
@@ -53,8 +53,11 @@ class AugmentedLagrangian:
         errors = 0.5 * (one + two)
         # The slope of b·error² is 2 b·error, each factor from a sample of its own.
         barrier = BARRIER * (one * two.detach() + two * one.detach())
-        loss = graph_drawing + (self.duals * errors + barrier).sum()
-        self.duals = self.duals + DUAL_RATE * errors.detach()
+        k = began.shape[1]
+        duals = self.duals[:k, : k + 1]
+        loss = graph_drawing + (duals * errors + barrier).sum()
+        self.duals = self.duals.clone()
+        self.duals[:k, : k + 1] = duals + DUAL_RATE * errors.detach()
         return loss
 
     @property

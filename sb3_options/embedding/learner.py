@@ -31,7 +31,8 @@ class FeatureLearner:
     Radii, static filters and peaks of discovery are in units of one step, and so the learned space has to be. Before
     that, the eigenvectors of ``laplacian`` are each divided by the root of their eigenvalue. Distances are then the
     roots of commute times (Fouss et al. 2007), the mean time of a random walk from one place to another and back: the
-    eigenvectors of one room, with their large eigenvalues, count less than those that tell rooms apart.
+    eigenvectors of one room, with their large eigenvalues, count less than those that tell rooms apart. Among n
+    observations there are n − 1 eigenvectors besides the constant one; further dimensions are 0.
 
     Args:
         feature_map: What is learned.
@@ -97,6 +98,7 @@ class FeatureLearner:
         self.map.scale = np.ones(self.map.size)
         if self.map.name == "laplacian":
             self.map.scale = 1.0 / np.sqrt(np.maximum(self.eigenvalues(), LEAST_EIGENVALUE))
+            self.map.scale[len(replay) - 1 :] = 0.0
         self.map.scale /= self._step_length(replay, before, after)
         self.map.learned += 1
 
@@ -115,7 +117,7 @@ class FeatureLearner:
         rows = [*replay.sample(s.batch_size, s.horizon, self._generator)]
         if self.map.name == "laplacian":
             rows.append(torch.cat(replay.sample(s.batch_size, s.horizon, self._generator)))
-            loss = self._lagrangian.loss(*replay.encoded(self.map.encoder, *rows))
+            loss = self._lagrangian.loss(*(of[:, : len(replay) - 1] for of in replay.encoded(self.map.encoder, *rows)))
         else:
             loss = contrastive_loss(*replay.encoded(self.map.encoder, *rows))
         self._optimizer.zero_grad()
@@ -135,8 +137,8 @@ class FeatureLearner:
         """For a checkpoint: the map, optimizer, dual variables and generator. The data are in discovery's state."""
         return {
             "map": self.map.arrays(),
-            "optimizer": self._optimizer.state_dict(),
-            "duals": self._lagrangian.duals,
+            "optimizer": copy.deepcopy(self._optimizer.state_dict()),
+            "duals": self._lagrangian.duals.clone(),
             "generator": self._generator.get_state(),
             "loss": self.loss,
             "n_trajectories": self.n_trajectories,

@@ -68,7 +68,7 @@ def learn_option(
     if isinstance(proposal, IntrinsicReward):
         task = Climbing(proposal)
     elif isinstance(proposal, Passage):
-        task = Reaching(proposal.subgoal, leading(proposal, trajectories), settings)
+        task = Reaching(proposal.subgoal, leading(proposal, trajectories, settings), settings)
     else:
         task = Reaching(proposal, initiation_set(proposal, trajectories, settings), settings)
     transitions = transitions_of(task, trajectories, settings)

@@ -50,12 +50,13 @@ def initiation_set(
     return Region(outside, scale, settings.initiation_radius, group=group)
 
 
-def leading(passage: Passage, trajectories: Iterable[LabelledTrajectory]) -> Region:
+def leading(passage: Passage, trajectories: Iterable[LabelledTrajectory], settings: OptionLearningSettings) -> Region:
     """The states of a passage's I from which saved steps lead to its subgoal without leaving I.
 
     Args:
         passage: In concept space.
         trajectories: All of them, successful or not.
+        settings: ``initiation_radius`` is used.
 
     Returns:
         A region with one centre for every distinct state; empty if there is none.
@@ -76,4 +77,4 @@ def leading(passage: Passage, trajectories: Iterable[LabelledTrajectory]) -> Reg
     found = breadth_first_order(backwards, n, return_predecessors=False)
     found = found[found < n]
     found = np.sort(found[inside[found]])
-    return Region(states[found], passage.initiation.scale, passage.initiation.radius)
+    return Region(states[found], passage.subgoal.scale, settings.initiation_radius)

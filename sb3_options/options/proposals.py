@@ -20,10 +20,19 @@ class Passage:
     Attributes:
         subgoal: Where the option ends.
         initiation: I: where it may start, and go on.
+
+    Raises:
+        TypeError: One of them is no region.
     """
 
     subgoal: Region
     initiation: Region
+
+    def __post_init__(self) -> None:
+        """Refuse what is no region."""
+        for name in ("subgoal", "initiation"):
+            if not isinstance(value := getattr(self, name), Region):
+                raise TypeError(f"{name} of a Passage must be a Region, got {value!r:.200}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +48,8 @@ class IntrinsicReward:
         radius: Of the regions that the option's I and β are made of, in scaled units.
 
     Raises:
-        ValueError: Arrays that do not fit each other, no place at all, or a potential that is not finite.
+        ValueError: Arrays that do not fit each other, no place at all, two states of one place, or a potential that is
+            not finite.
     """
 
     points: FloatArray
@@ -56,6 +66,8 @@ class IntrinsicReward:
             object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=np.float64))
         if not np.isfinite(self.potentials).all():
             raise ValueError("potentials must be finite")
+        if len(self._row_of) < len(self.points):
+            raise ValueError("points must be of different places: bins of concept space, one unit wide")
 
     @cached_property
     def _row_of(self) -> dict[bytes, int]:
@@ -84,7 +96,7 @@ class Repeat:
         scale: Factor for every feature of concept space, (d,).
 
     Raises:
-        ValueError: ``number`` or ``duration`` is no such whole number.
+        ValueError: ``number`` or ``duration`` is no such whole number, or ``scale`` has another shape.
     """
 
     number: int
@@ -96,6 +108,8 @@ class Repeat:
         for name, value, least in (("number", self.number, 0), ("duration", self.duration, 1)):
             if not whole(value, least):
                 raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
+        if len(np.shape(self.scale)) != 1:
+            raise ValueError(f"scale must have shape (d,), got {np.shape(self.scale)}")
 
     @property
     def nowhere(self) -> Region:
@@ -104,12 +118,17 @@ class Repeat:
 
     @property
     def everywhere(self) -> Region:
-        """A region that holds all states: distances are 0."""
-        return Region(np.zeros((1, len(self.scale))), np.zeros(len(self.scale)), 0.0)
+        """A region that holds all states."""
+        return everywhere(len(self.scale))
 
 
 Proposal: TypeAlias = Region | Passage | IntrinsicReward | Repeat
 """What an option may be made for."""
+
+
+def everywhere(n_features: int) -> Region:
+    """A region of concept space that holds all states: distances are 0."""
+    return Region(np.zeros((1, n_features)), np.zeros(n_features), 0.0)
 
 
 def goal_of(proposal: Proposal) -> Region:

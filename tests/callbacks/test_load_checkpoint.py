@@ -10,6 +10,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback, load_checkpoint
+from sb3_options.discovery.methods import DiscoveryMethod
+from sb3_options.discovery.methods.graphs import Betweenness, LCut
 from tests.callbacks.test_checkpoint_resuming import Callbacks, discovering, model_of, venv_of
 from tests.support.sb3_helpers import optioned_rooms
 
@@ -75,6 +77,24 @@ class TestLoadCheckpoint:
     def test_refuses_other_settings(self, changed: dict[str, Any], text: str, tmp_path: Path) -> None:
         model_of("PPO", venv_of()).learn(64, [SubgoalDiscoveryCallback(), CheckpointCallback(tmp_path)])
         model, other = model_of("PPO", venv_of()), [SubgoalDiscoveryCallback(**changed), CheckpointCallback(tmp_path)]
+        load_checkpoint(tmp_path, model, other)
+        with pytest.raises(ValueError, match=text):
+            model.learn(64, other)
+
+    @pytest.mark.parametrize(
+        ("method", "text"),
+        [
+            (Betweenness(), r"with method class='LCut' of SubgoalDiscoveryCallback, and here it is 'Betweenness'"),
+            (LCut(min_share=0.9), r"with method min_share=0\.2 of SubgoalDiscoveryCallback, and here it is 0\.9"),
+        ],
+    )
+    def test_refuses_another_method(self, method: DiscoveryMethod, text: str, tmp_path: Path) -> None:
+        made = SubgoalDiscoveryCallback(method=LCut())
+        model_of("PPO", venv_of()).learn(64, [made, CheckpointCallback(tmp_path)])
+        model, other = (
+            model_of("PPO", venv_of()),
+            [SubgoalDiscoveryCallback(method=method), CheckpointCallback(tmp_path)],
+        )
         load_checkpoint(tmp_path, model, other)
         with pytest.raises(ValueError, match=text):
             model.learn(64, other)

@@ -95,6 +95,21 @@ def test_options_of_other_kinds_run_to_their_ends(method: DiscoveryMethod) -> No
         assert option.initiation_set.points[:, 0].max() < DOORWAY[0]
 
 
+def test_methods_are_told_of_failures_whatever_bags_there_are() -> None:
+    class Counting:
+        told = 0
+
+        def update(self, experience: Experience) -> list[Proposal]:
+            del experience
+            self.told += 1
+            return []
+
+    env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0", max_episode_steps=20), 1, gamma=0.97)
+    callback = SubgoalDiscoveryCallback({"negative_bags": False}, method=(method := Counting()))
+    MacroQ(env, gamma=0.97, seed=0).learn(200, callback=callback)
+    assert method.told == callback.episodes >= 10
+
+
 def test_an_unknown_method() -> None:
     with pytest.raises(
         ValueError, match=r"^DiscoverySettings: method should be 'diverse-density', .*got 'betweeness'$"

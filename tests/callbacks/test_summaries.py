@@ -6,6 +6,7 @@ from stable_baselines3 import A2C, DQN, PPO
 
 from sb3_options.callbacks.records import DiscoveredOption
 from sb3_options.callbacks.summaries import flat_settings, results_of, settings_of, steps_to_learn, text_of
+from sb3_options.discovery.methods.graphs import LCut
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.experience.trajectories import EpisodeRecord
 from tests.support.helpers import steady_option
@@ -54,7 +55,8 @@ def test_settings_of_models() -> None:
     assert not {"device", "env", "policy", "verbose", "tensorboard_log"} & dqn.keys()
     ppo = settings_of(PPO("MlpPolicy", env, policy_kwargs={"net_arch": [8]}), discovery=DiscoverySettings(decay=0.7))
     assert {"clip_range": 0.2, "policy_kwargs.net_arch": "8", "discovery.decay": 0.7}.items() <= ppo.items()
-    assert settings_of(A2C("MlpPolicy", env))["algo"] == "A2C"
+    a2c = settings_of(A2C("MlpPolicy", env), LCut(), discovery=DiscoverySettings())
+    assert {"algo": "A2C", "discovery.method": "LCut"}.items() <= a2c.items()
 
 
 def test_an_option_that_was_there_at_the_start() -> None:

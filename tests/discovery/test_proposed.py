@@ -8,10 +8,11 @@ import pytest
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
-from sb3_options.discovery.methods import DiscoveryMethod, Experience, Passage, Proposal
+from sb3_options.discovery.methods import DiscoveryMethod, Experience, Passage, Proposal, Repeat
 from sb3_options.discovery.methods.candidates import PLACE_SECONDS
+from sb3_options.discovery.methods.covering import CoveringOptions
 from sb3_options.discovery.methods.graphs import LCut
-from sb3_options.discovery.methods.visits import VisitFrequency
+from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
 from sb3_options.discovery.proposed import ProposedDiscovery, discovery_with
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.subgoals import SubgoalDiscovery
@@ -19,7 +20,7 @@ from sb3_options.experience.trajectories import Trajectory
 
 
 class Told:
-    """Proposes what it was given, and remembers what it was told."""
+    """Proposes what it was given, and remembers what it was told, though not in a checkpoint."""
 
     def __init__(self, *points: float) -> None:
         self.points = points
@@ -28,6 +29,12 @@ class Told:
     def update(self, experience: Experience) -> list[Proposal]:
         self.told.append(experience)
         return [experience.region(np.array([point])) for point in self.points]
+
+    def get_state(self) -> dict[str, Any]:
+        return {}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        pass
 
 
 def line(n: int = 12, *, success: bool = True) -> tuple[Trajectory, np.ndarray]:
@@ -152,7 +159,55 @@ def test_there_is_no_lack_where_something_was_found() -> None:
     discovery.search()
     assert discovery.why_nothing() == "Subgoals discovered that have an option: 1."
     discovery.withdraw()
-    assert "no saved trajectory leads surely enough" in discovery.why_nothing()
+    assert "no saved trajectory leads to the one that was found" in discovery.why_nothing()
+
+
+def test_what_no_option_could_be_learned_for_comes_again_and_blocks_nothing_near() -> None:
+    discovery = of(Told(5.0, 6.0), spacing=3.0)
+
+    def searched() -> float | None:
+        discovery.add(*line())
+        subgoal = discovery.search()
+        return None if subgoal is None else float(subgoal.points[0, 0])
+
+    assert searched() == 5.0
+    discovery.withdraw()
+    state = discovery.get_state()  # with methods that tell
+    assert searched() == 5.0, "twice as many trajectories"
+    discovery.withdraw()
+    assert searched() == 6.0, "so near to 5 that an option there would leave it out"
+    assert searched() is None
+    discovery.set_state(state)
+    assert (searched(), discovery.n_kept) == (5.0, 1)
+
+
+@pytest.mark.parametrize(
+    ("method", "waits"),
+    [
+        (CoveringOptions(min_trajectories=4), "CoveringOptions waits for 4 episodes (min_trajectories)"),
+        (RandomPlaces(min_successes=9), "RandomPlaces waits for 9 successful episodes (min_successes)"),
+    ],
+)
+def test_why_nothing_says_what_a_method_waits_for(method: DiscoveryMethod, waits: str) -> None:
+    discovery = of(method)
+    for _ in range(3):
+        discovery.add(*line())
+        discovery.search()
+    assert discovery.why_nothing() == f"No subgoal was discovered: {waits}, and 3 have ended."
+
+
+@pytest.mark.parametrize("seconds", [np.nan, -1.0, np.inf, "long", None])
+def test_seconds_that_are_none_are_refused(seconds: object) -> None:
+    class Timed(Told):
+        def seconds(self, experience: Experience) -> object:
+            del experience
+            return seconds
+
+    discovery = of(Timed(5.0))
+    discovery.add(*line())
+    with pytest.raises(ValueError, match=r"^Timed.seconds must return a finite number of at least 0, got "):
+        discovery.search()
+    assert discovery.budget.affords()
 
 
 class Failing(Told):
@@ -213,6 +268,10 @@ class Giving:
         (Region(np.array([[5.0]]), 1.0, 0.5), r"whose scale has \(\); they must be \(n, 1\) and \(1,\), n ≥ 1, for φ"),  # type: ignore[arg-type]  # that is refused
         (Region(np.zeros((0, 1)), np.ones(1), 0.5), r"points have shape \(0, 1\) and"),
         (
+            Repeat(0, 3, np.ones(2)),
+            r"a Repeat whose points have shape \(1, 2\) and whose scale",
+        ),
+        (
             Passage(Region(np.ones((1, 1)), np.ones(1), 0.5), Region(np.ones((1, 2)), np.ones(2), 0.5)),
             r"a Passage whose",
         ),
@@ -253,12 +312,12 @@ def test_a_method_cannot_move_what_was_taken_nor_what_was_lived_through() -> Non
 
 
 def test_a_checkpoint_needs_both_ways() -> None:
-    class HalfWay(Told):
+    class HalfWay(Giving):
         def get_state(self) -> dict[str, Any]:
             return {}
 
     with pytest.raises(ValueError, match=r"^Checkpoints of discovery by HalfWay are not supported: give it get_state"):
-        of(HalfWay()).get_state()
+        of(HalfWay(None)).get_state()
 
 
 @pytest.mark.parametrize("answer", [None, np.zeros((1, 1)), [3.0]])

@@ -51,6 +51,19 @@ def test_each_eigenvector_by_itself_and_in_order() -> None:
     assert (np.diff(learner.eigenvalues()[:4]) > 0).all()
 
 
+@pytest.mark.parametrize("n", [2, 4, 6])
+def test_few_observations_have_as_few_eigenvectors(n: int) -> None:
+    """As many orthogonal vectors as dimensions do not exist, and the dual variables would grow for ever."""
+    few = path_graph(n)
+    learner = learned("laplacian", few)
+    for _ in range(3):
+        learner.learn(few.trajectories, 8)
+        features = learner.map(np.arange(n))
+        assert rank_correlation(distances(features), few.steps) > 0.9 or n == 2
+        assert not features[:, n - 1 :].any()
+        assert features[:, : n - 1].any(axis=0).all()
+
+
 def test_before_it_is_learned_no_distance_means_anything() -> None:
     learner = learned("temporal-distance", LINE, updates=1, learning_rate=1e-9)
     assert rank_correlation(distances(learner.map(EVERY)), LINE.steps) < 0.5

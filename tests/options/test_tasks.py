@@ -1,5 +1,7 @@
 """The three kinds of proposals: what options are learned for them."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.options.creation import learn_further, learn_option
 from sb3_options.options.initiation import leading
 from sb3_options.options.option import SubgoalOption
-from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal, goal_of
+from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal, everywhere, goal_of
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.options.tasks import Climbing, Reaching, transitions_of
 from tests.options.corridor import DOOR, LEFT, RIGHT, generator, walk
@@ -84,6 +86,10 @@ class TestIntrinsicReward:
         with pytest.raises(ValueError, match=r"^points, potentials and scale must be \(n, d\), \(n,\) and \(d,\)"):
             IntrinsicReward(np.zeros(points), np.zeros(potentials), np.ones(1), 0.5)
 
+    def test_places_must_be_different(self) -> None:
+        with pytest.raises(ValueError, match=r"^points must be of different places: bins of concept space"):
+            IntrinsicReward(np.array([[0.0], [0.3], [5.0]]), np.array([1.0, 0.0, 0.5]), np.ones(1), 0.5)
+
     def test_potentials_must_be_finite(self) -> None:
         with pytest.raises(ValueError, match=r"^potentials must be finite$"):
             hill(0.0, np.nan)
@@ -99,9 +105,21 @@ class TestPassage:
         assert inside(option) == [1, 2, 3, 4]  # no step leads back from 6 and 7
         assert option.policy(PLACES[1:5]).tolist() == [RIGHT] * 4
 
+    @pytest.mark.parametrize("initiation", [None, np.zeros((1, 1)), hill(0, 1)])
+    def test_both_parts_must_be_regions(self, initiation: Any) -> None:
+        with pytest.raises(TypeError, match=r"^initiation of a Passage must be a Region, got "):
+            Passage(DOOR, initiation)
+
     def test_it_stays_in_its_set(self) -> None:
         passage = Passage(DOOR, Region(PLACES[[1, 3, 4]], np.ones(1), 0.5))
-        assert leading(passage, BOTH_WAYS).points.ravel().tolist() == [3.0, 4.0]  # 2 would have to be crossed
+        began = leading(passage, BOTH_WAYS, OptionLearningSettings()).points.ravel()
+        assert began.tolist() == [3.0, 4.0]  # 2 would have to be crossed
+
+    def test_its_states_have_the_radius_of_the_settings(self) -> None:
+        """In continuous spaces steps lead to where nobody stood."""
+        for radius in (0.25, 1.5):
+            began = leading(Passage(DOOR, everywhere(1)), BOTH_WAYS, OptionLearningSettings(initiation_radius=radius))
+            assert (began.radius, began.scale.tolist()) == (radius, [1.0])
 
     def test_none_where_no_step_leads_there(self) -> None:
         assert option_for(Passage(ball(30.0), self.everywhere)) is None

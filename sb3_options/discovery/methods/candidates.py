@@ -27,15 +27,15 @@ PLACE_SECONDS = 2e-7
 """Nominal time of an update, for each place that is remembered."""
 
 
-def check_counts(**counts: object) -> None:
-    """Refuse what is no whole number of at least 1, by its name.
+def check_counts(least: int = 1, /, **counts: object) -> None:
+    """Refuse what is no whole number of at least ``least``, by its name.
 
     Raises:
         ValueError: There is such a one.
     """
     for name, count in counts.items():
-        if not whole(count, 1):
-            raise ValueError(f"{name} must be a whole number of at least 1, got {count!r}.")
+        if not whole(count, least):
+            raise ValueError(f"{name} must be a whole number of at least {least}, got {count!r}.")
 
 
 def check_shares(**shares: object) -> None:
@@ -93,8 +93,9 @@ def more_likely(p_target: float, p_other: float, odds: float) -> Accept:
         ValueError: An argument is out of its range, or subgoals are to be candidates no oftener than others.
     """
     check_shares(p_target=p_target, p_other=p_other)
-    if not (p_target > p_other and odds > 0):
-        raise ValueError(f"p_target must be above p_other, and odds above 0, got {p_target}, {p_other} and {odds}.")
+    check_positive(odds=odds)
+    if p_target <= p_other:
+        raise ValueError(f"p_target must be above p_other, got {p_target} and {p_other}.")
 
     def accept(seen: FloatArray, hits: FloatArray) -> FloatArray:
         evidence = hits * np.log(p_target / p_other) + (seen - hits) * np.log((1 - p_target) / (1 - p_other))

@@ -21,6 +21,10 @@ TOLERANCE = 1e-9
 """Betweenness that differs by less, relative to the largest, is equal."""
 
 
+LARGEST_CUT = 2.0
+"""No normalised cut is larger."""
+
+
 class LCut(CandidateMethod):
     """Şimşek, Wolfe & Barto (2005), *Identifying Useful Subgoals in RL by Local Graph Partitioning*.
 
@@ -43,9 +47,11 @@ class LCut(CandidateMethod):
     def __init__(
         self, *, horizon: int = 1000, max_cut: float = 0.05, min_seen: int = 10, min_share: float = 0.2
     ) -> None:
-        check_counts(horizon=horizon)
+        check_counts(2, horizon=horizon)
         check_positive(max_cut=max_cut)
-        self.horizon, self.max_cut = horizon, max_cut
+        if max_cut > LARGEST_CUT:
+            raise ValueError(f"max_cut must be at most {LARGEST_CUT:g}, which no cut exceeds, got {max_cut!r}.")
+        self.horizon, self.max_cut, self.min_seen, self.min_share = horizon, max_cut, min_seen, min_share
         super().__init__(often_enough(min_seen, min_share))
 
     def update(self, experience: Experience) -> list[Region]:
@@ -88,8 +94,8 @@ class Betweenness(CandidateMethod):
     """
 
     def __init__(self, *, horizon: int = 1000, min_seen: int = 10, min_share: float = 0.5) -> None:
-        check_counts(horizon=horizon)
-        self.horizon = horizon
+        check_counts(2, horizon=horizon)
+        self.horizon, self.min_seen, self.min_share = horizon, min_seen, min_share
         super().__init__(often_enough(min_seen, min_share))
 
     def update(self, experience: Experience) -> list[Region]:

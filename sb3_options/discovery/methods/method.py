@@ -11,9 +11,10 @@ import numpy as np
 import numpy.typing as npt
 from numpy.typing import ArrayLike
 
+from sb3_options.checked import is_number
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
-from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal, Repeat, bins_of
+from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal, Repeat, bins_of, everywhere
 
 __all__ = ["DiscoveryMethod", "Experience", "IntrinsicReward", "Passage", "Places", "Proposal", "Region", "Repeat"]
 
@@ -38,6 +39,7 @@ class Experience:
         allowed: Which of its states may be subgoals, (m,): the static filter allows them, and no subgoal is near.
         scale: Factor for every feature that makes one unit one step, (d,).
         radius: Of a subgoal, in scaled units.
+        taken: Subgoals that there are options for.
     """
 
     def __init__(
@@ -49,9 +51,10 @@ class Experience:
         allowed: BoolArray,
         scale: FloatArray,
         radius: float,
+        taken: Sequence[Region] = (),
     ) -> None:
         self.features, self.visits, self.success = _read_only(features), _read_only(visits), success
-        self.allowed, self.scale, self.radius = allowed, scale, radius
+        self.allowed, self.scale, self.radius, self.taken = allowed, scale, radius, tuple(taken)
 
     @cached_property
     def places(self) -> Places:
@@ -65,6 +68,11 @@ class Experience:
     def region(self, point: ArrayLike) -> Region:
         """The region around a place, (d,)."""
         return Region(np.array(point, dtype=np.float64)[None], self.scale, self.radius)
+
+    @property
+    def everywhere(self) -> Region:
+        """The region of all states: a `Passage` from there starts wherever saved steps lead to its subgoal."""
+        return everywhere(len(self.scale))
 
 
 def _read_only(array: Array) -> Array:
@@ -204,4 +212,18 @@ def _regions_of(proposal: Proposal) -> tuple[Region | IntrinsicReward, ...]:
     """What has points in concept space."""
     if isinstance(proposal, Passage):
         return proposal.subgoal, proposal.initiation
-    return () if isinstance(proposal, Repeat) else (proposal,)
+    return (proposal.everywhere,) if isinstance(proposal, Repeat) else (proposal,)
+
+
+def seconds_by(method: DiscoveryMethod, experience: Experience) -> float:
+    """Nominal time of an update, as the method has it; 0 if it does not say.
+
+    Raises:
+        ValueError: It is no finite number of at least 0.
+    """
+    seconds = method.seconds(experience) if hasattr(method, "seconds") else 0.0
+    if not (is_number(seconds) and 0.0 <= seconds < np.inf):
+        raise ValueError(
+            f"{type(method).__name__}.seconds must return a finite number of at least 0, got {seconds!r:.200}."
+        )
+    return float(seconds)

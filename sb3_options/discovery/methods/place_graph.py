@@ -34,11 +34,13 @@ class Component(NamedTuple):
     """The largest connected part of the graph.
 
     Attributes:
+        numbers: Of its places in the graph, which do not change, (n,).
         points: One state of each place, (n, d).
         allowed: Which places may be subgoals, as of their last visit, (n,).
         adjacency: 1 where a transition was made in either direction, (n, n), symmetric.
     """
 
+    numbers: IntArray
     points: FloatArray
     allowed: BoolArray
     adjacency: csr_array
@@ -91,7 +93,11 @@ class PlaceGraph:
         _, labels = connected_components(adjacency, directed=False)
         kept = np.flatnonzero(labels == np.bincount(labels).argmax())
         points, allowed = np.array(self._points)[kept], np.array(self._allowed)[kept]
-        return Component(points, allowed, adjacency[kept][:, kept])
+        return Component(kept, points, allowed, adjacency[kept][:, kept])
+
+    def point(self, number: int) -> FloatArray:
+        """One state of a place, (d,)."""
+        return self._points[number]
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint."""
@@ -122,8 +128,9 @@ class LaplacianMethod:
     """
 
     def __init__(self, *, n_solved: int, min_trajectories: int, max_places: int) -> None:
-        check_counts(min_trajectories=min_trajectories, max_places=max_places)
-        self.min_trajectories = min_trajectories
+        check_counts(min_trajectories=min_trajectories)
+        check_counts(LEAST_PLACES, max_places=max_places)
+        self.min_trajectories, self.max_places = min_trajectories, max_places
         self._n_solved = n_solved
         self._graph = PlaceGraph(max_places)
         self._n = 0

@@ -41,6 +41,7 @@ class RelativeNovelty(CandidateMethod):
         check_counts(lag=lag)
         check_positive(threshold=threshold)
         self.lag, self.threshold = lag, threshold
+        self.p_target, self.p_other, self.odds = p_target, p_other, odds
         super().__init__(more_likely(p_target, p_other, odds))
 
     def update(self, experience: Experience) -> list[Region]:

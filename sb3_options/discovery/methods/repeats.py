@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from sb3_options.discovery.methods.candidates import check_counts
 from sb3_options.discovery.methods.method import Experience, Proposal, Repeat
 
 EXPONENT = 2.0
@@ -24,9 +25,13 @@ class RandomRepeats:
 
     Args:
         seed: Of the generator that draws.
+
+    Raises:
+        ValueError: ``seed`` is no whole number of at least 0.
     """
 
     def __init__(self, *, seed: int = 0) -> None:
+        check_counts(0, seed=seed)
         self._random = np.random.default_rng(seed)
         self._number = int(self._random.integers(np.iinfo(np.int32).max))
 

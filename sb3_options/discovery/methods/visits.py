@@ -7,8 +7,15 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sb3_options.checked import is_number
 from sb3_options.density.regions import Region
-from sb3_options.discovery.methods.candidates import PLACE_SECONDS, Candidates, check_counts, check_positive
+from sb3_options.discovery.methods.candidates import (
+    PLACE_SECONDS,
+    Candidates,
+    check_counts,
+    check_positive,
+    check_shares,
+)
 from sb3_options.discovery.methods.method import Experience
 from sb3_options.discovery.peaks import MOST_TIED, PeakTracker, plateau_centres
 from sb3_options.experience.observations import FloatArray
@@ -45,7 +52,11 @@ class VisitFrequency:
             raise ValueError(f"count must be 'first' or 'every', got {count!r}.")
         check_counts(min_successes=min_successes)
         check_positive(radius=radius)
+        check_shares(decay=decay)
+        if not (is_number(threshold) and 0 <= threshold < 1):
+            raise ValueError(f"threshold must be in [0, 1), got {threshold!r}.")
         self.count, self.min_successes, self.radius = count, min_successes, radius
+        self.decay, self.threshold = decay, threshold
         self._visited = Candidates(_most)
         self._tracker = PeakTracker(decay=decay, threshold=threshold, radius=radius)
         self._successes = 0
@@ -99,12 +110,16 @@ class RandomPlaces:
     Args:
         min_successes: Successful trajectories before the first proposal.
         seed: Of the generator that draws.
+
+    Raises:
+        ValueError: An argument is out of its range.
     """
 
     needs_success = True
 
     def __init__(self, *, min_successes: int = 4, seed: int = 0) -> None:
         check_counts(min_successes=min_successes)
+        check_counts(0, seed=seed)
         self.min_successes = min_successes
         self._random = np.random.default_rng(seed)
         self._successes = 0
@@ -138,9 +153,12 @@ class GivenPlaces:
     """
 
     def __init__(self, points: ArrayLike) -> None:
-        self.points = np.asarray(points, dtype=np.float64)
-        if self.points.ndim != 2 or not np.isfinite(self.points).all():
-            raise ValueError(f"points must be finite, of shape (n, d), got {self.points.shape}.")
+        try:
+            self.points = np.array(points, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ValueError(f"points must be numbers of shape (n, d), n ≥ 1, got {points!r:.200}.") from None
+        if self.points.ndim != 2 or not self.points.size or not np.isfinite(self.points).all():
+            raise ValueError(f"points must be finite, of shape (n, d), n ≥ 1, got {self.points.shape}.")
 
     def update(self, experience: Experience) -> list[Region]:
         """Propose those that the trajectory came to; as `DiscoveryMethod.update`."""

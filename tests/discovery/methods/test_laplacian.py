@@ -7,6 +7,7 @@ import networkx as nx
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
+from scipy.spatial.distance import pdist
 
 from experiments.random_walks.conditions import run, world_for
 from sb3_options.discovery.methods import GivenPlaces, IntrinsicReward, Passage
@@ -136,7 +137,26 @@ class TestCovering:
         assert {float(p.subgoal.points[0, 0]) for p in proposals if isinstance(p, Passage)} == {0.0, 8.0}
         for passage in proposals:
             assert isinstance(passage, Passage)
-            assert len(passage.initiation.points) == 9
+            assert passage.initiation.contains(np.array([[0.0], [3.7], [1e9]])).all()
+
+    def test_a_pair_stays_joined_once_an_option_leads_to_one_of_its_ends(self) -> None:
+        """Or the next end would be the nearest place that the filters leave beside that option."""
+        method = CoveringOptions(n_pairs=2, min_trajectories=1)
+        lived = experience(list(range(21)))
+        first = method.update(lived)[0]
+        assert isinstance(first, Passage)
+        there = float(first.subgoal.points[0, 0])
+        allowed = np.abs(np.arange(21) - there) > 3
+        later = method.update(experience(list(range(21)), allowed=allowed, taken=[first.subgoal]))
+        ends = [_end(proposal) for proposal in later]
+        assert ends[:2] == [there, 20 - there], "the other end of the pair comes first"
+        assert all(5 <= end <= 15 for end in ends[2:]), "then what is far from both ends of the ring"
+
+    @pytest.mark.parametrize("seed", [0, 1, 2])
+    def test_options_of_random_walks_lead_apart(self, seed: int) -> None:
+        found = run("FourRooms", {"method": "covering", "max_share": None}, seed=seed, n_episodes=40)["found"]
+        assert len(found) == 4
+        assert pdist(np.array([each["point"] for each in found])).min() >= 6.0
 
 
 @pytest.mark.parametrize("make", [Eigenoptions, CoveringOptions])
@@ -178,9 +198,9 @@ class TestGivenPlaces:
         assert [float(goal_of(p).points[0, 0]) for p in method.update(experience([1, 2, 3, 4, 5]))] == [5.0, 3.0]
         assert method.update(experience([1, 2])) == []
 
-    @pytest.mark.parametrize("points", [[1.0, 2.0], [[np.nan]]])
+    @pytest.mark.parametrize("points", [[1.0, 2.0], [[np.nan]], np.zeros((0, 2)), [["a"]], [[1.0], [1.0, 2.0]]])
     def test_arguments(self, points: object) -> None:
-        with pytest.raises(ValueError, match=r"^points must be finite, of shape \(n, d\), got \("):
+        with pytest.raises(ValueError, match=r"^points must be .*of shape \(n, d\), n ≥ 1, got"):
             GivenPlaces(points)  # type: ignore[arg-type]
 
 

@@ -1,7 +1,7 @@
 """Each method against an oracle, or on experience whose bottleneck is known."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import networkx as nx
@@ -12,11 +12,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from experiments.random_walks.conditions import is_bottleneck, run, world_for
+from sb3_options.density.regions import Region
 from sb3_options.discovery.methods import METHODS, MethodName
 from sb3_options.discovery.methods.candidates import Candidates, more_likely, often_enough
+from sb3_options.discovery.methods.eigenoptions import Eigenoptions
 from sb3_options.discovery.methods.graphs import Betweenness, LCut, local_maxima, normalised_cut, weights_of
 from sb3_options.discovery.methods.method import DiscoveryMethod, Experience, distinct_rows
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty, relative_novelty
+from sb3_options.discovery.methods.repeats import RandomRepeats
 from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
 from sb3_options.discovery.peaks import MOST_TIED
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
@@ -26,7 +29,12 @@ NUMBERS = [-1e9, -2.0, -1.0, -0.0, 0.0, 1.0, 3.0, 1e9]
 
 
 def experience(
-    visits: list[int] | IntArray, *, success: bool = True, allowed: BoolArray | None = None, scale: float = 1.0
+    visits: list[int] | IntArray,
+    *,
+    success: bool = True,
+    allowed: BoolArray | None = None,
+    scale: float = 1.0,
+    taken: Sequence[Region] = (),
 ) -> Experience:
     """Places 0, 1, 2 … on a line, in order of first visit."""
     numbers = np.asarray(visits)
@@ -41,6 +49,7 @@ def experience(
         allowed=np.ones(len(names), dtype=bool) if allowed is None else allowed,
         scale=np.array([scale]),
         radius=0.5,
+        taken=taken,
     )
 
 
@@ -239,10 +248,10 @@ def test_graph_methods_find_the_doorway_of_two_rooms_from_random_walks(name: str
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: LCut(horizon=0), "horizon must be a whole number of at least 1, got 0."),
+        (lambda: LCut(horizon=0), "horizon must be a whole number of at least 2, got 0."),
         (lambda: LCut(min_seen=2.5), "min_seen must be a whole number of at least 1, got 2.5."),  # type: ignore[arg-type]
         (lambda: Betweenness(min_share=1.0), r"min_share must be in \(0, 1\), got 1.0."),
-        (lambda: Betweenness(horizon=-1), "horizon must be a whole number of at least 1, got -1."),
+        (lambda: Betweenness(horizon=-1), "horizon must be a whole number of at least 2, got -1."),
         (lambda: RelativeNovelty(lag=0), "lag must be a whole number of at least 1, got 0."),
         (lambda: RelativeNovelty(p_target=0.1, p_other=0.2), "p_target must be above p_other"),
         (lambda: RelativeNovelty(p_other=math.nan), r"p_other must be in \(0, 1\), got nan."),
@@ -251,6 +260,14 @@ def test_graph_methods_find_the_doorway_of_two_rooms_from_random_walks(name: str
         (lambda: VisitFrequency(radius=-1.0), "radius must be a finite number above 0, got -1.0."),
         (lambda: LCut(max_cut="a"), "max_cut must be a finite number above 0, got 'a'."),  # type: ignore[arg-type]
         (lambda: RelativeNovelty(threshold=math.nan), "threshold must be a finite number above 0, got nan."),
+        (lambda: LCut(max_cut=5), "max_cut must be at most 2, which no cut exceeds, got 5."),
+        (lambda: RelativeNovelty(odds=math.inf), "odds must be a finite number above 0, got inf."),
+        (lambda: RelativeNovelty(odds="x"), "odds must be a finite number above 0, got 'x'."),  # type: ignore[arg-type]
+        (lambda: VisitFrequency(decay="a"), r"decay must be in \(0, 1\), got 'a'."),  # type: ignore[arg-type]
+        (lambda: VisitFrequency(threshold=1), r"threshold must be in \[0, 1\), got 1."),
+        (lambda: Eigenoptions(max_places=2), "max_places must be a whole number of at least 3, got 2."),
+        (lambda: RandomPlaces(seed=None), "seed must be a whole number of at least 0, got None."),  # type: ignore[arg-type]
+        (lambda: RandomRepeats(seed=-1), "seed must be a whole number of at least 0, got -1."),
         (lambda: RandomPlaces(min_successes=True), "min_successes must be a whole number of at least 1, got True."),
     ],
 )
