@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback, CallbackList, EvalCallback, ProgressBarCallback
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList, ProgressBarCallback
 from stable_baselines3.common.type_aliases import TrainFreq
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_options.callbacks import checkpoint_state
-from sb3_options.callbacks.counting import all_callbacks
+from sb3_options.callbacks.counting import all_callbacks, evaluation_envs
 from sb3_options.checked import whole
 from sb3_options.checkpoints import environments, event_files, models
 from sb3_options.checkpoints.file import CheckpointFolder
@@ -201,7 +201,7 @@ class CheckpointCallback(BaseCallback):
             print(f"Going on after {model.num_timesteps:,} primitive steps.")
 
     def _evaluated(self) -> list[VecEnv]:
-        return [each.eval_env for each in all_callbacks(self._root) if isinstance(each, EvalCallback)]
+        return evaluation_envs(self._root)
 
 
 def load_checkpoint(

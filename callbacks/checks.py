@@ -134,7 +134,7 @@ def check_training(callback: SubgoalDiscoveryCallback, before: BaseAlgorithm | N
         )
     if callback.settings.segmentation == "peaks" and set(venv.get_attr("max_runs")) != {None}:
         raise ValueError("max_runs counts in an episode, and a continuing task has none: leave it out with peaks.")
-    _check_alike(venv)
+    check_alike(venv)
     others = [each for each in all_callbacks(callback.locals.get("callback")) if each is not callback]
     if any(hasattr(each, "discoveries") for each in others):  # its class is defined on top of this module
         raise ValueError(
@@ -143,7 +143,7 @@ def check_training(callback: SubgoalDiscoveryCallback, before: BaseAlgorithm | N
         )
 
 
-def _check_alike(venv: VecEnv) -> None:
+def check_alike(venv: VecEnv) -> None:
     """Refuse environments of which the first says nothing of the others.
 
     Raises:

@@ -12,6 +12,7 @@ from stable_baselines3.common.callbacks import (
     BaseCallback,
     CallbackList,
     ConvertCallback,
+    EvalCallback,
     EventCallback,
     ProgressBarCallback,
 )
@@ -102,6 +103,11 @@ def all_callbacks(root: BaseCallback | None) -> Iterator[BaseCallback]:
     if not isinstance(root, ConvertCallback):
         for child in children:
             yield from all_callbacks(child)
+
+
+def evaluation_envs(root: BaseCallback | None) -> list[VecEnv]:
+    """The environment of every ``EvalCallback`` in the tree that ``learn`` was given."""
+    return [each.eval_env for each in all_callbacks(root) if isinstance(each, EvalCallback)]
 
 
 def monitor_primitive_steps(venv: VecEnv) -> None:

@@ -139,7 +139,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._generator = torch.Generator().manual_seed(seed)
         self._statistics, self._growth, self._features = OptionStatistics(min_reached), OptionGrowth(), GivenFeatures()
         self.embedding = given_as(EmbeddingSettings, {} if embedding is None else embedding)
-        self._installer: OptionInstaller | None = None
         self._clock: DiscoveryClock | None = None
 
     @property
@@ -196,13 +195,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         return self.discovery
 
     def _on_rollout_start(self) -> None:
-        self._options.on_rollout_start()
+        super()._on_rollout_start()
         if not self.episodes and self.settings.segmentation == "episodes" and self.max_new_options != 0:
             self._complaints.no_end(self.num_timesteps, self.training_env.num_envs, self.settings.max_segment)
-
-    def _on_rollout_end(self) -> None:
-        super()._on_rollout_end()
-        self._options.on_rollout_end()
 
     def _on_step(self) -> bool:
         infos: list[dict[str, Any]] = self.locals["infos"]
@@ -360,12 +355,10 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             "growth": self._growth.get_state(),
             "trials": None if self._trials is None else self._trials.get_state(),
             "features": self._features.get_state(),
-            "options": self._options.get_state(),
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave, once training has started."""
-        super().set_state(state)
         self.episodes = state["episodes"]
         self.history[:] = [EpisodeRecord(*each) for each in zip(*map(np.ndarray.tolist, state["history"]), strict=True)]
         self.discoveries[:] = [DiscoveredOption(**each) for each in state["discoveries"]]
@@ -379,14 +372,13 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         if self._trials is not None:
             self._trials.set_state(state["trials"])
         self._features.set_state(state.get("features"), self._options)  # those of before have none
-        self._options.set_state(state["options"])
+        super().set_state(state)  # last: its options may need the feature map
 
     def _on_training_end(self) -> None:
         if self._ended:  # rl-zoo3 ends training twice, and when it was refused
             return
         self._ended = True
         super()._on_training_end()
-        self._options.on_training_end()
         if self._trials is not None:
             self._trials.end()
         if self.closed or len(self._options.bank):  # without those that were closed, and as the others are now

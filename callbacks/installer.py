@@ -6,18 +6,18 @@ from collections.abc import Sequence
 from typing import Any
 
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_options.callbacks.checks import check_same_slots, masks_actions, warn_unmasked
-from sb3_options.callbacks.counting import all_callbacks, monitor_primitive_steps
+from sb3_options.callbacks.counting import evaluation_envs, monitor_primitive_steps
 from sb3_options.callbacks.intra_option import IntraOptionUpdater
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.execution.exploration import cap_option_exploration
 from sb3_options.execution.workers import watch_workers
 from sb3_options.experience.observations import FloatArray, Observations
 from sb3_options.learning import heads
-from sb3_options.learning.macro_q import MacroQ
+from sb3_options.learning.forgetting import forget_empty, forget_slot
 from sb3_options.learning.masked import stored_availability
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.learning.saved_model import keep_options, put_back
@@ -32,7 +32,8 @@ MIN_ODDS = 1e-3
 class OptionInstaller:
     """Keeps the options of all environments, the heads of the network and the replay buffer equal to its `bank`.
 
-    The model's ``save`` writes that bank, too.
+    What the environments hold when it is made counts: what was learned of slots that are empty is forgotten, and what
+    an earlier training left behind is put right. The model's ``save`` writes that bank, too.
 
     Off-policy algorithms get an option at once. Algorithms that sample actions from a policy without masks get it when
     the next rollout starts: with a head that was closed at the start of a rollout and open at its end, the update
@@ -45,6 +46,7 @@ class OptionInstaller:
         max_option_exploration: Largest share of options among exploratory choices.
         opening_share: Of a first option under MaskablePPO; 1 lets it open like a primitive.
         interruption: Whether options end where going on is worth less than the best alternative (`Interruption`).
+        open_untrained: Whether the random heads of an untrained model are opened for the options that there are.
         earlier: Of the same model, if it was trained before: an exception may have left something undone.
     """
 
@@ -57,10 +59,11 @@ class OptionInstaller:
         max_option_exploration: float = 1.0,
         opening_share: float = 1.0,
         interruption: bool = False,
+        open_untrained: bool = True,
         earlier: OptionInstaller | None = None,
     ) -> None:
         self.model, self.venv = model, venv
-        self.eval_envs = [c.eval_env for c in all_callbacks(callbacks) if isinstance(c, EvalCallback)]
+        self.eval_envs = evaluation_envs(callbacks)
         for eval_env in self.eval_envs:
             watch_workers(eval_env)
             check_same_slots(venv, eval_env)
@@ -68,7 +71,7 @@ class OptionInstaller:
         warn_unmasked(model, callbacks)
         buffer = getattr(model, "replay_buffer", None)
         self.buffer = buffer if isinstance(buffer, OptionReplayBuffer) else None
-        self.has_heads = not isinstance(model, MacroQ)
+        self.has_heads = heads.has_heads(model.policy)
         self.has_rollouts = hasattr(model, "rollout_buffer")
         self.waits_for_rollout = self.has_rollouts and not masks_actions(model)
         self.opening_share = opening_share
@@ -89,17 +92,16 @@ class OptionInstaller:
             self.interrupter = Interrupter(model, venv, self.eval_envs)
         else:
             self._call_environments("set_interruption", None)  # an earlier training may have left its own
-        untrained = self.has_heads and heads.is_untrained(model, self.n_primitive)
+        opens = open_untrained and self.has_heads and heads.is_untrained(model, self.n_primitive)
         self._call_environments("expect_empty", True)
         keep_options(model, self.bank)
         for slot, option in enumerate(present.slots):
-            if option is not None:
-                if untrained:
-                    heads.close_head(model.policy, self.n_primitive + slot)  # random weights; it is opened below
-                self._install_now(slot, option)
-            elif self.has_heads:
-                heads.close_empty(model, slot, self.n_primitive)
-
+            if option is None:
+                forget_empty(model, slot, self.n_primitive)
+                continue
+            if opens:
+                heads.close_head(model.policy, self.n_primitive + slot)  # random weights; it is opened below
+            self._install_now(slot, option, present=True)
         if earlier is not None and earlier.model is model:
             self._take_over(earlier)
 
@@ -239,8 +241,8 @@ class OptionInstaller:
         if self.interrupter is not None:
             self.interrupter.set_state(state["interrupter"])
 
-    def _install_now(self, slot: int, option: Option) -> None:
-        self._send(slot, option)
+    def _install_now(self, slot: int, option: Option, *, present: bool = False) -> None:
+        self._send(slot, option, present=present)
         if not self.has_heads:
             return  # MacroQ asks for what is available in every step
         action = self.n_primitive + slot
@@ -261,34 +263,30 @@ class OptionInstaller:
 
     def _uninstall_closed(self) -> None:
         for slot in self._closing:
-            action = self.n_primitive + slot
             self.bank.remove(slot)
             self._call_environments("set_option", slot, None)
             if self.explored is not None:
                 self.explored.filled = self.bank.filled
-            if self.has_heads:
-                heads.close_head(self.model.policy, action)
-                heads.forget_moments(self.model.policy, action)
-            elif isinstance(self.model, MacroQ):
-                self.model.forget_action(action)
-            if self.buffer is not None:
-                self.buffer.forget_action(action)
-                self.buffer.set_next_available(slot, False)
+            forget_slot(self.model, slot, self.n_primitive)
             if self.updater is not None:
                 self.updater.clear(slot)
             if slot in self._new:
                 self._new.remove(slot)
         self._closing.clear()
 
-    def _send(self, slot: int, option: Option) -> None:
+    def _send(self, slot: int, option: Option, *, present: bool = False) -> None:
+        """Put an option into all environments; ``present`` says that those of the training have one of that name."""
         self.bank.add(option, slot)
         if self.explored is not None:
             self.explored.filled = self.bank.filled
-        # φ stays behind: functions may not travel between processes.
-        self._call_environments("set_option", slot, option.bind(None) if isinstance(option, SubgoalOption) else option)
+        if isinstance(option, SubgoalOption):
+            # φ stays behind: functions may not travel between processes.
+            self._call_environments("set_option", slot, option.bind(None))
+        else:  # it may be made for its environment
+            self._call_environments("set_option", slot, option, training=not present)
 
-    def _call_environments(self, method: str, *args: object) -> None:
-        for venv in [self.venv, *self.eval_envs]:
+    def _call_environments(self, method: str, *args: object, training: bool = True) -> None:
+        for venv in [self.venv, *self.eval_envs] if training else self.eval_envs:
             venv.env_method(method, *args)
 
 

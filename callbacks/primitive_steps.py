@@ -9,6 +9,7 @@ from typing import Any
 from stable_baselines3.common.callbacks import BaseCallback
 
 from sb3_options.callbacks.checks import (
+    check_alike,
     check_network,
     check_normalized_rewards,
     check_nothing_above_changes_steps,
@@ -19,8 +20,10 @@ from sb3_options.callbacks.counting import (
     all_callbacks,
     clip_schedules,
     count_inner_steps,
+    evaluation_envs,
     monitor_primitive_steps,
 )
+from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.execution.ray_vec_env import RayVecEnv
 from sb3_options.execution.workers import watch_workers
 from sb3_options.execution.wrapper import OptionsWrapper
@@ -29,8 +32,7 @@ from sb3_options.learning import heads
 from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.learning.rollout_buffer import SMDPAdvantages, option_rollout_buffer
-from sb3_options.learning.saved_model import keep_options, put_back
-from sb3_options.options.bank import OptionBank
+from sb3_options.learning.saved_model import keep_options
 
 logger = logging.getLogger("sb3_options")
 
@@ -44,6 +46,9 @@ class PrimitiveStepsCallback(BaseCallback):
     (it leaves ``info["option"] = {"index": -1, "duration": k, "discount": gamma**k}``). `SubgoalDiscoveryCallback` does
     the same, so that it is not needed beside it.
 
+    What is learned from is made to fit the options that the environments hold when training starts (`OptionInstaller`).
+    Options of the environment of an ``EvalCallback`` are left to the user. No option is interrupted.
+
     ``train_freq``, ``target_update_interval`` and ``eval_freq`` of an ``EvalCallback`` still count decisions, and so
     does ``n_steps``, unless ``primitive_rollouts`` says otherwise. A rollout may be many more primitive steps. Hence
     on-policy training ends in the middle of one when the budget is used up (SB3's last rollout is counted in full, as
@@ -55,7 +60,8 @@ class PrimitiveStepsCallback(BaseCallback):
         verbose: As for any callback.
 
     Raises:
-        ValueError: When training starts: the environment reports no durations, or buffer or discount do not fit.
+        ValueError: When training starts: the environment reports no durations, buffer or discount do not fit, or
+            environments have different options.
     """
 
     def __init__(self, verbose: int = 0, *, primitive_rollouts: bool = False) -> None:
@@ -65,8 +71,10 @@ class PrimitiveStepsCallback(BaseCallback):
         self._stock_schedules: dict[str, Any] = {}
         self._rollouts: PrimitiveRollouts | None = None
         self._rollout_buffer: SMDPAdvantages | None = None
+        self._installer: OptionInstaller | None = None
 
     def _on_training_start(self) -> None:
+        self._installer = None
         check_replay_buffer(self.model)
         self._start_counting()
         if not any(self.training_env.env_is_wrapped(OptionsWrapper)):
@@ -76,18 +84,15 @@ class PrimitiveStepsCallback(BaseCallback):
         check_normalized_rewards(self.model)
         check_gamma(self.model, self.training_env)
         monitor_primitive_steps(self.training_env)
-        put_back(self.model, self.training_env)
-        keep_options(self.model)
-        self.training_env.env_method("expect_empty", True)
         if heads.has_heads(self.model.policy):
             check_network(self.model, self.training_env)
-            bank: OptionBank = self.training_env.get_attr("bank", [0])[0]
-            for slot, option in enumerate(bank.slots):
-                action = bank.n_primitive + slot
-                if option is None:
-                    heads.close_empty(self.model, slot, bank.n_primitive)
-                elif heads.is_closed(self.model.policy, action):
-                    heads.open_head(self.model.policy, action, bank.n_primitive)
+        check_alike(self.training_env)
+        if self._installs:
+            self._installer = OptionInstaller(self.model, self.training_env, None, open_untrained=False)
+            keep_options(self.model)
+            for venv in evaluation_envs(self.locals.get("callback")):
+                if all(venv.env_is_wrapped(OptionsWrapper)):
+                    venv.env_method("set_interruption", None)
 
     def _start_counting(self) -> None:
         watch_workers(self.training_env)
@@ -100,8 +105,11 @@ class PrimitiveStepsCallback(BaseCallback):
         self._rollouts = None
         if self.primitive_rollouts and self._rollout_buffer is not None:
             self._rollouts = PrimitiveRollouts(self.model, self._rollout_buffer)
-        counting = (c for c in all_callbacks(self.locals.get("callback")) if isinstance(c, PrimitiveStepsCallback))
-        self._counts = next(counting, self) is self  # the first of several
+        ours = [c for c in all_callbacks(self.locals.get("callback")) if isinstance(c, PrimitiveStepsCallback)]
+        first = ours[0] if ours else self
+        self._counts = first is self
+        # Where options are discovered, that callback looks after them; its class is defined on top of this module.
+        self._installs = next((each for each in ours if hasattr(each, "discoveries")), first) is self
         self._stock_schedules = clip_schedules(self.model)
         self._updates_before = self._n_updates()
         self._budget = math.inf
@@ -113,9 +121,15 @@ class PrimitiveStepsCallback(BaseCallback):
     def _on_step(self) -> bool:
         return self._count(list(map(OptionRun.from_info, self.locals["infos"])))
 
+    def _on_rollout_start(self) -> None:
+        if self._installer is not None:
+            self._installer.on_rollout_start()
+
     def _on_rollout_end(self) -> None:
         if self._rollouts is not None:
             self._rollouts.plan_next()
+        if self._installer is not None:
+            self._installer.on_rollout_end()
 
     def _count(self, runs: list[OptionRun]) -> bool:
         """Count what one step of every environment ran; whether training goes on."""
@@ -133,19 +147,24 @@ class PrimitiveStepsCallback(BaseCallback):
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint, at the start of a rollout."""
         total = self.model._total_timesteps
-        return {"total": total, "budget": self._budget, "updates_before": self._updates_before}
+        options = None if self._installer is None else self._installer.get_state()
+        return {"total": total, "budget": self._budget, "updates_before": self._updates_before, "options": options}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave, once training has started."""
         self._updates_before = state["updates_before"]
         if state["total"] == self.model._total_timesteps:  # else learn() was called for another budget
             self._budget = state["budget"]
+        if self._installer is not None and state.get("options") is not None:  # checkpoints of before have none
+            self._installer.set_state(state["options"])
 
     def _on_training_end(self) -> None:
         for name, schedule in self._stock_schedules.items():
             setattr(self.model, name, schedule)
         if self._rollouts is not None:
             self._rollouts.end()
+        if self._installer is not None:
+            self._installer.on_training_end()
         buffer = self._rollout_buffer
         if buffer is not None and self.num_timesteps >= self._budget and self._n_updates() == self._updates_before:
             logger.warning(

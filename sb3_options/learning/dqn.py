@@ -17,11 +17,12 @@ from torch.nn import functional
 
 from sb3_options.execution.exploration import CappedActions
 from sb3_options.experience.observations import BoolArray, FloatArray
-from sb3_options.learning import heads
 from sb3_options.learning.checks import check_gamma, check_wrapped
+from sb3_options.learning.forgetting import forget_empty
 from sb3_options.learning.masked import MaskedPrediction, n_actions_of, stored_availability
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.learning.replay_samples import OptionReplayBufferSamples
+from sb3_options.learning.saved_model import put_back
 
 
 class OptionDQN(MaskedPrediction, DQN):
@@ -84,9 +85,10 @@ class OptionDQN(MaskedPrediction, DQN):
         buffer = self._option_buffer()
         buffer.heads_are_closed = True
         n_primitive = n_actions_of(self) - self._n_slots
+        put_back(self, self.env)  # before a slot is taken for empty
         filled = self.env.get_attr("bank", [0])[0].filled
         for slot in set(range(self._n_slots)) - set(filled):
-            heads.close_empty(self, slot, n_primitive)
+            forget_empty(self, slot, n_primitive)
         if not buffer.tracks_availability:  # it was loaded, and another algorithm had filled it
             buffer.track_availability(self._n_slots)
             if buffer.size():

@@ -7,14 +7,11 @@ opened when an option is installed. All other outputs stay bit for bit what they
 
 from __future__ import annotations
 
-import logging
 import math
 from typing import Any
 
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
-
-logger = logging.getLogger("sb3_options")
 
 CLOSED_VALUE = -1e6
 """Bias of a closed output: below any return, of probability 0 as a logit, and far from where float32 overflows."""
@@ -165,19 +162,6 @@ def is_untrained(model: BaseAlgorithm, n_primitive: int) -> bool:
         return False
     n_actions = int(model.action_space.n)  # type: ignore[attr-defined]  # checked to be Discrete
     return not any(is_closed(model.policy, action) for action in range(n_primitive, n_actions))
-
-
-def close_empty(model: BaseAlgorithm, slot: int, n_primitive: int) -> None:
-    """Close the head of a slot that is empty when training starts, with a warning if it was trained."""
-    action = n_primitive + slot
-    if getattr(model, "_n_updates", 0) > 0 and not is_closed(model.policy, action):
-        logger.warning(
-            "Slot %d is empty, and the model has learned what an option there is worth: that is forgotten now. If "
-            "the options of an earlier training were meant to be there, load them first: "
-            "sb3_options.load_options(FILE, env).",
-            slot,
-        )
-    close_head(model.policy, action)
 
 
 @torch.no_grad()

@@ -41,7 +41,7 @@ class OptionReplayBuffer(StoredRows, ReplayBuffer):
     action and reward and a discount of γ, so that one run of an option updates k + 1 values.
 
     Intra-option learning (Sutton, Precup & Singh 1999, §6; `intra_option`): every primitive step of a batch also
-    becomes a transition of each option that is consistent with it. `SubgoalDiscoveryCallback` says which these are.
+    becomes a transition of each option that is consistent with it. The callback says which these are.
     At most as many such rows are added as were drawn, so that those drawn keep at least half of their weight.
 
     With ``n_steps`` the target is the return over the next n decisions (`n_step`), for the steps inside options too.
@@ -204,10 +204,11 @@ class OptionReplayBuffer(StoredRows, ReplayBuffer):
 
         With Macro-Q that is the first primitive step of the run.
         """
-        size = self.size()
-        self.copies += 1
-        named = self.actions[:size, 0] == action
+        named = self.actions[: self.size(), 0] == action
         rows, others = np.flatnonzero(named), np.flatnonzero(~named)
+        if len(rows) == 0:
+            return
+        self.copies += 1
         if self._successors is not None:
             self._successors.cut(rows)
         if len(others) == 0:

@@ -2,7 +2,6 @@
 
 import csv
 import logging
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ import torch
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.callbacks import ConvertCallback, EvalCallback
 from stable_baselines3.common.logger import configure
-from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options import MacroQ, OptionReplayBuffer, OptionsWrapper, load_model
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback, TrialSettings
@@ -24,7 +22,7 @@ from sb3_options.discovery.methods import DiscoveryMethod, Experience, GivenPlac
 from sb3_options.learning import heads
 from sb3_options.options.file import slots_of
 from tests.support.helpers import steady_option
-from tests.support.sb3_helpers import RANDOM, TINY, env_of, fast_callback, optioned_rooms, small_rooms
+from tests.support.sb3_helpers import RANDOM, TINY, env_of, fast_callback, optioned_rooms
 
 
 class Proposing:
@@ -141,19 +139,6 @@ def test_options_go_along_when_a_model_gets_other_environments(tmp_path: Path, n
     assert not heads.is_closed(model.policy, 4 + found.slot)
     model.save(tmp_path / "model.zip")
     assert slots_of(tmp_path / "model.zip") == [found.slot]
-
-
-@pytest.mark.parametrize(
-    ("other", "what"),
-    [
-        (lambda: with_option(), r"options: \[None, None\] in the first, \['[a-z ]+', None\] in number 1"),
-        (lambda: OptionsWrapper(small_rooms(), 2, gamma=0.9, max_runs=3), "max_runs: None in the first, 3 in number 1"),
-        (lambda: OptionsWrapper(small_rooms(), 2, gamma=0.9, feature_map=np.asarray), "feature maps: environment in"),
-    ],
-)
-def test_environments_that_differ_are_refused(other: Callable[[], OptionsWrapper], what: str) -> None:
-    with pytest.raises(ValueError, match=f"^The environments have different {what}"):
-        model_of(DummyVecEnv([lambda: optioned_rooms(2), other])).learn(50, callback=SubgoalDiscoveryCallback())
 
 
 def test_one_callback_discovers_in_a_training() -> None:

@@ -1,0 +1,275 @@
+"""What both callbacks do, when training starts, with what earlier trainings and users left behind."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+from sb3_contrib import QRDQN
+from stable_baselines3 import DQN, PPO
+from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback, EvalCallback
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from sb3_options import MacroQ, OptionDQN, OptionReplayBuffer, OptionsWrapper
+from sb3_options.callbacks import CheckpointCallback, PrimitiveStepsCallback, SubgoalDiscoveryCallback
+from sb3_options.callbacks.intra_option import IntraOptionUpdater
+from sb3_options.checkpoints.file import read
+from sb3_options.execution.exploration import CappedActions
+from sb3_options.learning import heads
+from tests.callbacks.test_checkpoint_resuming import check_resumes, keep_all
+from tests.callbacks.test_installer import available, option_from
+from tests.support.helpers import steady_option
+from tests.support.sb3_helpers import RANDOM, TINY, env_of, optioned_rooms
+
+__all__ = ["keep_all"]
+
+N_PRIMITIVE = 4
+DISCOUNT = 0.9
+
+
+def finds_nothing() -> SubgoalDiscoveryCallback:
+    return SubgoalDiscoveryCallback(max_new_options=0)
+
+
+both = pytest.mark.parametrize("callback", [PrimitiveStepsCallback, finds_nothing])
+
+
+def with_option() -> OptionsWrapper:
+    env = optioned_rooms(2)
+    env.bank.add(steady_option(1, max_duration=3))
+    return env
+
+
+def model_of(env: Any, algorithm: Any = DQN, **kwargs: Any) -> Any:
+    own = {"replay_buffer_class": OptionReplayBuffer, **kwargs}
+    return algorithm("MlpPolicy", env, **{"gamma": DISCOUNT, **TINY, **RANDOM, **own})
+
+
+def rows_of(model: Any, slot: int = 0) -> int:
+    """How many stored transitions name a slot."""
+    buffer = model.replay_buffer
+    return int((buffer.actions[: buffer.size()] == N_PRIMITIVE + slot).sum())
+
+
+def go_on(model: Any, callback: BaseCallback, steps: int = 300) -> None:
+    model.learn(steps, callback=callback, reset_num_timesteps=False)
+
+
+def before_the_first_step(model: Any, *callbacks: BaseCallback) -> None:
+    """Start training, and end it."""
+    model.learn(1, callback=[*callbacks, ConvertCallback(lambda *_: False)], reset_num_timesteps=False)
+
+
+class TestEmptied:
+    """A slot that the user has emptied."""
+
+    @both
+    @pytest.mark.parametrize("algorithm", [DQN, QRDQN, OptionDQN])
+    def test_is_forgotten(self, algorithm: Any, callback: Any, caplog: pytest.LogCaptureFixture) -> None:
+        env = with_option()
+        model = model_of(env, algorithm, learning_rate=1e-2)
+        model.learn(600, callback=callback())
+        assert rows_of(model) > 20
+        env.set_option(0, None)
+        go_on(model, callback())
+        assert "Slot 0 is empty, and the model has learned what an option there is worth" in caplog.text
+        assert rows_of(model) == 0
+        assert not model.replay_buffer.next_available.any()
+        for layer, outputs in heads.option_outputs(model.policy):
+            rows = heads.rows_of(layer, outputs, N_PRIMITIVE)
+            assert (layer.weight[rows] == 0.0).all()
+            assert (layer.bias[rows] == heads.CLOSED_VALUE).all()
+        layer, outputs = heads.option_outputs(model.policy)[0]
+        rows = heads.rows_of(layer, outputs, N_PRIMITIVE)
+        assert (model.policy.optimizer.state[layer.weight]["exp_avg"][rows] == 0.0).all()
+
+    @both
+    def test_is_forgotten_by_a_table(self, callback: Any, caplog: pytest.LogCaptureFixture) -> None:
+        env = with_option()
+        model = MacroQ(env, gamma=DISCOUNT, seed=0)
+        with torch.no_grad():
+            model.policy.weights[:, N_PRIMITIVE] = 1.0
+        before_the_first_step(model, callback())
+        assert caplog.text == ""
+        assert model.policy.table()[:, N_PRIMITIVE].all()
+        env.set_option(0, None)
+        before_the_first_step(model, callback())
+        assert not model.policy.table()[:, N_PRIMITIVE].any()
+        assert caplog.text.count("is empty, and the model has learned what an option there is worth") == 1
+
+    @both
+    def test_is_explored_no_longer(self, callback: Any) -> None:
+        env = with_option()
+        model = model_of(env)
+        model.learn(50, callback=SubgoalDiscoveryCallback(max_new_options=0, max_option_exploration=0.0))
+        env.set_option(0, None)
+        env.set_option(1, steady_option(2, max_duration=2))
+        go_on(model, callback(), 50)
+        assert isinstance(model.action_space, CappedActions)
+        assert model.action_space.filled == (1,)
+
+    def test_what_names_no_slot_stays_as_it_is(self) -> None:
+        """A checkpoint need not be told that rows were copied."""
+        model = model_of(with_option())
+        model.learn(200, callback=PrimitiveStepsCallback())
+        buffer = model.replay_buffer
+        before = buffer.rewards.copy()
+        buffer.forget_action(N_PRIMITIVE + 1)
+        assert buffer.copies == 0
+        np.testing.assert_array_equal(buffer.rewards, before)
+
+
+@both
+def test_a_loaded_model_whose_options_are_put_back_has_forgotten_nothing(callback: Any, tmp_path: Path) -> None:
+    """`OptionDQN` closes empty slots too, and before callbacks do anything."""
+    env = optioned_rooms(2)
+    env.bank.add(option_from(0, 1, 2, 3))
+    model = model_of(env, OptionDQN)
+    model.learn(1000, callback=callback())
+    model.save(tmp_path / "model.zip")
+    model.save_replay_buffer(tmp_path / "buffer")
+    again = OptionDQN.load(tmp_path / "model.zip", env=(later := optioned_rooms(2)))
+    again.load_replay_buffer(tmp_path / "buffer")
+    before_the_first_step(again, callback())
+    assert later.bank.filled == (0,)
+    assert rows_of(again) == rows_of(model) > 0
+    for mine, other in zip(heads.option_outputs(again.policy), heads.option_outputs(model.policy), strict=True):
+        assert torch.equal(mine[0].weight, other[0].weight)
+
+
+class TestInterruption:
+    def test_is_by_the_values_of_no_earlier_training(self) -> None:
+        env, evaluated = with_option(), with_option()
+        evaluation = EvalCallback(evaluated, eval_freq=10_000)
+        model_of(env).learn(200, callback=[finds_nothing(), evaluation])
+        for each in (env, evaluated):
+            assert each._interruption is not None
+        other = PPO("MlpPolicy", env, gamma=DISCOUNT, n_steps=64, batch_size=64, n_epochs=1)
+        other.learn(64, callback=[PrimitiveStepsCallback(), evaluation])
+        for each in (env, evaluated):
+            assert each._interruption is None
+
+    @pytest.mark.parametrize("order", [1, -1])
+    def test_goes_on_where_both_callbacks_are(self, order: int) -> None:
+        env = with_option()
+        model = model_of(env, replay_buffer_kwargs={"intra_option": True})
+        discovery = finds_nothing()
+        model.learn(300, callback=[PrimitiveStepsCallback(), discovery][::order])
+        assert env._interruption is not None
+        assert discovery._installer is not None
+        assert discovery._installer.updater is not None
+        assert model.replay_buffer.consistency is discovery._installer.updater.table
+
+
+@both
+def test_what_is_stored_knows_where_options_may_start_that_a_user_has_changed(callback: Any) -> None:
+    env = optioned_rooms(2)
+    env.bank.add(option_from(0, 1))
+    model = model_of(env, OptionDQN)
+    model.learn(200, callback=callback())
+    env.set_option(0, option_from(2, 3))
+    env.set_option(1, option_from(0, 3))
+    go_on(model, callback(), 40)
+    size = model.replay_buffer.size()
+    for slot in (0, 1):
+        assert available(model, slot)[:200].any()
+        np.testing.assert_array_equal(model.replay_buffer.next_available[:size, slot], available(model, slot))
+
+
+class TestIntraOption:
+    @staticmethod
+    def consistent(model: Any) -> npt.NDArray[Any]:
+        """The primitive actions of the stored steps from which the option in slot 0 is updated."""
+        buffer = model.replay_buffer
+        chosen: npt.NDArray[Any] = buffer.actions[: buffer.size(), 0]
+        return np.unique(chosen[buffer.consistency.consistent[: buffer.size(), 0]])
+
+    @both
+    def test_is_of_the_options_that_there_are(self, callback: Any) -> None:
+        env = with_option()
+        model = model_of(env, replay_buffer_kwargs={"intra_option": True})
+        model.learn(600, callback=callback())
+        assert self.consistent(model).tolist() == [1]
+        assert len(model.replay_buffer.sample(64).actions) > 64
+        env.set_option(0, steady_option(2, max_duration=3))
+        go_on(model, callback())
+        assert self.consistent(model).tolist() == [2]
+        env.set_option(0, None)
+        go_on(model, callback())
+        assert self.consistent(model).tolist() == []
+        assert IntraOptionUpdater.applies_to(model)
+
+    @pytest.mark.usefixtures("keep_all")
+    @pytest.mark.parametrize("algorithm", [DQN, OptionDQN])
+    def test_goes_on_from_a_checkpoint(self, algorithm: Any, tmp_path: Path) -> None:
+        def make() -> Any:
+            env = with_option()
+            env.bank.add(option_from(0, 1))
+            return model_of(DummyVecEnv([lambda: env]), algorithm, replay_buffer_kwargs={"intra_option": True})
+
+        callbacks, files = check_resumes(make, lambda: [PrimitiveStepsCallback()], tmp_path, cuts=(0.6,), steps=900)
+        (state,) = (each["own"] for each in read(files[-1])["callbacks"] if each["class"] == "PrimitiveStepsCallback")
+        assert state["options"]["slots"][0] == {"name": "steady"}
+        assert self.consistent(callbacks[0].model).tolist() == [1]
+
+    @pytest.mark.usefixtures("keep_all")
+    def test_a_checkpoint_is_refused_without_its_hand_made_option(self, tmp_path: Path) -> None:
+        model_of(with_option()).learn(200, [PrimitiveStepsCallback(), CheckpointCallback(tmp_path, 100)])
+        *_, file = sorted(tmp_path.glob("0*"))
+        checkpoints = CheckpointCallback(tmp_path, 100)
+        checkpoints.resume_from(read(file))
+        with pytest.raises(ValueError, match=r"^Slot 0 held the hand-made option 'steady', which is code"):
+            model_of(optioned_rooms(2)).learn(300, [PrimitiveStepsCallback(), checkpoints])
+
+
+@pytest.mark.parametrize("algorithm", [DQN, PPO])
+def test_counting_alone_leaves_the_head_of_an_option_as_it_was_initialised(algorithm: Any) -> None:
+    env = with_option()
+    model = model_of(env) if algorithm is DQN else PPO("MlpPolicy", env, gamma=DISCOUNT, n_steps=64, device="cpu")
+    layer, _ = heads.option_outputs(model.policy)[0]
+    expected = layer.weight[:5].clone()
+    before_the_first_step(model, PrimitiveStepsCallback())
+    assert torch.equal(layer.weight[:5], expected)
+
+
+@both
+def test_hand_made_options_stay_in_the_environments_that_they_were_made_for(callback: Any) -> None:
+    """They are code, which may know its environment."""
+    venv = DummyVecEnv([with_option] * 2)
+    before = [bank[0] for bank in venv.get_attr("bank")]
+    assert before[0] is not before[1]
+    model_of(venv).learn(100, callback=callback())
+    assert [bank[0] for bank in venv.get_attr("bank")] == before
+
+
+@both
+@pytest.mark.parametrize(
+    ("other", "what"),
+    [
+        (with_option, r"options: \[None, None\] in the first, \['steady', None\] in number 1"),
+        (lambda: OptionsWrapper(optioned_rooms(2).env, 2, gamma=DISCOUNT, max_runs=3), "max_runs: None in the first"),
+        (
+            lambda: OptionsWrapper(optioned_rooms(2).env, 2, gamma=DISCOUNT, feature_map=np.asarray),
+            "feature maps: environment in",
+        ),
+    ],
+)
+def test_environments_that_differ_are_refused(other: Callable[[], OptionsWrapper], what: str, callback: Any) -> None:
+    model = model_of(DummyVecEnv([lambda: optioned_rooms(2), other]))
+    with pytest.raises(ValueError, match=f"^The environments have different {what}"):
+        model.learn(50, callback=callback())
+
+
+def test_training_that_was_refused_ends_too() -> None:
+    """rl-zoo3 ends its callbacks also then."""
+    callback = PrimitiveStepsCallback()
+    model_of(with_option()).learn(50, callback=callback)
+    refused = model_of(DummyVecEnv([lambda: optioned_rooms(2), with_option]))
+    with pytest.raises(ValueError, match="different options"):
+        refused.learn(50, callback=callback)
+    callback.on_training_end()
+    assert callback._installer is None
+    assert not env_of(refused).get_attr("_expects_empty")[0]
