@@ -163,6 +163,7 @@ class OptionInstaller:
     def on_rollout_start(self) -> None:
         """Install pending options and remove closed ones."""
         self._uninstall_closed()
+        self._close_decayed()
         for slot, option in self._pending.items():
             self._install_now(slot, option)
         self._pending.clear()
@@ -273,6 +274,14 @@ class OptionInstaller:
             if slot in self._new:
                 self._new.remove(slot)
         self._closing.clear()
+
+    def _close_decayed(self) -> None:
+        """Close the heads of empty slots again where weight decay has raised their bias towards 0."""
+        if not (self.has_heads and heads.decays(self.model.policy)):
+            return
+        empty = [slot for slot, option in enumerate(self.bank.slots) if option is None or slot in self._pending]
+        if empty:
+            heads.close_head(self.model.policy, *[self.n_primitive + slot for slot in empty])
 
     def _send(self, slot: int, option: Option, *, present: bool = False) -> None:
         """Put an option into all environments; ``present`` says that those of the training have one of that name."""

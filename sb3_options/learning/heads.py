@@ -104,12 +104,17 @@ def rows_of(layer: torch.nn.Linear, outputs_per_action: int, action: int) -> tor
 
 
 @torch.no_grad()
-def close_head(policy: Any, action: int) -> None:
-    """Make ``action`` lose every comparison."""
+def close_head(policy: Any, *actions: int) -> None:
+    """Make ``actions`` lose every comparison."""
     for layer, outputs in option_outputs(policy):
-        rows = rows_of(layer, outputs, action)
+        rows = torch.cat([rows_of(layer, outputs, action) for action in actions])
         layer.weight[rows] = 0.0
         layer.bias[rows] = CLOSED_VALUE
+
+
+def decays(policy: Any) -> bool:
+    """Whether the optimizer has weight decay, which by and by opens what is closed: AdamW, for one."""
+    return any(group.get("weight_decay", 0.0) for group in policy.optimizer.param_groups)
 
 
 @torch.no_grad()
