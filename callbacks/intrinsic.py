@@ -12,7 +12,7 @@ from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 
 from sb3_options.callbacks.counting import all_callbacks
-from sb3_options.checked import is_number
+from sb3_options.checked import given_as, is_number, whole
 from sb3_options.execution.features import MAX_FEATURES
 from sb3_options.execution.vec_env import as_environments_gave, as_wrapper_sees, space_of_environments
 from sb3_options.execution.wrapper import OptionsWrapper
@@ -80,8 +80,8 @@ class IntrinsicRewardCallback(BaseCallback):
     Raises:
         ValueError: An argument is out of its range; or, when training starts, there is nothing that can be counted, or
             γ is 1.
-        TypeError: When training starts: the algorithm has no buffer that a bonus could be added to, or one of a class
-            that is not known.
+        TypeError: ``feature_map`` is no function, or ``rnd`` is no settings or has an unknown field; or, when training
+            starts, the algorithm has no buffer that a bonus could be added to, or one of a class that is not known.
     """
 
     def __init__(
@@ -101,9 +101,13 @@ class IntrinsicRewardCallback(BaseCallback):
             raise ValueError(f"weight must be at least 0 and finite, got {weight!r}.")
         if bin_width is not None and not (is_number(bin_width) and 0.0 < bin_width < math.inf):
             raise ValueError(f"bin_width must be above 0, got {bin_width!r}.")
+        if feature_map is not None and not callable(feature_map):
+            raise TypeError(f"feature_map must be a function of a batch of observations, got {feature_map!r}.")
+        if not whole(seed, 0):
+            raise ValueError(f"seed must be a whole number of at least 0, got {seed!r}.")
         self.kind, self.weight, self.bin_width, self.seed = kind, weight, bin_width, seed
         self.feature_map = feature_map
-        self.rnd = RNDSettings(**rnd) if isinstance(rnd, Mapping) else rnd
+        self.rnd = None if rnd is None else given_as(RNDSettings, rnd)
         self.novelty: Novelty | None = None
         self.scale: ReturnScale | None = None
         self._sums: list[list[float]] = []

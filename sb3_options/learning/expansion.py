@@ -17,6 +17,7 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper
 
+from sb3_options.checked import whole
 from sb3_options.embedding.settings import MapName
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.observations import FeatureMap
@@ -63,12 +64,12 @@ def expand_action_space(
 
     Raises:
         TypeError: Actions are not discrete, or policy, optimizer or replay buffer are none that is known.
-        ValueError: The model has slots already, ``max_options`` is below 1, or ``env`` is missing or does not fit.
-            Nothing has been changed then.
+        ValueError: The model has slots already, ``max_options`` is no whole number of at least 1, or ``env`` is missing
+            or does not fit. Nothing has been changed then.
     """
     n_primitive = _n_actions(model)
-    if max_options < 1:
-        raise ValueError(f"max_options must be at least 1, got {max_options}.")
+    if not whole(max_options, 1):
+        raise ValueError(f"max_options must be a whole number of at least 1, got {max_options!r}.")
     if model.env is not None and any(model.env.env_is_wrapped(OptionsWrapper)):
         raise ValueError(
             f"The model's environment is wrapped in OptionsWrapper already: among its {n_primitive} actions are "

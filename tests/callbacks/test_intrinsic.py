@@ -346,11 +346,25 @@ class TestErrors:
             ({"weight": -0.1}, "weight must be at least 0 and finite, got -0.1"),
             ({"bin_width": 0.0}, "bin_width must be above 0, got 0.0"),
             ({"weight": np.inf}, "weight must be at least 0 and finite, got inf"),
+            ({"seed": -1}, "seed must be a whole number of at least 0, got -1"),
+            ({"seed": "a"}, "seed must be a whole number of at least 0, got 'a'"),
             ({"rnd": {"features": 0}}, "RNDSettings: features should be greater than or equal to 1, got 0"),
         ],
     )
     def test_bad_arguments(self, arguments: dict[str, Any], text: str) -> None:
         with pytest.raises(ValueError, match=text):
+            IntrinsicRewardCallback(**arguments)
+
+    @pytest.mark.parametrize(
+        ("arguments", "text"),
+        [
+            ({"feature_map": 5}, "feature_map must be a function of a batch of observations, got 5"),
+            ({"rnd": 5}, "RNDSettings must be given as one, or as a mapping of its fields, got 5"),
+            ({"rnd": {"foo": 1}}, "RNDSettings: there is no setting 'foo'"),
+        ],
+    )
+    def test_arguments_of_another_kind(self, arguments: dict[str, Any], text: str) -> None:
+        with pytest.raises(TypeError, match=text):
             IntrinsicRewardCallback(**arguments)
 
     def test_no_discount(self) -> None:

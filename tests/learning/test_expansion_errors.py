@@ -35,7 +35,7 @@ def test_errors_leave_the_model_as_it_was() -> None:
     model = small_model()
     weights = {key: value.clone() for key, value in model.policy.state_dict().items()}
     smaller = {"map": "SSS.\n...G", "max_steps": 9}
-    with pytest.raises(ValueError, match="max_options must be at least 1, got 0"):
+    with pytest.raises(ValueError, match="max_options must be a whole number of at least 1, got 0"):
         expand_action_space(model, 0)
     with pytest.raises(
         ValueError, match=r"env is not wrapped in OptionsWrapper: use OptionsWrapper\(env, max_options=4, gamma=0.9"

@@ -235,7 +235,7 @@ def test_a_buffer_of_one_option_alone_is_emptied_with_its_successors() -> None:
 
 @pytest.mark.parametrize("n", [0, -1])
 def test_needs_at_least_one_decision(n: int) -> None:
-    with pytest.raises(ValueError, match="n_steps must be at least 1 decision"):
+    with pytest.raises(ValueError, match="n_steps must be a whole number of at least 1 decision"):
         buffer_for(corridors("box"), 10, n)
 
 
