@@ -58,8 +58,9 @@ class MacroQ(MaskedPrediction):
 
     After a primitive action: Q(s, a) ← Q(s, a) + α [r + γ max Q(s', ·) − Q(s, a)]. After an option of k steps the same
     is done for each primitive step inside it, in order, and then for the option itself with Σ γⁱ rᵢ and γᵏ:
-    Q(s, o) ← Q(s, o) + α [Σ γⁱ rᵢ + γᵏ max Q(s', ·) − Q(s, o)]. The maximum is taken over what may start in s'.
-    Actions are ε-greedy among what may start, with ties broken at random.
+    Q(s, o) ← Q(s, o) + α [Σ γⁱ rᵢ + γᵏ max Q(s', ·) − Q(s, o)]. The maximum is taken over what may start in s'. An
+    action with a duration of its own (``info["option"]`` of a user's environment) is discounted by its γᵏ, too. Actions
+    are ε-greedy among what may start, with ties broken at random.
 
     Args:
         env: With discrete actions; `OptionsWrapper` beneath or not.
@@ -271,14 +272,15 @@ class MacroQ(MaskedPrediction):
         if run is None:
             self._update(began, action, reward, self.gamma, arrived, ended, ())
             return
-        available = [()] * int(run.duration) if run.available is None else run.available.tolist()
         if run.index < 0:
             if run.actions is not None:
                 action = int(run.actions[0])  # an empty slot ran this primitive
-            self._update(began, action, reward, self.gamma, arrived, ended, available[0])
+            may_start = () if run.available is None else run.available[0].tolist()
+            self._update(began, action, reward, run.discount, arrived, ended, may_start)
             return
         assert run.actions is not None  # an option reports its steps
         assert run.rewards is not None
+        available = [()] * run.duration if run.available is None else run.available.tolist()
         states = [*self._active(run.observations), arrived]
         steps = zip(run.actions.tolist(), run.rewards.tolist(), strict=True)
         for i, (inner_action, inner_reward) in enumerate(steps):
