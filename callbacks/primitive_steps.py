@@ -36,6 +36,9 @@ from sb3_options.learning.saved_model import keep_options
 
 logger = logging.getLogger("sb3_options")
 
+LAST = {"_last_obs": "new_obs", "_last_episode_starts": "dones", "_last_lstm_states": "lstm_states"}
+"""Where an on-policy model keeps what the environments gave last, and the name of it in ``collect_rollouts``."""
+
 
 class PrimitiveStepsCallback(BaseCallback):
     """Makes ``num_timesteps``, and with it budget, schedules and every x-axis, count primitive steps.
@@ -142,7 +145,16 @@ class PrimitiveStepsCallback(BaseCallback):
             return True
         buffer.expect(self.locals["rewards"], runs, self.model.get_vec_normalize_env())
         # A rollout that is complete with this step is still to be learned from.
-        return self.model.num_timesteps < self._budget or buffer.pos + 1 == buffer.buffer_size
+        goes_on = self.model.num_timesteps < self._budget or buffer.pos + 1 == buffer.buffer_size
+        if not goes_on:
+            self._keep_last()
+        return goes_on
+
+    def _keep_last(self) -> None:
+        """Let the model know where the environments are, as SB3 does not where training ends inside a rollout."""
+        for name, value in LAST.items():
+            if value in self.locals:
+                setattr(self.model, name, self.locals[value])
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint, at the start of a rollout."""

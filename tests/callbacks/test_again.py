@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from stable_baselines3 import DQN, PPO
-from stable_baselines3.common.callbacks import ConvertCallback, EvalCallback
+from sb3_contrib import TRPO, MaskablePPO, RecurrentPPO
+from stable_baselines3 import A2C, DQN, PPO
+from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback, EvalCallback
 from stable_baselines3.common.logger import configure
 
 from sb3_options import MacroQ, OptionReplayBuffer, OptionsWrapper, load_model
@@ -21,8 +22,8 @@ from sb3_options.discovery.budget import STEP_SECONDS, TABLE_STEP_SECONDS
 from sb3_options.discovery.methods import DiscoveryMethod, Experience, GivenPlaces
 from sb3_options.learning import heads
 from sb3_options.options.file import slots_of
-from tests.support.helpers import steady_option
-from tests.support.sb3_helpers import RANDOM, TINY, env_of, fast_callback, optioned_rooms
+from tests.support.helpers import CountingEnv, steady_option
+from tests.support.sb3_helpers import RANDOM, TINY, env_of, fast_callback, optioned_rooms, small_rooms
 
 
 class Proposing:
@@ -279,3 +280,38 @@ def test_an_exception_loses_no_option_that_waits_for_a_rollout() -> None:
     assert env.bank.filled == (0,)
     model.learn(64, callback=callback)
     assert env.bank.filled == callback.bank.filled == (2,)
+
+
+class LastStates(BaseCallback):
+    """Keeps the states of an LSTM after the last step."""
+
+    states: Any = None
+
+    def _on_step(self) -> bool:
+        self.states = self.locals.get("lstm_states")
+        return True
+
+
+@pytest.mark.parametrize("callback", [PrimitiveStepsCallback, lambda: SubgoalDiscoveryCallback(max_new_options=0)])
+@pytest.mark.parametrize("algorithm", [PPO, A2C, TRPO, MaskablePPO, RecurrentPPO])
+def test_a_training_that_the_budget_ended_in_a_rollout_goes_on_from_where_the_environments_are(
+    algorithm: Any, callback: Any
+) -> None:
+    def make() -> OptionsWrapper:
+        env = OptionsWrapper(CountingEnv(terminate_at=7), 2, gamma=0.9)
+        env.bank.add(steady_option(max_duration=3))
+        return env
+
+    venv, last, in_rollouts, began = DummyVecEnv([make, make]), LastStates(), 0, 0
+    policy = "MlpLstmPolicy" if algorithm is RecurrentPPO else "MlpPolicy"
+    model = algorithm(policy, venv, gamma=0.9, n_steps=64, seed=0, device="cpu")
+    for _ in range(8):
+        model.learn(128, callback=[callback(), last], reset_num_timesteps=False)
+        there = [int(env.unwrapped.time) for env in venv.envs]  # type: ignore[attr-defined]  # a CountingEnv
+        assert model._last_obs.ravel().tolist() == there
+        assert model._last_episode_starts.tolist() == [time == 0 for time in there]
+        assert getattr(model, "_last_lstm_states", None) is last.states
+        in_rollouts += not model.rollout_buffer.full
+        began += 0 in there
+    assert in_rollouts == 8
+    assert began
