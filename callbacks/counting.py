@@ -1,8 +1,7 @@
-"""Counting in primitive steps: what SB3, its progress bar and its ``Monitor`` did not count."""
+"""Counting in primitive steps: what SB3 and its progress bar did not count."""
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeAlias
@@ -16,14 +15,11 @@ from stable_baselines3.common.callbacks import (
     EventCallback,
     ProgressBarCallback,
 )
-from stable_baselines3.common.vec_env import VecEnv, VecMonitor, is_vecenv_wrapped
+from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_options.execution.slots import Outermost
-from sb3_options.execution.wrapper import OptionsWrapper
+from sb3_options.execution.wrappers_above import monitor_primitive_steps as monitor_primitive_steps
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.rollout_buffer import SMDPAdvantages, n_decisions
-
-logger = logging.getLogger("sb3_options")
 
 Schedule: TypeAlias = Callable[[float], float]
 """A function of the remaining progress, 1 … 0."""
@@ -106,21 +102,5 @@ def all_callbacks(root: BaseCallback | None) -> Iterator[BaseCallback]:
 
 
 def evaluation_envs(root: BaseCallback | None) -> list[VecEnv]:
-    """The environment of every ``EvalCallback`` in the tree that ``learn`` was given."""
+    """The environments of every ``EvalCallback`` in the tree that ``learn`` was given."""
     return [each.eval_env for each in all_callbacks(root) if isinstance(each, EvalCallback)]
-
-
-def monitor_primitive_steps(venv: VecEnv) -> None:
-    """Let each ``Monitor`` above the `OptionsWrapper` count primitive steps, wherever it stands.
-
-    SB3 puts one around an environment that has none. A ``VecMonitor`` cannot do so, and there is a warning.
-    """
-    if is_vecenv_wrapped(venv, VecMonitor):
-        # It records an episode before a callback could correct the last step.
-        logger.warning(
-            "VecMonitor above OptionsWrapper counts decisions and sums discounted rewards: leave it out and put a "
-            "Monitor beneath, as make_vec_env(..., wrapper_class=OptionsWrapper) does."
-        )
-    if all(venv.env_is_wrapped(OptionsWrapper)):
-        venv.env_is_wrapped(Outermost)  # type: ignore[arg-type]  # a kind of wrapper
-        venv.env_method("count_primitive_steps")

@@ -21,12 +21,12 @@ from sb3_options.callbacks.counting import (
     clip_schedules,
     count_inner_steps,
     evaluation_envs,
-    monitor_primitive_steps,
 )
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.execution.ray_vec_env import RayVecEnv
 from sb3_options.execution.workers import watch_workers
 from sb3_options.execution.wrapper import OptionsWrapper
+from sb3_options.execution.wrappers_above import monitor_primitive_steps
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning import heads
 from sb3_options.learning.checks import check_gamma, check_wrapped
@@ -86,7 +86,8 @@ class PrimitiveStepsCallback(BaseCallback):
         check_nothing_above_changes_steps(self.training_env)
         check_normalized_rewards(self.model)
         check_gamma(self.model, self.training_env)
-        monitor_primitive_steps(self.training_env)
+        for venv in (self.training_env, *evaluation_envs(self.locals.get("callback"))):
+            monitor_primitive_steps(venv)
         if heads.has_heads(self.model.policy):
             check_network(self.model, self.training_env)
         check_alike(self.training_env)

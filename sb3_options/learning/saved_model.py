@@ -18,9 +18,10 @@ from typing import Any, TypeVar
 
 import gymnasium as gym
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from sb3_options.atomic import atomic_write
+from sb3_options.execution.wrappers_above import monitor_primitive_steps
 from sb3_options.learning.checks import check_wrapped
 from sb3_options.options.archive import CARRIED, NAME, Source, content_in, packed_text, unpacked_text
 from sb3_options.options.bank import OptionBank
@@ -32,7 +33,8 @@ M = TypeVar("M", bound=BaseAlgorithm)
 def load_model(algorithm: type[M], path: str | os.PathLike[str], env: gym.Env[Any, Any] | VecEnv, **kwargs: Any) -> M:
     """Load a model and put its options into the environment it is to act in.
 
-    The model's ``save`` keeps the options from then on. SB3's ``load`` unpickles: use it for files that you trust.
+    The model's ``save`` keeps the options from then on. A ``Monitor`` above them, as SB3 puts around an environment
+    that has none, counts primitive steps. SB3's ``load`` unpickles: use it for files that you trust.
 
     Args:
         algorithm: ``DQN``, ``MaskablePPO`` …
@@ -77,6 +79,8 @@ def load_model(algorithm: type[M], path: str | os.PathLike[str], env: gym.Env[An
 def load_options(source: Source, env: gym.Env[Any, Any] | VecEnv) -> None:
     """Put the options of a file into the slots of an environment, also in worker processes.
 
+    A ``Monitor`` above the options counts primitive steps from then on, and sums their rewards undiscounted.
+
     Args:
         source: Path of an options file or of a ``model.zip``.
         env: Wrapped in `OptionsWrapper`.
@@ -86,13 +90,10 @@ def load_options(source: Source, env: gym.Env[Any, Any] | VecEnv) -> None:
         ValueError: It holds no options, these do not fit, or the environment is not wrapped.
     """
     content = content_in(source)
-    if isinstance(env, VecEnv):
-        check_wrapped(env, "The environment")
-        env.env_method("load_options", content)
-    elif env.has_wrapper_attr("load_options"):
-        env.get_wrapper_attr("load_options")(content)
-    else:
-        raise ValueError(f"{env} is not wrapped in OptionsWrapper: it has no slots for options.")
+    venv = env if isinstance(env, VecEnv) else DummyVecEnv([lambda: env])
+    check_wrapped(venv, "The environment")
+    venv.env_method("load_options", content)
+    monitor_primitive_steps(venv)
 
 
 def put_back(model: BaseAlgorithm, venv: VecEnv) -> None:
@@ -108,11 +109,11 @@ def put_back(model: BaseAlgorithm, venv: VecEnv) -> None:
     if text is not None:
         content = unpacked_text(text)
         if not set(slots_of(content)) <= set(filled):
-            load_options(content, venv)
+            venv.env_method("load_options", content)
     elif not filled and isinstance(save := model.__dict__.get("save"), _Save):
         left = save.left_in_others(venv)
         if left is not None:
-            load_options(left, venv)
+            venv.env_method("load_options", left)
 
 
 def keep_options(model: BaseAlgorithm, bank: OptionBank | None = None) -> None:

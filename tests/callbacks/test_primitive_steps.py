@@ -23,8 +23,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from sb3_options import Option, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
-from sb3_options.callbacks.counting import all_callbacks, monitor_primitive_steps
+from sb3_options.callbacks.counting import all_callbacks
 from sb3_options.execution.monitoring import PrimitiveMonitor
+from sb3_options.execution.wrappers_above import monitor_primitive_steps
 from sb3_options.learning import heads
 from sb3_options.learning.rollout_buffer import n_decisions
 from tests.support.helpers import CountingEnv, steady_option

@@ -6,14 +6,17 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch
 from gymnasium import wrappers
 from sb3_contrib.common.wrappers import ActionMasker
 from stable_baselines3 import DQN, PPO
+from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecMonitor
 
 from sb3_options import OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
+from sb3_options.execution.wrappers_above import monitor_primitive_steps
 from tests.support.helpers import CountingEnv, steady_option
 from tests.support.sb3_helpers import ActionLog, make_optioned_rooms, optioned_rooms
 
@@ -103,3 +106,40 @@ def test_a_time_limit_beneath_counts_primitive_steps() -> None:
     *_, truncated, info = env.step(2)
     assert (truncated, info["option"]["duration"], info["option"]["termination"]) == (True, 3, "truncated")
     assert np.all(env.action_masks() == [True, True, True])
+
+
+COUNTS_DECISIONS = " above OptionsWrapper counts decisions and sums discounted rewards: leave it out and put a Monitor"
+
+
+@pytest.mark.parametrize("kind", [DummyVecEnv, SubprocVecEnv])
+def test_statistics_of_decisions_are_warned_of(kind: Any, caplog: pytest.LogCaptureFixture) -> None:
+    def above() -> gym.Env[Any, Any]:
+        return Named(wrappers.RecordEpisodeStatistics(OptionsWrapper(CountingEnv(), 2, gamma=0.9)))
+
+    def beneath() -> gym.Env[Any, Any]:
+        return OptionsWrapper(wrappers.RecordEpisodeStatistics(CountingEnv()), 2, gamma=0.9)
+
+    for make, told in ((above, 1), (beneath, 0)):
+        venv = kind([make])
+        caplog.clear()
+        PPO("MlpPolicy", venv, n_steps=16, batch_size=16, gamma=0.9).learn(16, callback=PrimitiveStepsCallback())
+        assert caplog.text.count(f"RecordEpisodeStatistics{COUNTS_DECISIONS}") == told
+        venv.close()
+
+
+@pytest.mark.parametrize("callback", [PrimitiveStepsCallback, lambda: SubgoalDiscoveryCallback(max_new_options=0)])
+def test_an_evaluation_beside_a_callback_counts_primitive_steps(callback: Any) -> None:
+    """The option is all that the policy chooses."""
+    monitor: Any = Monitor(counting())
+    evaluation = EvalCallback(monitor, eval_freq=8, n_eval_episodes=1, verbose=0)
+    model: Any = PPO("MlpPolicy", counting(), n_steps=16, batch_size=16, gamma=0.9)
+    with torch.no_grad():
+        model.policy.action_net.bias[2] += 1e3
+    model.learn(80, callback=[callback(), evaluation])
+    assert evaluation.last_mean_reward == sum(range(1, 51))
+    assert set(monitor.get_episode_lengths()) == {50}
+
+
+def test_environments_without_options_are_let_be(caplog: pytest.LogCaptureFixture) -> None:
+    monitor_primitive_steps(VecMonitor(DummyVecEnv([CountingEnv])))
+    assert caplog.text == ""

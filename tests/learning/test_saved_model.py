@@ -15,6 +15,7 @@ from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.callbacks import CheckpointCallback, EvalCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNormalize
 
 from sb3_options import MacroQ, OptionBank, OptionDQN, OptionReplayBuffer, OptionsWrapper, load_model, load_options
@@ -268,3 +269,21 @@ class TestWarning:
 def with_bias(model: Any) -> None:
     """Let the option be the greedy choice everywhere."""
     model.q_net.q_net[-1].bias.data[4 + SLOT] += 10.0
+
+
+def slow_rooms() -> OptionsWrapper:
+    """Episodes of ten steps of −1: the goal is farther away."""
+    return optioned_rooms(max_steps=10, step_reward=-1.0)
+
+
+def test_what_was_loaded_is_evaluated_in_primitive_steps(tmp_path: Path) -> None:
+    """SB3's `load` puts a Monitor above the options, which would count decisions."""
+    model = trained(DQN)
+    with_bias(model)
+    model.save(tmp_path / "model.zip")
+    loaded = load_model(DQN, tmp_path / "model.zip", slow_rooms())
+    monitored: Any = Monitor(slow_rooms())
+    load_options(tmp_path / "model.zip", monitored)
+    for env in (env_of(loaded), monitored):
+        assert evaluate_policy(loaded, env, 2, return_episode_rewards=True) == ([-10.0] * 2, [10] * 2)
+    assert monitored.env.bank.filled == (SLOT,)
