@@ -26,6 +26,7 @@ from sb3_options.learning.checks import check_wrapped
 from sb3_options.options.archive import CARRIED, NAME, Source, content_in, packed_text, unpacked_text
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.file import slots_of
+from sb3_options.options.option import SubgoalOption
 
 M = TypeVar("M", bound=BaseAlgorithm)
 
@@ -99,8 +100,8 @@ def load_options(source: Source, env: gym.Env[Any, Any] | VecEnv) -> None:
 def put_back(model: BaseAlgorithm, venv: VecEnv) -> None:
     """Put the options that a model has learned to choose into those environments that lack them.
 
-    It carries them since SB3 loaded it; or it was trained with them, and ``set_env`` gave it other environments, whose
-    slots are all empty.
+    It carries them since SB3 loaded it; or it was trained with them, or `load_model` loaded them, and ``set_env`` gave
+    it other environments, whose slots are all empty.
 
     Raises:
         ValueError: They do not fit.
@@ -121,7 +122,8 @@ def keep_options(model: BaseAlgorithm, bank: OptionBank | None = None) -> None:
 
     Args:
         model: Its environment is wrapped in `OptionsWrapper`.
-        bank: The options; by default those in the model's environment when it is saved.
+        bank: The options; by default those in the model's environment when it is saved, or, where ``set_env`` gave it
+            another without any, those in the last one.
     """
     model.save = _Save(model, bank)  # type: ignore[method-assign]  # it takes what save takes
 
@@ -135,8 +137,15 @@ class _Save:
         self._bank = _bank_of(model) if bank is None else bank
 
     def left_in_others(self, venv: VecEnv) -> bytes | None:
-        """The options of the last training, if it was in other environments than these; None if there were none."""
-        return None if self._asks or venv is self._venv() or not self._bank.filled else self._bank.content()
+        """The options of the last training, or of `load_model`, if in other environments than these; None if none.
+
+        None, too, where `load_model` or `PrimitiveStepsCallback` met hand-made ones only: these are code, and there is
+        a warning where they are missing.
+        """
+        if venv is self._venv() or not self._bank.filled:
+            return None
+        comes_back = not self._asks or any(isinstance(option, SubgoalOption) for option in self._bank.slots)
+        return self._bank.content() if comes_back else None
 
     def __call__(
         self,
@@ -146,8 +155,7 @@ class _Save:
     ) -> None:
         """What ``BaseAlgorithm.save`` does, and the options; a file at ``path`` is replaced when all is written."""
         if self._asks:
-            with suppress(EOFError, OSError):  # worker processes have ended: these are the last options known
-                self._bank = _bank_of(self._model)
+            self._ask()
         without = [*(exclude or ()), "save"]
         if isinstance(path, io.BufferedIOBase):
             whole = io.BytesIO()
@@ -160,6 +168,13 @@ class _Save:
                 temporary.open("wb+") as file,
             ):
                 self._write(file, without, include)
+
+    def _ask(self) -> None:
+        """Look which options there are; where ``set_env`` gave environments without any, the last ones count."""
+        with suppress(EOFError, OSError):  # worker processes have ended: these are the last options known
+            venv, bank = _env_of(self._model), _bank_of(self._model)
+            if bank.filled or venv is self._venv():
+                self._venv, self._bank = weakref.ref(venv), bank
 
     def _write(self, file: io.BufferedIOBase, exclude: Iterable[str], include: Iterable[str] | None) -> None:
         content = self._bank.content()

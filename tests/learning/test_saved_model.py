@@ -21,6 +21,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNorm
 from sb3_options import MacroQ, OptionBank, OptionDQN, OptionReplayBuffer, OptionsWrapper, load_model, load_options
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.density.regions import Region
+from sb3_options.learning import heads
 from sb3_options.options.archive import CARRIED, NAME, content_in
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
@@ -238,6 +239,33 @@ def test_closed_options_do_not_come_back(tmp_path: Path) -> None:
     model.save(tmp_path / "model.zip")
     env_of(model).env_method("set_option", SLOT, None)
     model.learn(50, callback=SubgoalDiscoveryCallback(max_new_options=0))
+    assert of_env(model) == ()
+
+
+@pytest.mark.parametrize("before", ["load_model", "counted"])
+@pytest.mark.parametrize("callback", [PrimitiveStepsCallback, lambda: SubgoalDiscoveryCallback(max_new_options=0)])
+@pytest.mark.parametrize("algorithm", [DQN, PPO])
+def test_they_go_along_into_other_environments(algorithm: Any, callback: Any, before: str, tmp_path: Path) -> None:
+    """Whoever has brought them; also into a file that is saved meanwhile."""
+    model = trained(algorithm, callback=PrimitiveStepsCallback())
+    if before == "load_model":
+        model.save(tmp_path / "model.zip")
+        model = load_model(algorithm, tmp_path / "model.zip", optioned_rooms())
+    model.set_env(optioned_rooms())
+    model.save(tmp_path / "meanwhile.zip")
+    assert held(tmp_path / "meanwhile.zip") == (SLOT,)
+    model.learn(50, callback=callback(), reset_num_timesteps=False)
+    assert of_env(model) == (SLOT,)
+    assert not heads.is_closed(model.policy, 4 + SLOT)
+
+
+def test_those_that_were_taken_out_are_not_saved(tmp_path: Path) -> None:
+    model = trained(DQN, callback=PrimitiveStepsCallback())
+    env_of(model).env_method("set_option", SLOT, None)
+    model.save(tmp_path / "model.zip")
+    assert held(tmp_path / "model.zip") == ()
+    model.set_env(optioned_rooms())
+    model.learn(50, callback=PrimitiveStepsCallback())
     assert of_env(model) == ()
 
 
