@@ -36,7 +36,9 @@ def unnormalized(normalizer: VecNormalize, observations: Any) -> Any:
     original = normalizer.old_obs  # empty before the first reset
     if len(original) and _equal(normalizer.normalize_obs(original), observations):
         return original
-    parts = observations.values() if isinstance(observations, dict) else [observations]
+    parts = [observations]
+    if isinstance(observations, dict):
+        parts = [observations[key] for key in normalizer.norm_obs_keys or ()]
     if normalizer.norm_obs and any((np.abs(part) >= normalizer.clip_obs).any() for part in parts):
         logger.warning(
             "An observation was clipped by VecNormalize, so that which options may start in it is not certain: pass "

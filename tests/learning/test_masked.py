@@ -7,6 +7,7 @@ import numpy.typing as npt
 import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
+import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import Option, OptionDQN, OptionsWrapper
 from sb3_options.learning.masked import unnormalized
 from tests.support.helpers import DictEnv
@@ -38,6 +39,13 @@ def test_other_dict_observations_that_are_clipped_are_warned_of(caplog: pytest.L
     with caplog.at_level(logging.WARNING):
         assert unnormalized(normalizer, other) is not normalizer.old_obs
     assert WARNING in caplog.text
+
+
+def test_parts_that_are_not_normalised_are_never_clipped(caplog: pytest.LogCaptureFixture) -> None:
+    normalizer, seen = clipping()
+    with caplog.at_level(logging.WARNING):
+        unnormalized(normalizer, {"place": seen["place"] - 0.1, "colour": seen["colour"] + 200})
+    assert WARNING not in caplog.text
 
 
 @pytest.mark.parametrize("channels_last", [True, False])
