@@ -44,29 +44,37 @@ class PrimitiveRollouts:
     """Keeps the rollouts of an on-policy algorithm at about ``n_steps`` primitive steps of each environment.
 
     SB3 fixes the number of decisions when a rollout starts. So each has as many decisions as would have taken so long
-    in the one before, in multiples that fill the minibatches, and never more than ``n_steps``.
+    in the one before, in multiples that fill the minibatches, and never more than ``n_steps``. SB3 reads ``n_steps``
+    before a rollout starts, and only between two of them it is the number of decisions: whoever saves the model in
+    a rollout saves what it was made with.
 
     Args:
-        model: On-policy. What its ``n_steps`` was is kept in it while training goes on, and in its checkpoints.
-        buffer: Its rollout buffer.
+        model: On-policy.
+        buffer: Its rollout buffer. In the first rollout of a training that is resumed it has another size.
     """
 
     def __init__(self, model: Any, buffer: SMDPAdvantages) -> None:
         self.model, self.buffer = model, buffer
-        self.n_steps: int = getattr(model, "n_primitive_steps", None) or model.n_steps
-        model.n_primitive_steps = self.n_steps
+        self.n_steps: int = buffer.n_primitive_steps or model.n_steps
+        buffer.n_primitive_steps = self.n_steps
         batch = getattr(model, "batch_size", None)
         self.multiple = 1 if not batch else batch // math.gcd(batch, buffer.n_envs)
+        # Advantages are divided by their spread, and a single one has none.
+        self.least = 2 if getattr(model, "normalize_advantage", False) and buffer.n_envs == 1 else 1
+
+    def begin(self) -> None:
+        """Put ``n_steps`` back: the rollout that begins has its size."""
+        self.model.n_steps = self.n_steps
 
     def plan_next(self) -> None:
         """Set the size of the next rollout; the present one is still to be learned from."""
-        self.model.n_steps = n_decisions(self.n_steps, self.buffer.durations, self.multiple)
+        self.model.n_steps = n_decisions(self.n_steps, self.buffer.durations, self.multiple, self.least)
         self.buffer.next_size = self.model.n_steps
 
     def end(self) -> None:
-        """Put ``n_steps`` back."""
+        """Let the next training count decisions, unless it is told otherwise."""
         self.model.n_steps = self.buffer.next_size = self.n_steps
-        self.model.__dict__.pop("n_primitive_steps", None)  # rl-zoo3 ends training twice
+        self.buffer.n_primitive_steps = None
 
 
 def clip_schedules(model: BaseAlgorithm) -> dict[str, Schedule]:

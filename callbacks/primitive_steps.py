@@ -118,7 +118,9 @@ class PrimitiveStepsCallback(BaseCallback):
         self._updates_before = self._n_updates()
         self._budget = math.inf
         if self._rollout_buffer is not None:
-            rollout = self._rollout_buffer.buffer_size * self._rollout_buffer.n_envs
+            n_steps: int = self.model.n_steps  # type: ignore[attr-defined]  # it has rollouts
+            self._rollout_buffer.next_size = n_steps  # an exception may have ended an earlier training in a shorter one
+            rollout = n_steps * self._rollout_buffer.n_envs
             done, total = self.model.num_timesteps, self.model._total_timesteps
             self._budget = done + math.ceil((total - done) / rollout) * rollout
 
@@ -126,6 +128,8 @@ class PrimitiveStepsCallback(BaseCallback):
         return self._count(list(map(OptionRun.from_info, self.locals["infos"])))
 
     def _on_rollout_start(self) -> None:
+        if self._rollouts is not None:
+            self._rollouts.begin()
         if self._installer is not None:
             self._installer.on_rollout_start()
 

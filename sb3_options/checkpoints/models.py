@@ -15,6 +15,7 @@ from stable_baselines3.common.logger import Logger
 from sb3_options.checkpoints.tree import State
 from sb3_options.learning import buffer_state
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
+from sb3_options.learning.rollout_buffer import option_rollout_buffer
 from sb3_options.learning.stored_rows import Growing
 
 SUPPORTED = ("DQN", "OptionDQN", "QRDQN", "PPO", "MaskablePPO", "A2C", "TRPO", "RecurrentPPO", "MacroQ")
@@ -29,8 +30,6 @@ COUNTERS = (
     "_current_progress_remaining",
     "exploration_rate",
 )
-ROLLOUT = ("n_steps", "n_primitive_steps")
-"""How long the rollout is that begins, in decisions, and in primitive steps where these count."""
 LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts")
 """What the environments gave last."""
 
@@ -63,7 +62,7 @@ def get_state(model: BaseAlgorithm) -> State:
         "counters": {name: getattr(model, name) for name in COUNTERS if hasattr(model, name)},
         "last": {name: getattr(model, name, None) for name in LAST},
         "total": model._total_timesteps,
-        "rollout": {name: getattr(model, name) for name in ROLLOUT if hasattr(model, name)},
+        "rollout": _rollout(model),
         "elapsed": time.time_ns() - model.start_time,
         "episodes": list(model.ep_info_buffer or ()),
         "successes": list(model.ep_success_buffer or ()),
@@ -86,14 +85,24 @@ def growing(model: BaseAlgorithm) -> list[Growing]:
     return buffer.growing() if isinstance(buffer, OptionReplayBuffer) else []
 
 
+def _rollout(model: BaseAlgorithm) -> State:
+    """How long the rollout is that begins, in decisions, and in primitive steps where these count."""
+    buffer = getattr(model, "rollout_buffer", None)
+    sizes = {"n_steps": "buffer_size", "n_primitive_steps": "n_primitive_steps"}
+    there = {name: getattr(buffer, attribute, None) for name, attribute in sizes.items()}
+    return {name: size for name, size in there.items() if size is not None}
+
+
 def prepare(model: BaseAlgorithm, state: State) -> None:
     """Let the first rollout of an on-policy algorithm be as long as the one that began with what `get_state` gave."""
     there = state.get("rollout", {})  # checkpoints of before have none
-    for name, value in there.items():
-        setattr(model, name, value)
-    buffer = getattr(model, "rollout_buffer", None)
-    if buffer is not None and "n_steps" in there:
-        buffer.buffer_size = there["n_steps"]
+    buffer: Any = getattr(model, "rollout_buffer", None)
+    if buffer is None or "n_steps" not in there:
+        return
+    if "n_primitive_steps" in there:
+        buffer = option_rollout_buffer(model)
+        buffer.n_primitive_steps = there["n_primitive_steps"]
+    model.n_steps = buffer.buffer_size = there["n_steps"]  # type: ignore[attr-defined]  # it is on-policy
 
 
 def set_state(model: BaseAlgorithm, state: State) -> None:

@@ -51,19 +51,23 @@ def smdp_advantages(
     return advantages
 
 
-def n_decisions(n_primitive_steps: int, durations: FloatArray, multiple: int = 1) -> int:
+def n_decisions(n_primitive_steps: int, durations: FloatArray, multiple: int = 1, least: int = 1) -> int:
     """How many decisions of each environment take about so many primitive steps.
 
     Args:
         n_primitive_steps: Of each environment, at least 1.
         durations: Of the decisions of the last rollout, in primitive steps, any shape.
-        multiple: Decisions come in multiples of this, so that minibatches are full.
+        multiple: Decisions come in multiples of this, so that minibatches are full. Where ``n_primitive_steps``
+            decisions do not fill one, any number is one that is not full.
+        least: Decisions, at least 1.
 
     Returns:
-        At least ``multiple``, at most as many decisions as primitive steps, in multiples.
+        At least ``multiple`` and ``least``, at most as many decisions as primitive steps, in multiples.
     """
-    most = max(n_primitive_steps // multiple, 1)
-    return multiple * min(max(round(n_primitive_steps / float(durations.mean()) / multiple), 1), most)
+    if multiple > n_primitive_steps:
+        multiple = 1
+    wanted = max(round(n_primitive_steps / float(durations.mean()) / multiple), 1)
+    return max(multiple * min(wanted, n_primitive_steps // multiple), min(least, n_primitive_steps))
 
 
 def add_bonuses(buffer: RolloutBuffer, bonuses: FloatArray) -> None:
@@ -119,9 +123,11 @@ class SMDPAdvantages:
 
     Attributes:
         next_size: ``buffer_size`` of the rollout that begins with the next `reset`; None leaves it as it is.
+        n_primitive_steps: What rollouts are to take of each environment; None where they have a number of decisions.
     """
 
     next_size: int | None = None
+    n_primitive_steps: int | None = None
 
     # Attributes of the SB3 buffer.
     buffer_size: int

@@ -5,7 +5,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import torch
-from sb3_contrib import MaskablePPO, RecurrentPPO
+from sb3_contrib import MaskablePPO
 from sb3_contrib.common.wrappers import ActionMasker
 from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -27,7 +27,6 @@ from sb3_options.callbacks.counting import all_callbacks
 from sb3_options.execution.monitoring import PrimitiveMonitor
 from sb3_options.execution.wrappers_above import monitor_primitive_steps
 from sb3_options.learning import heads
-from sb3_options.learning.rollout_buffer import n_decisions
 from tests.support.helpers import CountingEnv, steady_option
 from tests.support.sb3_helpers import RANDOM, StepLog, optioned_rooms, small_rooms
 
@@ -329,100 +328,3 @@ def test_two_callbacks_that_count_count_once(order: int) -> None:
     model.learn(300, callback=[*both[::order], spy])
     assert model.num_timesteps == sum(spy.durations)
     assert spy.counted == np.cumsum(spy.durations).tolist()
-
-
-class Rollouts(BaseCallback):
-    """Keeps how many decisions and primitive steps each rollout had."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.sizes: list[tuple[int, int]] = []
-
-    def _on_step(self) -> bool:
-        return True
-
-    def _on_rollout_end(self) -> None:
-        buffer = self.model.rollout_buffer  # type: ignore[attr-defined]  # it is on-policy
-        self.sizes.append((buffer.buffer_size, int(buffer.durations.sum())))
-
-
-@pytest.mark.parametrize("algorithm", [PPO, A2C])
-def test_rollouts_of_so_many_primitive_steps(algorithm: Any) -> None:
-    """A third of the uniform choices take 5 steps, so that 60 decisions take about 120 steps."""
-    some = {"batch_size": 12, "n_epochs": 1} if algorithm is PPO else {}
-    model = algorithm("MlpPolicy", counting(), gamma=0.9, n_steps=60, learning_rate=0.0, seed=0, device="cpu", **some)
-    rollouts = Rollouts()
-    model.learn(2400, callback=[PrimitiveStepsCallback(primitive_rollouts=True), rollouts])
-    sizes, steps = np.array(rollouts.sizes).T
-    assert sizes[0] == 60
-    assert sizes[1] == pytest.approx(60 * 60 / steps[0], abs=12)  # as long as the first promised
-    assert 40 < steps[1:].mean() < 80
-    if algorithm is PPO:
-        assert set(sizes % 12) == {0}  # minibatches are full
-    assert model.n_steps == 60
-    assert not hasattr(model, "n_primitive_steps")
-    model.learn(100, callback=PrimitiveStepsCallback())
-    assert model.rollout_buffer.buffer_size == 60
-
-
-def test_a_rollout_of_another_length_keeps_every_lstm_state_at_its_row() -> None:
-    """RecurrentPPO's buffer has an LSTM state for each row, one environment after the other."""
-
-    class Seen(BaseCallback):
-        wrong, lengths = 0, set[int]()
-
-        def _on_step(self) -> bool:
-            return True
-
-        def _on_rollout_end(self) -> None:
-            buffer = self.model.rollout_buffer  # type: ignore[attr-defined]  # it is on-policy
-            stored, observed = buffer.hidden_states_pi.copy(), buffer.observations.copy()
-            self.lengths.add(buffer.buffer_size)
-            next(buffer.get(batch_size=4))  # which lays all out, one environment after the other
-            for row in range(2 * buffer.buffer_size):
-                step, env = row % buffer.buffer_size, row // buffer.buffer_size
-                assert np.array_equal(buffer.observations[row], observed[step, env])
-                self.wrong += not np.array_equal(buffer.hidden_states_pi[row, 0], stored[step, 0, env])
-
-    seen = Seen()
-    envs = DummyVecEnv([counting] * 2)
-    model = RecurrentPPO("MlpLstmPolicy", envs, gamma=0.9, n_steps=48, batch_size=12, n_epochs=1, seed=0, device="cpu")
-    model.learn(800, callback=[PrimitiveStepsCallback(primitive_rollouts=True), seen])
-    assert len(seen.lengths) > 1
-    assert seen.wrong == 0
-
-
-def test_a_model_saved_meanwhile_knows_its_rollouts(tmp_path: Any) -> None:
-    model = PPO("MlpPolicy", counting(), gamma=0.9, n_steps=60, batch_size=12, n_epochs=1, seed=0, device="cpu")
-    file = tmp_path / "model.zip"
-
-    class Saves(BaseCallback):
-        def _on_step(self) -> bool:
-            if self.num_timesteps > 400 and not file.exists():
-                self.model.save(file)
-            return True
-
-    model.learn(600, callback=[PrimitiveStepsCallback(primitive_rollouts=True), Saves()])
-    loaded = PPO.load(file, env=counting())
-    assert loaded.n_steps < 60
-    loaded.learn(600, callback=PrimitiveStepsCallback(primitive_rollouts=True))
-    assert loaded.n_steps == 60
-
-
-def test_decisions_for_primitive_steps() -> None:
-    durations = np.array([[1.0, 3.0], [5.0, 3.0]])  # 3 in the mean
-    assert n_decisions(128, durations) == 43
-    assert n_decisions(128, durations, multiple=16) == 48
-    assert n_decisions(128, np.ones((4, 2)), multiple=16) == 128
-    assert n_decisions(128, np.full((4, 2), 1000.0), multiple=16) == 16
-    assert n_decisions(100, np.ones((4, 2)), multiple=16) == 96
-
-
-def test_training_may_end_twice() -> None:
-    """rl-zoo3 ends its first callback once more before it saves the model."""
-    callback = PrimitiveStepsCallback(primitive_rollouts=True)
-    model = PPO("MlpPolicy", optioned_rooms(1), gamma=0.9, n_steps=64, batch_size=64, n_epochs=1)
-    model.learn(64, callback=callback)
-    callback.on_training_end()
-    assert model.n_steps == 64
-    assert not hasattr(model, "n_primitive_steps")
