@@ -17,7 +17,6 @@ from stable_baselines3.common.callbacks import (
 )
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_options.execution.wrappers_above import monitor_primitive_steps as monitor_primitive_steps
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.rollout_buffer import SMDPAdvantages, n_decisions
 

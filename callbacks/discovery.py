@@ -12,7 +12,6 @@ import numpy as np
 import torch
 
 from sb3_options.callbacks.checks import check_arguments, check_training, groups_given, groups_here, trial_given
-from sb3_options.callbacks.counting import monitor_primitive_steps
 from sb3_options.callbacks.discovery_log import DiscoveryClock, draw_discovery, log_discovery, step_seconds_of
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.learned_features import GivenFeatures, check_learned, features_for
@@ -31,6 +30,7 @@ from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.embedding.settings import EmbeddingSettings
 from sb3_options.execution.exploration import checked_share
 from sb3_options.execution.trials import TrialReport, TrialSettings, Verdict
+from sb3_options.execution.wrappers_above import monitor_primitive_steps
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.success import SuccessRule, judged, reported_success, success_rule, tell_success
 from sb3_options.experience.trajectories import EpisodeRecord, LabelledTrajectory, Trajectory

@@ -10,11 +10,12 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_options.callbacks.checks import check_same_slots, masks_actions, warn_unmasked
-from sb3_options.callbacks.counting import evaluation_envs, monitor_primitive_steps
+from sb3_options.callbacks.counting import evaluation_envs
 from sb3_options.callbacks.intra_option import IntraOptionUpdater
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.execution.exploration import cap_option_exploration
 from sb3_options.execution.workers import watch_workers
+from sb3_options.execution.wrappers_above import monitor_primitive_steps
 from sb3_options.experience.observations import FloatArray, Observations
 from sb3_options.learning import heads
 from sb3_options.learning.forgetting import forget_empty, forget_slot

@@ -12,6 +12,7 @@ from sb3_contrib import TRPO, MaskablePPO, RecurrentPPO
 from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback, EvalCallback
 from stable_baselines3.common.logger import configure
+from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options import MacroQ, OptionReplayBuffer, OptionsWrapper, load_model
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback, TrialSettings
@@ -23,7 +24,7 @@ from sb3_options.discovery.methods import DiscoveryMethod, Experience, GivenPlac
 from sb3_options.learning import heads
 from sb3_options.options.file import slots_of
 from tests.support.helpers import CountingEnv, steady_option
-from tests.support.sb3_helpers import RANDOM, TINY, env_of, fast_callback, optioned_rooms, small_rooms
+from tests.support.sb3_helpers import RANDOM, TINY, env_of, fast_callback, optioned_rooms
 
 
 class Proposing:
