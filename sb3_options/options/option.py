@@ -105,9 +105,10 @@ class Option:
 
     def __init__(
         self,
-        initiation: Callable[[Observations], npt.ArrayLike],
-        policy: Callable[[Observations], npt.ArrayLike],
-        termination: Callable[[Observations], npt.ArrayLike],
+        # Functions of what this environment observes, so of arrays alone, of numbers, or of a Dict.
+        initiation: Callable[[Any], npt.ArrayLike],
+        policy: Callable[[Any], npt.ArrayLike],
+        termination: Callable[[Any], npt.ArrayLike],
         *,
         max_duration: int = 100,
         name: str = "option",

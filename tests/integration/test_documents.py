@@ -1,12 +1,14 @@
 """What README and docs show, run: their Python, their commands, their links, their numbers."""
 
 import importlib
+import os
 import re
 import shlex
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
+import mypy.api
 import pytest
 import tyro
 
@@ -89,6 +91,19 @@ def test_python_runs_as_pasted_but_shorter(page: Path, tmp_path: Path) -> None:
     strict = "import warnings; warnings.simplefilter('error', UserWarning)"  # in the place of the title
     result = processes.python("-c", f"{strict}{program}\n{CHECKS.get(name_of(page), '')}", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.slow
+def test_an_option_by_hand_is_one_to_mypy_too(tmp_path: Path) -> None:
+    """Its three functions take what this environment observes, not anything that an environment may observe."""
+    page = ROOT / "docs/guide/options-files.md"
+    end = text_of(page).splitlines().index("## Other options between trainings")
+    program = tmp_path / "by_hand.py"
+    program.write_text("\n".join(program_of(page).splitlines()[:end]), encoding="utf-8")
+    assert "lambda xy:" in program.read_text(encoding="utf-8")
+    options = ["--config-file", os.devnull, "--ignore-missing-imports", "--cache-dir", str(tmp_path / "cache")]
+    said, errors, status = mypy.api.run([*options, str(program)])
+    assert status == 0, said + errors
 
 
 @pytest.mark.slow
