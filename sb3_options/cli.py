@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import shutil
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import closing, nullcontext, suppress
@@ -35,7 +34,7 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.runs import config as configs
 from sb3_options.runs import evaluation
 from sb3_options.runs import folder as runs
-from sb3_options.runs.algorithms import callback_settings, check_algo_kwargs, check_device, make_model, warn_without_gpu
+from sb3_options.runs.algorithms import callback_settings, check_algorithm, check_device, make_model, warn_without_gpu
 from sb3_options.runs.budget import KeepToBudget, memory_is_short, rounded_up
 from sb3_options.runs.card import CARD, write_card
 from sb3_options.runs.closing import after_interrupt, closing_table, how_to_resume, next_commands, program_name, unit_of
@@ -158,7 +157,7 @@ def _train(
     runs.check_env_id(config.env)
     check_device(config.device)
     warn_without_gpu(config.device)
-    check_algo_kwargs(config)
+    check_algorithm(config)
     stock: SubgoalDiscoveryCallback | None = None
     with interrupts or Interrupts() as interrupts:
         with closing(runs.make_env(config, 1, config.seed)) as env:  # what cannot be made leaves no folder
@@ -286,7 +285,7 @@ def _learn(
         try:
             if model is None or model.num_timesteps == 0:
                 if not resume:
-                    shutil.rmtree(folder)
+                    runs.discard(folder)
             else:
                 runs.save(model, discovery.bank, folder)
         except OSError as error:

@@ -63,7 +63,7 @@ def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> Ba
         ValueError: There is no such device, or no such argument in ``algo_kwargs``.
     """
     check_device(config.device)
-    check_algo_kwargs(config)
+    check_algorithm(config)
     space = env.observation_space
     # NatureCNN takes no smaller picture, such as a view of 7 x 7 cells.
     image = is_image_space(space) and min(sorted(space.shape or ())[1:]) >= MIN_IMAGE
@@ -111,16 +111,16 @@ def warn_without_gpu(name: str) -> None:
         logger.warning("--device %s: torch finds no GPU, so training is on the CPU.", name)
 
 
-def check_algo_kwargs(config: TrainConfig) -> None:
-    """Refuse keyword arguments that the algorithm's class does not have, or that another setting gives it.
+def check_algorithm(config: TrainConfig) -> None:
+    """Refuse an algorithm that is not installed, and keyword arguments that it does not have or another setting gives.
 
     Raises:
         ModuleNotFoundError: The algorithm is one of sb3-contrib's, which is not installed.
         ValueError: There is such an argument in ``algo_kwargs``.
     """
+    of = _class_of(config.algo)
     if not config.algo_kwargs:
         return
-    of = _class_of(config.algo)
     own = {f.name for f in dataclasses.fields(config)}
     # OptionDQN hands on to DQN what it does not name.
     makers = (vars(each)["__init__"] for each in inspect.getmro(of) if "__init__" in vars(each))

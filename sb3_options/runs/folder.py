@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -28,7 +30,7 @@ from sb3_options.runs.config import MaskablePPOConfig, TrainConfig
 from sb3_options.runs.eval_callback import BEST as BEST
 from sb3_options.runs.interrupts import ignore_interrupts
 from sb3_options.runs.logs import begin_monitors, go_on_counting, keep_monitor
-from sb3_options.runs.users_code import feature_map_of, named, named_in_errors
+from sb3_options.runs.users_code import feature_map_of, imported, named, named_in_errors
 
 CONFIG = "config.yml"
 MODEL = "model.zip"
@@ -78,17 +80,31 @@ def _new_folder(parent: Path, name: str) -> Path:
             return folder
 
 
+def discard(folder: Path) -> None:
+    """Remove a run folder that nothing was trained in, and that of the algorithm where it is the only one.
+
+    Raises:
+        OSError: It cannot be removed.
+    """
+    shutil.rmtree(folder)
+    with suppress(OSError):  # there are other runs
+        folder.parent.rmdir()
+
+
 def check_env_id(env_id: str) -> None:
     """Refuse an id that Gymnasium does not know, and name the package that registers it, or one that is alike.
 
     Raises:
         ValueError: The id is not registered.
-        ModuleNotFoundError: It is one of MiniGrid's, which is not installed.
+        ModuleNotFoundError: It is one of MiniGrid's, which is not installed, or names a module that there is not.
     """
     if minigrid.is_minigrid(env_id):
         minigrid.require()
     # An id may name the module that registers it, as in "module:Env-v0".
-    if env_id in gym.registry or ":" in env_id:
+    module, colon, _ = env_id.rpartition(":")
+    if colon:
+        imported(module, "--env")
+    if env_id in gym.registry or colon:
         return
     near = difflib.get_close_matches(env_id, gym.registry, n=1, cutoff=ALIKE)
     hint = f"Did you mean {near[0]!r}?" if near else "If a package registers it, name its module: --env module:ID."

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 from sb3_options.runs import config as configs
 from sb3_options.runs import yaml_file
+from sb3_options.runs.algorithms import check_algorithm
 from sb3_options.runs.config import GROUPS, TrainConfig
 from sb3_options.runs.users_code import IMPORTING, named_in_errors, with_trusted
 
@@ -112,6 +113,7 @@ def read_space(path: Path, trusted: Mapping[str, str | None]) -> SearchSpace:
 
     Raises:
         OSError: The file cannot be read.
+        ModuleNotFoundError: The algorithm is one of sb3-contrib's, which is not installed.
         ValueError: It describes no search, or names what would import a module.
     """
     with named_in_errors("tune", path):
@@ -133,7 +135,7 @@ def read_space(path: Path, trusted: Mapping[str, str | None]) -> SearchSpace:
         if name in FIXED or name in IMPORTING or name in GROUPS or name == "method":
             raise ValueError(f"{path}: {name} cannot be varied. Search apart, or name a setting within it.")
     for last in (False, True):  # names and both ends are right
-        space.config({name: _end(of, last=last) for name, of in space.search.items()}, 0, Path("runs"))
+        check_algorithm(space.config({name: _end(of, last=last) for name, of in space.search.items()}, 0, Path("runs")))
     return space
 
 

@@ -74,7 +74,7 @@ def tune(config: TuneConfig, *, console: Console) -> TrainConfig:
     Raises:
         ValueError: The file describes no search, or another one than that in the folder, or every trial failed.
         OSError: A file cannot be read or written, or there is no ``--cluster``.
-        ModuleNotFoundError: ``--cluster`` needs Ray, which is not installed.
+        ModuleNotFoundError: The algorithm needs sb3-contrib, or ``--cluster`` Ray, which is not installed.
         KeyboardInterrupt: The user ended it; the same command goes on.
     """
     goal = Goal.parsed(config.reach)

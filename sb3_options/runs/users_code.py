@@ -6,6 +6,7 @@ import importlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from sb3_options.embedding.settings import SIZES, MapName
@@ -77,10 +78,32 @@ def named(text: str, given_for: str) -> Callable[..., Any]:
     module, _, name = text.partition(":")
     if not (module and name):
         raise ValueError(f"{given_for} takes module:name, got {text!r}.")
-    found = getattr(importlib.import_module(module), name, None)
+    found = getattr(imported(module, given_for), name, None)
     if not callable(found):
         raise ValueError(f"{given_for}: the module {module} has nothing named {name} that can be called.")
     return found  # type: ignore[no-any-return]  # of a user's module
+
+
+def imported(module: str, given_for: str) -> ModuleType:
+    """Import a module that the command line names. The folder one is in is not searched for it without being asked to.
+
+    Args:
+        module: Its name.
+        given_for: The flag.
+
+    Raises:
+        ModuleNotFoundError: There is no such module, or it needs one that there is not.
+    """
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{module}.".startswith(f"{error.name}."):
+            raise  # it was found, and imports another
+        raise ModuleNotFoundError(
+            f"{given_for}: {error}. One in the current folder is found with PYTHONPATH=. before the command, or by "
+            "`python -m sb3_options`.",
+            name=error.name,
+        ) from error
 
 
 @contextmanager

@@ -9,7 +9,7 @@ import pytest
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
 
-from sb3_options.runs.algorithms import RESERVED, check_algo_kwargs, make_model, warn_without_gpu
+from sb3_options.runs.algorithms import RESERVED, check_algorithm, make_model, warn_without_gpu
 from sb3_options.runs.config import CLASSES, TrainConfig, load, made, save
 from sb3_options.runs.flags import parse
 from sb3_options.runs.folder import make_env
@@ -29,7 +29,7 @@ def test_every_class_takes_arguments_that_have_no_setting(algo: str) -> None:
     model = model_of(algo, max_grad_norm=0.25) if algo != "trpo" else model_of(algo, cg_damping=0.25)
     assert 0.25 in (getattr(model, "max_grad_norm", None), getattr(model, "cg_damping", None))
     with pytest.raises(ValueError, match="takes no 'no_such_thing' here"):
-        check_algo_kwargs(configured(algo, no_such_thing=1))
+        check_algorithm(configured(algo, no_such_thing=1))
 
 
 def test_arguments_of_the_policy_go_with_the_layers() -> None:
@@ -47,20 +47,20 @@ def test_they_are_pairs_on_the_command_line_and_a_mapping_in_a_file(tmp_path: Pa
 @pytest.mark.parametrize("name", ["ent_coef", "seed", "device", "learning_rate", "net_arch"])
 def test_what_has_a_setting_is_given_there(name: str) -> None:
     with pytest.raises(ValueError, match=f"'{name}' is a setting of its own, --{name.replace('_', '-')}"):
-        check_algo_kwargs(configured("ppo", **{name: 1}))
+        check_algorithm(configured("ppo", **{name: 1}))
 
 
 @pytest.mark.parametrize("name", sorted(RESERVED - {"env"}))
 def test_what_the_library_gives_is_refused(name: str) -> None:
     with pytest.raises(ValueError, match=f"takes no {name!r} here"):
-        check_algo_kwargs(configured("dqn", **{name: 1}))
+        check_algorithm(configured("dqn", **{name: 1}))
 
 
 def test_a_slip_is_told_with_what_there_is() -> None:
     with pytest.raises(ValueError, match="Did you mean 'normalize_advantage'"):
-        check_algo_kwargs(configured("ppo", normalise_advantage=False))
+        check_algorithm(configured("ppo", normalise_advantage=False))
     with pytest.raises(ValueError, match="policy_kwargs takes a mapping"):
-        check_algo_kwargs(configured("ppo", policy_kwargs=3))
+        check_algorithm(configured("ppo", policy_kwargs=3))
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import sb3_options.envs  # noqa: F401  # registers them
+from sb3_options import cli
 from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import make_model
 from sb3_options.runs.config import A2CConfig, DQNConfig, MaskablePPOConfig, TrainConfig
@@ -71,6 +72,27 @@ def test_a_place_that_holds_no_folders_is_named_with_its_flag(tmp_path: Path) ->
         f"--tensorboard-log {tmp_path / 'a file'} cannot hold run folders: Not a directory "
         f"({tmp_path / 'a file' / 'dqn'}). Name another one."
     )
+
+
+def test_a_run_folder_that_is_discarded_takes_an_empty_one_along(tmp_path: Path) -> None:
+    first, second = (runs.new_run_folder(DQNConfig(tensorboard_log=tmp_path)) for _ in range(2))
+    runs.discard(first)
+    assert second.is_dir()
+    runs.discard(second)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("algo", ["qrdqn", "maskableppo"])
+def test_an_algorithm_that_is_not_installed_leaves_no_folder(
+    algo: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "space.yml").write_text(f"base: {{algo: {algo}}}\nsearch: {{gamma: [0.9, 0.99]}}\n")
+    monkeypatch.setitem(sys.modules, "sb3_contrib", None)
+    for words in ([algo, "--tensorboard-log"], ["tune", str(tmp_path / "space.yml"), "--out"]):
+        with pytest.raises(SystemExit, match="1"):
+            cli.main([*words, str(tmp_path / "made")])
+        assert "PPO needs sb3-contrib: pip install" in capsys.readouterr().err.replace("QRDQN", "PPO")
+        assert not (tmp_path / "made").exists()
 
 
 @pytest.mark.parametrize(

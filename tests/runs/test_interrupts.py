@@ -263,7 +263,7 @@ def test_before_the_first_step_nothing_is_left(
     at_once = times == 2 and where == "SubgoalDiscoveryCallback"  # there is no folder yet
     expected = "Interrupted.\n" if at_once else "Interrupted before the first step: there is nothing to keep.\n"
     assert capfd.readouterr().err.endswith(expected)
-    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_worker_that_the_signal_ended_as_well_is_no_error(

@@ -49,6 +49,7 @@ FLAGS = ["--env-wrapper", "users_module:Named", "--feature-map", "users_module:c
 @pytest.fixture(autouse=True)
 def users_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "users_module.py").write_text(MODULE)
+    (tmp_path / "importing_module.py").write_text("import no_such_package\n")
     monkeypatch.syspath_prepend(tmp_path)
 
 
@@ -96,7 +97,11 @@ def test_a_file_that_names_one_is_refused_with_the_flag(tmp_path: Path, capsys: 
     ("flag", "value", "expected"),
     [
         ("--env-wrapper", "users_module", "--env-wrapper takes module:name, got 'users_module'."),
-        ("--env-wrapper", "no_such_module:A", "No module named 'no_such_module'"),
+        ("--env-wrapper", "no_such_module:A", "Error: --env-wrapper: No module named 'no_such_module'. One in the"),
+        ("--feature-map", "no_such.module:a", "Error: --feature-map: No module named 'no_such'. One in the current"),
+        ("--env", "no_such_module:A-v0", "Error: --env: No module named 'no_such_module'. One in the current folder is "
+         "found with PYTHONPATH=. before the command, or by `python -m sb3_options`."),
+        ("--feature-map", "importing_module:a", "Error: No module named 'no_such_package' 1"),
         (
             "--env-wrapper",
             "users_module:Bare",
@@ -111,7 +116,7 @@ def test_a_file_that_names_one_is_refused_with_the_flag(tmp_path: Path, capsys: 
         ("--feature-map", "users_module:a", "--feature-map: the module users_module has nothing named a that can be"),
         ("--feature-map", "users_module:number", "has nothing named number that can be called"),
     ],
-)
+)  # fmt: skip
 def test_what_names_nothing_leaves_no_folder(
     flag: str, value: str, expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
