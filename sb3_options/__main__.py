@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 from collections.abc import Sequence
 
@@ -21,6 +22,8 @@ def main(program: str = "sb3-options", default: Sequence[str] = ("--help",)) -> 
         if (error.name or "").startswith("sb3_options"):
             raise
         sys.exit(f"{program} needs the package {error.name}: {how_to_install('train', 'contrib')}")
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a terminal of another encoding has no φ
     cli.main(sys.argv[1:] or default)
 
 

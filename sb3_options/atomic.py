@@ -53,7 +53,8 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise
     finally:
         if temporary is not None:
-            temporary.unlink(missing_ok=True)
+            with suppress(OSError):  # a read-only file system removes not even what there is not
+                temporary.unlink(missing_ok=True)
 
 
 def remove_stale(folder: Path, pattern: str = "") -> None:

@@ -15,11 +15,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from sb3_options.atomic import atomic_write
 from sb3_options.experience.observations import FloatArray
 from sb3_options.runs.intervals import Interval, band, interval_of, iqm_interval, probability_of_improvement
 from sb3_options.runs.logged import TAGS, Curve, Measure, Run, groups_of, lacking_of
-from sb3_options.runs.pictures import DPI, format_of
+from sb3_options.runs.pictures import format_of, save_picture
 
 N_POINTS = 200
 """At which curves are drawn."""
@@ -77,15 +76,14 @@ def show_comparison(config: CompareConfig, *, console: Console) -> None:
     if not config.runs:
         raise ValueError("Name the run folders that are to be compared.")
     asked = None if config.reach == AUTO else Goal.parsed(config.reach)
-    format = format_of(config.out)
+    format_of(config.out)  # before runs are read
     groups = groups_of(config.runs, lambda text: console.print(escape(text)))
     source = source_of([run for members in groups.values() for run in members], config.source)
     goal, said = goal_of(asked, groups, source)
     console.print(table_of(compared(groups, goal, source), goal))
     if said:
         console.print(escape(said))
-    with atomic_write(config.out) as temporary:
-        figure_of(groups, source).savefig(temporary, dpi=DPI, format=format)
+    save_picture(figure_of(groups, source), config.out)
     console.print(f"Picture: {escape(str(config.out))}")
 
 

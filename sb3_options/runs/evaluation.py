@@ -109,7 +109,7 @@ def save(result: Evaluation, seed: int, path: Path) -> None:
 
 
 def show_evaluation(config: EvaluateConfig, console: Console) -> Evaluation:
-    """Evaluate a run, print the result, and write it to ``evaluation.json`` in the run folder.
+    """Evaluate a run, print the result, and write it to ``evaluation.json`` in the run folder if that is possible.
 
     Args:
         config: Which run, and how.
@@ -120,12 +120,17 @@ def show_evaluation(config: EvaluateConfig, console: Console) -> Evaluation:
 
     Raises:
         ValueError: Something does not fit.
-        OSError: A file is missing or cannot be written.
+        OSError: A file of the run is missing, or the video cannot be written.
     """
     how = {name: value for name, value in asdict(config).items() if name != "run"}
     result = evaluate_run(config.run, **how)
     console.print(table(result, escape(str(config.run))))
-    save(result, config.seed, config.run / "evaluation.json")
+    file = config.run / "evaluation.json"
+    try:
+        save(result, config.seed, file)
+    except OSError as error:  # as of a run that belongs to somebody else
+        why = escape(f"{file} cannot be written: {error.strerror or error}.")
+        console.print(f"[yellow]Not kept:[/] {why} Evaluate a copy of the run folder to keep the result.")
     if config.video is not None:
         console.print(f"Video: {escape(str(config.video))}")
     return result

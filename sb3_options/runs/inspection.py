@@ -18,7 +18,6 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from sb3_options.atomic import atomic_write
 from sb3_options.density.regions import HalfSpace
 from sb3_options.discovery.maps import INITIATION_COLOUR, SUBGOAL
 from sb3_options.discovery.settings import described
@@ -27,7 +26,7 @@ from sb3_options.options import file as option_file
 from sb3_options.options.archive import NAME, content_in
 from sb3_options.options.option import Option, SubgoalOption
 from sb3_options.options.policies import TabularPolicy
-from sb3_options.runs.pictures import DPI, format_of
+from sb3_options.runs.pictures import save_picture
 
 COLUMNS = 2
 PANEL = (4.6, 3.4)
@@ -62,8 +61,7 @@ def show_options(config: InspectConfig, *, console: Console) -> None:
     console.print(table_of(contents))
     console.print(*map(escape, summary_of(contents)), sep="\n")
     if config.out is not None:
-        with atomic_write(config.out) as temporary:
-            picture_of(contents).savefig(temporary, dpi=DPI, format=format_of(config.out))
+        save_picture(picture_of(contents), config.out)
         console.print(f"Picture: {escape(str(config.out))}")
 
 

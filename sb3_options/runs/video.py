@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from sb3_options.atomic import atomic_write
 from sb3_options.envs.minigrid import KEYWORDS, is_minigrid
+from sb3_options.runs.users_code import named_in_errors
 
 CAPTION_HEIGHT = 24
 """Pixels of the strip that names the running option."""
@@ -149,7 +150,10 @@ def video_file(path: Path, fps: float) -> Iterator[Video]:
     Raises:
         OSError: It cannot be written.
     """
-    with atomic_write(path) as temporary, closing(Video(temporary, fps, gif=path.suffix.lower() == ".gif")) as video:
+    with ExitStack() as stack:
+        with named_in_errors("--video", path, "cannot be written"):
+            temporary = stack.enter_context(atomic_write(path))
+            video = stack.enter_context(closing(Video(temporary, fps, gif=path.suffix.lower() == ".gif")))
         yield video
 
 

@@ -1,5 +1,6 @@
 """A wheel, installed where there is no checkout: the console script trains, evaluates, compares and shows options."""
 
+import io
 import os
 import shutil
 import subprocess
@@ -87,6 +88,15 @@ def test_without_words_it_shows_its_help(capsys: pytest.CaptureFixture[str], mon
     with pytest.raises(SystemExit, match=r"^0$"):
         script.main()
     assert "usage: sb3-options" in capsys.readouterr().out
+
+
+def test_a_terminal_without_greek_letters_is_helped_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = io.BytesIO()
+    monkeypatch.setattr("sys.argv", ["/somewhere/bin/sb3-options", "--help", "all"])
+    monkeypatch.setattr("sys.stdout", io.TextIOWrapper(shown, encoding="latin-1", write_through=True))
+    with pytest.raises(SystemExit, match=r"^0$"):
+        script.main()
+    assert b"--feature-map" in shown.getvalue()
 
 
 def test_a_missing_extra_is_named(tmp_path: Path) -> None:
