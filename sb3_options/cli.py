@@ -37,7 +37,7 @@ from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import callback_settings, check_algorithm, check_device, make_model, warn_without_gpu
 from sb3_options.runs.budget import KeepToBudget, memory_is_short, rounded_up
 from sb3_options.runs.card import CARD, write_card
-from sb3_options.runs.closing import after_interrupt, closing_table, how_to_resume, next_commands, program_name, unit_of
+from sb3_options.runs.closing import Trained, how_to_resume, program_name, report, unit_of
 from sb3_options.runs.compare import CompareConfig, show_comparison
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.eval_callback import eval_callback_class
@@ -47,8 +47,8 @@ from sb3_options.runs.inspection import InspectConfig, show_options
 from sb3_options.runs.interrupts import PATIENCE, Interrupts, StopWhenNoted
 from sb3_options.runs.keywords import NUMBERS
 from sb3_options.runs.logs import KeepTraining, without
-from sb3_options.runs.resume import ResumeConfig, lengthen, mark_finished, options_of, resume_run
-from sb3_options.runs.series import Series, Trained, train_in_turn
+from sb3_options.runs.resume import ResumeConfig, lengthen, mark_finished, resume_run
+from sb3_options.runs.series import Series, train_in_turn
 from sb3_options.runs.task_ends import StopWhenLearned
 from sb3_options.runs.tune_config import TuneConfig
 from sb3_options.runs.under_way import held
@@ -158,7 +158,7 @@ def _train(
     check_device(config.device)
     warn_without_gpu(config.device)
     check_algorithm(config)
-    stock: SubgoalDiscoveryCallback | None = None
+    without_discovery: Trained | None = None
     with interrupts or Interrupts() as interrupts:
         with closing(runs.make_env(config, 1, config.seed)) as env:  # what cannot be made leaves no folder
             runs.check_observations(env, config.env)
@@ -166,37 +166,46 @@ def _train(
             bank: OptionBank = env.get_attr("bank")[0]
             started_with = [f"{slot} ({option.name})" for slot, option in enumerate(bank.slots) if option is not None]
         discovery = _discovery(config, resumed)
-        folder = last = runs.new_run_folder(config) if resumed is None else resumed
-        with nullcontext() if resumed else held(folder):  # who resumes holds it already
-            finished = _learn(config, discovery, folder, interrupts, series=series, resume=resumed is not None)
-        if config.compare and config.discover and not interrupts.noted:
-            no_discovery = dataclasses.replace(config, discover=False, compare=False, options=None)
+        trained = _train_once(config, discovery, interrupts, series=series, resumed=resumed)
+        if config.compare and config.discover and resumed is None and not interrupts.noted:
             console.print("Once more, without discovery:")
-            stock, last = _discovery(no_discovery), runs.new_run_folder(no_discovery)
-            with held(last):
-                if _learn(no_discovery, stock, last, interrupts):
-                    mark_finished(no_discovery, last)
-    if not folder.exists():
+            other = dataclasses.replace(config, discover=False, compare=False, options=None)
+            without_discovery = _train_once(other, _discovery(other), interrupts)
+    if not trained.folder.exists():
         raise KeyboardInterrupt("before the first step: there is nothing to keep")
-    _draw(config, discovery, folder)
-    with without(folder / CARD):
-        write_card(folder, config, discovery.history, {d.slot: d.timestep for d in discovery.discoveries})
-    if finished:
-        mark_finished(config, folder)  # last: who was killed before does the end again
-    unit = unit_of(config)
-    took = f"{discovery.num_timesteps:,} primitive steps, {discovery.episodes:,} {unit}s"
-    console.print(f"\n[bold]{'Interrupted' if interrupts.ended else 'Finished'}[/] after {took}.")
+    took = f"{discovery.num_timesteps:,} primitive steps, {discovery.episodes:,} {unit_of(config)}s"
+    console.print(f"\n[bold]{'Finished' if trained.finished else 'Interrupted'}[/] after {took}.")
     if config.options is not None:
         what = ", ".join(started_with) or "none"
         console.print(f"Started with the options of {escape(str(config.options))}: {escape(what)}.")
-    _report(config, discovery, stock, folder, in_series=series is not None, draws=draws)
-    if interrupts.ended:
-        after_interrupt(console, config, last, (stock or discovery).num_timesteps)
-    return Trained(folder, discovery, interrupts.noted)
+    _show_discoveries(config, discovery)
+    report(console, trained, without_discovery, in_series=series is not None, draws=draws)
+    return trained
+
+
+def _train_once(
+    config: TrainConfig,
+    discovery: SubgoalDiscoveryCallback,
+    interrupts: Interrupts,
+    *,
+    series: Series | None = None,
+    resumed: Path | None = None,
+) -> Trained:
+    """Train, and leave all of a run folder; none without a step taken, unless it was there before."""
+    folder = runs.new_run_folder(config) if resumed is None else resumed
+    with nullcontext() if resumed else held(folder):  # who resumes holds it already
+        finished = _learn(config, discovery, folder, interrupts, series=series, resume=resumed is not None)
+        if folder.exists():
+            _draw(config, discovery, folder)
+            with without(folder / CARD):
+                write_card(folder, config, discovery.history, {d.slot: d.timestep for d in discovery.discoveries})
+        if finished:
+            mark_finished(config, folder)  # last: who was killed before does the end again
+    return Trained(config, folder, discovery, finished, interrupts.noted)
 
 
 def _discovery(config: TrainConfig, resumed: Path | None = None) -> SubgoalDiscoveryCallback:
-    options = config.options if resumed is None else options_of(resumed)
+    options = config.options if resumed is None else runs.options_of(resumed)
     return SubgoalDiscoveryCallback(
         config.discovery,
         config.option,
@@ -263,6 +272,8 @@ def _learn(
             console.print(f"Training {escape(what)}.")
             if not resume and (text := rounded_up(config)):
                 console.print(escape(text))
+            if not resume and config.compare and config.discover:
+                console.print("Afterwards once more without discovery; --no-compare leaves that out.")
             # A model that was not trained yet counts from 0 all the same, but goes on in the same TensorBoard folder.
             log: dict[str, Any] = {"tb_log_name": "tensorboard", "reset_num_timesteps": not resume}
             model.learn(config.n_timesteps, callbacks, progress_bar=config.progress, **log)
@@ -326,16 +337,7 @@ def _checkpoints(
     return [checkpoints]
 
 
-def _report(
-    config: TrainConfig,
-    discovery: SubgoalDiscoveryCallback,
-    stock: SubgoalDiscoveryCallback | None,
-    folder: Path,
-    *,
-    in_series: bool,
-    draws: bool,
-) -> None:
-    """Print what was discovered and how training went, and the commands that come next."""
+def _show_discoveries(config: TrainConfig, discovery: SubgoalDiscoveryCallback) -> None:
     if discovery.discoveries:
         table = Table("option", "subgoal", f"found after {unit_of(config)}", "primitive steps", "initiation states")
         for found in discovery.discoveries:
@@ -350,13 +352,6 @@ def _report(
         console.print(table)
     elif discovery.max_new_options == 0:  # else the callback has said why
         console.print(discovery.why_nothing())
-    histories = {"this run": discovery.history} | ({} if stock is None else {"--no-discover": stock.history})
-    console.print(closing_table(histories))
-    if stock is not None:
-        console.print("Both trained for as many primitive steps on the same seed. That is one seed, and no study.")
-    elif discovery.max_new_options != 0 and not in_series:
-        console.print("Against --no-discover: train with --compare, which trains once more without discovery.")
-    next_commands(console, config, folder, draws=draws)
 
 
 def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path) -> None:

@@ -8,6 +8,7 @@ import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from rich.console import Console
@@ -15,7 +16,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from sb3_options.checkpoints.file import CheckpointFolder
+from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.trajectories import EpisodeRecord
+from sb3_options.options.bank import OptionBank
 from sb3_options.runs import folder as runs
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.users_code import flag, importing
@@ -27,6 +30,89 @@ IN_A_ROW = 20
 """Successes in a row by which a task counts as learned."""
 
 PROGRAM, SCRIPT = "train.py", "sb3-options"
+
+
+class Discovering(Protocol):
+    """What is asked of a `SubgoalDiscoveryCallback` after training."""
+
+    history: list[EpisodeRecord]
+    max_new_options: int | None
+    num_timesteps: int
+
+    @property
+    def bank(self) -> OptionBank:
+        """The slots."""
+
+    @property
+    def discovery(self) -> SubgoalDiscovery | None:
+        """Of the training."""
+
+
+class Trained(NamedTuple):
+    """What is left of one training.
+
+    Attributes:
+        config: Of the run.
+        folder: The run folder, which is gone if no step was taken.
+        discovery: The callback.
+        finished: Whether training came to its end.
+        interrupted: Whether there was an interrupt, perhaps after the end, so that no other training is to begin.
+    """
+
+    config: TrainConfig
+    folder: Path
+    discovery: Discovering
+    finished: bool
+    interrupted: bool
+
+
+def report(
+    console: Console, trained: Trained, without_discovery: Trained | None, *, in_series: bool, draws: bool
+) -> None:
+    """Print how training went, beside the same without discovery where that is finished, and the commands that follow.
+
+    Args:
+        console: Where to.
+        trained: The run.
+        without_discovery: What ``--compare`` trained after it; None where that was not begun.
+        in_series: Whether the run is a task of ``--series``.
+        draws: Whether the environment draws pictures, of which a video can be made.
+    """
+    config, histories = trained.config, {"this run": trained.discovery.history}
+    both = without_discovery is not None and without_discovery.finished
+    if without_discovery is not None and both:
+        histories["--no-discover"] = without_discovery.discovery.history
+    console.print(closing_table(histories))
+    if both:
+        console.print("Both trained for as many primitive steps on the same seed. That is one seed, and no study.")
+    elif without_discovery is not None:
+        steps = f"{without_discovery.discovery.num_timesteps:,} of {config.n_timesteps:,} primitive steps"
+        console.print(f"The run without discovery was interrupted after {steps}.")
+    elif trained.discovery.max_new_options != 0 and not (in_series or config.compare):
+        console.print("Against --no-discover: train with --compare, which trains once more without discovery.")
+    next_commands(console, config, trained.folder, draws=draws)
+    last = without_discovery or trained
+    goes_on = not last.finished and after_interrupt(console, last.config, last.folder, last.discovery.num_timesteps)
+    if config.compare and config.discover and not both:
+        _how_to_compare(console, config, trained.folder, last.folder if without_discovery and goes_on else None)
+
+
+def _how_to_compare(console: Console, config: TrainConfig, folder: Path, other: Path | None) -> None:
+    """Print how to set the run without discovery beside the run.
+
+    Args:
+        console: Where to.
+        config: Of the run.
+        folder: Its run folder.
+        other: The one without discovery, which can be resumed; None where it is to be trained from its start.
+    """
+    run, beside = (_quoted(each) for each in (folder, other or Path("FOLDER")))
+    if other is None:
+        options = "" if runs.options_of(folder) is None else " --options None"
+        words = f"--config {run} --no-discover --no-compare{options}{_importing(config)}"
+        console.print(f"No discovery: {escape(f'{_command()} {words}')}")
+        beside += "  # the run folder that the line above names when it ends"
+    console.print(f"Then compare: {escape(f'{_command()} compare {run} {beside}')}")
 
 
 def closing_table(histories: Mapping[str, Sequence[EpisodeRecord]]) -> Table:
@@ -98,7 +184,7 @@ def next_commands(console: Console, config: TrainConfig, folder: Path, *, draws:
         console.print("Best model:   add --best; it is the one whose evaluation gave the highest return")
 
 
-def after_interrupt(console: Console, config: TrainConfig, folder: Path, steps: int) -> None:
+def after_interrupt(console: Console, config: TrainConfig, folder: Path, steps: int) -> bool:
     """Print how to go on, where there is a checkpoint.
 
     Args:
@@ -106,14 +192,18 @@ def after_interrupt(console: Console, config: TrainConfig, folder: Path, steps: 
         config: Of the run.
         folder: The run folder.
         steps: Primitive steps that were trained.
+
+    Returns:
+        Whether there is one.
     """
     there = next(iter(CheckpointFolder(folder / runs.CHECKPOINTS)), None)
     if there is None:
-        return
+        return False
     since = int(there.stem)
     if since < steps:
         console.print(f"The last checkpoint is of {since:,} primitive steps: what came after it is trained again.")
     console.print(f"Resume:       {escape(_resume(config, folder))}")
+    return True
 
 
 def how_to_resume(config: TrainConfig, folder: Path) -> str:
@@ -129,7 +219,7 @@ def how_to_resume(config: TrainConfig, folder: Path) -> str:
 
 
 def _resume(config: TrainConfig, folder: Path) -> str:
-    return f"{_command()} resume {shlex.quote(_shortest(str(folder)))}{_importing(config)}"
+    return f"{_command()} resume {_quoted(folder)}{_importing(config)}"
 
 
 def _importing(config: TrainConfig) -> str:
@@ -157,6 +247,10 @@ def _command() -> str:
     if program_name() == SCRIPT:
         return f"{_python()} -m sb3_options"
     return f"{_python()} {shlex.quote(_shortest(str(called.absolute()))) if called.name == PROGRAM else PROGRAM}"
+
+
+def _quoted(path: Path) -> str:
+    return shlex.quote(_shortest(str(path)))
 
 
 def _shortest(path: str) -> str:

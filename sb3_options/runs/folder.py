@@ -26,6 +26,7 @@ from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.options import file as option_file
 from sb3_options.options.archive import NAME
 from sb3_options.options.bank import OptionBank
+from sb3_options.runs import yaml_file
 from sb3_options.runs.config import MaskablePPOConfig, TrainConfig
 from sb3_options.runs.eval_callback import BEST as BEST
 from sb3_options.runs.interrupts import ignore_interrupts
@@ -156,6 +157,12 @@ def options_file(config: TrainConfig) -> Path | None:
             f"it: pass --max-options {needed} or more."
         )
     return path
+
+
+def options_of(run: Path) -> Path | None:
+    """Where the options came from that a run started with."""
+    options = yaml_file.read_mapping(run / CONFIG).get("options")
+    return None if options is None else Path(str(options))
 
 
 def save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:

@@ -85,7 +85,7 @@ def resume_run(resumed: ResumeConfig, train: Train, console: Console) -> None:
 def config_of(resumed: ResumeConfig) -> TrainConfig:
     """The configuration of the run, as it goes on.
 
-    The options it started with are in the checkpoint, and training without discovery has a folder of its own.
+    The options it started with are in the checkpoint.
 
     Raises:
         FileNotFoundError: There is no checkpoint in it.
@@ -103,7 +103,7 @@ def config_of(resumed: ResumeConfig) -> TrainConfig:
     total = before if resumed.n_timesteps is None else resumed.n_timesteps
     if total < before:
         raise ValueError(f"--n-timesteps must be at least {before:,}, as {resumed.run} has it, got {total:,}.")
-    return dataclasses.replace(config, n_timesteps=total, options=None, compare=False, progress=resumed.progress)
+    return dataclasses.replace(config, n_timesteps=total, options=None, progress=resumed.progress)
 
 
 def mark_finished(config: TrainConfig, run: Path) -> None:
@@ -134,12 +134,6 @@ def lengthen(run: Path, n_timesteps: int) -> None:
             temporary.write_text(
                 yaml.safe_dump(content | {"n_timesteps": n_timesteps}, sort_keys=False), encoding="utf-8"
             )
-
-
-def options_of(run: Path) -> Path | None:
-    """Where the options came from that a run started with."""
-    options = yaml_file.read_mapping(run / runs.CONFIG).get("options")
-    return None if options is None else Path(str(options))
 
 
 def _refuse_links(run: Path) -> None:

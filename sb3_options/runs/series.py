@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypeGuard
+from typing import Any, Protocol, TypeGuard
 
 from rich.console import Console
 from rich.markup import escape
@@ -15,13 +15,10 @@ from rich.table import Table
 
 from sb3_options.atomic import atomic_write
 from sb3_options.checkpoints.file import CheckpointFolder
-from sb3_options.discovery.subgoals import SubgoalDiscovery
-from sb3_options.experience.trajectories import EpisodeRecord
-from sb3_options.options.bank import OptionBank
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
 from sb3_options.runs import yaml_file
-from sb3_options.runs.closing import IN_A_ROW, learned_after
+from sb3_options.runs.closing import IN_A_ROW, Trained, learned_after
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.task_ends import KEPT, free_slots
 
@@ -57,29 +54,6 @@ class Series:
         content = {"before": list(self.before), "rows": [list(row) for row in self.rows]}
         with atomic_write(folder / BEFORE) as temporary:
             temporary.write_text(yaml_file.dump(content), encoding="utf-8")
-
-
-class Discovering(Protocol):
-    """What is asked of a `SubgoalDiscoveryCallback` after training."""
-
-    history: list[EpisodeRecord]
-    num_timesteps: int
-
-    @property
-    def bank(self) -> OptionBank:
-        """The slots."""
-
-    @property
-    def discovery(self) -> SubgoalDiscovery | None:
-        """Of the training."""
-
-
-class Trained(NamedTuple):
-    """What is left of one training."""
-
-    folder: Path
-    discovery: Discovering
-    interrupted: bool
 
 
 class Train(Protocol):
