@@ -94,17 +94,17 @@ def _settings(callback: BaseCallback) -> State:
     given = {name: getattr(callback, name, None) for name in SETTINGS}
     ours = (DiscoverySettings, OptionLearningSettings, EmbeddingSettings)
     settings = {name: dataclasses.asdict(of) for name, of in given.items() if isinstance(of, ours)}
-    method = getattr(callback, "method", None)
+    # A user's callback may call something else so.
+    method = getattr(callback, "method", None) if hasattr(callback, "discoveries") else None
     return settings if method is None else {**settings, "method": _identity(method)}
 
 
 def _identity(method: object) -> State:
     """The class of a method of discovery, and with what numbers it was made if it is ours."""
     ours = type(method).__module__.startswith("sb3_options.")
-    numbers = {
-        name: of for name, of in vars(method).items() if not name.startswith("_") and isinstance(of, int | float)
-    }
-    return {"class": type(method).__name__, **(numbers if ours else {})}
+    given = vars(method) if ours else {}
+    numbers = {name: of for name, of in given.items() if not name.startswith("_") and isinstance(of, int | float)}
+    return {"class": type(method).__name__, **numbers}
 
 
 def _check_settings(callback: BaseCallback, there: State) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import logging
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
@@ -149,18 +149,28 @@ def check_alike(venv: VecEnv) -> None:
     Raises:
         ValueError: Their options, their feature maps or their limits of runs differ.
     """
+    check_same_options(venv)
+    _check_same("feature maps", venv.env_method("feature_kind"))
+    _check_same("max_runs", venv.get_attr("max_runs"))
+
+
+def check_same_options(venv: VecEnv) -> None:
+    """Refuse environments with different options: one head of the network would stand for several.
+
+    Raises:
+        ValueError: They differ.
+    """
     names = [[None if option is None else option.name for option in bank.slots] for bank in venv.get_attr("bank")]
-    for what, values in (
-        ("options", names),
-        ("feature maps", venv.env_method("feature_kind")),
-        ("max_runs", venv.get_attr("max_runs")),
-    ):
-        other = next((i for i, value in enumerate(values) if value != values[0]), None)
-        if other is not None:
-            raise ValueError(
-                f"The environments have different {what}: {values[0]} in the first, {values[other]} in number {other}. "
-                "Make all of them alike."
-            )
+    _check_same("options", names)
+
+
+def _check_same(what: str, values: Sequence[Any]) -> None:
+    other = next((i for i, value in enumerate(values) if value != values[0]), None)
+    if other is not None:
+        raise ValueError(
+            f"The environments have different {what}: {values[0]} in the first, {values[other]} in number {other}. "
+            "Make all of them alike."
+        )
 
 
 def masks_actions(model: BaseAlgorithm) -> bool:

@@ -280,7 +280,8 @@ class OptionInstaller:
         """Close the heads of empty slots again where weight decay has raised their bias towards 0."""
         if not (self.has_heads and heads.decays(self.model.policy)):
             return
-        empty = [slot for slot, option in enumerate(self.bank.slots) if option is None or slot in self._pending]
+        there: OptionBank = self.venv.get_attr("bank", [0])[0]  # a user may have put an option in
+        empty = [slot for slot, option in enumerate(there.slots) if option is None]
         if empty:
             heads.close_head(self.model.policy, *[self.n_primitive + slot for slot in empty])
 

@@ -9,11 +9,11 @@ from typing import Any
 from stable_baselines3.common.callbacks import BaseCallback
 
 from sb3_options.callbacks.checks import (
-    check_alike,
     check_network,
     check_normalized_rewards,
     check_nothing_above_changes_steps,
     check_replay_buffer,
+    check_same_options,
 )
 from sb3_options.callbacks.counting import (
     PrimitiveRollouts,
@@ -90,7 +90,7 @@ class PrimitiveStepsCallback(BaseCallback):
             monitor_primitive_steps(venv)
         if heads.has_heads(self.model.policy):
             check_network(self.model, self.training_env)
-        check_alike(self.training_env)
+        check_same_options(self.training_env)
         if self._installs:
             self._installer = OptionInstaller(self.model, self.training_env, None, open_untrained=False)
             keep_options(self.model)
@@ -106,6 +106,10 @@ class PrimitiveStepsCallback(BaseCallback):
         if isinstance(buffer, OptionReplayBuffer):
             buffer.heads_are_closed = True
         self._rollout_buffer = option_rollout_buffer(self.model)
+        made_with = self.model.__dict__.pop("n_primitive_steps", None)  # an earlier version saved it in a short rollout
+        if made_with is not None and self._rollout_buffer is not None:
+            self._rollout_buffer.next_size = made_with
+            vars(self.model)["n_steps"] = made_with
         self._rollouts = None
         if self.primitive_rollouts and self._rollout_buffer is not None:
             self._rollouts = PrimitiveRollouts(self.model, self._rollout_buffer)

@@ -7,7 +7,7 @@ import pytest
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import BaseCallback
 
-from sb3_options.callbacks import CheckpointCallback, EndedAtCheckpointError
+from sb3_options.callbacks import CheckpointCallback, EndedAtCheckpointError, SubgoalDiscoveryCallback
 from sb3_options.checkpoints.comparison import differing
 from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.discovery.methods import Experience, Proposal
@@ -21,6 +21,32 @@ class TestCheckpointCallback:
         checkpoints = CheckpointCallback(tmp_path, 200)
         model_of("PPO", venv_of()).learn(600, [discovering(), checkpoints])
         assert [int(file.stem) for file in checkpoints.folder] == [512, 256]
+
+    def test_holds_methods_and_callbacks_of_any_make(self, tmp_path: Path) -> None:
+        """What another callback calls ``method`` is its own, and a method may have no ``__dict__``."""
+
+        class Bandit(BaseCallback):
+            remembers_nothing = True
+            method = "ucb"
+
+            def _on_step(self) -> bool:
+                return True
+
+        class Slotted:
+            __slots__ = ()
+
+            def update(self, experience: Experience) -> list[Proposal]:
+                return []
+
+            def get_state(self) -> dict[str, Any]:
+                return {}
+
+            def set_state(self, state: dict[str, Any]) -> None:
+                pass
+
+        callbacks = [SubgoalDiscoveryCallback(method=Slotted()), Bandit(), CheckpointCallback(tmp_path)]
+        model_of("PPO", venv_of()).learn(64, callbacks)
+        assert len(list(CheckpointFolder(tmp_path))) > 0
 
     @pytest.mark.usefixtures("keep_all")
     def test_changes_nothing(self, tmp_path: Path) -> None:

@@ -269,6 +269,16 @@ def test_an_option_that_waits_for_its_rollout_is_opened_from_a_closed_head(callb
     assert bias[4] == bias[:4].mean()
 
 
+def test_weight_decay_leaves_an_option_that_a_user_puts_in_meanwhile() -> None:
+    model = model_of(optioned_rooms(2))
+    model.policy.optimizer.param_groups[0]["weight_decay"] = 0.1
+    before_the_first_step(model, callback := PrimitiveStepsCallback())
+    env_of(model).env_method("set_option", 0, steady_option(1, max_duration=2))
+    heads.open_head(model.policy, 4, 4)
+    callback.on_rollout_start()
+    assert [heads.is_closed(model.policy, action) for action in (4, 5)] == [False, True]
+
+
 @pytest.mark.parametrize("algorithm", [DQN, PPO])
 def test_counting_alone_leaves_the_head_of_an_option_as_it_was_initialised(algorithm: Any) -> None:
     env = with_option()
@@ -290,10 +300,16 @@ def test_hand_made_options_stay_in_the_environments_that_they_were_made_for(call
 
 
 @both
+def test_environments_with_different_options_are_refused(callback: Any) -> None:
+    model = model_of(DummyVecEnv([lambda: optioned_rooms(2), with_option]))
+    what = r"options: \[None, None\] in the first, \['steady', None\] in number 1"
+    with pytest.raises(ValueError, match=f"^The environments have different {what}"):
+        model.learn(50, callback=callback())
+
+
 @pytest.mark.parametrize(
     ("other", "what"),
     [
-        (with_option, r"options: \[None, None\] in the first, \['steady', None\] in number 1"),
         (lambda: OptionsWrapper(optioned_rooms(2).env, 2, gamma=DISCOUNT, max_runs=3), "max_runs: None in the first"),
         (
             lambda: OptionsWrapper(optioned_rooms(2).env, 2, gamma=DISCOUNT, feature_map=np.asarray),
@@ -301,10 +317,11 @@ def test_hand_made_options_stay_in_the_environments_that_they_were_made_for(call
         ),
     ],
 )
-def test_environments_that_differ_are_refused(other: Callable[[], OptionsWrapper], what: str, callback: Any) -> None:
+def test_environments_that_differ_are_refused_for_discovery(other: Callable[[], OptionsWrapper], what: str) -> None:
     model = model_of(DummyVecEnv([lambda: optioned_rooms(2), other]))
+    model.learn(50, callback=PrimitiveStepsCallback())  # counting needs no more than the same options
     with pytest.raises(ValueError, match=f"^The environments have different {what}"):
-        model.learn(50, callback=callback())
+        model.learn(50, callback=SubgoalDiscoveryCallback())
 
 
 def test_training_that_was_refused_ends_too() -> None:

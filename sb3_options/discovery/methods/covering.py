@@ -75,7 +75,8 @@ class CoveringOptions(LaplacianMethod):
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave."""
         super().set_state(state)
-        self._joined, self._proposed = ([(one, other) for one, other in state[name]] for name in ("joined", "proposed"))
+        pairs = (state.get(name, []) for name in ("joined", "proposed"))  # those of before have none
+        self._joined, self._proposed = ([(one, other) for one, other in each] for each in pairs)
         self._n_solved = max(self.n_pairs - len(self._joined), 0)
 
 

@@ -152,6 +152,14 @@ class TestCovering:
         assert ends[:2] == [there, 20 - there], "the other end of the pair comes first"
         assert all(5 <= end <= 15 for end in ends[2:]), "then what is far from both ends of the ring"
 
+    def test_a_checkpoint_of_before_has_no_pairs(self) -> None:
+        method = CoveringOptions(min_trajectories=1)
+        method.update(experience(list(range(9))))
+        before = {name: value for name, value in method.get_state().items() if name in ("graph", "n")}
+        other = CoveringOptions(min_trajectories=1)
+        other.set_state(before)
+        assert len(other.update(experience(list(range(9))))) >= 2
+
     @pytest.mark.parametrize("seed", [0, 1, 2])
     def test_options_of_random_walks_lead_apart(self, seed: int) -> None:
         found = run("FourRooms", {"method": "covering", "max_share": None}, seed=seed, n_episodes=40)["found"]
