@@ -280,10 +280,11 @@ class OptionInstaller:
         """Close the heads of empty slots again where weight decay has raised their bias towards 0."""
         if not (self.has_heads and heads.decays(self.model.policy)):
             return
-        there: OptionBank = self.venv.get_attr("bank", [0])[0]  # a user may have put an option in
-        empty = [slot for slot, option in enumerate(there.slots) if option is None]
-        if empty:
-            heads.close_head(self.model.policy, *[self.n_primitive + slot for slot in empty])
+        empty = [slot for slot, option in enumerate(self.bank.slots) if option is None or slot in self._pending]
+        raised = [slot for slot in empty if heads.is_raised(self.model.policy, self.n_primitive + slot)]
+        for slot in raised:
+            if self.venv.get_attr("bank", [0])[0][slot] is None:  # a user may have put an option in
+                heads.close_head(self.model.policy, self.n_primitive + slot)
 
     def _send(self, slot: int, option: Option, *, present: bool = False) -> None:
         """Put an option into all environments; ``present`` says that those of the training have one of that name."""

@@ -16,6 +16,9 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 CLOSED_VALUE = -1e6
 """Bias of a closed output: below any return, of probability 0 as a logit, and far from where float32 overflows."""
 
+RAISED_VALUE = 0.9 * CLOSED_VALUE
+"""A bias that weight decay has raised above this is closed again."""
+
 
 ROUNDING = 1e-4
 """By so much of what is added to one output others may move."""
@@ -104,10 +107,10 @@ def rows_of(layer: torch.nn.Linear, outputs_per_action: int, action: int) -> tor
 
 
 @torch.no_grad()
-def close_head(policy: Any, *actions: int) -> None:
-    """Make ``actions`` lose every comparison."""
+def close_head(policy: Any, action: int) -> None:
+    """Make ``action`` lose every comparison."""
     for layer, outputs in option_outputs(policy):
-        rows = torch.cat([rows_of(layer, outputs, action) for action in actions])
+        rows = rows_of(layer, outputs, action)
         layer.weight[rows] = 0.0
         layer.bias[rows] = CLOSED_VALUE
 
@@ -115,6 +118,12 @@ def close_head(policy: Any, *actions: int) -> None:
 def decays(policy: Any) -> bool:
     """Whether the optimizer has weight decay, which by and by opens what is closed: AdamW, for one."""
     return any(group.get("weight_decay", 0.0) for group in policy.optimizer.param_groups)
+
+
+def is_raised(policy: Any, action: int) -> bool:
+    """Whether the bias of an action is above `RAISED_VALUE`."""
+    layer, outputs = option_outputs(policy)[0]
+    return bool((layer.bias[rows_of(layer, outputs, action)] > RAISED_VALUE).any())
 
 
 @torch.no_grad()
