@@ -26,7 +26,7 @@ def forget_slot(model: BaseAlgorithm, slot: int, n_primitive: int) -> bool:
         n_primitive: Number of primitive actions.
 
     Returns:
-        Whether it had values: its head was not closed, or the table of `MacroQ` not 0.
+        Whether it had values, so that its head was not closed, or the table of `MacroQ` not 0.
     """
     action, had_values = n_primitive + slot, False
     if isinstance(model, MacroQ):
