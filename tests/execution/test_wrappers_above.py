@@ -92,7 +92,7 @@ def limited_rooms() -> gym.Env[Any, Any]:
 def test_one_of_several_environments_is_enough(venv: Any) -> None:
     env = venv([optioned_rooms, limited_rooms])
     model = DQN("MlpPolicy", env, gamma=0.9, replay_buffer_class=OptionReplayBuffer, buffer_size=100)
-    with pytest.raises(ValueError, match=r"^In <TimeLimit<OptionsWrapper<.+ put it beneath"):
+    with pytest.raises(ValueError, match=r"^In <(Patched)?TimeLimit<OptionsWrapper<.+ put it beneath"):
         model.learn(10, callback=SubgoalDiscoveryCallback())
     env.close()
 
