@@ -386,7 +386,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.draw()
         if self.verbose and self.max_new_options != 0 and (why := self.why_nothing()) is not None:
             print(why)
-        of = self.hparams or settings_of(self.model, self.method, discovery=self.settings, option=self.option_settings)
-        log_results(self.logger, of, self.history, self.num_timesteps)
+        hparams = self.hparams or settings_of(
+            self.model, self.method, discovery=self.settings, option=self.option_settings
+        )
+        log_results(self.logger, hparams, self.history, self.num_timesteps)
         if self.logger.name_to_value:  # an empty dump warns
             self.logger.dump(self.num_timesteps)
