@@ -73,7 +73,7 @@ def log_discovery(
     record("discovery/seconds", search.seconds)
     record("discovery/share", share)
     record("discovery/searches_left_out", search.budget.skipped)
-    record("discovery/leading_average", search.leading_average())
+    record("discovery/leading_average", search.tracker.leading_average())
     if search.last.peaks:
         record("discovery/best_log_density", search.last.peaks[0].log_density)
     for tag, value in others.items():

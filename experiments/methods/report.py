@@ -12,7 +12,10 @@ import tyro
 
 from experiments.common.documents import fill, number
 
-LEFT_OUT = ("tuned-race", "tuned-random", "robot-overview", "robot-random", "filtered-random", "filtered-race")
+LEFT_OUT = (
+    "tuned-race", "tuned-random", "robot-overview", "robot-random", "filtered-random", "filtered-race",
+    "dqn-few-random", "dqn-few-race",
+)  # fmt: skip
 """Tables that the page does without."""
 
 MANY = 0.25
@@ -28,6 +31,7 @@ class Report:
         tuned: What it wrote with ``--settings tuned``.
         ppo: What it wrote with ``--learners ppo``.
         dqn: What it wrote with ``--learners dqn``.
+        dqn_few: Likewise, of more tasks and fewer seeds.
         robot: What it wrote with ``--tasks Pioneer``.
         filtered: What it wrote with ``--methods`` that name ``random-filtered``.
         document: The page.
@@ -37,14 +41,15 @@ class Report:
     tuned: Path = Path("docs/results/methods-tuned.json")
     ppo: Path = Path("docs/results/methods-ppo.json")
     dqn: Path = Path("docs/results/methods-dqn.json")
+    dqn_few: Path = Path("docs/results/methods-dqn-few.json")
     robot: Path = Path("docs/results/methods-robot.json")
     filtered: Path = Path("docs/results/methods-filtered.json")
     document: Path = Path("docs/studies/methods.md")
 
     def paths(self) -> dict[str, Path]:
         """What was written, by what its marks on the page begin with."""
-        others = {"ppo-": self.ppo, "dqn-": self.dqn, "robot-": self.robot, "filtered-": self.filtered}
-        return {"": self.results, "tuned-": self.tuned, **others}
+        deep = {"ppo-": self.ppo, "dqn-": self.dqn, "dqn-few-": self.dqn_few}
+        return {"": self.results, "tuned-": self.tuned, **deep, "robot-": self.robot, "filtered-": self.filtered}
 
 
 def main(report: Report) -> None:

@@ -70,6 +70,7 @@ class PioneerSettings:
             max_places=2,
             search="exhaustive",
             search_growth=0.0,
+            max_share=None,  # a step of the robot takes much longer than is assumed for a table
             scale=1 / self.gaussian_width,
             decay=self.decay,
             threshold=self.threshold,

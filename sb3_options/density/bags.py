@@ -12,7 +12,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from sb3_options.density.arrays import FloatArray, IntArray, row_keys
+from sb3_options.density.arrays import BoolArray, FloatArray, IntArray, row_keys
 from sb3_options.density.checks import LARGEST_FEATURE, check_finite, real_array
 from sb3_options.density.layout import SEGMENT_INSTANCES, BagArrays, Segment, segment_of
 
@@ -137,6 +137,17 @@ class Bags:
 def distinct(points: FloatArray) -> FloatArray:
     """Drop repeated rows, keep the order."""
     return points[first_rows(points)]
+
+
+def held_by_all(points: FloatArray, bags: Sequence[FloatArray]) -> BoolArray:
+    """Which of some points (m, d) are an instance of every bag, each (n_i, d), at least one: (m,)."""
+    shared: set[bytes] | None = None
+    for bag in sorted(bags, key=len):
+        keys = row_keys(bag)
+        shared = set(keys) if shared is None else shared.intersection(keys)
+        if not shared:
+            return np.zeros(len(points), dtype=np.bool_)
+    return np.array([key in (shared or ()) for key in row_keys(points)], dtype=np.bool_)
 
 
 def first_rows(points: FloatArray) -> IntArray:

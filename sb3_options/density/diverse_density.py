@@ -20,17 +20,21 @@ from torch import Tensor
 
 from sb3_options.checked import is_number, whole
 from sb3_options.density.arrays import FloatArray
-from sb3_options.density.bags import Bags, distinct
+from sb3_options.density.bags import Bags, distinct, held_by_all
 from sb3_options.density.checks import check_finite, positive_scale, real_array, refuse
 from sb3_options.density.concepts import Point
 from sb3_options.density.energies import Columns, Likelihood
 from sb3_options.density.layout import Workspace
 from sb3_options.density.objective import evaluate
 from sb3_options.density.one_hot import is_one_hot, one_hot_log_density
+from sb3_options.density.peaks import best_apart
 from sb3_options.density.search import UPDATE_PAIRS, ConceptSearch, Solution
 
 ARRIVED = 1e-5
 """An ascent has arrived when two steps running raise the log density by less than this share of it, or of 1 nat."""
+
+APART = 0.9
+"""Where instances that were visited one after the other lie so many widths apart, no other point ties with them."""
 
 SHORTLIST = 4
 """Times the number of starts: how many points are evaluated on all bags, or more where there is little evidence."""
@@ -247,6 +251,31 @@ class DiverseDensity:
         scale = self._scale(points.shape[1])
         ties = np.flatnonzero(values >= values.max() - self.tolerance)
         return [Peak(points[i].copy(), scale, float(values[i]), True) for i in ties]
+
+    def certain(self, positive: Sequence[FloatArray], starts: FloatArray | None = None) -> list[Peak]:
+        """Peaks that take no search: a point in every bag has density 1, the most there is, if no bag is negative.
+
+        Args:
+            positive: All bags, (n_i, d) each, at least one, instances in the order in which they were visited.
+            starts: As of `search`, (m, d).
+
+        Returns:
+            Those points in the order of `search`, which would find no better ones; none where none is in every bag, or
+            where instances lie closer than `APART`, so that points between them have density 1 as well.
+        """
+        scale, longest = self._scale(positive[0].shape[1]), max(positive, key=len)
+        if (np.linalg.norm(np.diff(longest, axis=0) * scale, axis=1) < APART).any():
+            return []
+        exhaustive, points = self.method == "exhaustive", positive[0]
+        if not exhaustive:
+            smallest = sorted(range(len(positive)), key=lambda i: len(positive[i]))[: self.n_smallest]
+            points = positive[min(smallest)]
+            points = points if starts is None else np.concatenate([starts, points])
+        points = distinct(points)
+        points = points[held_by_all(points, positive)]
+        if not exhaustive:
+            points = points[best_apart(points * scale, np.zeros(len(points)), self.merge_radius, len(points))]
+        return [Peak(point.copy(), scale, 0.0, True) for point in points]
 
     def _exhaustive_values(self, points: FloatArray, bags: Bags) -> FloatArray:
         """`log_density` of points, (m,); where all are one-hot codes, and weigh alike, without comparing features."""

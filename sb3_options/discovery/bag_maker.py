@@ -27,6 +27,9 @@ from sb3_options.discovery.ways import PassingShare, loop_erased
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 from sb3_options.experience.trajectories import LabelledTrajectory
 
+AT_ONCE = 1 << 17
+"""Features of ways whose distances to a subgoal are taken at once, about."""
+
 
 @dataclass(frozen=True)
 class FilteredBags:
@@ -132,7 +135,9 @@ class BagMaker:
         negative_bags = []
         if self.settings.negative_bags:
             known = [self._known[id(t)] for t in database if not t.success]
-            negative_bags = [bag for k in known if len(bag := self._bag(k, k.allowed, taken))]
+            if known:
+                self._remake(known, np.concatenate([k.allowed for k in known]), taken)
+            negative_bags = [k.bag for k in known if len(k.bag)]
         return FilteredBags(positive_bags, negative_bags)
 
     def _find_scale(self, database: Sequence[LabelledTrajectory]) -> None:
@@ -166,7 +171,7 @@ class BagMaker:
         allowed = self._allowed(labelled, self.scale)
         known = _Known(labelled, np.arange(len(allowed)), labelled.features, labelled.features * self.scale, allowed)
         for subgoal in taken:
-            allowed = allowed & (self._distance(known, subgoal) > self.settings.spacing)
+            allowed = allowed & (self._distances([known], subgoal) > self.settings.spacing)
         return allowed
 
     def is_known(self, instance: FloatArray) -> bool:
@@ -261,31 +266,37 @@ class BagMaker:
     def _remake(self, known: Sequence[_Known], keep: BoolArray, taken: Sequence[Region]) -> None:
         """Make the bags of these ways that change, of the states to ``keep`` way after way."""
         ends = np.cumsum([len(k.way) for k in known])
+        changed = {i for i, k in enumerate(known) if k.kept is None}
+        if len(changed) < len(known):  # a way that is new has a mask that says nothing yet
+            kept = np.concatenate([k.allowed if k.kept is None else k.kept for k in known])
+            changed.update(np.searchsorted(ends, np.flatnonzero(keep != kept), side="right").tolist())
+        some = [(known[i], keep[ends[i] - len(known[i].way) : ends[i]].copy()) for i in sorted(changed)]
+        at_once = max(AT_ONCE // max((k.way.size for k, _ in some), default=1), 1)
+        for first in range(0, len(some), at_once):
+            self._remake_these(some[first : first + at_once], taken)
 
-        def remake(i: int) -> None:
-            self._bag(known[i], keep[ends[i] - len(known[i].way) : ends[i]], taken)
+    def _remake_these(self, known: Sequence[tuple[_Known, BoolArray]], taken: Sequence[Region]) -> None:
+        """Make the bags of some ways, each with the states to keep."""
+        apart = np.concatenate([kept for _, kept in known])
+        for subgoal in taken:
+            apart &= self._distances([k for k, _ in known], subgoal) > self.settings.spacing
+        at = 0
+        for k, kept in known:
+            k.kept, k.bag = kept, k.way[apart[at : at + len(kept)]]
+            at += len(kept)
 
-        for i in [i for i, k in enumerate(known) if k.kept is None]:
-            remake(i)
-        kept = np.concatenate([k.kept for k in known if k.kept is not None])
-        for i in set(np.searchsorted(ends, np.flatnonzero(keep != kept), side="right").tolist()):
-            remake(i)
-
-    def _bag(self, known: _Known, keep: BoolArray, taken: Sequence[Region]) -> FloatArray:
-        if known.kept is None or known.kept.tobytes() != keep.tobytes():
-            apart = keep.copy()
-            for subgoal in taken:
-                apart &= self._distance(known, subgoal) > self.settings.spacing
-            known.kept, known.bag = keep, known.way[apart]
-        return known.bag
-
-    def _distance(self, known: _Known, subgoal: Region) -> FloatArray:
-        """How far the states of a way are from a subgoal, (k,), in the unit of the radii."""
+    def _distances(self, known: Sequence[_Known], subgoal: Region) -> FloatArray:
+        """How far the states of some ways are from a subgoal, way after way, (Σ k_i,), in the unit of the radii."""
         if self.counts_steps:
-            there = np.flatnonzero(subgoal.contains(known.labelled.features))
-            return steps_from(there, known.labelled.trajectory.visits)[known.rows].astype(np.float64)
+            return np.concatenate([self._steps(each, subgoal) for each in known])
+        scaled = np.concatenate([each.scaled for each in known])
         if not len(subgoal.points):
-            return np.full(len(known.scaled), np.inf)
+            return np.full(len(scaled), np.inf)
         assert self.scale is not None  # set before any bag is made
-        distance: FloatArray = np.linalg.norm(known.scaled - subgoal.points[0] * self.scale, axis=1)
-        return distance
+        distances: FloatArray = np.linalg.norm(scaled - subgoal.points[0] * self.scale, axis=1)
+        return distances
+
+    def _steps(self, known: _Known, subgoal: Region) -> FloatArray:
+        """How many steps along the trajectory the states of a way are from a subgoal, (k,)."""
+        there = np.flatnonzero(subgoal.contains(known.labelled.features))
+        return steps_from(there, known.labelled.trajectory.visits)[known.rows].astype(np.float64)

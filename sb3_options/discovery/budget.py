@@ -14,20 +14,22 @@ STEP_SECONDS = 3e-4
 """Nominal time of training for a primitive step. PPO in two rooms with 8 environments, the fastest network here, takes
 0.33 ms on one core. Where a step takes longer, discovery takes a smaller share than it may."""
 
-TABLE_STEP_SECONDS = 4.5e-5
-"""Likewise where values are in a table: MacroQ in gridworlds takes 0.045 to 0.05 ms."""
+TABLE_STEP_SECONDS = 3.6e-5
+"""Likewise where values are in a table: MacroQ in gridworlds takes 0.035 to 0.05 ms."""
 
-FREE_STEPS = 300
-"""Discovery may take what training takes for so many steps besides, for searches are wanted early. Agents with tables
-learn no sooner with 500; with 200 they find fewer options in Taxi."""
+SHORTEST = 14_000
+"""Primitive steps that training is taken to last at least: searches are wanted early."""
 
-SEARCH_SECONDS = 3e-3
+SEARCH_SECONDS = 4.5e-3
 PAIR_SECONDS = 7e-10
 """Nominal time of a search, and for each feature of each pair of an instance and a point it is compared with. Measured
 with 2 to 2,352 features and 40 to 1,800 instances, within a factor of two."""
 
 POINT_FEATURES = 4
 """Features that a pair takes the time of besides its own."""
+
+CERTAIN_SECONDS, HELD_SECONDS = 5e-4, 1.2e-9
+"""Nominal time where the peaks are certain without a search, and for each feature of each instance to see that."""
 
 EXHAUSTIVE_SHARE = 0.25
 """An evaluation of an exhaustive search takes this share of one that has a gradient, too."""
@@ -83,7 +85,9 @@ class Budget:
 
     def affords(self) -> bool:
         """Whether one more search may be made. One that cost too much is paid off before the next."""
-        if self.max_share is None or self.spent <= self.step_seconds * (FREE_STEPS + self.max_share * self.steps):
+        if self.max_share is None:
+            return True
+        if self.spent <= self.max_share * self.step_seconds * max(SHORTEST, self.steps):
             return True
         self.skipped += 1
         return False
@@ -120,6 +124,16 @@ def seconds_of_search(n_instances: int, n_points: float, n_features: int) -> flo
         n_features: Of an instance.
     """
     return SEARCH_SECONDS + PAIR_SECONDS * n_instances * n_points * (n_features + POINT_FEATURES)
+
+
+def seconds_of_certain(n_instances: int, n_features: int) -> float:
+    """Nominal time where the peaks are certain without a search.
+
+    Args:
+        n_instances: In all bags.
+        n_features: Of an instance.
+    """
+    return CERTAIN_SECONDS + HELD_SECONDS * n_instances * n_features
 
 
 def n_compared(sizes: Sequence[int], n_instances: int, *, incremental: bool) -> int:

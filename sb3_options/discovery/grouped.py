@@ -91,7 +91,7 @@ class GroupedDiscovery(SubgoalDiscovery):
             self.budget.spent += sum(
                 seconds_of_contrast(len(trajectories), contrast.n_states) for contrast in self._contrasts.values()
             )
-        best = max(self.members.values(), key=lambda m: m.leading_average(), default=None)
+        best = max(self.members.values(), key=lambda m: m.tracker.leading_average(), default=None)
         seconds = time.perf_counter() - began
         self.last = Search([], None, seconds) if best is None else best.last._replace(seconds=seconds)
         if best is not None:

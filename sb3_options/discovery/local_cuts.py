@@ -18,6 +18,12 @@ MAX_STATES = 10_000
 FEW = LONGEST_KEY // 8
 """The key of a state of so many features is the state itself, which takes no longer to make than a digest."""
 
+NO_STATE: IntArray = np.array([-1])
+"""Between one trajectory and the next, and for a state that has no number."""
+
+PENDING, PENDING_BYTES = 64, 1 << 20
+"""So many trajectories wait to be added, and so much of them: a call for each takes longer than what it computes."""
+
 UNKNOWN = 0.5
 """The share of a state of which nothing is known: as far as anybody knows it parts its surroundings in two."""
 
@@ -39,6 +45,9 @@ class LocalCuts:
 
     def __init__(self) -> None:
         self.n_computed = 0
+        self._sparse = True
+        self._pending: list[tuple[FloatArray, IntArray]] = []  # what was given to `add` and is not in the graph yet
+        self._pending_bytes = 0
         self._number: dict[bytes, int] = {}
         self._neighbours: list[set[int]] = []
         self._edges = set[int]()  # the same, to compare at once: the smaller number times `MAX_STATES`, and the larger
@@ -54,11 +63,25 @@ class LocalCuts:
             features: φ of its distinct states, (m, d).
             visits: Row of ``features`` at every time t = 0 … T, (T + 1,).
         """
-        known = self._number
-        numbers = np.array([known[key] if key in known else self._numbered(key) for key in keys_of(features)])
-        self._n_trajectories[numbers] += 1  # by one, however often a number is among these
-        way = numbers[visits]
-        low, high = np.minimum(way[:-1], way[1:]), np.maximum(way[:-1], way[1:])
+        self._pending.append((features, visits))
+        self._pending_bytes += features.nbytes
+        if len(self._pending) == PENDING or self._pending_bytes > PENDING_BYTES:
+            self._enter()
+
+    def _enter(self) -> None:
+        """Bring the graph up to date."""
+        if not self._pending:
+            return
+        states, visits = zip(*self._pending, strict=True)
+        self._pending, self._pending_bytes = [], 0
+        known, way = self._number, list[IntArray]()
+        keys = keys_of(np.concatenate(states), sparse=self._sparse)
+        numbers = np.array([known[key] if key in known else self._numbered(key) for key in keys])
+        for own, times in zip(np.split(numbers, np.cumsum([len(each) for each in states])[:-1]), visits, strict=True):
+            self._n_trajectories[own] += 1  # by one, however often a number is among these
+            way += [own[times], NO_STATE]
+        at = np.concatenate(way)
+        low, high = np.minimum(at[:-1], at[1:]), np.maximum(at[:-1], at[1:])
         leads = (low >= 0) & (low < high)
         new = set((low[leads] * MAX_STATES + high[leads]).tolist()) - self._edges
         if new:
@@ -76,7 +99,8 @@ class LocalCuts:
         Args:
             features: Of the states, (n, d).
         """
-        return np.array([self._number.get(key, -1) for key in keys_of(features)], dtype=np.int64)
+        self._enter()
+        return np.array([self._number.get(key, -1) for key in keys_of(features, sparse=self._sparse)], dtype=np.int64)
 
     def are_known(self, numbers: IntArray) -> BoolArray:
         """Whether more than one trajectory visited each of some states, so that its share says something, (n,).
@@ -84,6 +108,7 @@ class LocalCuts:
         Args:
             numbers: Of the states, (n,).
         """
+        self._enter()
         known: BoolArray = (numbers >= 0) & (self._n_trajectories[numbers] > 1)
         return known
 
@@ -93,6 +118,7 @@ class LocalCuts:
         Args:
             numbers: Of the states, (n,).
         """
+        self._enter()
         once = self._n_trajectories[numbers] == 1
         for number in set(numbers[np.isnan(self._shares[numbers]) & ~once].tolist()):
             self._shares[number] = self._computed(number)
@@ -100,6 +126,7 @@ class LocalCuts:
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint."""
+        self._enter()
         known = np.flatnonzero(~np.isnan(self._shares[:-1]))
         edges = [divmod(edge, MAX_STATES) for edge in sorted(self._edges)]
         return {
@@ -109,11 +136,13 @@ class LocalCuts:
             "known": known,
             "shares": self._shares[known],
             "n_computed": self.n_computed,
+            "sparse": self._sparse,
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave."""
-        self.n_computed = state["n_computed"]
+        self.n_computed, self._pending, self._pending_bytes = state["n_computed"], [], 0
+        self._sparse = state.get("sparse", False)  # checkpoints of before had digests alone
         self._number = {short_key(each.tobytes()): number for number, each in enumerate(state["states"])}
         self._neighbours = [set() for _ in self._number]
         self._edges = {one * MAX_STATES + other for one, other in state["edges"].tolist()}
@@ -154,6 +183,19 @@ class LocalCuts:
         return around
 
 
-def keys_of(features: FloatArray) -> list[bytes]:
-    """A key for each state (n, d), which equal ones share."""
-    return list(map(short_key, row_keys(features))) if features.shape[1] > FEW else row_keys(features)
+def keys_of(features: FloatArray, *, sparse: bool = True) -> list[bytes]:
+    """A key for each state (n, d), which equal ones share: the state itself, or, if it has many features, a digest.
+
+    Args:
+        features: Of the states.
+        sparse: Whether of a state of which one feature alone is not 0, as in a one-hot code, that one is the key.
+    """
+    if features.shape[1] <= FEW:
+        return row_keys(features)
+    one = (np.count_nonzero(features, axis=1) == 1) & sparse
+    rows, columns = np.nonzero(features[one])
+    keys = row_keys(np.stack([columns, features[one][rows, columns]], axis=1))
+    if one.all():
+        return keys
+    some, others = iter(keys), map(short_key, row_keys(features[~one]))
+    return [next(some if each else others) for each in one.tolist()]

@@ -37,7 +37,7 @@ def plateau_centres(points: FloatArray, scale: FloatArray, radius: float) -> tup
     centres, extent = [], 0.0
     for label in range(n_plateaus):
         members = np.flatnonzero(plateau == label)
-        centre = members[distances[np.ix_(members, members)].sum(axis=1).argmin()]
+        centre = members[distances[members][:, members].sum(axis=1).argmin()]
         centres.append(centre)
         extent = max(extent, float(distances[centre, members].max()))
     middle: FloatArray = points[np.array(centres)]
@@ -117,6 +117,11 @@ class PeakTracker:
     def leading(self) -> TrackedConcept | None:
         """The concept with the largest average; None before the first peak."""
         return max(self.concepts, key=lambda c: c.average, default=None)
+
+    def leading_average(self) -> float:
+        """The largest average; 0 before the first peak."""
+        leading = self.leading()
+        return 0.0 if leading is None else leading.average
 
     def persistent(self, threshold: float | None = None) -> list[TrackedConcept]:
         """The concepts of the last search whose average exceeds the threshold, largest first.

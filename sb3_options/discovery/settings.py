@@ -27,7 +27,8 @@ class DiscoverySettings:
         max_segment: Primitive steps without a peak that make an unsuccessful segment; more than random exploration
             takes from peak to peak.
         max_share: Largest share of training that searches may take, counted in work and not by the clock (`budget`);
-            None for any. A search that took more makes the next ones rarer.
+            None for any. A search that took more makes the next ones rarer. Training is taken to last 14,000 steps at
+            least, for searches are wanted early.
         capacity: How many trajectories are kept: the last n.
         max_bytes: How much memory they may take, 1 GiB; with large observations fewer than n are kept.
         min_positive: Positive bags needed before the first search: over a few bags, accidents tie with bottlenecks.

@@ -22,6 +22,7 @@ from sb3_options.discovery.budget import (
     Budget,
     n_compared,
     seconds_of_bags,
+    seconds_of_certain,
     seconds_of_counting,
     seconds_of_search,
 )
@@ -80,8 +81,7 @@ class SubgoalDiscovery:
         self.cost = 0.0
         self.budget = Budget(s.max_share)
         self.recurrence = Recurrence(s.min_positive, max(s.peak_radius, s.subgoal_radius))
-        self._n_new = 0
-        self._n_since = 0
+        self._n_new = self._n_since = 0
         self._maker = BagMaker(s, self.static_filter, self.kind)
         self._incremental: IncrementalSearch | None = None
 
@@ -104,7 +104,7 @@ class SubgoalDiscovery:
         Raises:
             ValueError: ``features`` does not fit the trajectory, or is not finite.
         """
-        features = np.array(features, dtype=np.float64)  # a view would keep alive what it is a view of
+        features = np.require(features, np.float64, "O")  # a view would keep alive what it is a view of
         n_states = batch_size(trajectory.states)
         if features.ndim != 2 or len(features) != n_states:
             raise ValueError(
@@ -142,7 +142,7 @@ class SubgoalDiscovery:
         growth = self.settings.search_growth
         if self.found and self.last.evidence is None:
             growth = 1.0 - (1.0 - growth) ** NOTHING_LEFT
-        return self._n_since >= growth * sum(labelled.success for labelled in self.database)
+        return self._n_since >= growth * self.database.n_successful
 
     def withdraw(self) -> None:
         """Say that there is no option for the last subgoal; it counts as taken all the same."""
@@ -157,10 +157,12 @@ class SubgoalDiscovery:
         evidence = self._recurring_evidence()
         peaks: list[Peak] = []
         if evidence is not None:
-            peaks = self._peaks(evidence, self.engine())
+            engine = self.engine()
+            certain = [] if evidence.negative else self._certain(evidence, engine)
+            peaks = certain or self._peaks(evidence, engine)
             assert self.scale is not None  # set with the first bags
             self.tracker.update(self._places(peaks), self.scale)
-            self.cost += self._seconds_of_search(evidence)
+            self.cost += self._seconds_of_search(evidence, engine, certain=bool(certain))
         self.last = Search(peaks, evidence, time.perf_counter() - began)
         self.seconds += self.last.seconds
 
@@ -180,20 +182,20 @@ class SubgoalDiscovery:
             self.cost += self.recurrence.look(self._maker.ways(), successes, f"successful {self.outcomes.unit}s")
         return None if self.recurrence.nothing else evidence
 
-    def _seconds_of_search(self, evidence: FilteredBags) -> float:
-        sizes, d = [len(bag) for bag in evidence.positive], evidence.positive[0].shape[1]
+    def _seconds_of_search(self, evidence: FilteredBags, engine: DiverseDensity, *, certain: bool) -> float:
+        n, sizes, d = evidence.n_instances, [len(bag) for bag in evidence.positive], evidence.positive[0].shape[1]
+        if certain:
+            return seconds_of_certain(n, d)
         if self.kind == "categorical":
-            return seconds_of_counting(evidence.n_instances, d)
-        incremental = self.settings.search == "incremental"
-        n_points = sum(sizes) * EXHAUSTIVE_SHARE
-        if self.engine().method != "exhaustive":
-            n_points = n_compared(sizes, evidence.n_instances, incremental=incremental)
-        return seconds_of_search(evidence.n_instances, n_points, d)
+            return seconds_of_counting(n, d)
+        if engine.method == "exhaustive":
+            return seconds_of_search(n, sum(sizes) * EXHAUSTIVE_SHARE, d)
+        return seconds_of_search(n, n_compared(sizes, n, incremental=self.settings.search == "incremental"), d)
 
-    def leading_average(self) -> float:
-        """The largest running average; 0 before the first peak."""
-        leading = self.tracker.leading()
-        return 0.0 if leading is None else leading.average
+    def _certain(self, evidence: FilteredBags, engine: DiverseDensity) -> list[Peak]:
+        """The peaks where no search is needed: no bag is negative, and a point is in all of them."""
+        starts, must_see_all = self._warm_starts(engine), self.settings.search == "incremental"
+        return [] if must_see_all else engine.certain(evidence.positive, starts)
 
     def _peaks(self, evidence: FilteredBags, engine: DiverseDensity) -> list[Peak]:
         if self.settings.search != "incremental" or engine.method == "exhaustive":

@@ -94,24 +94,31 @@ class PassingShare:
         current = set(map(id, ways))
         for gone in [key for key in self._ways if key not in current]:
             self._remove(gone)
-        for way in ways:
-            if id(way) not in self._ways:
-                self._add(way)
+        new = [way for way in ways if id(way) not in self._ways]
+        if new:
+            self._add(new)
         near, through = self._counts[:, np.concatenate([self._ways[id(way)][1] for way in ways])]
         shares: FloatArray = through / (near + 1.0)
         return shares
 
-    def _add(self, way: FloatArray) -> None:
-        """Count a way at all states, and the ways before it at those of its states that are new."""
-        n_known = len(self._number)
-        numbers = np.array([self._number.setdefault(key, len(self._number)) for key in row_keys(way)], dtype=np.int64)
+    def _add(self, ways: Sequence[FloatArray]) -> None:
+        """Count ways at all states, and the ways before them at those of their states that are new."""
+        n_known, together = len(self._number), np.concatenate(ways)
+        numbers = np.array([self._number.setdefault(key, len(self._number)) for key in row_keys(together)])
         if len(self._number) > n_known:
             new = np.unique(numbers[numbers >= n_known], return_index=True)[1]
-            states = way[numbers >= n_known][new]
-            self._states = np.concatenate([self._states.reshape(-1, way.shape[1]), states])
+            states = together[numbers >= n_known][new]
+            self._states = np.concatenate([self._states.reshape(-1, together.shape[1]), states])
             self._counts = np.concatenate([self._counts, self._led_by_others(states, n_known)], axis=1)
-        self._ways[id(way)] = way, numbers
-        self._counts += self._leads_by(numbers)
+        starts = np.cumsum([0, *map(len, ways[:-1])])
+        own = np.split(numbers, starts[1:])
+        self._ways |= {id(way): (way, of) for way, of in zip(ways, own, strict=True)}
+        if len(numbers) * max(len(self._states), together.shape[1]) <= AT_ONCE:
+            nearest = np.minimum.reduceat(cdist(together, self._states), starts)
+            self._counts += (nearest <= self._limits[..., None]).sum(axis=1)
+        else:
+            for of in own:
+                self._counts += self._leads_by(of)
 
     def _led_by_others(self, states: FloatArray, n_known: int) -> IntArray:
         """How many of the ways before come near new states, and lead through them, (2, n)."""

@@ -5,10 +5,12 @@ from __future__ import annotations
 import logging
 import math
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from sb3_options.experience.observations import FeatureMap, FloatArray, IntArray, Observations
 
@@ -48,8 +50,9 @@ class Trajectory:
     @property
     def n_bytes(self) -> int:
         """What its arrays take."""
-        states = self.states.values() if isinstance(self.states, Mapping) else [self.states]
-        return sum(array.nbytes for array in (*states, self.visits, self.actions, self.rewards))
+        states = [self.states] if isinstance(self.states, np.ndarray) else self.states.values()
+        own = sum([array.nbytes for array in states])
+        return own + self.visits.nbytes + self.actions.nbytes + self.rewards.nbytes
 
 
 class EpisodeRecord(NamedTuple):
@@ -106,7 +109,7 @@ class TrajectoryDatabase:
             raise ValueError(f"capacity must be at least 1 trajectory, got {capacity}.")
         self.capacity, self.max_bytes = capacity, max_bytes
         self._trajectories: deque[LabelledTrajectory] = deque()
-        self._n_bytes = 0
+        self._n_bytes = self._n_successful = 0
         self._warned = False
 
     def add(self, trajectory: LabelledTrajectory) -> None:
@@ -114,10 +117,11 @@ class TrajectoryDatabase:
         trajectories = self._trajectories
         trajectories.append(trajectory)
         self._n_bytes += trajectory.n_bytes
+        self._n_successful += trajectory.success
         if len(trajectories) > self.capacity:
-            self._n_bytes -= trajectories.popleft().n_bytes
+            self._drop_oldest()
         while self._n_bytes > self.max_bytes and len(trajectories) > 1:
-            self._n_bytes -= trajectories.popleft().n_bytes
+            self._drop_oldest()
             if not self._warned:
                 self._warned = True
                 logger.warning(
@@ -128,17 +132,28 @@ class TrajectoryDatabase:
                     self.capacity,
                 )
 
+    def _drop_oldest(self) -> None:
+        oldest = self._trajectories.popleft()
+        self._n_bytes -= oldest.n_bytes
+        self._n_successful -= oldest.success
+
+    @property
+    def n_successful(self) -> int:
+        """How many successful ones there are."""
+        return self._n_successful
+
     def embed_again(self, feature_map: FeatureMap) -> None:
         """Give every trajectory the features of another φ; what held the old ones holds them still."""
         for i, old in enumerate(self._trajectories):
             features = feature_map(old.trajectory.states)
             self._trajectories[i] = LabelledTrajectory(old.trajectory, features, old.success)
         self._n_bytes = sum(each.n_bytes for each in self._trajectories)
+        self._n_successful = sum(each.success for each in self._trajectories)
 
     def clear(self) -> None:
         """Drop all."""
         self._trajectories.clear()
-        self._n_bytes = 0
+        self._n_bytes = self._n_successful = 0
 
     def __len__(self) -> int:
         return len(self._trajectories)
@@ -155,3 +170,4 @@ class TrajectoryDatabase:
         self.clear()
         self._trajectories.extend(state["trajectories"])
         self._n_bytes = sum(each.n_bytes for each in self._trajectories)
+        self._n_successful = sum(each.success for each in self._trajectories)

@@ -232,7 +232,7 @@ def test_incremental_search(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("keep_all")
 def test_searches_that_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A schedule by the clock would be another one after a kill."""
-    monkeypatch.setattr("sb3_options.discovery.budget.FREE_STEPS", -70)
+    monkeypatch.setattr("sb3_options.discovery.budget.SHORTEST", 0)
 
     def others() -> Callbacks:
         callback = discovering()

@@ -131,3 +131,30 @@ def test_one_hot_features() -> None:
         peak = DiverseDensity(method=method).search(Bags.pack(positive))[0]
         assert peak.point.argmax() == 59
         assert peak.log_density == 0.0
+
+
+@pytest.mark.parametrize("method", ["gradient", "exhaustive"])
+@pytest.mark.parametrize("n_shared", [0, 1, 5])
+def test_what_every_bag_holds_is_known_without_a_search(
+    rng: np.random.Generator, n_shared: int, method: Literal["gradient", "exhaustive"]
+) -> None:
+    engine = DiverseDensity(scale=[1.0, 1.5], method=method, leak=0.3)
+    for _ in range(10):
+        shared = rng.choice(25, n_shared, replace=False) + 100
+        held = [rng.permutation([*shared, *rng.choice(100, rng.integers(1, 9), replace=False)]) for _ in range(5)]
+        bags = [np.column_stack([numbers % 5, numbers // 5]).astype(np.float64) for numbers in held]
+        starts = bags[4][:3]
+        certain = engine.certain(bags, starts)
+        found = engine.search(Bags.pack(bags), starts=starts)
+        tied = [peak for peak in found if peak.log_density >= -1e-9] if n_shared else []
+        assert [peak.point.tolist() for peak in certain] == [peak.point.tolist() for peak in tied]
+        assert all((peak.log_density, peak.converged) == (0.0, True) for peak in certain)
+        assert len(certain) == n_shared
+
+
+def test_where_instances_are_close_nothing_is_certain() -> None:
+    """What lies between them is as dense as what every bag holds, and a search finds it."""
+    way = np.arange(9.0)[:, None]
+    bags = [way, way[1:], way[:8]]
+    assert len(DiverseDensity(scale=1.0).certain(bags)) == 7
+    assert DiverseDensity(scale=0.5).certain(bags) == []

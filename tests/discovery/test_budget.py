@@ -9,14 +9,16 @@ import pytest
 
 from experiments.random_walks.conditions import run
 from sb3_options.density.groups import FeatureGroup
+from sb3_options.discovery import budget
 from sb3_options.discovery.budget import (
     ASCENTS,
-    FREE_STEPS,
+    SHORTEST,
     STEP_SECONDS,
     TABLE_STEP_SECONDS,
     Budget,
     n_compared,
     seconds_of_bags,
+    seconds_of_certain,
     seconds_of_contrast,
     seconds_of_counting,
     seconds_of_search,
@@ -29,9 +31,9 @@ from sb3_options.experience.trajectories import Trajectory
 
 
 def wide(n: int = 40, d: int = 300, seed: int = 0) -> tuple[Trajectory, np.ndarray]:
-    """A success whose states are all other than those of another seed, but for the one in the middle."""
+    """A success whose states are all far from those of another seed, but for the one in the middle."""
     states = 100.0 * np.random.default_rng(seed).standard_normal((n, d))
-    states[n // 2] = 0.0
+    states[n // 2] = 1e-6 * seed
     visits, none = np.arange(n), np.zeros(n - 1)
     return Trajectory(states, visits, none.astype(np.int64), none, True, False, True), states
 
@@ -53,38 +55,40 @@ def searches_of(discovery: SubgoalDiscovery, n: int = 60) -> list[bool]:
 
 
 class TestBudget:
-    def test_a_share_of_the_steps_and_some_for_free(self) -> None:
-        budget = Budget(0.1)
-        budget.spent = FREE_STEPS * STEP_SECONDS
-        assert budget.affords()
-        budget.spent += 100 * STEP_SECONDS
-        assert not budget.affords()
-        assert not budget.affords()
-        assert budget.skipped == 2
-        budget.steps = 1000
-        assert budget.affords()
-        budget.spent *= 1.01
-        assert not budget.affords()
+    def test_a_share_of_what_training_takes_or_would_take_if_it_were_longer(self) -> None:
+        one = Budget(0.1)
+        one.spent = 0.1 * SHORTEST * STEP_SECONDS
+        assert one.affords()
+        one.spent *= 1.01
+        one.steps = SHORTEST
+        assert not one.affords()
+        assert not one.affords()
+        assert one.skipped == 2
+        one.max_share = 0.102  # a larger one gives more of them from the start
+        assert one.affords()
+        one.max_share, one.steps = 0.1, int(1.1 * SHORTEST)
+        assert one.affords()
 
     def test_a_step_of_a_table_takes_less(self) -> None:
-        spent = (FREE_STEPS + 0.1 * 100) * TABLE_STEP_SECONDS
-        assert Budget(0.1, 100, spent, step_seconds=TABLE_STEP_SECONDS).affords()
-        assert not Budget(0.1, 99, spent, step_seconds=TABLE_STEP_SECONDS).affords()
-        assert Budget(0.1, 99, spent).affords()
+        spent, steps = 0.2 * SHORTEST * TABLE_STEP_SECONDS, 2 * SHORTEST
+        assert Budget(0.1, steps, spent, step_seconds=TABLE_STEP_SECONDS).affords()
+        assert not Budget(0.1, steps - 1, spent, step_seconds=TABLE_STEP_SECONDS).affords()
+        assert Budget(0.1, steps - 1, spent).affords()
 
     def test_none_sets_no_limit(self) -> None:
-        budget = Budget(None)
-        budget.spent = 1e9
-        assert budget.affords()
-        assert budget.skipped == 0
+        one = Budget(None)
+        one.spent = 1e9
+        assert one.affords()
+        assert one.skipped == 0
 
     def test_its_state(self) -> None:
-        budget, other = Budget(0.1, 7, 3.0, 2), Budget(0.1)
-        other.set_state(budget.get_state())
-        assert other == budget
+        one, other = Budget(0.1, 7, 3.0, 2), Budget(0.1)
+        other.set_state(one.get_state())
+        assert other == one
 
     def test_estimates_grow_with_what_is_searched(self) -> None:
-        estimates = ((seconds_of_bags, 4), (seconds_of_search, 3), (seconds_of_counting, 2), (seconds_of_contrast, 2))
+        by_two = ((seconds_of_counting, 2), (seconds_of_contrast, 2), (seconds_of_certain, 2))
+        estimates = ((seconds_of_bags, 4), (seconds_of_search, 3), *by_two)
         for estimate, n in estimates:
             smaller = estimate(*[100] * n)
             for i in range(n):
@@ -106,13 +110,14 @@ class TestBudget:
 
 
 class TestSchedule:
-    def test_costly_searches_become_rarer(self) -> None:
+    def test_costly_searches_become_rarer(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(budget, "SHORTEST", 1000)
         discovery = costly(max_share=0.5)
         made = searches_of(discovery)
-        assert all(made[:15])  # those that are free
+        assert all(made[:10])  # in advance
         assert 0 < sum(made[-40:]) < 10
-        allowed = STEP_SECONDS * (FREE_STEPS + 0.5 * discovery.budget.steps)
-        assert discovery.budget.spent < allowed + discovery.cost
+        allowed = 0.5 * STEP_SECONDS * discovery.budget.steps
+        assert allowed < discovery.budget.spent < allowed + discovery.cost
 
     def test_who_finds_nothing_is_told(self) -> None:
         discovery = costly()
@@ -157,7 +162,7 @@ class TestSchedule:
             discovery.add(*wide(n=8, d=30, seed=seed))
             discovery.search()
         assert discovery.budget.skipped > 0
-        assert discovery.budget.spent < 4 * FREE_STEPS * STEP_SECONDS
+        assert discovery.budget.spent < 0.1 * SHORTEST * STEP_SECONDS
 
     @pytest.mark.parametrize("method", ["diverse-density", "l-cut"])
     def test_where_searches_are_cheap_none_is_left_out(self, method: str) -> None:
@@ -181,7 +186,7 @@ class Slow:
 
 
 class TestMethods:
-    @pytest.mark.parametrize(("seconds", "told"), [(0.0, 30), (0.04, 3)])
+    @pytest.mark.parametrize(("seconds", "told"), [(0.0, 30), (0.04, 6)])
     def test_a_method_is_not_told_what_would_cost_too_much(self, seconds: float, told: int) -> None:
         method = Slow(seconds)
         discovery = discovery_with(DiscoverySettings(), method=method, kind="environment")

@@ -88,18 +88,46 @@ def test_states_of_many_features_have_short_keys_and_the_same_shares(monkeypatch
     many[:, 19] = np.arange(3.0)
     ways = [[tuple(many[row]) for row in way] for way in ((0, 1, 2), (1, 2), (2, 1))]
     cuts = walked(LocalCuts(), ways)
-    assert {len(key) for key in cuts._number} == {16}
     again = LocalCuts()
     again.set_state(cuts.get_state())
+    assert {len(key) for key in cuts._number} == {16}
     monkeypatch.setattr(local_cuts, "FEW", 100)
     before = walked(LocalCuts(), ways)
-    assert {len(key) for key in before._number} == {160}
     expected = shares_of(before, many).tolist()
+    assert {len(key) for key in before._number} == {160}
+    state = before.get_state()
     monkeypatch.undo()
     earlier = LocalCuts()
-    earlier.set_state(before.get_state())  # of a checkpoint that was written with long keys
+    del state["sparse"]
+    earlier.set_state(state)  # of a checkpoint that was written with long keys
     for each in (cuts, again, earlier):
         assert shares_of(each, many).tolist() == expected == [0.5, 0.5, 0.0]
+
+
+def test_keys_of_many_features() -> None:
+    states: npt.NDArray[np.float64] = np.zeros((6, 20))
+    states[[0, 1, 3, 4], [4, 7, 4, 4]] = 1.0, 1.0, 1.0, 2.0
+    states[5, [4, 9]] = 1.0  # and one of nothing but zeros
+    keys = local_cuts.keys_of(states)
+    assert [keys.index(key) for key in keys] == [0, 1, 2, 0, 4, 5]
+    assert [local_cuts.keys_of(states[[row]])[0] for row in range(6)] == keys  # whatever else is asked for
+    assert len(set(keys) | set(local_cuts.keys_of(states, sparse=False))) == 5 + 3
+
+
+def test_what_waits_is_entered_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    square = [(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)]
+    ways = [square, [(1, 0), (2, 0), (2, 1), (1, 1)], square, [(2, 0), (3, 0)], [(3, 0), (2, 0)]]
+    cells = [cell for way in ways for cell in way]
+    late, asked = walked(LocalCuts(), ways), LocalCuts()
+    for way in ways:
+        shares_of(walked(asked, [way]), cells)
+    monkeypatch.setattr(local_cuts, "PENDING", 1)
+    at_once = walked(LocalCuts(), ways)
+    assert len(at_once._number) == 7
+    assert len(late._number) == 0
+    expected = shares_of(at_once, cells).tolist()
+    assert shares_of(late, cells).tolist() == shares_of(asked, cells).tolist() == expected
+    assert 0.0 < max(expected) <= 0.5
 
 
 def test_goes_on_from_a_state(rng: np.random.Generator) -> None:

@@ -1,6 +1,7 @@
 import gc
 import logging
 import weakref
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,6 +20,16 @@ def test_the_database_keeps_the_last_n() -> None:
         database.add(trajectory)
         assert len(database) == min(n, 3)
     assert [id(t) for t in database] == [id(t) for t in trajectories[4:]]
+
+
+def test_the_database_counts_successes() -> None:
+    database, again = TrajectoryDatabase(3), TrajectoryDatabase(3)
+    for success in (True, False, True, True, False, False):
+        database.add(replace(line([0, 1]), success=success))
+        again.set_state(database.get_state())
+        assert database.n_successful == again.n_successful == sum(each.success for each in database)
+    database.clear()
+    assert database.n_successful == 0
 
 
 @pytest.mark.parametrize("capacity", [0, -1])
