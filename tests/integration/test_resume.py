@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 import signal
+import time
 import zipfile
 from pathlib import Path
 
@@ -102,6 +103,16 @@ def test_shows_how_far_it_is(run: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert f"Going on after {steps:,} primitive steps." in capsys.readouterr().out
 
 
+def wait_for_the_next_second() -> None:
+    """TensorBoard's files are read in the order of their names: a second, then how many this process has written.
+
+    As texts 9 comes after 10. Users resume in another process, and later.
+    """
+    began = int(time.time())
+    while int(time.time()) == began:
+        time.sleep(0.01)
+
+
 @pytest.mark.parametrize("algo", ["ppo", "dqn"])
 def test_an_interrupted_run_goes_on_where_it_ended(
     algo: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -128,6 +139,7 @@ def test_an_interrupted_run_goes_on_where_it_ended(
     monkeypatch.setattr(cli, "PATIENCE", 600.0)  # the machine may be busy
     for args in ([algo, *flags, "--tensorboard-log", str(victim.parents[1])], ["resume", str(victim), "--no-progress"]):
         capsys.readouterr()
+        wait_for_the_next_second()
         with pytest.raises(SystemExit) as stopped:
             cli.main(args)
         assert stopped.value.code == 128 + signal.SIGTERM
@@ -135,6 +147,7 @@ def test_an_interrupted_run_goes_on_where_it_ended(
         file, _ = CheckpointFolder(victim / runs.CHECKPOINTS).newest()
         ended = zipped_steps(victim / runs.MODEL)
         assert ended == int(file.stem) > 300
+    wait_for_the_next_second()
     cli.main(["resume", str(victim), "--no-progress"])
     assert f"Going on after {ended:,} primitive steps." in capsys.readouterr().out
     assert {what: those for what, those in differences(alone, victim).items() if those} == {}
