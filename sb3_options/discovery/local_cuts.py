@@ -19,7 +19,7 @@ FEW = LONGEST_KEY // 8
 """The key of a state of so many features is the state itself, which takes no longer to make than a digest."""
 
 NO_STATE: IntArray = np.array([-1])
-"""Between one trajectory and the next, and for a state that has no number."""
+"""Between the states of one trajectory and those of the next."""
 
 PENDING, PENDING_BYTES = 64, 1 << 20
 """So many trajectories wait to be added, and so much of them: a call for each takes longer than what it computes."""

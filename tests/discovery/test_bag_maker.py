@@ -2,7 +2,9 @@ import copy
 from typing import Any
 
 import numpy as np
+import pytest
 
+from sb3_options.discovery import bag_maker
 from sb3_options.discovery.bag_maker import BagMaker, FilteredBags
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.experience.trajectories import LabelledTrajectory
@@ -66,6 +68,16 @@ def test_a_bag_that_does_not_change_is_the_same_array() -> None:
     maker.forget_bags()
     third = maker.make(ways, [ball(10.0)])
     assert third is None
+
+
+def test_bags_are_made_in_parts_as_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    ways = [line([0, i, i + 1, 10, i + 2, 20]) for i in (3, 5, 13)]
+    at_once = make(*ways, taken=[ball(10.0)], spacing=4.0)
+    monkeypatch.setattr(bag_maker, "AT_ONCE", 1)
+    in_parts = make(*ways, taken=[ball(10.0)], spacing=4.0)
+    assert at_once is not None
+    assert in_parts is not None
+    assert places(in_parts.positive) == places(at_once.positive) == [[3, 4, 5], [5], [15]]
 
 
 def swapped(cache: dict[int, Any]) -> dict[int, Any]:

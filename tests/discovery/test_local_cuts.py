@@ -130,6 +130,15 @@ def test_what_waits_is_entered_when_it_is_asked_for(monkeypatch: pytest.MonkeyPa
     assert 0.0 < max(expected) <= 0.5
 
 
+def test_little_memory_waits() -> None:
+    wide = np.eye(8, local_cuts.PENDING_BYTES // 64)
+    cuts = LocalCuts()
+    cuts.add(wide[:4], np.arange(4))
+    assert len(cuts._pending) == 1
+    cuts.add(wide, np.arange(8))
+    assert (len(cuts._pending), len(cuts._number)) == (0, 8)
+
+
 def test_goes_on_from_a_state(rng: np.random.Generator) -> None:
     def walk(n: int) -> list[tuple[float, ...]]:
         place: npt.NDArray[np.float64] = np.zeros(2)
