@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from sb3_options.density.bags import Bags, first_rows
 from sb3_options.density.groups import FeatureGroup
@@ -168,10 +169,10 @@ class BagMaker:
     def may_be_subgoals(self, labelled: LabelledTrajectory, taken: Sequence[Region]) -> BoolArray:
         """Which states of a trajectory may be subgoals, (m,): the static filter leaves them, and no subgoal is near."""
         assert self.scale is not None  # `knows_scale` is asked first
-        allowed = self._allowed(labelled, self.scale)
-        known = _Known(labelled, np.arange(len(allowed)), labelled.features, labelled.features * self.scale, allowed)
-        for subgoal in taken:
-            allowed = allowed & (self._distances([known], subgoal) > self.settings.spacing)
+        features, allowed = labelled.features, self._allowed(labelled, self.scale)
+        if taken:
+            known = _Known(labelled, np.arange(len(features)), features, features * self.scale, allowed)
+            allowed = allowed & self._apart([known], taken)
         return allowed
 
     def is_known(self, instance: FloatArray) -> bool:
@@ -219,8 +220,8 @@ class BagMaker:
         features, visits = self._own(labelled), labelled.trajectory.visits
         scaled = features * scale
         erase = labelled.success and self.settings.loops == "erase"
-        rows = loop_erased(scaled, visits, self.settings.subgoal_radius) if erase else np.arange(len(scaled))
-        rows = rows[first_rows(scaled[rows])]  # different observations may have the same φ
+        # Different observations may have the same φ; a way without loops has none twice.
+        rows = loop_erased(scaled, visits, self.settings.subgoal_radius) if erase else first_rows(scaled)
         allowed = self._allowed(labelled, scale)
         return _Known(labelled, rows, features[rows], scaled[rows], allowed[rows])
 
@@ -277,26 +278,25 @@ class BagMaker:
 
     def _remake_these(self, known: Sequence[tuple[_Known, BoolArray]], taken: Sequence[Region]) -> None:
         """Make the bags of some ways, each with the states to keep."""
-        apart = np.concatenate([kept for _, kept in known])
-        for subgoal in taken:
-            apart &= self._distances([k for k, _ in known], subgoal) > self.settings.spacing
+        apart = np.concatenate([kept for _, kept in known]) & self._apart([k for k, _ in known], taken)
         at = 0
         for k, kept in known:
             k.kept, k.bag = kept, k.way[apart[at : at + len(kept)]]
             at += len(kept)
 
-    def _distances(self, known: Sequence[_Known], subgoal: Region) -> FloatArray:
-        """How far the states of some ways are from a subgoal, way after way, (Σ k_i,), in the unit of the radii."""
+    def _apart(self, known: Sequence[_Known], taken: Sequence[Region]) -> BoolArray:
+        """Which states of some ways are farther than `spacing` from all subgoals, way after way, (Σ k_i,)."""
+        apart: BoolArray = np.ones(sum(len(each.rows) for each in known), dtype=bool)
         if self.counts_steps:
-            return np.concatenate([self._steps(each, subgoal) for each in known])
-        scaled = np.concatenate([each.scaled for each in known])
-        if not len(subgoal.points):
-            return np.full(len(scaled), np.inf)
-        assert self.scale is not None  # set before any bag is made
-        distances: FloatArray = np.linalg.norm(scaled - subgoal.points[0] * self.scale, axis=1)
-        return distances
+            for subgoal in taken:
+                apart &= np.concatenate([self._steps(each, subgoal) for each in known]) > self.settings.spacing
+        elif places := [subgoal.points[0] for subgoal in taken if len(subgoal.points)]:
+            assert self.scale is not None  # set before any bag is made
+            distances = cdist(np.concatenate([each.scaled for each in known]), np.array(places) * self.scale)
+            apart &= np.all(distances > self.settings.spacing, axis=1)
+        return apart
 
-    def _steps(self, known: _Known, subgoal: Region) -> FloatArray:
+    def _steps(self, known: _Known, subgoal: Region) -> IntArray:
         """How many steps along the trajectory the states of a way are from a subgoal, (k,)."""
         there = np.flatnonzero(subgoal.contains(known.labelled.features))
-        return steps_from(there, known.labelled.trajectory.visits)[known.rows].astype(np.float64)
+        return steps_from(there, known.labelled.trajectory.visits)[known.rows]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
+import rustworkx as rx
 from scipy.spatial.distance import cdist
 
 from sb3_options.experience.observations import FloatArray
@@ -33,10 +33,13 @@ def plateau_centres(points: FloatArray, scale: FloatArray, radius: float) -> tup
     if len(points) == 1:
         return points.copy(), 0.0
     distances = cdist(points * scale, points * scale)
-    n_plateaus, plateau = connected_components(distances <= radius, directed=False)
+    touching: rx.PyGraph[None, None] = rx.PyGraph()
+    touching.add_nodes_from([None] * len(points))
+    one, other = np.nonzero(np.triu(distances <= radius, 1))
+    touching.add_edges_from_no_data(list(zip(one.tolist(), other.tolist(), strict=True)))
     centres, extent = [], 0.0
-    for label in range(n_plateaus):
-        members = np.flatnonzero(plateau == label)
+    for plateau in sorted(rx.connected_components(touching), key=min):
+        members = np.array(sorted(plateau))
         centre = members[distances[members][:, members].sum(axis=1).argmin()]
         centres.append(centre)
         extent = max(extent, float(distances[centre, members].max()))

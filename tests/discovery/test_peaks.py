@@ -2,6 +2,10 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial.distance import cdist
 
 from sb3_options.discovery.peaks import PeakTracker, plateau_centres
 
@@ -47,6 +51,24 @@ def test_plateaus_are_made_in_scaled_units() -> None:
 def test_how_far_plateaus_reach(points: list[float], extent: float) -> None:
     assert plateau_centres(np.array(points, dtype=np.float64)[:, None], np.ones(1), 1.0)[1] == extent
     assert plateau_centres(np.array(points, dtype=np.float64)[:, None], np.full(1, 3.0), 3.0)[1] == 3 * extent
+
+
+@given(
+    points=st.lists(st.tuples(st.integers(0, 8), st.integers(0, 8)), min_size=1, max_size=30, unique=True),
+    radius=st.sampled_from([0.5, 1.0, 1.5, 2.0]),
+)
+def test_there_is_a_middle_for_each_connected_component(points: list[tuple[int, int]], radius: float) -> None:
+    places = np.array(points, dtype=np.float64)
+    distances = cdist(places, places)
+    _, component = connected_components(distances <= radius, directed=False)
+    centres, extent = plateau_centres(places, np.ones(2), radius)
+    which = [points.index((int(x), int(y))) for x, y in centres]
+    assert list(component[which]) == sorted(set(component))  # one of each, in the order of their first peaks
+    farthest = [distances[at, component == component[at]] for at in range(len(places))]
+    assert [float(farthest[at].sum()) for at in which] == [
+        min(farthest[at].sum() for at in np.flatnonzero(component == label)) for label in sorted(set(component))
+    ]
+    assert extent == max(farthest[at].max() for at in which)
 
 
 class TestAverages:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sb3_options.checked import is_number, whole
+from sb3_options.density.arrays import row_keys
 from sb3_options.density.regions import Region
 from sb3_options.discovery.methods.method import Experience
 from sb3_options.experience.observations import FloatArray, IntArray
@@ -134,7 +135,7 @@ class Candidates:
         those = np.flatnonzero(seen)
         if not len(those):
             return
-        rows = self._rows_of([places.bins[row].tobytes() for row in those], places.points[those])
+        rows = self._rows_of(row_keys(places.bins[those]), places.points[those])
         self._counts[rows, 0] += seen[those]
         self._counts[rows, 1] += hits[those]
         self._counts[rows, 2] = places.allowed[those]

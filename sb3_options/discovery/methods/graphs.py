@@ -59,7 +59,7 @@ class LCut(CandidateMethod):
         places = experience.places
         k = len(places.points)
         visits = places.visits[-self.horizon - 1 :]
-        nodes, local = np.unique(visits, return_inverse=True)
+        nodes, local = numbered(visits, k)
         seen, hits = np.zeros((2, k), dtype=np.int64)
         seen[nodes] = 1
         if len(nodes) > 2:
@@ -71,7 +71,7 @@ class LCut(CandidateMethod):
 
     def seconds(self, experience: Experience) -> float:
         """Nominal time of an update."""
-        n_places = len(np.unique(experience.places.visits[-self.horizon - 1 :]))
+        n_places = np.count_nonzero(np.bincount(experience.places.visits[-self.horizon - 1 :]))
         of_cut = CUT_SECONDS[0] * n_places**2 + CUT_SECONDS[1] * n_places**3
         return super().seconds(experience) + GRAPH_SECONDS + of_cut
 
@@ -103,23 +103,34 @@ class Betweenness(CandidateMethod):
         places = experience.places
         visits = places.visits[-self.horizon - 1 :]
         seen, hits = np.zeros((2, len(places.points)), dtype=np.int64)
-        seen[np.unique(visits)] = 1
+        seen[visits] = 1
         hits[local_maxima(visits)] = 1
         return self._counted(experience, seen, hits)
 
     def seconds(self, experience: Experience) -> float:
         """Nominal time of an update."""
         visits = experience.places.visits[-self.horizon - 1 :]
-        n_places = len(np.unique(visits))
+        n_places = np.count_nonzero(np.bincount(visits))
         low, high = np.minimum(visits[:-1], visits[1:]), np.maximum(visits[:-1], visits[1:])
         n_pairs = len(np.unique(low * len(experience.places.points) + high))
         return super().seconds(experience) + GRAPH_SECONDS + PATH_SECONDS * n_places * (n_places + n_pairs)
 
 
+def numbered(visits: IntArray, n: int) -> tuple[IntArray, IntArray]:
+    """The places that some visits are of, in order, and which of these each visit is of.
+
+    Args:
+        visits: Of places, (t,).
+        n: Places that there are.
+    """
+    visited = np.bincount(visits, minlength=n) > 0
+    which: IntArray = np.cumsum(visited)[visits] - 1
+    return np.flatnonzero(visited), which
+
+
 def weights_of(visits: IntArray, n: int) -> FloatArray:
     """How often each transition between different places was made, in either direction, (n, n)."""
-    weights = np.zeros((n, n))
-    np.add.at(weights, (visits[:-1], visits[1:]), 1.0)
+    weights = np.bincount(visits[:-1] * n + visits[1:], minlength=n * n).reshape(n, n).astype(np.float64)
     np.fill_diagonal(weights, 0.0)
     symmetric: FloatArray = weights + weights.T
     return symmetric
@@ -151,7 +162,7 @@ def normalised_cut(weights: FloatArray) -> tuple[float, IntArray]:
 
 def local_maxima(visits: IntArray) -> IntArray:
     """The places of a trajectory whose betweenness is positive and larger than that of all their neighbours."""
-    nodes, local = np.unique(visits, return_inverse=True)
+    nodes, local = numbered(visits, int(visits.max()) + 1)
     n = len(nodes)
     low, high = np.minimum(local[:-1], local[1:]), np.maximum(local[:-1], local[1:])
     one, other = np.divmod(np.unique((low * n + high)[low < high]), n)

@@ -73,8 +73,7 @@ def relative_novelty(visits: IntArray, lag: int) -> tuple[IntArray, FloatArray]:
 
 def _count_so_far(visits: IntArray) -> IntArray:
     """The how manieth visit of its place each time is, (T + 1,)."""
-    order = np.argsort(visits, kind="stable")
-    _, starts, sizes = np.unique(visits[order], return_index=True, return_counts=True)
+    order, sizes = np.argsort(visits, kind="stable"), np.bincount(visits)
     counts = np.empty(len(visits), dtype=np.int64)
-    counts[order] = np.arange(len(visits)) - np.repeat(starts, sizes) + 1
+    counts[order] = np.arange(1, len(visits) + 1) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     return counts
