@@ -22,7 +22,7 @@ from experiments.common.study import Flags, show, write
 from experiments.methods.conditions import LENGTHS, MACROQ, SETTINGS, Entry, length_of, run
 from experiments.methods.entrants import ENTRANTS, POSSIBLE, all_settings_of, chosen_settings
 from experiments.methods.plots import draw
-from experiments.methods.summary import summarise
+from experiments.methods.summary import over_tasks, summarise
 from experiments.methods.tasks import TASKS
 
 RACE = "race"
@@ -91,16 +91,19 @@ def main(study: Study) -> None:
     for task, learner in cells:
         of = {entrant: results[f"{task}, {learner}, {entrant}"] for entrant in study.methods}
         summaries[task][learner] = summarise(of, lengths[task, learner])
+    named_lengths = {f"{task}, {learner}": n for (task, learner), n in lengths.items()}
+    means = over_tasks(results, named_lengths)
     content = {
         "command": study.command(),
         "settings": {
             "methods": {entrant: all_settings_of(entrant, of) for entrant, of in chosen.items()},
-            "lengths": {f"{task}, {learner}": n for (task, learner), n in lengths.items()},
+            "lengths": named_lengths,
         },
+        "over_tasks": means,
         "summary": summaries,
         "runs": results,
     }
-    write(study.out, content, {RACE: draw(summaries)}, dpi=110)
+    write(study.out, content, {RACE: draw(summaries, means)}, dpi=110)
     show(*(table(task, learner, summaries[task][learner]) for task, learner in cells), f"Results: {study.out}")
 
 

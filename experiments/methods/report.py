@@ -18,6 +18,11 @@ LEFT_OUT = (
 )  # fmt: skip
 """Tables that the page does without."""
 
+LABELS = {"macroq": "MacroQ", "ppo": "MaskablePPO", "dqn": "OptionDQN"}
+
+LEARNED = ("", "ppo-", "dqn-")
+"""Whose means over tasks stand beside each other."""
+
 MANY = 0.25
 """If this share of the runs never met the criterion, a ratio of steps is a bound."""
 
@@ -54,10 +59,16 @@ class Report:
 
 def main(report: Report) -> None:
     """Read, and fill in."""
-    parts: dict[str, str] = {}
-    for prefix, path in report.paths().items():
-        parts |= parts_of(json.loads(path.read_text(encoding="utf-8")), prefix)
-    fill(report.document, {name: text for name, text in parts.items() if name not in LEFT_OUT})
+    fill(report.document, all_parts(report))
+
+
+def all_parts(report: Report) -> dict[str, str]:
+    """What stands between all marks of the page."""
+    found = {prefix: json.loads(path.read_text(encoding="utf-8")) for prefix, path in report.paths().items()}
+    parts = {"means": means({learner: of for prefix in LEARNED for learner, of in found[prefix]["over_tasks"].items()})}
+    for prefix, results in found.items():
+        parts |= parts_of(results, prefix)
+    return {name: text for name, text in parts.items() if name not in LEFT_OUT}
 
 
 def parts_of(results: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
@@ -74,6 +85,31 @@ def parts_of(results: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
         f"{prefix}random": overview(one, "of_random"),
         f"{prefix}race": "\n\n".join(tables),
     }
+
+
+def means(by_learner: Mapping[str, Mapping[str, Any]]) -> str:
+    """All tasks of a learner in one number for each phase; fewest steps of the first learner first.
+
+    Marked as in `overview`.
+
+    Args:
+        by_learner: Of `summary.over_tasks`.
+    """
+    heads = [f"{LABELS[learner]}, {phase}" for learner in by_learner for phase in ("same task", "goal moved")]
+    rows = [f"| | {' | '.join(heads)} |", "|---" * (len(heads) + 1) + "|"]
+    for entrant in dict.fromkeys(entrant for of in by_learner.values() for entrant in of):
+        cells = [_mean(of.get(entrant), phase) for of in by_learner.values() for phase in ("same", "moved")]
+        rows.append(f"| {entrant} | {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
+def _mean(of: Mapping[str, Any] | None, phase: str) -> str:
+    """As "0.83 (0.71 to 0.94)"."""
+    if of is None:
+        return "–"
+    if of[phase]["of_primitives"]["low"] == of[phase]["of_primitives"]["high"]:
+        return "1"  # primitives themselves
+    return _marked(of["n_runs"], of[phase]["never"], number(of[phase]["of_primitives"]))
 
 
 def overview(summaries: Mapping[str, Mapping[str, Any]], ratio: str) -> str:
@@ -99,14 +135,14 @@ def _both(of: Mapping[str, Any], ratio: str) -> str:
     phases = [of["same"], of["moved"]]
     if any(each.get(ratio) is None for each in phases):
         return ""
-    return ", ".join(_bound(of["n_runs"], each["never"], each[ratio]["mean"]) for each in phases)
+    return ", ".join(_marked(of["n_runs"], each["never"], f"{each[ratio]['mean']:.2f}") for each in phases)
 
 
-def _bound(n_runs: int, never: int, mean: float) -> str:
+def _marked(n_runs: int, never: int, ratio: str) -> str:
     """A ratio with the mark of what it leaves out."""
     if never >= MANY * n_runs:
-        return f"≥{mean:.2f}"
-    return f"{mean:.2f}{'*' if never else ''}"
+        return f"≥{ratio}"
+    return f"{ratio}{'*' if never else ''}"
 
 
 def table(summary: Mapping[str, Any]) -> str:

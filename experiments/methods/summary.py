@@ -10,7 +10,17 @@ import numpy as np
 from experiments.common.seeds import Result
 from experiments.methods.entrants import NONE
 from sb3_options.experience.observations import FloatArray
-from sb3_options.runs.intervals import iqm_interval, iqm_ratio, mean_interval, ratio_interval, share_interval
+from sb3_options.runs.intervals import (
+    Interval,
+    interval_of,
+    iqm,
+    iqm_interval,
+    iqm_ratio,
+    mean_interval,
+    ratio_interval,
+    resampled,
+    share_interval,
+)
 
 PHASES = ("same", "moved")
 
@@ -60,6 +70,62 @@ def summarise(runs: Mapping[str, Sequence[Result]], n_timesteps: int) -> dict[st
                 **{name: _ratio(steps, phase, entrant, rival) for name, rival in RIVALS.items()},
             }
     return summary
+
+
+def over_tasks(runs: Mapping[str, Sequence[Result]], lengths: Mapping[str, int]) -> dict[str, dict[str, Any]]:
+    """One number for each phase: the ratio of steps to those of others, the geometric mean over all tasks.
+
+    Args:
+        runs: By "task, learner, entrant", as ``results.json`` has them.
+        lengths: Of the longest training, by "task, learner".
+
+    Returns:
+        By learner that ran with `NONE`, then by entrant that ran in all its tasks, fewest steps in the same task first:
+        ``n_runs``, and of each phase ``of_primitives`` and likewise the other `RIVALS`, whose 95 % intervals resample
+        runs within tasks, and ``never``, how many runs did not meet the criterion.
+    """
+    tasks: dict[str, list[str]] = {}
+    for name in lengths:
+        task, learner = name.rsplit(", ", 1)
+        tasks.setdefault(learner, []).append(task)
+    found: dict[str, dict[str, Any]] = {}
+    for learner, of in tasks.items():
+        entrants = list(dict.fromkeys(name.rsplit(", ", 1)[1] for name in runs))
+        everywhere = [e for e in entrants if all(f"{task}, {learner}, {e}" in runs for task in of)]
+        if NONE in everywhere:
+            cells = {e: [runs[f"{task}, {learner}, {e}"] for task in of] for e in everywhere}
+            longest = [lengths[f"{task}, {learner}"] for task in of]
+            means = {e: _over_tasks(e, cells, longest) for e in everywhere}
+            found[learner] = dict(sorted(means.items(), key=lambda each: each[1]["same"]["of_primitives"]["mean"]))
+    return found
+
+
+def _over_tasks(entrant: str, cells: Mapping[str, Sequence[Sequence[Result]]], longest: Sequence[int]) -> Any:
+    """What `over_tasks` has of one entrant; ``cells`` are the runs of all by entrant and task, the same seeds."""
+    means: dict[str, Any] = {"n_runs": sum(map(len, cells[entrant]))}
+    for phase in PHASES:
+        steps = {
+            e: [np.array([steps_of(run[phase], n) for run in of]) for of, n in zip(tasks, longest, strict=True)]
+            for e, tasks in cells.items()
+        }
+        means[phase] = {
+            **{
+                name: None if rival not in cells else _geometric(steps[entrant], steps[rival])._asdict()
+                for name, rival in RIVALS.items()
+            },
+            "never": sum(run[phase]["steps"] is None for of in cells[entrant] for run in of),
+        }
+    return means
+
+
+def _geometric(ours: Sequence[FloatArray], theirs: Sequence[FloatArray]) -> Interval:
+    """Geometric mean over tasks of the ratios of interquartile means; runs with the same seed are pairs."""
+    logs = [np.log(iqm(our) / iqm(their)) for our, their in zip(ours, theirs, strict=True)]
+    drawn = [  # with the same seed, which is another for each task, the same rows of both are drawn
+        np.log(iqm(resampled(our, i)) / iqm(resampled(their, i)))
+        for i, (our, their) in enumerate(zip(ours, theirs, strict=True))
+    ]
+    return interval_of(np.exp(np.mean(logs)), np.exp(np.mean(drawn, axis=0)))
 
 
 def _ratio(

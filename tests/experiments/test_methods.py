@@ -25,9 +25,9 @@ from experiments.methods.entrants import (
     discovery_of,
 )
 from experiments.methods.filtered import FilteredDiscovery
-from experiments.methods.report import LEFT_OUT, Report, parts_of
+from experiments.methods.report import Report, all_parts, parts_of
 from experiments.methods.spaces import SPACES, defaults_of
-from experiments.methods.summary import summarise
+from experiments.methods.summary import over_tasks, summarise
 from experiments.methods.tasks import (
     TASKS,
     at_bottleneck,
@@ -168,6 +168,37 @@ class TestSummary:
         assert summary["l-cut"]["moved"]["of_random"]["mean"] == 0.25
         assert summary["random"]["same"]["of_random"] is None
 
+    def test_all_tasks_in_one_number(self) -> None:
+        runs = {
+            "A, macroq, none": [result(4000, 1000)],
+            "A, macroq, l-cut": [result(1000, 1000)],
+            "A, macroq, random": [result(1000)],
+            "A, dqn, l-cut": [result(1000)],
+            "B, macroq, l-cut": [result(None, 500)],
+            "B, macroq, none": [result(6000, 1000)],
+        }
+        means = over_tasks(runs, {"A, macroq": 6000, "B, macroq": 6000, "A, dqn": 6000})
+        assert list(means) == ["macroq"]  # there are no primitives with the other
+        assert list(means["macroq"]) == ["l-cut", "none"]  # the other was not everywhere; fewest steps first
+        cut = means["macroq"]["l-cut"]
+        assert cut["n_runs"] == 2
+        assert cut["same"]["of_primitives"]["mean"] == pytest.approx((1 / 4 * 1) ** 0.5)
+        assert cut["moved"]["of_primitives"]["mean"] == pytest.approx((1 * 1 / 2) ** 0.5)
+        assert (cut["same"]["never"], cut["moved"]["never"]) == (1, 0)
+        assert cut["same"]["of_random"] is None
+
+    def test_the_interval_of_all_tasks_is_narrower_than_that_of_each(self) -> None:
+        steps, rng = np.random.default_rng(0).integers(1000, 5000, (2, 2, 20)), np.random.default_rng(1)
+        runs = {
+            f"{task}, macroq, {entrant}": [result(int(n), int(n), seed=i) for i, n in enumerate(rng.permutation(of))]
+            for task, both in zip("AB", steps, strict=True)
+            for entrant, of in zip(("l-cut", NONE), both, strict=True)
+        }
+        together = over_tasks(runs, {"A, macroq": 6000, "B, macroq": 6000})["macroq"]["l-cut"]["same"]["of_primitives"]
+        alone = over_tasks(runs, {"A, macroq": 6000})["macroq"]["l-cut"]["same"]["of_primitives"]
+        assert together["low"] < together["mean"] < together["high"]
+        assert together["high"] - together["low"] < alone["high"] - alone["low"]
+
     def test_what_is_measured(self) -> None:
         runs = {
             "l-cut": [result(1000, near=(True, False)), result(None, near=(True, True), seed=1)],
@@ -260,10 +291,7 @@ def test_the_race_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_the_tables_of_the_page() -> None:
     page = Path("docs/studies/methods.md").read_text()
-    report = Report()
-    for prefix, path in report.paths().items():
-        parts = parts_of(json.loads(path.read_text()), prefix)
-        assert all(part in page for name, part in parts.items() if name not in LEFT_OUT)
+    assert all(part in page for part in all_parts(Report()).values())
 
 
 def refuse(*args: object) -> None:
