@@ -114,6 +114,11 @@ def _check_settings(callback: BaseCallback, there: State) -> None:
         ValueError: It was.
     """
     here = _settings(callback)
+    if "method" in there and "method" not in here:
+        raise ValueError(
+            f"The checkpoint was written with a method of discovery of your own, {there['method']['class']}: pass it as "
+            f"{type(callback).__name__}(method=...)."
+        )
     for name in here.keys() & there.keys():
         for field, value in here[name].items():
             before = there[name].get(field, value)

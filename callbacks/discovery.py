@@ -326,7 +326,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     def _log(self) -> None:
         assert self._clock is not None  # made when training started
         others: dict[str, float] = {"options/count": len(self._options.bank), "options/closed": len(self.closed)}
-        others |= {"time/primitive_steps": self.num_timesteps, **self._statistics.values()}
+        others |= {"time/primitive_steps": self.num_timesteps, **self._statistics.values(), **self._features.values()}
         log_discovery(self.logger.record, self._search, self._clock.share(self._search), others)
 
     def draw(self) -> None:
@@ -337,7 +337,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     def why_nothing(self) -> str | None:
         """Why no option was made since training started; None where one was."""
-        why = why_no_option(self.discovery, self.bank, self.max_new_options)
+        waits = None if self.discovery is None else self._features.why_not_ready(self.discovery.outcomes.n)
+        why = waits or why_no_option(self.discovery, self.bank, self.max_new_options)
         return None if self.discoveries else self._complaints.told(why, self.episodes)
 
     def get_state(self) -> dict[str, Any]:

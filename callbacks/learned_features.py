@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import time
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,15 @@ class GivenFeatures:
         del search, options
         return False
 
+    def why_not_ready(self, n: int) -> str | None:
+        """Why nothing is searched yet after ``n`` trajectories, in a sentence."""
+        del n
+        return None
+
+    def values(self) -> dict[str, float]:
+        """What is logged of it, by tag."""
+        return {}
+
     def remember(self, slot: int, option: SubgoalOption, search: SubgoalDiscovery) -> None:
         """An option was made."""
 
@@ -68,6 +78,7 @@ class LearnedFeatures(GivenFeatures):
     def __init__(self, feature_map: LearnedMap, settings: EmbeddingSettings, seed: int) -> None:
         self.map = feature_map
         self.learner = FeatureLearner(feature_map, settings, seed)
+        self._seconds = 0.0
         # By slot the observations of subgoal and initiation set, and the points of that set that they have now.
         self._anchors: dict[int, tuple[Observations, Observations, FloatArray]] = {}
 
@@ -75,6 +86,20 @@ class LearnedFeatures(GivenFeatures):
     def ready(self) -> bool:  # type: ignore[override]  # which may change, and is not set from outside
         """Whether distances mean anything yet."""
         return self.map.learned > 0
+
+    def why_not_ready(self, n: int) -> str | None:
+        """Why nothing is searched yet after ``n`` trajectories, in a sentence; None where something is."""
+        least = self.learner.settings.first_trajectories
+        if self.ready or n >= least:
+            return None
+        return (
+            f"No subgoal was discovered: the feature map is learned after {least} trajectories, and {n} have ended. Train "
+            "for longer, or choose a smaller first_trajectories of EmbeddingSettings."
+        )
+
+    def values(self) -> dict[str, float]:
+        """How long learning the map took in this training, by the clock."""
+        return {"discovery/map_seconds": self._seconds}
 
     def begin(self, options: OptionInstaller) -> None:
         """Take note of the options that are there when training starts."""
@@ -90,7 +115,10 @@ class LearnedFeatures(GivenFeatures):
         Returns:
             Whether the map has changed, and with it the features of all trajectories.
         """
-        if not learn_if_due(self.learner, search):
+        began = time.perf_counter()
+        changed = learn_if_due(self.learner, search)
+        self._seconds += time.perf_counter() - began
+        if not changed:
             return False
         options.send_learned_map()
         for slot, (subgoal, initiation, _) in list(self._anchors.items()):

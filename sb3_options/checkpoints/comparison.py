@@ -18,6 +18,7 @@ OF_THE_CLOCK = frozenset(
         "time/time_elapsed",
         "discovery/seconds",
         "discovery/share",
+        "discovery/map_seconds",
         "event_files",
         "bytes",
     )

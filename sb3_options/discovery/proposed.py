@@ -86,11 +86,14 @@ class ProposedDiscovery(SubgoalDiscovery):
             earlier: list[Proposal] = []
             while self._untold:
                 experience = self._experience(self._untold.pop(0))  # a method that fails is not told again
+                worked = time.process_time()
                 self._proposals = [*proposed_by(self.method, experience), *earlier]
+                worked = time.process_time() - worked
                 earlier = self._proposals
                 self.cost += TELL_SECONDS + UPDATE_SECONDS * (len(experience.visits) - 1)
                 self.cost += FEATURE_SECONDS * experience.features.size
-                self.cost += seconds_by(self.method, experience)
+                said = seconds_by(self.method, experience)
+                self.cost += worked if said is None else said
             if self.recurrence.is_due(len(self.database)):
                 self._look()
         self.last = Search([], None, time.perf_counter() - began)
@@ -117,6 +120,7 @@ class ProposedDiscovery(SubgoalDiscovery):
             scale=self.scale,
             radius=self.settings.subgoal_radius,
             taken=taken,
+            trajectory=labelled.trajectory,
         )
 
     def _new_subgoal(self) -> Region | None:

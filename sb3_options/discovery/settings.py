@@ -20,7 +20,8 @@ class DiscoverySettings:
 
     Attributes:
         method: How: by ``diverse-density``, or by another of `methods.METHODS`, for which of the settings below only
-            the static filter, `spacing`, `subgoal_radius`, `scale`, `capacity` and the segmentation count.
+            the static filter, `spacing`, `subgoal_radius`, `scale`, `capacity`, `max_bytes`, `max_share` and the
+            segmentation count. Eigenoptions and covering options may do harm to MaskablePPO and OptionDQN.
         segmentation: What a trajectory is: one of the ``episodes``, or, for continuing tasks, a segment between two
             ``peaks`` of reward (`recording.RewardPeaks`).
         peak_reward: The least reward of a peak; None takes any that is positive.

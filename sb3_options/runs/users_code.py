@@ -61,6 +61,9 @@ def feature_map_of(text: str | None) -> FeatureMap | MapName | None:
     """
     if text is None:
         return None
+    if text not in SIZES and ":" not in text:
+        learned = " or ".join(SIZES)
+        raise ValueError(f"{flag('feature_map')} takes module:name, or {learned}, which are learned; got {text!r}.")
     return learned_name(text) if text in SIZES else named(text, flag("feature_map"))
 
 

@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from stable_baselines3 import DQN
+from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
 from sb3_options import OptionReplayBuffer, OptionsWrapper, load_model
@@ -52,6 +53,25 @@ def places(env: OptionsWrapper, observations: Any) -> Any:
     world = env.unwrapped
     assert isinstance(world, GridWorld)
     return world.concept_features(np.asarray(observations))
+
+
+def test_what_a_map_waits_for_is_said_and_its_time_is_logged(tmp_path: Path) -> None:
+    env = temporal_rooms()
+    callback = callback_with(embedding={**LEARNING, "first_trajectories": 10_000})
+    assert callback.why_nothing() == "No training has started."
+    model = dqn(env, learning_starts=10_000, buffer_size=200)
+    model.set_logger(configure(str(tmp_path), ["csv"]))
+    model.learn(1_000, callback)
+    assert callback.discovery is not None
+    n = callback.discovery.outcomes.n
+    assert n >= 1
+    assert callback.why_nothing() == (
+        f"No subgoal was discovered: the feature map is learned after 10000 trajectories, and {n} have ended. Train "
+        "for longer, or choose a smaller first_trajectories of EmbeddingSettings."
+    )
+    model.logger.dump()
+    model.logger.close()
+    assert "discovery/map_seconds" in (tmp_path / "progress.csv").read_text()
 
 
 @pytest.mark.parametrize(

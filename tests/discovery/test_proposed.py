@@ -1,5 +1,7 @@
 """Discovery by a method: what it is told, and which of its proposals are taken."""
 
+import dataclasses
+import time
 from typing import Any
 
 import numpy as np
@@ -8,6 +10,7 @@ import pytest
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
+from sb3_options.discovery.budget import SHORTEST, TABLE_STEP_SECONDS
 from sb3_options.discovery.methods import DiscoveryMethod, Experience, Passage, Proposal, Repeat
 from sb3_options.discovery.methods.candidates import PLACE_SECONDS
 from sb3_options.discovery.methods.covering import CoveringOptions
@@ -226,11 +229,59 @@ def test_a_method_that_fails_goes_on_with_the_next_trajectory() -> None:
     for n in range(10, 14):
         discovery.add(*line(n))
         if n == 11:
-            with pytest.raises(ValueError, match="not this one"):
+            with pytest.raises(RuntimeError, match=r"^Failing.update failed: not this one$"):
                 discovery.search()
         else:
             discovery.search()
     assert [len(each.features) for each in method.told] == [10, 11, 12, 13]
+
+
+def test_what_a_method_takes_that_does_not_say_is_measured() -> None:
+    """An update works for twice what a table's training affords for a start, so that the next has to wait."""
+
+    class Working(Told):
+        def update(self, experience: Experience) -> list[Proposal]:
+            until = time.process_time() + 2 * 0.05 * TABLE_STEP_SECONDS * SHORTEST
+            while time.process_time() < until:
+                pass
+            return super().update(experience)
+
+    told = {}
+    for share in (0.05, None):
+        method = Working()
+        discovery = discovery_with(DiscoverySettings(max_share=share), method=method, kind="environment")
+        discovery.budget.step_seconds = TABLE_STEP_SECONDS
+        for _ in range(3):
+            discovery.add(*line())
+            discovery.search()
+        told[share] = len(method.told)
+    assert told == {0.05: 1, None: 3}
+
+
+def test_methods_see_the_trajectory_and_cannot_change_it() -> None:
+    method = Told()
+    discovery = of(method)
+    lived, features = line()
+    discovery.add(lived, features)
+    discovery.search()
+    seen = method.told[0].trajectory
+    for name in ("states", "visits", "actions", "rewards"):
+        array = getattr(seen, name)
+        assert array.tolist() == getattr(lived, name).tolist()
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 7
+    assert seen.terminated
+    pictures = {"image": np.zeros((12, 2)), "carried": np.zeros(12)}
+    discovery.add(dataclasses.replace(lived, states=pictures), features)
+    discovery.search()
+    states = method.told[1].trajectory.states
+    assert isinstance(states, dict)
+    assert not any(of.flags.writeable for of in states.values())
+    alone = Experience(
+        features, lived.visits, success=True, allowed=np.ones(12, dtype=bool), scale=np.ones(1), radius=0.5
+    )
+    with pytest.raises(AttributeError, match="made of features and visits alone"):
+        _ = alone.trajectory
 
 
 def test_what_waits_to_be_told_keeps_to_the_memory_too() -> None:
@@ -334,7 +385,13 @@ def test_answers_that_are_no_proposals_are_refused(answer: object) -> None:
 
 @pytest.mark.parametrize(
     ("method", "message"),
-    [(42, "got 42"), (LCut, "got the class LCut, which is not made yet"), (lambda _: [], "got <function")],
+    [
+        (42, "got 42"),
+        (LCut, "got the class LCut, which is not made yet"),
+        (lambda _: [], "got <function"),
+        ({"name": "l-cut"}, "got {'name': 'l-cut'}"),
+        ({"l-cut"}, "got {'l-cut'}"),
+    ],
 )
 def test_what_is_no_method_is_refused(method: object, message: str) -> None:
     with pytest.raises(TypeError, match=r"^method must be a name, or an object with update\(experience\), " + message):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol, TypeVar
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from sb3_options.checked import is_number
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
+from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal, Repeat, bins_of, everywhere
 
 __all__ = ["DiscoveryMethod", "Experience", "IntrinsicReward", "Passage", "Places", "Proposal", "Region", "Repeat"]
@@ -40,6 +41,7 @@ class Experience:
         scale: Factor for every feature that makes one unit one step, (d,).
         radius: Of a subgoal, in scaled units.
         taken: Subgoals that there are options for.
+        trajectory: Itself, with actions, rewards and observations; may be left out.
     """
 
     def __init__(
@@ -52,9 +54,32 @@ class Experience:
         scale: FloatArray,
         radius: float,
         taken: Sequence[Region] = (),
+        trajectory: Trajectory | None = None,
     ) -> None:
         self.features, self.visits, self.success = _read_only(features), _read_only(visits), success
         self.allowed, self.scale, self.radius, self.taken = allowed, scale, radius, tuple(taken)
+        self._trajectory = trajectory
+
+    @cached_property
+    def trajectory(self) -> Trajectory:
+        """Itself: ``actions`` and ``rewards`` of every step, and the observation behind each row of ``features``.
+
+        Raises:
+            AttributeError: It was made without.
+        """
+        known = self._trajectory
+        if known is None:
+            raise AttributeError("this experience was made of features and visits alone: it has no trajectory.")
+        states = known.states
+        return replace(
+            known,
+            states={key: _read_only(of) for key, of in states.items()}
+            if isinstance(states, Mapping)
+            else _read_only(np.asarray(states)),
+            visits=self.visits,
+            actions=_read_only(known.actions),
+            rewards=_read_only(known.rewards),
+        )
 
     @cached_property
     def places(self) -> Places:
@@ -122,8 +147,9 @@ class DiscoveryMethod(Protocol):
 
     Any object with this method may be passed as ``SubgoalDiscoveryCallback(method=…)``. A checkpoint also needs
     ``get_state()``, which gives a dictionary of arrays and plain values, and ``set_state(state)``. The `Budget` also
-    needs ``seconds(experience)``: how long an update takes, estimated by sizes and not by the clock. Without it the
-    method is told of every trajectory, whatever it takes. ``needs_success = True`` says that a method proposes nothing
+    needs ``seconds(experience)``: how long an update takes, estimated by sizes and not by the clock. Without it what
+    updates take is measured, so that two trainings with one seed may be told of different trajectories.
+    ``needs_success = True`` says that a method proposes nothing
     before a success, and users are told so where there is none.
     """
 
@@ -149,7 +175,8 @@ def checked_method(method: Any) -> DiscoveryMethod | None:
     """
     if method is None or isinstance(method, str):
         return None
-    if isinstance(method, type) or not callable(getattr(method, "update", None)):
+    container = isinstance(method, (Mapping, Set))  # which have an update of their own
+    if container or isinstance(method, type) or not callable(getattr(method, "update", None)):
         what = f"the class {method.__name__}, which is not made yet" if isinstance(method, type) else repr(method)
         raise TypeError(f"method must be a name, or an object with update(experience), got {what}.")
     made: DiscoveryMethod = method
@@ -162,8 +189,14 @@ def proposed_by(method: DiscoveryMethod, experience: Experience) -> list[Proposa
     Raises:
         TypeError: It answers something else.
         ValueError: A proposal has arrays of other shapes, or numbers that are not finite.
+        RuntimeError: A user's own raised a ValueError, which would pass for an episode that cannot be used.
     """
-    proposals = method.update(experience)
+    try:
+        proposals = method.update(experience)
+    except ValueError as error:
+        if type(method).__module__.startswith("sb3_options."):
+            raise
+        raise RuntimeError(f"{type(method).__name__}.update failed: {error}") from error
     if not isinstance(proposals, Sequence) or not all(isinstance(each, PROPOSALS) for each in proposals):
         names = ", ".join(kind.__name__ for kind in PROPOSALS)
         raise TypeError(f"{type(method).__name__}.update must return a list of {names}, got {proposals!r:.200}.")
@@ -215,13 +248,15 @@ def _regions_of(proposal: Proposal) -> tuple[Region | IntrinsicReward, ...]:
     return (proposal.everywhere,) if isinstance(proposal, Repeat) else (proposal,)
 
 
-def seconds_by(method: DiscoveryMethod, experience: Experience) -> float:
-    """Nominal time of an update, as the method has it; 0 if it does not say.
+def seconds_by(method: DiscoveryMethod, experience: Experience) -> float | None:
+    """Nominal time of an update, as the method has it; None if it does not say.
 
     Raises:
         ValueError: It is no finite number of at least 0.
     """
-    seconds = method.seconds(experience) if hasattr(method, "seconds") else 0.0
+    if not hasattr(method, "seconds"):
+        return None
+    seconds = method.seconds(experience)
     if not (is_number(seconds) and 0.0 <= seconds < np.inf):
         raise ValueError(
             f"{type(method).__name__}.seconds must return a finite number of at least 0, got {seconds!r:.200}."
