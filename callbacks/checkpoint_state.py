@@ -116,8 +116,8 @@ def _check_settings(callback: BaseCallback, there: State) -> None:
     here = _settings(callback)
     if "method" in there and "method" not in here:
         raise ValueError(
-            f"The checkpoint was written with a method of discovery of your own, {there['method']['class']}: pass it as "
-            f"{type(callback).__name__}(method=...)."
+            f"The checkpoint was written with a method of discovery of your own, {there['method']['class']}: pass it "
+            f"as {type(callback).__name__}(method=...)."
         )
     for name in here.keys() & there.keys():
         for field, value in here[name].items():

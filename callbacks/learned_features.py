@@ -93,8 +93,8 @@ class LearnedFeatures(GivenFeatures):
         if self.ready or n >= least:
             return None
         return (
-            f"No subgoal was discovered: the feature map is learned after {least} trajectories, and {n} have ended. Train "
-            "for longer, or choose a smaller first_trajectories of EmbeddingSettings."
+            f"No subgoal was discovered: the feature map is learned after {least} trajectories, and {n} have ended. "
+            "Train for longer, or choose a smaller first_trajectories of EmbeddingSettings."
         )
 
     def values(self) -> dict[str, float]:

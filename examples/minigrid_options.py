@@ -24,4 +24,4 @@ discovery.bank.save("options.safetensors")
 model.set_env(rooms("MiniGrid-MultiRoom-N4-S5-v1", "options.safetensors"))
 later = SubgoalDiscoveryCallback(**DISCOVERY, max_new_options=0, primitive_rollouts=True)
 model.learn(80_000, callback=later)  # tested with 2_000
-model.save("minigrid.zip")
+model.save("minigrid.zip")  # with the options as they are now: load_model(MaskablePPO, "minigrid.zip", rooms(...))

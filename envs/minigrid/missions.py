@@ -76,7 +76,8 @@ def _listed(space: Any) -> tuple[Vector, list[str]]:
     if type(space) is not MissionSpace:
         raise ValueError(
             f"The missions of {type(space).__name__} cannot be listed, so their words cannot be observed. Leave them "
-            "out by mission=False; then the agent does not know which of its tasks it is in."
+            "out by mission=False (train.py --env-kwargs mission:False); then the agent does not know which of its "
+            "tasks it is in."
         )
     words = [sorted(set(place)) for place in space.ordered_placeholders or ()]
     n = int(np.prod([len(place) for place in words]))

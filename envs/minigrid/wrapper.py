@@ -79,7 +79,7 @@ class MiniGridWrapper(
         if words is None:
             raise ValueError(
                 f"The mission {observation['mission']!r} is none that {self.unwrapped} lists. Leave it out by "
-                "mission=False."
+                "mission=False, with train.py --env-kwargs mission:False."
             )
         return np.concatenate([cells, words])
 

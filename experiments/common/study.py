@@ -30,6 +30,11 @@ class Flags(Machines):
     runs: int = 30
     first_seed: int = 1000
 
+    def __post_init__(self) -> None:
+        """Refuse what says nothing."""
+        if self.runs < 1:
+            raise SystemExit(f"--runs must be at least 1, got {self.runs}.")
+
     def seeds(self, n: int | None = None) -> range:
         """The seeds, or the first ``n`` of them."""
         return range(self.first_seed, self.first_seed + (self.runs if n is None else n))

@@ -57,6 +57,7 @@ class Study(Flags):
 
     def __post_init__(self) -> None:
         """Refuse what there is not, by name."""
+        super().__post_init__()
         known: dict[str, list[str]] = {
             "env": [env for task, env in TASKS if task == self.task],
             "algo": list(ALGORITHMS),

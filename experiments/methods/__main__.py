@@ -51,6 +51,7 @@ class Study(Flags):
 
     def __post_init__(self) -> None:
         """Refuse what there is not, by name."""
+        super().__post_init__()
         for name, possible in (("methods", POSSIBLE), ("tasks", TASKS), ("learners", tuple(LENGTHS))):
             for value in getattr(self, name):
                 if value not in possible:

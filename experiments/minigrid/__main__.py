@@ -47,10 +47,14 @@ def main(study: Study) -> None:
     """Run the study, and write and print what it found."""
     if study.family not in FAMILIES:
         raise SystemExit(f"--family must be one of {', '.join(FAMILIES)}, got {study.family}.")
+    for name in ("learned", "until"):
+        share = getattr(study, name)
+        if share is not None and not 0 < share <= 1:
+            raise SystemExit(f"--{name} must be a share of episodes in (0, 1], got {share:g}.")
     protocol = Protocol(study.learned, study.until, study.judged)
     out = study.out / study.family
     parts = [
-        Part(arm, partial(run, study.family, arm, protocol), out / folder_of(arm), settings.of(arm))
+        Part(arm, partial(run, study.family, arm, protocol), out / folder_of(arm), settings.of(arm, study.family))
         for arm in study.arms
     ]
     used = {
@@ -68,7 +72,7 @@ def main(study: Study) -> None:
     command += "" if study.until is None else f"--until {study.until:g} "
     command += "" if study.judged == JUDGED else f"--judged {' '.join(study.judged)} "
     command += f"--first-seed {study.first_seed} --arms {' '.join(map(repr, study.arms))}"
-    special = {arm: settings.of(arm) for arm in study.arms if settings.of(arm)}
+    special = {arm: of for arm in study.arms if (of := settings.of(arm, study.family))}
     content = {"command": command, **used, "special": special, "summary": summary, "runs": results}
     write(study.out, content, {"minigrid": draw(study.family, results)}, dpi=110)
     show(_table(summary), f"Results: {study.out / 'results.json'}, {study.out / 'minigrid.png'}")

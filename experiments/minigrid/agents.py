@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from experiments.minigrid import settings
 from experiments.minigrid.hand_made import MadeBy
-from experiments.minigrid.settings import WITH_OPTIONS, ZOO_ARM, Arm
+from experiments.minigrid.settings import WITH_OPTIONS, Arm
 from sb3_options import OptionsWrapper
 from sb3_options.envs.minigrid import make
 from sb3_options.experience.observations import BoolArray
@@ -95,11 +95,10 @@ def normalised(venv: VecEnv, before: VecEnv | None, *, training: bool = True) ->
     return made
 
 
-def model_of(arm: Arm, venv: VecEnv, seed: int) -> BaseAlgorithm:
-    """PPO; or MaskablePPO, which chooses options only where they may begin."""
+def model_of(arm: Arm, venv: VecEnv, seed: int, ppo: Mapping[str, Any] = settings.PPO) -> BaseAlgorithm:
+    """PPO with these settings; or MaskablePPO, which chooses options only where they may begin."""
     algorithm = MaskablePPO if arm in WITH_OPTIONS else PPO
-    used = settings.ZOO if arm == ZOO_ARM else settings.PPO
-    return algorithm("MlpPolicy", venv, seed=seed, device="cpu", **used)
+    return algorithm("MlpPolicy", venv, seed=seed, device="cpu", **ppo)
 
 
 class Notes(BaseCallback):

@@ -18,7 +18,7 @@ from experiments.minigrid import settings
 from experiments.minigrid.agents import Chooser, Notes, learned, model_of, normalised, success_rate, uniform, venv_of
 from experiments.minigrid.contrasting import ContrastingSubgoalsCallback
 from experiments.minigrid.hand_made import MadeBy, options_on, to_subgoals_on
-from experiments.minigrid.settings import FAMILIES, LATER_ARM, WITH_OPTIONS, ZOO_ARM, Arm, Stage
+from experiments.minigrid.settings import FAMILIES, LATER_ARM, WITH_OPTIONS, ZOO_ARM, Arm, Stage, zoo_settings
 from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.callbacks.records import DiscoveredOption
 from sb3_options.envs.minigrid import concept_groups
@@ -96,7 +96,7 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
             if arm == ZOO_ARM:
                 venv = before = normalised(venv, before)
             if model is None:
-                model = model_of(arm, venv, env_seed)
+                model = model_of(arm, venv, env_seed, zoo_settings(family) if arm == ZOO_ARM else settings.PPO)
             else:
                 model.set_env(venv)
             longest = n_envs * venv.get_attr("unwrapped", [0])[0].max_steps

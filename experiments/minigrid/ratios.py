@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from experiments.common.documents import fill
 from experiments.minigrid.settings import Arm
+from experiments.minigrid.summary import REACH
 from sb3_options.experience.observations import FloatArray
 
 RESAMPLES, SEED = 10_000, 0
@@ -28,6 +29,7 @@ class Of(NamedTuple):
 
 PPO: Arm = "stock, curriculum"
 AT_FIRST: Arm = "stock, RND at first"
+THROUGHOUT: Arm = "stock, RND"
 
 
 def _all(file: str, contrasting: str | None = None) -> dict[str, Of]:
@@ -39,6 +41,7 @@ def _all(file: str, contrasting: str | None = None) -> dict[str, Of]:
         "random": Of(file, "random subgoals, RND at first"),
         "PPO": Of(file, PPO),
         "PPO, RND": Of(file, AT_FIRST),
+        "PPO, RND in all": Of(f"{file}-throughout", THROUGHOUT),
         "by hand": Of(file, "hand-made"),
     }
 
@@ -58,6 +61,7 @@ AGENTS: dict[str, dict[str, Of]] = {
         "random": Of("key-corridor-random", "random subgoals, RND before the last"),
         "PPO": Of("key-corridor", PPO),
         "PPO, RND": Of("key-corridor", "stock, RND before the last"),
+        "PPO, RND in all": Of("key-corridor-throughout", THROUGHOUT),
         "by hand": Of("key-corridor-by-hand", "hand-made"),
     },
     "DoorKey 8x8": _all("door-key", "door-key-contrasting"),
@@ -77,18 +81,28 @@ FRESH = {
 """Tasks that were run again on seeds which nothing had been chosen or seen on, and the files of agents with options and
 of their rivals, which end in -fresh."""
 
+REACHING = {
+    **{task: (file, f"{file}-fresh") for task, (file, _) in FRESH.items()},
+    "`FourRooms`": ("four-large-rooms",),
+    "`LockedRoom`": ("locked-room",),
+}
+"""Files of agents whose options are counted."""
+
 OPTIONS = {"options, RND": "", "options": ", no RND"}
 """Agents with options, and what the table says of them beside the task."""
 
 RIVALS = {
-    "PPO": "PPO's", "PPO, RND": "those of PPO and RND", "random": "those with random subgoals",
-    "contrasting": "those with contrasting ones",
+    "PPO": "PPO's", "PPO, RND": "those of PPO and RND", "PPO, RND in all": "those of PPO and RND in all tasks",
+    "random": "those with random subgoals", "contrasting": "those with contrasting ones",
 }  # fmt: skip
 """Whose frames the table compares theirs with, and what it says of them."""
 
+PLAIN = ("PPO", "PPO, RND", "PPO, RND in all")
+"""Rivals without options."""
+
 COLOURS = {
     "options, RND": "#d62728", "options": "#ff7f0e", "contrasting": "#9467bd", "random": "#c49c94", "PPO": "#1f77b4",
-    "PPO, RND": "#17becf", "by hand": "0.55",
+    "PPO, RND": "#17becf", "PPO, RND in all": "#2ca02c", "by hand": "0.55",
 }  # fmt: skip
 NEVER = 1e7
 """Where agents are drawn that never get there, in frames."""
@@ -111,7 +125,8 @@ class Ratios:
 
 def main(of: Ratios) -> None:
     """Read, fill in and draw."""
-    fill(of.document, {"ratios": table(of.results), "fresh": fresh_table(of.results)})
+    parts = {"ratios": table(of.results), "fresh": fresh_table(of.results), "reach": reach_table(of.results)}
+    fill(of.document, parts)
     draw(of.results).savefig(of.picture, dpi=110)
 
 
@@ -154,11 +169,7 @@ def table(results: Path) -> str:
         for name, said in OPTIONS.items():
             if name in agents:
                 frames = frames_of(results, agents[name])
-                fair = {
-                    rival: of
-                    for rival, of in agents.items()
-                    if rival in ("PPO", "PPO, RND") or _alike(of, agents[name])
-                }
+                fair = {rival: of for rival, of in agents.items() if rival in PLAIN or _alike(of, agents[name])}
                 cells = [_text(frames, frames_of(results, fair[rival])) if rival in fair else "–" for rival in RIVALS]
                 cells += [f"{_summary(results, agents[of])['seconds']['mean']:.0f}" for of in (name, "PPO")]
                 rows.append(f"| {task}{said} | {' | '.join(cells)} |")
@@ -187,6 +198,17 @@ def fresh_table(results: Path) -> str:
     return "\n".join(rows)
 
 
+def reach_table(results: Path) -> str:
+    """How many options reach their subgoals often enough, each agent's on its own; then those on fresh seeds."""
+    heads = [f"{where}, of {REACH[stage]} at least" for stage, where in (("source", "found in"), ("target", "target"))]
+    rows = [f"| | {' | '.join(heads)} | {' | '.join(f'{head}, fresh seeds' for head in heads)} |", "|---" * 5 + "|"]
+    for task, files in REACHING.items():
+        counts = [_summary_of(results, file)["reach"] for file in files]
+        cells = [f"{of[at]['options'] - of[at]['below']} of {of[at]['options']}" for of in counts for at in REACH]
+        rows.append(f"| {task} | {' | '.join([*cells, '–', '–'][:4])} |")
+    return "\n".join(rows)
+
+
 def _alike(one: Of, other: Of) -> bool:
     """Whether both have the bonus in the same tasks, or both do without."""
     return one.arm.partition(", ")[2] == other.arm.partition(", ")[2]
@@ -199,7 +221,12 @@ def frames_of(results: Path, of: Of) -> FloatArray:
 
 def _summary(results: Path, of: Of) -> Any:
     """What results.json has of an agent."""
-    return json.loads((results / f"minigrid-{of.file}.json").read_text(encoding="utf-8"))["summary"]["arms"][of.arm]
+    return _summary_of(results, of.file)["arms"][of.arm]
+
+
+def _summary_of(results: Path, file: str) -> Any:
+    """What a file of results says of all its agents."""
+    return json.loads((results / f"minigrid-{file}.json").read_text(encoding="utf-8"))["summary"]
 
 
 def ratio_of_medians(frames: Sequence[float] | FloatArray, rival: Sequence[float] | FloatArray) -> tuple[float, ...]:

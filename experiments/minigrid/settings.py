@@ -131,6 +131,9 @@ ZOO: dict[str, Any] = {
 
 ZOO_N_ENVS = 8
 
+ZOO_OF_TASK: dict[str, dict[str, Any]] = {"MiniGrid-FourRooms-v0": {"n_steps": 512}}
+"""Where rl-zoo3 has others for a task of ours."""
+
 RND_WEIGHT = 0.1
 """Of the bonus for what is new, the default of `IntrinsicRewardCallback`."""
 
@@ -178,8 +181,13 @@ def primitive_rollouts(arm: Arm, stage: Stage) -> bool:
     return arm != FORMER_ARM and not stage.counts_decisions
 
 
-def of(arm: Arm) -> dict[str, Any]:
-    """What one arm alone has."""
+def zoo_settings(family: str) -> dict[str, Any]:
+    """Those of rl-zoo3 for the last task of a family."""
+    return {**ZOO, **ZOO_OF_TASK.get(FAMILIES[family][-1].env_id, {})}
+
+
+def of(arm: Arm, family: str) -> dict[str, Any]:
+    """What one arm alone has in a family."""
     special: dict[str, Any] = {}
     if arm in WITH_OPTIONS:
         special |= {"primitive_rollouts": arm != FORMER_ARM}
@@ -193,5 +201,5 @@ def of(arm: Arm) -> dict[str, Any]:
     if arm in WITH_BONUS:
         special |= {"rnd_weight": RND_WEIGHT}
     if arm == ZOO_ARM:
-        special |= {"ppo": ZOO, "n_envs": ZOO_N_ENVS, "normalised": True}
+        special |= {"ppo": zoo_settings(family), "n_envs": ZOO_N_ENVS, "normalised": True}
     return special

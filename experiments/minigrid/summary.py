@@ -15,6 +15,12 @@ from sb3_options.runs.intervals import mean_interval
 
 Summary = dict[str, dict[str, Any]]
 
+REACH = {"source": 0.8, "target": 0.7}
+"""Least share of an option's runs that must reach its subgoal, where it was found and in the last task."""
+
+JUDGED_RUNS = 20
+"""Fewer runs of an option say little of it."""
+
 
 def run_frames(run: Result, family: str, arm: Arm) -> list[int]:
     """Frames that a run took in each of its stages."""
@@ -54,7 +60,7 @@ def summarise(family: str, results: Mapping[str, Sequence[Result]]) -> Summary:
         ``arms``: by agent the success in fresh episodes with its 95 % interval over seeds, the frames of all stages to
         each success of `REACHED` for every seed, and their medians, and the seconds of training, by the clock and of
         the processor; ``uniform``: success of a uniform choice; ``options``: by subgoal, how many seeds discovered it,
-        and the share of its runs that reached it, by stage.
+        and the share of its runs that reached it, by stage; ``reach``: of the options of each agent, as `reach` has it.
     """
     summary: Summary = {"arms": {}, "uniform": {}, "options": {}}
     for name, runs in results.items():
@@ -73,8 +79,31 @@ def summarise(family: str, results: Mapping[str, Sequence[Result]]) -> Summary:
         if "uniform" in runs[0]["success"]:
             summary["uniform"][name] = _mean([run["success"]["uniform"] for run in runs])
     found = [arm for arm in DISCOVERING if arm not in (*RANDOM, *CONTRASTING)]
-    summary["options"] = _options([run for arm in found for run in results.get(arm, ())])
+    runs = [run for arm in found for run in results.get(arm, ())]
+    summary["options"], summary["reach"] = _options(runs), reach(runs)
     return summary
+
+
+def reach(runs: Sequence[Result]) -> dict[str, dict[str, int]]:
+    """How many options there are, each agent's on its own, and how many of them reach their subgoals too rarely.
+
+    Args:
+        runs: Of agents that discover.
+
+    Returns:
+        By stage, ``source``, where an option was found, and ``target``, the last one: ``options`` with `JUDGED_RUNS`
+        runs there at least, and of these those ``below`` the share of `REACH`.
+    """
+    counts = {where: {"options": 0, "below": 0} for where in REACH}
+    for run in runs:
+        places = {option["where"]: option["stage"] for option in reversed(run["options"])}  # where it was found first
+        for where, stage in places.items():
+            for name, at in (("source", stage), ("target", -1)):
+                ends = Counter(run["stages"][at]["option_runs"].get(f"reach {where}", {}))
+                if ends.total() >= JUDGED_RUNS:
+                    counts[name]["options"] += 1
+                    counts[name]["below"] += ends["subgoal"] / ends.total() < REACH[name]
+    return counts
 
 
 def _options(runs: Sequence[Result]) -> dict[str, Any]:

@@ -38,6 +38,7 @@ class Study(Flags):
 
     def __post_init__(self) -> None:
         """Refuse a row that there is not."""
+        super().__post_init__()
         for row in self.rows:
             if row not in ROWS:
                 raise SystemExit(f"--rows: there is no {row!r}, choose from {', '.join(ROWS)}.")

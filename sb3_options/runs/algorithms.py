@@ -133,8 +133,15 @@ def check_algorithm(config: TrainConfig) -> None:
             near = difflib.get_close_matches(name, takes, n=1)
             hint = f" Did you mean {near[0]!r}?" if near else ""
             raise ValueError(f"--algo-kwargs: {of.__name__} takes no {name!r} here.{hint} It takes {', '.join(takes)}.")
-    if not isinstance(config.algo_kwargs.get("policy_kwargs", {}), dict):
+    policy = config.algo_kwargs.get("policy_kwargs", {})
+    if not isinstance(policy, dict):
         raise ValueError("--algo-kwargs: policy_kwargs takes a mapping, policy_kwargs:'{ortho_init: false}'.")
+    for name, value in policy.items():
+        if name.endswith(("_class", "_fn")) and value is not None:
+            raise ValueError(
+                f"--algo-kwargs: policy_kwargs takes numbers, texts and lists here; {name} is a class or a function, "
+                f"which a script gives, got {value!r}."
+            )
 
 
 def callback_settings(config: TrainConfig) -> dict[str, Any]:

@@ -1,3 +1,4 @@
+import importlib.util
 import json
 import re
 from collections import Counter
@@ -6,12 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
-from experiments.minigrid import agents, conditions, keys, reach, settings
+from experiments.minigrid import agents, conditions, keys, reach, settings, summary
 from experiments.minigrid.__main__ import Study, folder_of, main
 from experiments.minigrid.conditions import stages_of
 from experiments.minigrid.hand_made import FORWARD, LEFT, RIGHT, TOGGLE, approach, options_on, to_subgoals_on
-from experiments.minigrid.ratios import AGENTS, Ratios, draw, fresh_table, ratio_of_medians, table
+from experiments.minigrid.ratios import AGENTS, Ratios, draw, fresh_table, ratio_of_medians, reach_table, table
 from experiments.minigrid.settings import ARMS, FAMILIES, Arm, Stage, primitive_rollouts
 from experiments.minigrid.summary import frames_to, median_frames, summarise
 from sb3_options import OptionsWrapper
@@ -105,9 +107,50 @@ def test_options_to_subgoals_begin_within_so_many_cells() -> None:
 
 
 def test_arms_that_see_only_their_own_features() -> None:
-    own, all_seen = settings.of("discovered, own features"), settings.of("discovered")
+    own, all_seen = settings.of("discovered, own features", "DoorKey"), settings.of("discovered", "DoorKey")
     assert (own["options"], own["own_features_only"]) == ({}, True)
     assert (all_seen["options"], all_seen["own_features_only"]) == ({"grow": True}, False)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_settings_of_rl_zoo3_are_those_that_it_has(family: str) -> None:
+    """Those of the last task, or, where it has none, of one that is alike."""
+    found = importlib.util.find_spec("rl_zoo3")  # to import it would change environments of this process
+    assert found is not None
+    assert found.origin is not None
+    written = yaml.safe_load((Path(found.origin).parent / "hyperparams/ppo.yml").read_text())
+    theirs = written.get(FAMILIES[family][-1].env_id, written["MiniGrid-MultiRoom-N4-S5-v0"])
+    of = settings.of(settings.ZOO_ARM, family)
+    assert of["ppo"] == {name: theirs[name] for name in settings.ZOO}
+    assert (of["n_envs"], of["normalised"]) == (theirs["n_envs"], theirs["normalize"])
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"runs": 0}, "--runs must be at least 1, got 0"),
+        ({"learned": 2.0}, "--learned must be a share of episodes"),
+        ({"until": 0.0}, "--until must be a share of episodes"),
+        ({"family": "Doors"}, "--family must be one of MultiRoom-4, "),
+    ],
+)
+def test_flags_that_say_nothing_are_refused(given: dict[str, Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match=re.escape(message)):
+        main(Study(out=tmp_path, **given))
+
+
+def test_each_agents_option_is_judged_where_it_was_found_and_in_the_last_task() -> None:
+    def ends(arrived: int, n: int) -> dict[str, int]:
+        return {"subgoal": arrived, "left_initiation": n - arrived}
+
+    first = {"reach A": ends(16, 20), "reach B": ends(15, 20)}
+    last = {"reach A": ends(13, 20), "reach B": ends(700, 1000), "reach C": ends(0, 19)}
+    options = [{"where": "A", "stage": 0}, {"where": "B", "stage": 0}, {"where": "C", "stage": 1}]
+    run = {"options": options, "stages": [{"option_runs": first}, {"option_runs": last}]}
+    assert summary.reach([run, run]) == {
+        "source": {"options": 4, "below": 2},  # B twice; C has too few runs
+        "target": {"options": 4, "below": 2},  # A twice
+    }
 
 
 def curve(*points: tuple[int, float], **more: Any) -> dict[str, Any]:
@@ -247,7 +290,7 @@ def test_ratios_of_medians() -> None:
 
 def test_the_page_has_the_ratios_of_the_committed_results() -> None:
     page = Path("docs/studies/minigrid.md").read_text()
-    for name, made in {"ratios": table, "fresh": fresh_table}.items():
+    for name, made in {"ratios": table, "fresh": fresh_table, "reach": reach_table}.items():
         assert page.split(f"<!-- {name} -->")[1].split(f"<!-- end {name} -->")[0].strip() == made(Path("docs/results"))
 
 

@@ -61,6 +61,10 @@ def test_a_slip_is_told_with_what_there_is() -> None:
         check_algorithm(configured("ppo", normalise_advantage=False))
     with pytest.raises(ValueError, match="policy_kwargs takes a mapping"):
         check_algorithm(configured("ppo", policy_kwargs=3))
+    with pytest.raises(
+        ValueError, match=r"features_extractor_class is a class or a function, which a script gives, got"
+    ):
+        check_algorithm(configured("ppo", policy_kwargs={"features_extractor_class": "sb3_options.x:MiniGridCNN"}))
 
 
 @pytest.mark.parametrize(
