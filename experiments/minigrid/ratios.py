@@ -54,6 +54,7 @@ AGENTS: dict[str, dict[str, Of]] = {
         "random": Of("six-large-rooms-random", "random subgoals"),
         "PPO": Of("six-large-rooms", PPO),
         "PPO, RND": Of("six-large-rooms-rnd", AT_FIRST),
+        "PPO, RND in all": Of("six-large-rooms-throughout", THROUGHOUT),
         "by hand": Of("six-large-rooms-by-hand", "hand-made"),
     },
     "key corridors": {
