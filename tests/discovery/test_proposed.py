@@ -2,6 +2,7 @@
 
 import dataclasses
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from sb3_options.discovery.methods import DiscoveryMethod, Experience, Passage, 
 from sb3_options.discovery.methods.candidates import PLACE_SECONDS
 from sb3_options.discovery.methods.covering import CoveringOptions
 from sb3_options.discovery.methods.graphs import LCut
+from sb3_options.discovery.methods.repeats import RandomRepeats
 from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
 from sb3_options.discovery.proposed import ProposedDiscovery, discovery_with
 from sb3_options.discovery.settings import DiscoverySettings
@@ -256,6 +258,19 @@ def test_what_a_method_takes_that_does_not_say_is_measured() -> None:
             discovery.search()
         told[share] = len(method.told)
     assert told == {0.05: 1, None: 3}
+
+
+@pytest.mark.parametrize("make", [RandomPlaces, RandomRepeats])
+def test_no_method_of_the_library_is_measured(make: Callable[[], DiscoveryMethod]) -> None:
+    """Two runs with one seed, and one that was resumed, spend the same."""
+    spent = []
+    for _ in range(2):
+        discovery = of(make())
+        for _ in range(5):
+            discovery.add(*line())
+            discovery.search()
+        spent.append(discovery.budget.spent)
+    assert spent[0] == spent[1]
 
 
 def test_methods_see_the_trajectory_and_cannot_change_it() -> None:

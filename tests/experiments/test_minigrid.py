@@ -209,7 +209,7 @@ def test_shares_of_runs_that_reach_are_of_all_seeds_together() -> None:
             curve(option_runs={"reach key at 1": dict(ends), "other": {"subgoal": 5}}) for ends in (source, target)
         ]
         success = {"sampled": 1.0, "greedy": 1.0, "uniform": 0.5}
-        found = {"where": "key at 1"}  # twice: the first was closed
+        found = {"where": "key at 1", "stage": 0}  # twice: the first was closed
         return {"stages": stages, "success": success, "options": [found, found]}
 
     runs = [

@@ -194,7 +194,7 @@ def proposed_by(method: DiscoveryMethod, experience: Experience) -> list[Proposa
     try:
         proposals = method.update(experience)
     except ValueError as error:
-        if type(method).__module__.startswith("sb3_options."):
+        if _is_of_the_library(method):
             raise
         raise RuntimeError(f"{type(method).__name__}.update failed: {error}") from error
     if not isinstance(proposals, Sequence) or not all(isinstance(each, PROPOSALS) for each in proposals):
@@ -235,6 +235,11 @@ def kept(proposal: Proposal, method: DiscoveryMethod) -> Proposal:
     return proposal if isinstance(proposal, Repeat) else _copied(proposal)
 
 
+def _is_of_the_library(method: DiscoveryMethod) -> bool:
+    """Whether a method is no user's own."""
+    return type(method).__module__.startswith("sb3_options.")
+
+
 def _copied(region: Placed) -> Placed:
     """The same with arrays of its own."""
     points, scale = np.array(region.points, dtype=np.float64), np.array(region.scale, dtype=np.float64)
@@ -249,13 +254,13 @@ def _regions_of(proposal: Proposal) -> tuple[Region | IntrinsicReward, ...]:
 
 
 def seconds_by(method: DiscoveryMethod, experience: Experience) -> float | None:
-    """Nominal time of an update, as the method has it; None if it does not say.
+    """Nominal time of an update, as the method has it; 0 of one of the library's, and None of another, that says none.
 
     Raises:
         ValueError: It is no finite number of at least 0.
     """
     if not hasattr(method, "seconds"):
-        return None
+        return 0.0 if _is_of_the_library(method) else None
     seconds = method.seconds(experience)
     if not (is_number(seconds) and 0.0 <= seconds < np.inf):
         raise ValueError(
