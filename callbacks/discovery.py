@@ -337,7 +337,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     def why_nothing(self) -> str | None:
         """Why no option was made since training started; None where one was."""
-        waits = None if self.discovery is None else self._features.why_not_ready(self.discovery.outcomes.n)
+        off = self.discovery is None or self.max_new_options == 0
+        waits = None if off else self._features.why_not_ready(self._search.outcomes.n)
         why = waits or why_no_option(self.discovery, self.bank, self.max_new_options)
         return None if self.discoveries else self._complaints.told(why, self.episodes)
 

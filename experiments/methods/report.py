@@ -11,6 +11,7 @@ from typing import Any
 import tyro
 
 from experiments.common.documents import fill, number
+from experiments.methods.entrants import NONE
 
 LEFT_OUT = (
     "tuned-race", "tuned-random", "robot-overview", "robot-random", "filtered-random", "filtered-race",
@@ -98,7 +99,11 @@ def means(by_learner: Mapping[str, Mapping[str, Any]]) -> str:
     heads = [f"{LABELS[learner]}, {phase}" for learner in by_learner for phase in ("same task", "goal moved")]
     rows = [f"| | {' | '.join(heads)} |", "|---" * (len(heads) + 1) + "|"]
     for entrant in dict.fromkeys(entrant for of in by_learner.values() for entrant in of):
-        cells = [_mean(of.get(entrant), phase) for of in by_learner.values() for phase in ("same", "moved")]
+        cells = [
+            "1" if entrant == NONE else _mean(of.get(entrant), phase)
+            for of in by_learner.values()
+            for phase in ("same", "moved")
+        ]
         rows.append(f"| {entrant} | {' | '.join(cells)} |")
     return "\n".join(rows)
 
@@ -107,8 +112,6 @@ def _mean(of: Mapping[str, Any] | None, phase: str) -> str:
     """As "0.83 (0.71 to 0.94)"."""
     if of is None:
         return "–"
-    if of[phase]["of_primitives"]["low"] == of[phase]["of_primitives"]["high"]:
-        return "1"  # primitives themselves
     return _marked(of["n_runs"], of[phase]["never"], number(of[phase]["of_primitives"]))
 
 

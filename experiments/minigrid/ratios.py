@@ -201,7 +201,7 @@ def fresh_table(results: Path) -> str:
 
 def reach_table(results: Path) -> str:
     """How many options reach their subgoals often enough, each agent's on its own; then those on fresh seeds."""
-    heads = [f"{where}, of {REACH[stage]} at least" for stage, where in (("source", "found in"), ("target", "target"))]
+    heads = [f"{where}, {REACH[stage]}" for stage, where in (("source", "where found"), ("target", "target task"))]
     rows = [f"| | {' | '.join(heads)} | {' | '.join(f'{head}, fresh seeds' for head in heads)} |", "|---" * 5 + "|"]
     for task, files in REACHING.items():
         counts = [_summary_of(results, file)["reach"] for file in files]

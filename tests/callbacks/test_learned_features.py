@@ -69,6 +69,8 @@ def test_what_a_map_waits_for_is_said_and_its_time_is_logged(tmp_path: Path) -> 
         f"No subgoal was discovered: the feature map is learned after 10000 trajectories, and {n} have ended. Train "
         "for longer, or choose a smaller first_trajectories of EmbeddingSettings."
     )
+    callback.max_new_options = 0
+    assert callback.why_nothing() == "Discovery was switched off."
     model.logger.dump()
     model.logger.close()
     assert "discovery/map_seconds" in (tmp_path / "progress.csv").read_text()

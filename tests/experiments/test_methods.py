@@ -26,6 +26,7 @@ from experiments.methods.entrants import (
 )
 from experiments.methods.filtered import FilteredDiscovery
 from experiments.methods.report import Report, all_parts, parts_of
+from experiments.methods.report import means as means_table
 from experiments.methods.spaces import SPACES, defaults_of
 from experiments.methods.summary import over_tasks, summarise
 from experiments.methods.tasks import (
@@ -186,6 +187,12 @@ class TestSummary:
         assert cut["moved"]["of_primitives"]["mean"] == pytest.approx((1 * 1 / 2) ** 0.5)
         assert (cut["same"]["never"], cut["moved"]["never"]) == (1, 0)
         assert cut["same"]["of_random"] is None
+
+        cut["same"]["of_primitives"] = {"mean": 0.5, "low": 0.5, "high": 0.5}  # no interval, and not primitives
+        lines = means_table(means).splitlines()
+        assert lines[0] == "| | MacroQ, same task | MacroQ, goal moved |"
+        assert lines[2].startswith("| l-cut | ≥0.50 (0.50 to 0.50) | 0.71 (")
+        assert lines[3] == "| none | 1 | 1 |"
 
     def test_the_interval_of_all_tasks_is_narrower_than_that_of_each(self) -> None:
         steps, rng = np.random.default_rng(0).integers(1000, 5000, (2, 2, 20)), np.random.default_rng(1)

@@ -1,0 +1,40 @@
+"""A method of discovery that tells what it was told, and trajectories along a line."""
+
+from typing import Any
+
+import numpy as np
+
+from sb3_options.discovery.methods import DiscoveryMethod, Experience, Proposal
+from sb3_options.discovery.proposed import discovery_with
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.subgoals import SubgoalDiscovery
+from sb3_options.experience.trajectories import Trajectory
+
+
+class Told:
+    """Proposes what it was given, and remembers what it was told, though not in a checkpoint."""
+
+    def __init__(self, *points: float) -> None:
+        self.points = points
+        self.told: list[Experience] = []
+
+    def update(self, experience: Experience) -> list[Proposal]:
+        self.told.append(experience)
+        return [experience.region(np.array([point])) for point in self.points]
+
+    def get_state(self) -> dict[str, Any]:
+        return {}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        pass
+
+
+def line(n: int = 12, *, success: bool = True) -> tuple[Trajectory, np.ndarray]:
+    states = np.arange(n, dtype=np.float64)[:, None]
+    visits = np.arange(n)
+    actions, rewards = np.zeros(n - 1, dtype=np.int64), np.zeros(n - 1)
+    return Trajectory(states, visits, actions, rewards, success, not success, success), states
+
+
+def of(method: DiscoveryMethod, kind: str = "environment", **settings: float) -> SubgoalDiscovery:
+    return discovery_with(DiscoverySettings(**settings), method=method, kind=kind)  # type: ignore[arg-type]  # of those that are numbers
