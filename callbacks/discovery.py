@@ -294,7 +294,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._made_here.add(slot)
         if not option.fixed:
             self._growth.made(slot, subgoal, self._search.database)
-        at = (self.episodes, self.num_timesteps, found.centre, where if len(subgoal.points) else option.name)
+        at = (self.episodes, self.num_timesteps, found.centre, where)
         last = (found.log_density, len(option.initiation_set.points), *saved_for(subgoal, self._search.database))
         self.discoveries.append(DiscoveredOption(slot, *at, *last))
         if self.verbose:

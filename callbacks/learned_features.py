@@ -21,9 +21,6 @@ from sb3_options.experience.observations import FloatArray, Observations, take
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.settings import OptionLearningSettings
 
-BY_DENSITY = ("diverse-density", "em-dd")
-"""Methods of discovery that keep trajectories and subgoals only. Others remember places of a space that stays."""
-
 
 class GivenFeatures:
     """A feature map that is as it is: nothing is to be done."""
@@ -206,8 +203,8 @@ def check_learned(
             "A learned feature map moves while it is learned on, and policies on features would not move along: leave "
             "policy_input at 'observation'."
         )
-    if own or discovery.method not in BY_DENSITY:
+    if own or discovery.method != "diverse-density":
         raise ValueError(
-            "A learned feature map moves while it is learned on. Diverse density and EM-DD move along; other methods "
+            "A learned feature map moves while it is learned on. Diverse density moves along; other methods "
             "and groups of features need features that stay: pass OptionsWrapper(feature_map=...) a function."
         )

@@ -27,8 +27,8 @@ class DiscoveredOption:
         slot: Its slot.
         episode: Number of episodes, or of segments between peaks of reward, that had ended.
         timestep: Primitive steps taken.
-        subgoal: The subgoal's centre in concept space, shape (d,); NaN if the option is bound for no place.
-        where: The same for people: ``state 57`` of a discrete space, else coordinates, or what the option repeats.
+        subgoal: The subgoal's centre in concept space, shape (d,).
+        where: The same for people: ``state 57`` of a discrete space, else coordinates.
         log_density: Best log diverse density of the search that completed it; NaN where another method found it.
         initiation_states: Size of its initiation set.
         saved: Trajectories that were saved, which it was learned from.

@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from sb3_options.discovery.methods.repeats import EXPONENT
 from sb3_options.experience.observations import batch_size
 from sb3_options.options.option import Option
+
+EXPONENT = 2.0
+"""μ of the zeta distribution that durations are drawn from (Dabney, Ostrovski & Barreto 2021, §4)."""
 
 LONGEST = 100
 """Primitive steps: longer draws are cut to this, as discovered options are."""

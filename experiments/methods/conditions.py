@@ -18,7 +18,8 @@ from experiments.deep.conditions import EVAL_SEED, Served
 from experiments.deep.settings import GAMMA, DeepSettings, family
 from experiments.deep.tasks import Task
 from experiments.first_hour.conditions import OptionUse
-from experiments.methods.entrants import FILTERED, NONE, discovery_of
+from experiments.methods.em_dd import MostLikelyDiscovery
+from experiments.methods.entrants import EM_DD, FILTERED, NONE, discovery_of
 from experiments.methods.filtered import FilteredDiscovery
 from experiments.methods.tasks import RaceTask, at_bottleneck, step_limit, task_for
 from experiments.pioneer.agents import features
@@ -96,6 +97,20 @@ class FilteredDraws(TimedDiscovery):
         super()._on_training_start()
 
 
+class ExpectationSearches(TimedDiscovery):
+    """Discovers by EM-DD."""
+
+    def _on_training_start(self) -> None:
+        if self.discovery is None:
+            kind = self.training_env.env_method("feature_kind", indices=[0])[0]
+            self.discovery = MostLikelyDiscovery(self.settings, self.success, self.static_filter, kind)
+        super()._on_training_start()
+
+
+CALLBACKS: dict[str, type[TimedDiscovery]] = {FILTERED: FilteredDraws, EM_DD: ExpectationSearches}
+"""Of entrants that are no method of the library."""
+
+
 class TimedEvaluations(Evaluations):
     """Knows what processor time it took."""
 
@@ -142,7 +157,7 @@ def run(entry: Entry, seed: int) -> Result:
             "episode": each.episode,
             "timestep": each.timestep,
             "where": each.where,
-            "near": None if entry.entrant == "random-repeats" else at_bottleneck(task, each.subgoal.tolist()),
+            "near": at_bottleneck(task, each.subgoal.tolist()),
         }
         for each in callback.discoveries
     ]
@@ -193,7 +208,7 @@ def train(
 def make_discovery(entry: Entry, task: RaceTask, seed: int, *, discovers: bool) -> TimedDiscovery:
     """The callback; the option learner is the same for all."""
     settings, method = discovery_of(entry.entrant, entry.changed, task, seed)
-    kind = FilteredDraws if entry.entrant == FILTERED else TimedDiscovery
+    kind = CALLBACKS.get(entry.entrant, TimedDiscovery)
     return kind(
         settings,
         {**SETTINGS.option, **task.option},

@@ -18,8 +18,11 @@ HAND_MADE = "hand-made"
 
 FILTERED = "random-filtered"
 
-ENTRANTS = (*get_args(MethodName), HAND_MADE, NONE)
-"""Of `MethodName`; ``hand-made``: the bottlenecks themselves; ``none``: primitives."""
+EM_DD = "em-dd"
+
+ENTRANTS = (*get_args(MethodName), EM_DD, HAND_MADE, NONE)
+"""Of `MethodName`; ``em-dd``: one instance speaks for each bag; ``hand-made``: the bottlenecks themselves; ``none``:
+primitives."""
 
 POSSIBLE = (*ENTRANTS, FILTERED)
 """``random-filtered``: states drawn from diverse density's bags; it takes part where it is named."""
@@ -46,7 +49,7 @@ def chosen_settings(entrants: tuple[str, ...], which: str) -> dict[str, dict[str
     return {entrant: tuned[entrant]["settings"] if entrant in tuned else {} for entrant in entrants}
 
 
-TUNABLE = frozenset(ENTRANTS) - {"random-repeats", HAND_MADE, NONE}
+TUNABLE = frozenset(ENTRANTS) - {HAND_MADE, NONE}
 """What has something to tune: the methods, and how long random places wait."""
 
 
@@ -56,8 +59,8 @@ def all_settings_of(entrant: str, changed: Mapping[str, Any]) -> dict[str, Any]:
         made: Any = METHODS[entrant]
         defaults = {name: p.default for name, p in signature(made).parameters.items() if name != "seed"}
         return {**defaults, **changed}
-    if entrant == FILTERED:
-        return {**asdict(DiscoverySettings(**changed)), "method": FILTERED}
+    if entrant in (FILTERED, EM_DD):
+        return {**asdict(DiscoverySettings(**changed)), "method": entrant}
     return {} if entrant in (HAND_MADE, NONE) else asdict(DiscoverySettings(**{"method": entrant, **changed}))
 
 
@@ -77,6 +80,8 @@ def discovery_of(
         return DiscoverySettings(**task.discovery), METHODS[entrant](**changed, **drawn)
     if entrant == HAND_MADE:
         return DiscoverySettings(**task.discovery), GivenPlaces(places(task))
+    if entrant == EM_DD:
+        return DiscoverySettings(**{**task.discovery, **changed}), None
     if entrant in (NONE, FILTERED):
         return DiscoverySettings(**task.discovery), None
     return DiscoverySettings(**{**task.discovery, "method": entrant, **changed}), None

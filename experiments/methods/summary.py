@@ -54,9 +54,9 @@ def summarise(runs: Mapping[str, Sequence[Result]], n_timesteps: int) -> dict[st
             "n_runs": len(of),
             "found": mean_interval(found)._asdict(),
             "near": _share(_column(of, lambda run: sum(bool(each["near"]) for each in run["found"])), judged),
-            "reached": None
-            if entrant == "random-repeats"  # they are bound for no place
-            else _share(_column(of, lambda run: _both(run, "reached")), _column(of, lambda run: _both(run, "decided"))),
+            "reached": _share(
+                _column(of, lambda run: _both(run, "reached")), _column(of, lambda run: _both(run, "decided"))
+            ),
             "discovery_seconds": mean_interval(_column(of, lambda run: run["same"]["discovery"]))._asdict(),
             "discovery_share": _share(
                 _column(of, lambda run: run["same"]["discovery"]), _column(of, lambda run: run["same"]["seconds"])

@@ -28,11 +28,11 @@ from rich.progress import track
 from rich.table import Table
 from scipy.stats import binomtest
 
+from experiments.common.em_dd import ExpectationMaximisation
 from experiments.common.seeds import write_json
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
 from sb3_options.density.concepts import Point
-from sb3_options.density.em_dd import ExpectationMaximisation
 from sb3_options.density.search import ConceptSearch
 
 PLACE = np.array([3.0, -2.0])

@@ -15,7 +15,7 @@ from sb3_options.density.regions import HalfSpace, Region
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
-from sb3_options.options.proposals import IntrinsicReward, Passage, Repeat
+from sb3_options.options.proposals import IntrinsicReward, Passage
 
 OPTION = ("subgoal", "initiation_set", "option_policy", "policy_input", "max_duration", "name", "fixed")
 """What an option is made of: the arguments of `SubgoalOption`."""
@@ -51,7 +51,6 @@ RECORDS: dict[str, Record] = {
         BagArrays,
         Passage,
         IntrinsicReward,
-        Repeat,
     )
 } | {
     "Bags": Record(Bags, _made_bags, _bags),

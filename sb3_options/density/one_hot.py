@@ -17,7 +17,7 @@ def is_one_hot(features: FloatArray) -> bool:
 
 
 def one_hot_log_density(
-    points: FloatArray, scale: float, bags: Bags, negative_strength: float, leak: float, *, one_speaks: bool = False
+    points: FloatArray, scale: float, bags: Bags, negative_strength: float, leak: float
 ) -> FloatArray:
     """`log_diverse_density` of one-hot codes, without products of features: it matters only which state is which.
 
@@ -30,7 +30,6 @@ def one_hot_log_density(
         bags: Of one-hot codes, without weights.
         negative_strength: η in (0, 1].
         leak: λ in [0, 1).
-        one_speaks: Whether the likeliest instance of each bag alone counts, as EM-DD has it (`em_dd`).
 
     Returns:
         Shape (m,), in nats; −inf where a state is in a negative bag at full strength.
@@ -42,8 +41,6 @@ def one_hot_log_density(
     counts: IntArray = np.zeros((len(lengths), bags.n_features), dtype=np.int64)
     np.add.at(counts, (bag_of, bags.instances.cpu().numpy().argmax(axis=1)), 1)
     counts = counts[:, points.argmax(axis=1)]
-    if one_speaks:
-        counts, lengths = np.minimum(counts, 1), np.ones_like(lengths)
     positive, negative = counts[: bags.n_positive] > 0, counts[bags.n_positive :]
     n = lengths[: bags.n_positive]
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -206,7 +206,7 @@ def _seen(discovery: SubgoalDiscovery) -> _Seen | None:
     marks = Marks(
         np.unique([t.features[t.trajectory.visits[0]] for t in runs], axis=0),
         np.unique(np.reshape([t.features[t.trajectory.visits[-1]] for t in runs if t.success], (-1, d)), axis=0),
-        np.reshape([finding.centre for finding in discovery.found if len(finding.subgoal.points)], (-1, d)),
+        np.reshape([finding.centre for finding in discovery.found], (-1, d)),
     )
     return _Seen(seen, marks)
 

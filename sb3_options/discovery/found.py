@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from sb3_options.density.bags import Bags
 from sb3_options.density.diverse_density import Peak
 from sb3_options.density.regions import Region
@@ -53,12 +51,10 @@ class FoundSubgoal(NamedTuple):
 
     @property
     def centre(self) -> FloatArray:
-        """The middle of the subgoal in its own features, (d,); NaN if the option is bound for no place."""
-        points = self.subgoal.points
-        return points[0] if len(points) else np.full(points.shape[1], np.nan)
+        """The middle of the subgoal in its own features, (d,)."""
+        centre: FloatArray = self.subgoal.points[0]
+        return centre
 
     def where(self, kind: str | None) -> str:
         """The subgoal for people; ``kind`` says where φ comes from."""
-        if not len(self.subgoal.points):
-            return "no place"
         return described(self.centre, kind, self.subgoal.group)

@@ -17,7 +17,6 @@ from sb3_options.discovery.found import FoundSubgoal, Search
 from sb3_options.discovery.grouped import GroupedDiscovery
 from sb3_options.discovery.methods import METHODS, DiscoveryMethod, Experience, Proposal, method_named, proposed_by
 from sb3_options.discovery.methods.method import kept, seconds_by
-from sb3_options.discovery.most_likely import MostLikelyDiscovery
 from sb3_options.discovery.random_grouped import RandomGroupedDiscovery
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.static_filter import steps_from
@@ -158,7 +157,7 @@ class ProposedDiscovery(SubgoalDiscovery):
         return True
 
     def _is_apart(self, goal: Region, known: Sequence[Region]) -> bool:
-        """Whether a subgoal is farther than `spacing` from all others; what is bound for no place always is.
+        """Whether a subgoal is farther than `spacing` from all others.
 
         Where states have no distances, steps count along the last trajectory that came to the subgoal.
         """
@@ -166,7 +165,7 @@ class ProposedDiscovery(SubgoalDiscovery):
         if not self._maker.counts_steps:
             away = [np.linalg.norm((goal.points[:1] - other.points[:1]) * self.scale, axis=1) for other in known]
             return all((distances > self.settings.spacing).all() for distances in away)
-        if len(goal.points) and any(np.array_equal(goal.points[:1], other.points[:1]) for other in known):
+        if any(np.array_equal(goal.points[:1], other.points[:1]) for other in known):
             return False
         for labelled in reversed(list(self.database)):
             at = np.flatnonzero(goal.contains(labelled.features))
@@ -253,6 +252,4 @@ def discovery_with(
         )
     if method is not None:
         return ProposedDiscovery(settings, method=method, **how)
-    if name == "em-dd":
-        return MostLikelyDiscovery(settings, **how)
     return GroupedDiscovery(settings, groups=groups, **how) if groups else SubgoalDiscovery(settings, **how)

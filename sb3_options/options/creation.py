@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -10,13 +10,13 @@ import numpy as np
 import torch
 
 from sb3_options.density.regions import Region
-from sb3_options.experience.observations import BoolArray, FloatArray, flatten, take
+from sb3_options.experience.observations import BoolArray, FloatArray
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.options.imagined import imagined_farther
 from sb3_options.options.initiation import initiation_set, leading
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import OptionPolicy, TabularPolicy
-from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal, Repeat
+from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal
 from sb3_options.options.reach import reliable_part
 from sb3_options.options.replay import replay_into_network, replay_into_table
 from sb3_options.options.settings import OptionLearningSettings
@@ -44,7 +44,7 @@ def learn_option(
     """An option for a proposal, made from saved trajectories.
 
     Args:
-        proposal: A region to reach, a passage to one, a reward to gain, or an action to repeat. If a region has a
+        proposal: A region to reach, a passage to one, or a reward to gain. If a region has a
             group of features, the initiation set has the features that the group sees, and the policy acts on these
             alone, whatever ``policy_input`` says.
         trajectories: The saved ones.
@@ -59,8 +59,6 @@ def learn_option(
         features, none promises to reach it often enough (``min_reach``), or if nothing is to be gained on any.
     """
     trajectories = list(trajectories)
-    if isinstance(proposal, Repeat):
-        return repeating(proposal, trajectories, n_primitive, settings)
     if isinstance(proposal, Region) and proposal.group is not None:
         longest = min(settings.max_duration, settings.initiation_steps)
         settings = replace(settings, policy_input="features", max_duration=longest)
@@ -101,37 +99,6 @@ def learn_option(
         max_duration=settings.max_duration,
         name=name,
         fixed=not isinstance(proposal, Region),
-    )
-
-
-def repeating(
-    repeat: Repeat, trajectories: Sequence[LabelledTrajectory], n_primitive: int, settings: OptionLearningSettings
-) -> SubgoalOption | None:
-    """An option that repeats one action. There is nothing to learn.
-
-    Args:
-        repeat: What is repeated, for how long.
-        trajectories: The first one shows what observations look like.
-        n_primitive: Number of primitive actions.
-        settings: ``policy_input`` and ``max_duration`` are used.
-
-    Returns:
-        The option, named after what it does; None if there is no trajectory.
-    """
-    if not trajectories:
-        return None
-    first, action = trajectories[0], repeat.number % n_primitive
-    seen = first.features if settings.policy_input == "features" else first.trajectory.states
-    state = flatten(take(seen, slice(0, 1))).astype(np.float64)
-    duration = min(repeat.duration, settings.max_duration)
-    return SubgoalOption(
-        repeat.nowhere,
-        repeat.everywhere,
-        TabularPolicy(state, np.eye(n_primitive)[[action]]),  # of a single state, which is the nearest of every other
-        policy_input=settings.policy_input,
-        max_duration=duration,
-        name=f"repeat action {action}, {duration} steps",
-        fixed=True,
     )
 
 

@@ -1,4 +1,4 @@
-"""What an option may be made for: a region to reach, a passage to one, a reward to gain, or an action to repeat."""
+"""What an option may be made for: a region to reach, a passage to one, or a reward to gain."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import TypeAlias
 
 import numpy as np
 
-from sb3_options.checked import whole
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 
@@ -86,43 +85,7 @@ class IntrinsicReward:
         return Region(self.points[[self.potentials.argmax()]], self.scale, self.radius)
 
 
-@dataclass(frozen=True, eq=False)
-class Repeat:
-    """Repeat a primitive action for some steps, from anywhere: the option is bound for no place.
-
-    Attributes:
-        number: Says which action: this number modulo how many there are, which methods are not told.
-        duration: Primitive steps, at least 1.
-        scale: Factor for every feature of concept space, (d,).
-
-    Raises:
-        ValueError: ``number`` or ``duration`` is no such whole number, or ``scale`` has another shape.
-    """
-
-    number: int
-    duration: int
-    scale: FloatArray
-
-    def __post_init__(self) -> None:
-        """Refuse what is no number of an action or of steps."""
-        for name, value, least in (("number", self.number, 0), ("duration", self.duration, 1)):
-            if not whole(value, least):
-                raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
-        if len(np.shape(self.scale)) != 1:
-            raise ValueError(f"scale must have shape (d,), got {np.shape(self.scale)}")
-
-    @property
-    def nowhere(self) -> Region:
-        """A region that holds no state."""
-        return Region(np.zeros((0, len(self.scale))), self.scale, 0.0)
-
-    @property
-    def everywhere(self) -> Region:
-        """A region that holds all states."""
-        return everywhere(len(self.scale))
-
-
-Proposal: TypeAlias = Region | Passage | IntrinsicReward | Repeat
+Proposal: TypeAlias = Region | Passage | IntrinsicReward
 """What an option may be made for."""
 
 
@@ -132,11 +95,9 @@ def everywhere(n_features: int) -> Region:
 
 
 def goal_of(proposal: Proposal) -> Region:
-    """Where an option for this leads, as far as it is known before it is learned; without points if nowhere."""
+    """Where an option for this leads, as far as it is known before it is learned."""
     if isinstance(proposal, Passage):
         return proposal.subgoal
-    if isinstance(proposal, Repeat):
-        return proposal.nowhere
     return proposal.summit if isinstance(proposal, IntrinsicReward) else proposal
 
 

@@ -22,7 +22,6 @@ from sb3_options.discovery.methods.covering import CoveringOptions
 from sb3_options.discovery.methods.eigenoptions import Eigenoptions
 from sb3_options.discovery.methods.graphs import Betweenness, LCut
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
-from sb3_options.discovery.methods.repeats import RandomRepeats
 from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
 from sb3_options.learning.dqn import OptionDQN
 from sb3_options.learning.macro_q import MacroQ
@@ -263,7 +262,7 @@ def test_evaluations(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("keep_all")
 @pytest.mark.parametrize(
     "make",
-    [VisitFrequency, RelativeNovelty, LCut, Betweenness, RandomPlaces, RandomRepeats, Eigenoptions, CoveringOptions],
+    [VisitFrequency, RelativeNovelty, LCut, Betweenness, RandomPlaces, Eigenoptions, CoveringOptions],
 )
 def test_methods_of_discovery(make: Callable[..., DiscoveryMethod], tmp_path: Path) -> None:
     """Settings with which each makes an option in these few steps."""
@@ -275,7 +274,6 @@ def test_methods_of_discovery(make: Callable[..., DiscoveryMethod], tmp_path: Pa
         RandomPlaces: {"min_successes": 4},
         Eigenoptions: {"min_trajectories": 4},
         CoveringOptions: {"min_trajectories": 4},
-        RandomRepeats: {},
     }
     callbacks, _ = check_resumes(
         lambda: model_of("A2C", venv_of()), lambda: [discovering(method=make(**soon[make]))], tmp_path, cuts=(0.2, 0.7)

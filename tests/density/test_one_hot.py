@@ -4,18 +4,14 @@ import math
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
 from sb3_options.density import one_hot
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Point
 from sb3_options.density.diverse_density import DiverseDensity
-from sb3_options.density.em_dd import MostLikely
 from sb3_options.density.one_hot import is_one_hot, one_hot_log_density
-from sb3_options.density.search import ConceptSearch
 
 N_STATES = 6
 CODES = np.eye(N_STATES)
@@ -37,25 +33,6 @@ def test_it_is_the_density_of_any_features(
     expected = engine.log_density(CODES, bags)
     found = one_hot_log_density(CODES, scale, bags, strength, leak)
     assert found == pytest.approx(expected, rel=1e-9, abs=1e-9)
-
-
-@given(
-    positive=BAGS,
-    negative=st.one_of(st.just([]), BAGS),
-    scale=st.floats(0.1, 10.0),
-    strength=st.sampled_from([0.9, 0.5, 0.1]),
-)
-def test_where_one_instance_speaks_it_is_the_likelihood_of_em_dd(
-    positive: list[list[int]], negative: list[list[int]], scale: float, strength: float
-) -> None:
-    bags = Bags.pack([CODES[bag] for bag in positive], [CODES[bag] for bag in negative])
-    search = ConceptSearch(concept=Point("fixed"), scale=scale, negative_strength=strength)
-    evidence = search.evidence(bags)
-    likelihood = MostLikely(bags, evidence, search.concept, strength)
-    points = torch.from_numpy(evidence.scaled(CODES).T.copy())
-    loss, _ = likelihood.loss(points, likelihood.select(points))
-    found = one_hot_log_density(CODES, scale, bags, strength, 0.0, one_speaks=True)
-    assert found == pytest.approx(-loss.numpy(), rel=1e-9, abs=1e-9)
 
 
 def test_far_states_have_a_density() -> None:

@@ -2,7 +2,6 @@
 
 import dataclasses
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,9 +10,8 @@ import pytest
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.density.regions import Region
 from sb3_options.discovery.budget import SHORTEST, TABLE_STEP_SECONDS
-from sb3_options.discovery.methods import DiscoveryMethod, Experience, Passage, Proposal, Repeat
+from sb3_options.discovery.methods import Experience, Passage, Proposal
 from sb3_options.discovery.methods.graphs import LCut
-from sb3_options.discovery.methods.repeats import RandomRepeats
 from sb3_options.discovery.methods.visits import RandomPlaces
 from sb3_options.discovery.proposed import discovery_with
 from sb3_options.discovery.settings import DiscoverySettings
@@ -79,12 +77,11 @@ def test_what_a_method_takes_that_does_not_say_is_measured() -> None:
     assert told == {0.05: 1, None: 3}
 
 
-@pytest.mark.parametrize("make", [RandomPlaces, RandomRepeats])
-def test_no_method_of_the_library_is_measured(make: Callable[[], DiscoveryMethod]) -> None:
+def test_no_method_of_the_library_is_measured() -> None:
     """Two runs with one seed, and one that was resumed, spend the same."""
     spent = []
     for _ in range(2):
-        discovery = of(make())
+        discovery = of(RandomPlaces())
         for _ in range(5):
             discovery.add(*line())
             discovery.search()
@@ -139,10 +136,6 @@ class Giving:
         ),
         (Region(np.array([[5.0]]), 1.0, 0.5), r"whose scale has \(\); they must be \(n, 1\) and \(1,\), n ≥ 1, for φ"),  # type: ignore[arg-type]  # that is refused
         (Region(np.zeros((0, 1)), np.ones(1), 0.5), r"points have shape \(0, 1\) and"),
-        (
-            Repeat(0, 3, np.ones(2)),
-            r"a Repeat whose points have shape \(1, 2\) and whose scale",
-        ),
         (
             Passage(Region(np.ones((1, 1)), np.ones(1), 0.5), Region(np.ones((1, 2)), np.ones(2), 0.5)),
             r"a Passage whose",
@@ -200,7 +193,7 @@ def test_answers_that_are_no_proposals_are_refused(answer: object) -> None:
 
     discovery = of(Odd())  # type: ignore[arg-type]  # that is refused
     discovery.add(*line())
-    with pytest.raises(TypeError, match=r"^Odd.update must return a list of Region, Passage, IntrinsicReward, Repeat"):
+    with pytest.raises(TypeError, match=r"^Odd.update must return a list of Region, Passage, IntrinsicReward"):
         discovery.search()
 
 

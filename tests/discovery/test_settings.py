@@ -79,7 +79,7 @@ RANGES: list[tuple[str, tuple[Any, ...], str]] = [
     ("search", ("random", None), "should be 'gradient', 'exhaustive' or 'incremental'"),
     ("max_bytes", (0, -1), "should be greater than or equal to 1"),
     ("max_share", (0.0, -0.1, 1.1, math.nan), "should be (greater than 0|less than or equal to 1)"),
-    ("method", ("hand", None), "should be 'diverse-density', 'em-dd', 'first-visits',"),
+    ("method", ("hand", None), "should be 'diverse-density', 'first-visits',"),
     ("segmentation", ("lives", None), "should be 'episodes' or 'peaks'"),
     ("peak_reward", (math.nan, math.inf), "should be a finite number"),
     ("min_cut", (-0.1, 0.5, math.nan), "should be (greater than or equal to 0|less than 0.5)"),

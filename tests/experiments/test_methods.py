@@ -15,6 +15,7 @@ from experiments.methods import conditions, tune
 from experiments.methods.__main__ import Study, main, table
 from experiments.methods.conditions import LENGTHS, Entry, length_of, run
 from experiments.methods.entrants import (
+    EM_DD,
     ENTRANTS,
     FILTERED,
     HAND_MADE,
@@ -119,7 +120,7 @@ class TestEntrants:
         task = task_for("TwoRooms", 0)
         for entrant in ENTRANTS:
             settings, method = discovery_of(entrant, {}, task, 0)
-            alone = settings.method == entrant or entrant == NONE
+            alone = settings.method == entrant or entrant in (EM_DD, NONE)
             assert (method is None) == alone
         assert isinstance(discovery_of(HAND_MADE, {}, task, 0)[1], GivenPlaces)
 
@@ -223,9 +224,6 @@ class TestSummary:
         assert summary[NONE]["near"] is None
         assert summary[NONE]["same"]["of_primitives"] is None
 
-    def test_repeats_reach_nothing_because_they_are_bound_for_nothing(self) -> None:
-        assert summarise({"random-repeats": [result(1000)]}, 6000)["random-repeats"]["reached"] is None
-
     def test_the_tables(self) -> None:
         runs = {"l-cut": [result(1000, None, near=(True,))], NONE: [result(2000)]}
         summary = summarise(runs, 6000)
@@ -245,9 +243,8 @@ class TestSummary:
 
 
 def test_a_run_of_a_control_carries_its_options_over() -> None:
-    found = run(Entry("FourRooms", "macroq", "random-repeats", {}, 2 * SHORT), 0)
+    found = run(Entry("FourRooms", "macroq", "random", {}, 2 * SHORT), 0)
     assert found["found"]
-    assert all(each["near"] is None for each in found["found"])
     assert found["moved"]["decided"] > 0  # runs of options that were found in the same task
     assert found["same"]["seconds"] > found["same"]["discovery"] > 0
 
@@ -285,14 +282,14 @@ def test_the_race_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(conditions, "make_learner", refuse)  # whatever is trained again fails
     main(Study(**told, **small, methods=(NONE,)))
     monkeypatch.undo()
-    main(Study(**told, **small, methods=("random-repeats", NONE)))
+    main(Study(**told, **small, methods=("random", NONE)))
     written = json.loads((tmp_path / "results.json").read_text())
     assert written["command"] == (
-        "python -m experiments.methods --runs 1 --first-seed 0 --settings defaults --methods random-repeats none "
+        "python -m experiments.methods --runs 1 --first-seed 0 --settings defaults --methods random none "
         "--tasks FourRooms --learners macroq --n-timesteps 2000"
     )
-    assert set(written["summary"]["FourRooms"]["macroq"]) == {"random-repeats", NONE}
-    assert set(written["runs"]) == {"FourRooms, macroq, random-repeats", "FourRooms, macroq, none"}
+    assert set(written["summary"]["FourRooms"]["macroq"]) == {"random", NONE}
+    assert set(written["runs"]) == {"FourRooms, macroq, random", "FourRooms, macroq, none"}
     assert (tmp_path / "race.png").stat().st_size > 5_000
 
 
@@ -308,7 +305,7 @@ def refuse(*args: object) -> None:
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
-        ({"methods": ("lcut",)}, r"^--methods: there is no 'lcut', choose from diverse-density, em-dd,"),
+        ({"methods": ("lcut",)}, r"^--methods: there is no 'lcut', choose from diverse-density, first-visits,"),
         ({"tasks": ("Rooms",)}, r"^--tasks: there is no 'Rooms', choose from TwoRooms,"),
         ({"learners": ("sac",)}, r"^--learners: there is no 'sac', choose from macroq, dqn, ppo\.$"),
     ],
@@ -329,10 +326,8 @@ def test_tuning_goes_on_and_keeps_the_best(tmp_path: Path, monkeypatch: pytest.M
     assert set(tuned) == {"covering", "l-cut"}
     assert tuned["covering"]["score_of_defaults"] == 10.0
     assert tuned["covering"]["score"] == tuned["covering"]["settings"]["min_trajectories"] <= 10
-    with pytest.raises(
-        SystemExit, match=r"^--method: 'random-repeats' has nothing to tune, choose from diverse-density,"
-    ):
-        tune.Tuning(out=tmp_path, method="random-repeats")
+    with pytest.raises(SystemExit, match=r"^--method: 'none' has nothing to tune, choose from diverse-density,"):
+        tune.Tuning(out=tmp_path, method="none")
 
 
 def test_tuning_that_was_killed_goes_on_with_the_trial_it_was_at(

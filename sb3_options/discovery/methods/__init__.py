@@ -16,17 +16,14 @@ from sb3_options.discovery.methods.method import (
     IntrinsicReward,
     Passage,
     Proposal,
-    Repeat,
     checked_method,
     proposed_by,
 )
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
-from sb3_options.discovery.methods.repeats import RandomRepeats
 from sb3_options.discovery.methods.visits import GivenPlaces, RandomPlaces, VisitFrequency
 
 MethodName = Literal[
     "diverse-density",
-    "em-dd",
     "first-visits",
     "every-visit",
     "relative-novelty",
@@ -35,7 +32,6 @@ MethodName = Literal[
     "eigenoptions",
     "covering",
     "random",
-    "random-repeats",
 ]
 """Names of the methods of discovery."""
 
@@ -48,11 +44,10 @@ METHODS: dict[MethodName, Callable[..., DiscoveryMethod]] = {
     "eigenoptions": Eigenoptions,
     "covering": CoveringOptions,
     "random": RandomPlaces,
-    "random-repeats": RandomRepeats,
 }
-"""Makes a method, by its name. Diverse density and EM-DD are `SubgoalDiscovery` itself."""
+"""Makes a method, by its name. Diverse density is `SubgoalDiscovery` itself."""
 
-CONTROLS: frozenset[MethodName] = frozenset({"random", "random-repeats"})
+CONTROLS: frozenset[MethodName] = frozenset({"random"})
 """Those that draw at random."""
 
 
@@ -72,7 +67,6 @@ __all__ = [
     "Passage",
     "Proposal",
     "Region",
-    "Repeat",
     "checked_method",
     "method_named",
     "proposed_by",

@@ -15,16 +15,16 @@ from sb3_options.checked import is_number
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 from sb3_options.experience.trajectories import Trajectory
-from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal, Repeat, bins_of, everywhere
+from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal, bins_of, everywhere
 
-__all__ = ["DiscoveryMethod", "Experience", "IntrinsicReward", "Passage", "Places", "Proposal", "Region", "Repeat"]
+__all__ = ["DiscoveryMethod", "Experience", "IntrinsicReward", "Passage", "Places", "Proposal", "Region"]
 
 
-PROPOSALS = (Region, Passage, IntrinsicReward, Repeat)
+PROPOSALS = (Region, Passage, IntrinsicReward)
 """What an option may be made for."""
 
 Array = TypeVar("Array", bound=npt.NDArray[Any])
-Placed = TypeVar("Placed", Region, IntrinsicReward)
+Placed = TypeVar("Placed", bound=Region | IntrinsicReward)
 
 SIGN = np.int64(-(1 << 63))
 """The bit of the sign."""
@@ -160,7 +160,7 @@ class DiscoveryMethod(Protocol):
             experience: The trajectory.
 
         Returns:
-            Regions to reach, passages, intrinsic rewards, or repeats to make options for, best first. The first that
+            Regions to reach, passages, or intrinsic rewards to make options for, best first. The first that
             leads far enough from other subgoals is taken. What is proposed again after the next trajectory is
             considered again.
         """
@@ -230,9 +230,7 @@ def kept(proposal: Proposal, method: DiscoveryMethod) -> Proposal:
             )
     if isinstance(proposal, Passage):
         return Passage(_copied(proposal.subgoal), _copied(proposal.initiation))
-    if isinstance(proposal, IntrinsicReward):
-        return _copied(proposal)
-    return proposal if isinstance(proposal, Repeat) else _copied(proposal)
+    return _copied(proposal)
 
 
 def _is_of_the_library(method: DiscoveryMethod) -> bool:
@@ -250,7 +248,7 @@ def _regions_of(proposal: Proposal) -> tuple[Region | IntrinsicReward, ...]:
     """What has points in concept space."""
     if isinstance(proposal, Passage):
         return proposal.subgoal, proposal.initiation
-    return (proposal.everywhere,) if isinstance(proposal, Repeat) else (proposal,)
+    return (proposal,)
 
 
 def seconds_by(method: DiscoveryMethod, experience: Experience) -> float | None:

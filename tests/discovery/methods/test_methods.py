@@ -19,7 +19,6 @@ from sb3_options.discovery.methods.eigenoptions import Eigenoptions
 from sb3_options.discovery.methods.graphs import Betweenness, LCut, local_maxima, normalised_cut, weights_of
 from sb3_options.discovery.methods.method import DiscoveryMethod, Experience, distinct_rows
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty, relative_novelty
-from sb3_options.discovery.methods.repeats import RandomRepeats
 from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
 from sb3_options.discovery.peaks import MOST_TIED
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
@@ -227,7 +226,7 @@ class TestRules:
         assert candidates.get_state()["counts"].tolist() == [[2, 2, 1], [2, 2, 1]]  # 0, then 3
 
 
-@pytest.mark.parametrize("name", [name for name in METHODS if name != "random-repeats"])  # it goes nowhere
+@pytest.mark.parametrize("name", METHODS)
 def test_every_method_proposes_regions_around_what_was_seen(name: MethodName, rng: np.random.Generator) -> None:
     method = METHODS[name]()
     for _ in range(12):
@@ -267,7 +266,6 @@ def test_graph_methods_find_the_doorway_of_two_rooms_from_random_walks(name: str
         (lambda: VisitFrequency(threshold=1), r"threshold must be in \[0, 1\), got 1."),
         (lambda: Eigenoptions(max_places=2), "max_places must be a whole number of at least 3, got 2."),
         (lambda: RandomPlaces(seed=None), "seed must be a whole number of at least 0, got None."),  # type: ignore[arg-type]
-        (lambda: RandomRepeats(seed=-1), "seed must be a whole number of at least 0, got -1."),
         (lambda: RandomPlaces(min_successes=True), "min_successes must be a whole number of at least 1, got True."),
     ],
 )

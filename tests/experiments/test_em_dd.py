@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
+from experiments.common.em_dd import ExpectationMaximisation, MostLikely
 from sb3_options.density.bags import Bags
 from sb3_options.density.concepts import Plane, Point
-from sb3_options.density.em_dd import ExpectationMaximisation, MostLikely
 from sb3_options.density.search import ConceptSearch
 from tests.density.planted import planted
 

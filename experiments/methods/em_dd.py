@@ -1,15 +1,15 @@
-"""Discovery by EM-DD: one instance speaks for each bag (Zhang & Goldman 2001)."""
+"""EM-DD as an entrant of the race: one instance speaks for each bag (Zhang & Goldman 2001)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 
+from experiments.common.em_dd import ExpectationMaximisation, MostLikely
 from sb3_options.density.bags import distinct
 from sb3_options.density.diverse_density import DiverseDensity, Peak
-from sb3_options.density.em_dd import ExpectationMaximisation
-from sb3_options.density.one_hot import one_hot_log_density
 from sb3_options.discovery.bag_maker import FilteredBags
 from sb3_options.discovery.budget import seconds_of_search
 from sb3_options.discovery.subgoals import SubgoalDiscovery
@@ -25,23 +25,24 @@ EVALUATION_SECONDS = 4e-5
 class MostLikelyDiscovery(SubgoalDiscovery):
     """`SubgoalDiscovery` with `ExpectationMaximisation` in place of diverse density.
 
-    Bags, filters, peaks that persist and subgoals are as for diverse density. `leak` and ``search`` have no effect: all
-    bags must have an instance near the concept. Between one-hot codes there is nothing to ascend to, so there the
-    likelihood is evaluated at the instances of positive bags.
+    Bags, filters, peaks that persist and subgoals are those of diverse density. `leak` and ``search`` have no effect:
+    all bags must have an instance near the concept. One-hot codes have no point between them, so only the instances of
+    positive bags are candidates.
     """
 
     def _certain(self, evidence: FilteredBags, engine: DiverseDensity) -> list[Peak]:
-        """They have density 1 here, too: the nearest instance speaks for each bag."""
         return engine.certain(evidence.positive, evidence.positive[0])
 
     def _peaks(self, evidence: FilteredBags, engine: DiverseDensity) -> list[Peak]:
-        if self.kind == "categorical":
-            bags, scale = evidence.bags, float(np.max(engine.scale))
-            points = distinct(bags.smallest_positive(bags.n_positive))
-            strength = engine.negative_strength
-            return engine.best(points, one_hot_log_density(points, scale, bags, strength, 0.0, one_speaks=True))
         search = replace(engine.concepts, max_starts=STARTS)
-        return engine.peaks(ExpectationMaximisation(search=search, rounds=ROUNDS, steps=STEPS).fit(evidence.bags))
+        if self.kind != "categorical":
+            return engine.peaks(ExpectationMaximisation(search=search, rounds=ROUNDS, steps=STEPS).fit(evidence.bags))
+        scaled = search.evidence(evidence.bags)
+        likelihood = MostLikely(evidence.bags, scaled, search.concept, search.negative_strength)
+        points = distinct(evidence.bags.smallest_positive(evidence.bags.n_positive))
+        theta = torch.from_numpy(np.ascontiguousarray(scaled.scaled(points).T))
+        loss, _ = likelihood.loss(theta, likelihood.select(theta))
+        return engine.best(points, -loss.numpy())
 
     def _seconds_of_search(self, evidence: FilteredBags, engine: DiverseDensity, *, certain: bool) -> float:
         if certain or self.kind == "categorical":
