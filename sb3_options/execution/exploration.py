@@ -19,8 +19,8 @@ from sb3_options.experience.observations import BoolArray
 class CappedActions(spaces.Discrete):
     """Augmented actions of which `sample` draws at most a given share of options. Compares equal to a ``Discrete``.
 
-    While uniform choices keep to the share, they are drawn as ``Discrete`` draws them, number by number. An empty slot
-    counts as a primitive: it runs a uniformly random one.
+    While uniform choices keep to the share, they are drawn as ``Discrete`` draws them. In the place of an empty slot a
+    primitive is drawn, each as often as the others.
 
     Args:
         actions: The space that it replaces; it uses the same generator.
@@ -40,9 +40,13 @@ class CappedActions(spaces.Discrete):
 
     def sample(self, mask: Any = None, probability: Any = None) -> Any:
         """One exploratory choice; ``mask`` and ``probability`` as for ``Discrete``."""
-        if mask is not None or probability is not None or len(self.filled) <= self.share * int(self.n):
+        if mask is not None or probability is not None:
             return super().sample(mask, probability)
-        if self.np_random.random() < self.share:
+        if len(self.filled) <= self.share * int(self.n):
+            drawn = super().sample()
+            if drawn < self.n_primitive or drawn - self.n_primitive in self.filled:
+                return drawn
+        elif self.np_random.random() < self.share:
             return self.n_primitive + self.np_random.choice(self.filled)
         return self.np_random.integers(self.n_primitive)
 

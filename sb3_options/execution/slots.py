@@ -32,8 +32,8 @@ from sb3_options.options.option import Option
 
 logger = logging.getLogger("sb3_options")
 
-EMPTY_SLOT_SEED = 0x0971055
-"""Mixed into the seed of ``reset``, so that empty slots draw from a stream apart from the environment's."""
+TERMINATION_SEED = 0x0971055
+"""Mixed into the seed of ``reset``: β draws from a stream apart from the environment's."""
 
 
 class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
@@ -96,7 +96,7 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self.bank.load(options_file)
         self.action_space: Any = spaces.Discrete(self.n_primitive + max_options)
         self._observation: Any = None
-        self._random = np.random.default_rng()
+        self._random = np.random.default_rng(TERMINATION_SEED)  # until a reset is given a seed
         self._limit = RunLimit(max_options, max_runs)
         self._reports_availability = False
         self._recording: RecordTrajectories | None = None
@@ -160,10 +160,6 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         """The space of the observations that options act on, also where a wrapper above has another."""
         return self.observation_space
 
-    def seed_empty_slots(self, seed: int) -> None:
-        """Seed what empty slots draw, and nothing of the environment."""
-        self._random = np.random.default_rng([seed, EMPTY_SLOT_SEED])
-
     def set_option(self, slot: int, option: Option | None) -> None:
         """Fill slot ``slot`` with ``option``, or empty it with None.
 
@@ -193,7 +189,7 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         if not (self._expects_empty or self._warned):
             self._warned = True
             logger.warning(
-                "Slot %d was chosen, and it is empty: a random primitive action takes its place. To train, give "
+                "Slot %d was chosen, and it is empty: a primitive action takes its place. To train, give "
                 "learn() a SubgoalDiscoveryCallback, or a PrimitiveStepsCallback where nothing is to be discovered: "
                 "they close empty slots, which harm learning otherwise. A trained model needs its options in the "
                 'environment it acts in: sb3_options.load_model(DQN, "model.zip", env) or '

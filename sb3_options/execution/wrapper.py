@@ -12,7 +12,7 @@ from sb3_options.embedding.settings import MapName
 from sb3_options.execution.features import checked_size
 from sb3_options.execution.finite import check_finite
 from sb3_options.execution.option_step import StepReturn, run_option
-from sb3_options.execution.slots import OptionSlots
+from sb3_options.execution.slots import TERMINATION_SEED, OptionSlots
 from sb3_options.experience.observations import BoolArray, FeatureMap, Observations, batch_of_one
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.options.option import Option
@@ -29,14 +29,14 @@ class OptionsWrapper(OptionSlots):
 
     An option also leaves its primitive steps there, which Macro-Q learning needs.
 
-    An empty slot runs one uniformly random primitive, and names it as ``actions``. An option that is chosen outside its
+    An empty slot i runs primitive i mod n_primitive, and names it as ``actions``. An option that is chosen outside its
     initiation set runs one step of its own policy. So an algorithm that cannot mask still faces a semi-Markov decision
     process; ``action_masks()`` gives the initiation sets to one that can. Without options it is the environment itself,
     bit for bit.
 
     With ``max_runs`` no option begins more often than that in an episode; then its slot counts as empty until the
     next one. Without a limit an option whose subgoal is a dead end leads an untrained agent there again and again. It
-    is for algorithms that mask: others go on choosing the slot, and take random steps. How often an option has run is
+    is for algorithms that mask: others go on choosing the slot, and take single steps. How often an option has run is
     not in the observation; what is learned is an average over it.
 
     Args:
@@ -74,12 +74,12 @@ class OptionsWrapper(OptionSlots):
         self._primitive = OptionRun(-1, 1, self.gamma, self.gamma, "primitive").as_info()
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset the environment; ``seed`` also seeds what empty slots draw."""
+        """Reset the environment; ``seed`` also seeds whether options with 0 < β < 1 end."""
         observation, info = self.env.reset(seed=seed, options=options)
         if self.check_finite:
             check_finite(self.env, observation)
         if seed is not None:
-            self.seed_empty_slots(seed)
+            self._random = np.random.default_rng([seed, TERMINATION_SEED])
         self._observation = observation
         self._limit.runs[:] = 0
         self._running = None  # an error may have ended the last episode within an option
@@ -114,7 +114,7 @@ class OptionsWrapper(OptionSlots):
         if option is None:
             self._chose_empty(slot)
         if option is None or self._limit.is_reached(slot):
-            return self._run_primitive(int(self._random.integers(self.n_primitive)), instead=True)
+            return self._run_primitive(slot % self.n_primitive, instead=True)
         observation = self._current_observation("step()")
         if self._withholding is not None and slot in self._withholding.withheld():
             primitive = self._withholding.instead_of(

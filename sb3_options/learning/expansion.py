@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import copy
 import logging
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-import numpy as np
 import torch
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -147,9 +145,7 @@ def _fitting(
                 f"The model has no environment: give one to {type(model).__name__}.load(..., env=...), or pass "
                 f"expand_action_space(model, {max_options}, env=...) one that is wrapped in OptionsWrapper."
             )
-        # A copy, so that the next exploratory choices do not depend on the number of environments.
-        random = copy.deepcopy(model.action_space.np_random)
-        return _wrap(model.env, max_options, gamma, feature_map, random)
+        return _wrap(model.env, max_options, gamma, feature_map)
     if feature_map is not None:
         raise ValueError("feature_map belongs to OptionsWrapper: with env=... pass it to the wrapper in there.")
     venv = model._wrap_env(env, model.verbose)
@@ -179,9 +175,7 @@ def _check_fit(model: BaseAlgorithm, venv: VecEnv, n_primitive: int, max_options
         )
 
 
-def _wrap(
-    venv: VecEnv, max_options: int, gamma: float, feature_map: FeatureMap | MapName | None, random: np.random.Generator
-) -> VecEnv:
+def _wrap(venv: VecEnv, max_options: int, gamma: float, feature_map: FeatureMap | MapName | None) -> VecEnv:
     """Put `OptionsWrapper` around each environment of a ``DummyVecEnv``, whatever stands above it."""
     inner = venv.unwrapped
     if not isinstance(inner, DummyVecEnv):
@@ -191,8 +185,6 @@ def _wrap(
             f'"gamma": {gamma}}}, vec_env_cls={type(inner).__name__}).'
         )
     wrapped = [OptionsWrapper(env, max_options, gamma=gamma, feature_map=feature_map) for env in inner.envs]
-    for options in wrapped:
-        options.seed_empty_slots(int(random.integers(2**32)))
     inner.envs = [*wrapped]
     above: VecEnv = venv
     while isinstance(above, VecEnvWrapper):

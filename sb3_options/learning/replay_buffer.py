@@ -36,7 +36,7 @@ class OptionReplayBuffer(StoredRows, ReplayBuffer):
 
     Every transition of k primitive steps is stored with Σ γⁱ rᵢ and sampled with ``discounts`` = γᵏ, which DQN,
     QRDQN and the others put into their targets: SMDP Q-learning (Bradtke & Duff 1995; Sutton, Precup & Singh 1999,
-    §2). The random primitive that an empty slot ran is stored as that primitive.
+    §2). The primitive that an empty slot ran is stored as that primitive.
 
     Macro-Q learning (McGovern & Sutton 1998): each primitive step inside an option is stored as well, with its own
     action and reward and a discount of γ, so that one run of an option updates k + 1 values.

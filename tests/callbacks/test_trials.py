@@ -81,11 +81,16 @@ class TestAnEpisodeWithout:
     def test_draws_nothing_from_what_the_environment_draws(self) -> None:
         def walk(wrapped: OptionsWrapper) -> list[int]:
             wrapped.reset(seed=3)
-            return [int(wrapped.step(4)[4]["option"]["actions"][0]) for _ in range(15)]  # the empty slot
+            return [wrapped.step(4)[4]["option"]["duration"] for _ in range(15)]  # of the option that ends at random
 
-        plain = OptionsWrapper(CountingEnv(3), 2, gamma=GAMMA)
+        plain = OptionsWrapper(CountingEnv(3, truncate_at=20), 2, gamma=GAMMA)
         plain.bank.add(steady_option(1))
-        assert walk(plain) == walk(withholding_all(steady_option(1)))
+        withholding = withholding_all(steady_option(1))
+        for wrapped in (plain, withholding):
+            wrapped.bank.add(table_option([True] * 40, [1] * 40, [0.5] * 40), 1)
+        withholding.withhold_options({0: 1.0}, [0])
+        assert walk(plain) == walk(withholding)
+        assert len(set(walk(plain))) > 1
 
 
 def scripted(action: int, seed: int, episodes: int = 400) -> int | None:

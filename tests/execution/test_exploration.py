@@ -41,10 +41,18 @@ def test_samples_keep_to_the_share(share: float) -> None:
     assert all(abs(counts[a] - N_DRAWS * share / 6) < 150 for a in range(2, 8))
 
 
-@pytest.mark.parametrize(("share", "filled"), [(0.5, 0), (0.5, 4), (1.0, 6)])
-def test_where_the_share_is_kept_anyway_the_draws_are_those_of_a_plain_space(share: float, filled: int) -> None:
-    plain, space = spaces.Discrete(8, seed=0), capped(share, filled=filled)
+def test_where_the_share_is_kept_anyway_the_draws_are_those_of_a_plain_space() -> None:
+    plain, space = spaces.Discrete(8, seed=0), capped(1.0)
     assert [space.sample() for _ in range(100)] == [plain.sample() for _ in range(100)]
+
+
+@pytest.mark.parametrize("filled", [0, 4])
+def test_a_primitive_is_drawn_in_the_place_of_an_empty_slot(filled: int) -> None:
+    space = capped(0.5, n_primitive=4, filled=filled)
+    counts = Counter(int(space.sample()) for _ in range(N_DRAWS))
+    assert set(counts) == set(range(4 + filled))
+    assert_share(list(counts.elements()), filled / 10, n_primitive=4)
+    assert all(abs(counts[a] - N_DRAWS * (1 - filled / 10) / 4) < 150 for a in range(4))
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5])

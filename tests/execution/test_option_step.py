@@ -14,7 +14,7 @@ from scipy.stats import chisquare
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import Option, OptionsWrapper
 from sb3_options.density.regions import Region
-from sb3_options.execution.slots import EMPTY_SLOT_SEED
+from sb3_options.execution.slots import TERMINATION_SEED
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from tests.support.helpers import CountingEnv, DictEnv, TableEnv, ball, equal, place_of, steady_option, table_option
@@ -71,7 +71,7 @@ def test_an_option_is_a_hand_written_loop_over_1000_random_cases() -> None:
                 slot,
             )
         seed = int(rng.integers(2**31))
-        draws = np.random.default_rng([seed, EMPTY_SLOT_SEED])
+        draws = np.random.default_rng([seed, TERMINATION_SEED])
         observation = env.reset(seed=seed)[0]
         assert observation == twin.reset(seed=seed)[0]
         terminated = truncated = False
