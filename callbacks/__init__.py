@@ -6,7 +6,6 @@ from sb3_options.callbacks.intrinsic import IntrinsicRewardCallback
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
 from sb3_options.callbacks.records import ClosedOption, DiscoveredOption
 from sb3_options.callbacks.zoo import ZooDiscoveryCallback
-from sb3_options.execution.trials import TrialSettings
 
 __all__ = [
     "CheckpointCallback",
@@ -16,7 +15,6 @@ __all__ = [
     "IntrinsicRewardCallback",
     "PrimitiveStepsCallback",
     "SubgoalDiscoveryCallback",
-    "TrialSettings",
     "ZooDiscoveryCallback",
     "load_checkpoint",
 ]

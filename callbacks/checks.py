@@ -24,8 +24,6 @@ from stable_baselines3.common.vec_env import (
 from sb3_options.callbacks.counting import all_callbacks
 from sb3_options.checked import given_as, is_number, whole
 from sb3_options.density.groups import FeatureGroup, checked_groups
-from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.execution.trials import TrialSettings
 from sb3_options.execution.wrappers_above import ChangesSteps
 from sb3_options.learning import heads
 from sb3_options.learning.checks import check_gamma, check_wrapped
@@ -96,19 +94,6 @@ def groups_here(given: tuple[FeatureGroup, ...] | None, venv: VecEnv) -> tuple[F
     groups = venv.env_method("feature_groups", indices=[0])[0] if given is None else given
     n_features = venv.env_method("concept_size", indices=[0])[0]
     return groups if n_features is None else checked_groups(groups, n_features)
-
-
-def trial_given(trial: TrialSettings | Mapping[str, Any] | None, settings: DiscoverySettings) -> TrialSettings | None:
-    """The settings of trials that a user gave; None where none were given.
-
-    Raises:
-        TypeError: They have an unknown field.
-        ValueError: There are no episodes to compare, or a field is out of its range.
-    """
-    given = None if trial is None else given_as(TrialSettings, trial)
-    if given is not None and settings.segmentation == "peaks":
-        raise ValueError("A trial compares episodes, and a continuing task has none: pass trial=None with peaks.")
-    return given
 
 
 def check_training(callback: SubgoalDiscoveryCallback, before: BaseAlgorithm | None) -> None:

@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from sb3_options.callbacks.checks import check_arguments, check_training, groups_given, groups_here, trial_given
+from sb3_options.callbacks.checks import check_arguments, check_training, groups_given, groups_here
 from sb3_options.callbacks.discovery_log import DiscoveryClock, draw_discovery, log_discovery, step_seconds_of
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.learned_features import GivenFeatures, check_learned, features_for
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
 from sb3_options.callbacks.records import ClosedOption, Complaints, DiscoveredOption, OptionStatistics, saved_for
 from sb3_options.callbacks.summaries import describe_options, log_results, save_or_warn, settings_of, why_no_option
-from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.checked import given_as
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
@@ -29,7 +28,6 @@ from sb3_options.discovery.static_filter import StaticFilter
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.embedding.settings import EmbeddingSettings
 from sb3_options.execution.exploration import checked_share
-from sb3_options.execution.trials import TrialReport, TrialSettings, Verdict
 from sb3_options.execution.wrappers_above import monitor_primitive_steps
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.success import SuccessRule, judged, reported_success, success_rule, tell_success
@@ -79,14 +77,13 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             ``OptionsWrapper(feature_map="temporal-distance")`` or ``"laplacian"``.
         interruption: Whether options of DQN, QRDQN and OptionDQN end where going on is worth less than the best
             alternative (`execution.interruption`).
-        trial: How options are tried, and closed where they prove harmful (`execution.trials`); by default they are not.
         min_reached: Where less than this share of an option's last runs reached its subgoal, in [0, 1], it is offered
             no longer; it is closed if less than this share even ended before `max_duration`. 0: it stays as it is.
             Runs that the end of the episode cut off do not count.
         primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps, not decisions.
         save_path: File for the options, written each time one is made; None writes nothing.
         hparams: Settings for TensorBoard's HParams tab; by default those of the algorithm and of discovery.
-        seed: Of option policies that are networks, and of trials.
+        seed: Of option policies that are networks.
         verbose: 1 prints each new option, and in the end, if there is none, why.
 
     Raises:
@@ -108,7 +105,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         opening_share: float | None = None,
         embedding: EmbeddingSettings | Mapping[str, Any] | None = None,
         interruption: bool = True,
-        trial: TrialSettings | Mapping[str, Any] | None = None,
         min_reached: float = 0.0,
         primitive_rollouts: bool = False,
         save_path: str | os.PathLike[str] | None = None,
@@ -126,7 +122,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.success, self.static_filter, self.min_reached = success_rule(success), static_filter, min_reached
         self.groups = groups_given(groups)
         self.max_new_options, self.interruption, self.save_path = max_new_options, interruption, save_path
-        self.trial, self.hparams = trial_given(trial, self.settings), hparams
+        self.hparams = hparams
         self.max_option_exploration = checked_share(max_option_exploration)
         self.opening_share = checked_share(max_option_exploration if opening_share is None else opening_share)
         self.episodes, self.seed, self._began, self._complaints, self._ended = 0, seed, 0, Complaints(), True
@@ -135,7 +131,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.discovery: SubgoalDiscovery | None = None
         self.closed: list[ClosedOption] = []
         self._made_here: set[int] = set()
-        self._trials: OptionTrials | None = None
         self._generator = torch.Generator().manual_seed(seed)
         self._statistics, self._growth, self._features = OptionStatistics(min_reached), OptionGrowth(), GivenFeatures()
         self.embedding = given_as(EmbeddingSettings, {} if embedding is None else embedding)
@@ -181,7 +176,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             if isinstance(option, SubgoalOption) and slot not in self._made_here and not option.fixed:
                 self._growth.adopted(slot)
         venv.env_method("record_trajectories", True, self.settings.reward_peaks())
-        self._trials = None if self.trial is None else OptionTrials(venv, self.trial, self.seed)
         self._clock, self._ended = DiscoveryClock(self._search.seconds), False
 
     @property
@@ -222,10 +216,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             before = (each.success for each in islice(self.history, self._began, None))
             tell_success(info, success, trajectory, self.success, self.model.ep_success_buffer, before)
             self.history.append(EpisodeRecord(self.num_timesteps, total, success, len(trajectory)))
-            if self._trials is not None:
-                report: TrialReport | None = info.pop("option_trial", None)
-                for slot, why in self._trials.episode_ended(report, success=success, filled=self._options.installed()):
-                    self._close_option(slot, why)
             self._close_unreliable()
             self._learn_from(trajectory, success)
         except ValueError as error:  # one episode that cannot be used is no reason to end training
@@ -306,7 +296,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         """Narrow, or close, options whose runs too often go on for ever."""
         for slot, later in self._statistics.reliability.judged(self._options):
             if later is None:
-                self._close_option(slot, "unreliable")
+                self._close_option(slot)
             else:
                 self._replace(slot, later)
 
@@ -314,13 +304,13 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._options.replace(slot, later)
         self._features.remember(slot, later, self._search)
 
-    def _close_option(self, slot: int, why: Verdict) -> None:
+    def _close_option(self, slot: int) -> None:
         self._options.uninstall(slot)
         self._features.forget(slot)
         self._made_here.discard(slot)
         self._statistics.forget(slot)
         self._growth.forget(slot)
-        self.closed.append(ClosedOption(slot, self.episodes, self.num_timesteps, why))
+        self.closed.append(ClosedOption(slot, self.episodes, self.num_timesteps, "unreliable"))
         self.closed[-1].tell(printed=self.verbose > 0)
 
     def _log(self) -> None:
@@ -355,7 +345,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             "search": self._search.get_state(),
             "statistics": self._statistics.get_state(),
             "growth": self._growth.get_state(),
-            "trials": None if self._trials is None else self._trials.get_state(),
             "features": self._features.get_state(),
         }
 
@@ -371,8 +360,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._clock = DiscoveryClock(self._search.seconds)
         self._statistics.set_state(state["statistics"])
         self._growth.set_state(state["growth"])
-        if self._trials is not None:
-            self._trials.set_state(state["trials"])
         self._features.set_state(state.get("features"), self._options)  # those of before have none
         super().set_state(state)  # last: its options may need the feature map
 
@@ -381,8 +368,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             return
         self._ended = True
         super()._on_training_end()
-        if self._trials is not None:
-            self._trials.end()
         if self.closed or len(self._options.bank):  # without those that were closed, and as the others are now
             save_or_warn(self._options.bank, self.save_path)
         self.draw()

@@ -100,8 +100,6 @@ class PrimitiveStepsCallback(BaseCallback):
 
     def _start_counting(self) -> None:
         watch_workers(self.training_env)
-        if any(self.training_env.env_is_wrapped(OptionsWrapper)):
-            self.training_env.env_method("end_trials")  # an exception may have ended an earlier training
         buffer = getattr(self.model, "replay_buffer", None)
         if isinstance(buffer, OptionReplayBuffer):
             buffer.heads_are_closed = True

@@ -11,7 +11,6 @@ import numpy as np
 
 from sb3_options.callbacks.reliability import WINDOW, Reliability
 from sb3_options.density.regions import Region
-from sb3_options.execution.trials import Verdict
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.trajectories import TrajectoryDatabase
@@ -111,13 +110,13 @@ class ClosedOption:
         slot: Its slot, which another may fill.
         episode: Number of episodes that had ended.
         timestep: Primitive steps taken.
-        why: What its trial showed; or that its runs go on for ever, "unreliable".
+        why: "unreliable": its runs go on for ever.
     """
 
     slot: int
     episode: int
     timestep: int
-    why: Verdict
+    why: str
 
     def tell(self, *, printed: bool) -> None:
         """Log it, and print it if asked."""

@@ -26,7 +26,6 @@ from sb3_options.callbacks import CheckpointCallback, IntrinsicRewardCallback, S
 from sb3_options.callbacks.checkpoints import EndedAtCheckpointError, load_checkpoint
 from sb3_options.checkpoints.environments import refusal
 from sb3_options.discovery.figures import subgoals_figure
-from sb3_options.execution.trials import TrialSettings
 from sb3_options.execution.workers import WorkerLostError, end_workers
 from sb3_options.experience.success import success_rule
 from sb3_options.extras import how_to_install
@@ -210,7 +209,6 @@ def _discovery(config: TrainConfig, resumed: Path | None = None) -> SubgoalDisco
         config.discovery,
         config.option,
         max_new_options=config.max_new_options if config.discover else 0,
-        trial=TrialSettings() if config.close_harmful else None,
         success=config.success,
         min_reached=config.min_reached,
         hparams=hparams_of(config, options),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -21,7 +20,6 @@ from sb3_options.callbacks import (
     IntrinsicRewardCallback,
     PrimitiveStepsCallback,
     SubgoalDiscoveryCallback,
-    TrialSettings,
 )
 
 SOURCE_SEED, EVAL_SEED, FINAL_SEED = 300_000, 500_000, 10_000_000
@@ -89,13 +87,11 @@ def train(
     discovery = None
     callbacks: list[BaseCallback] = [evaluations]
     if arm in OPTIONS:
-        withhold = settings.withhold[family(algo)]
         discovery = SubgoalDiscoveryCallback(
             settings.discovery,
             settings.option,
             max_new_options=settings.max_new_options if options is None else 0,
             max_option_exploration=settings.max_option_exploration[family(algo)],
-            trial=TrialSettings(withhold=withhold) if withhold else None,
             seed=seed,
             **settings.callback,
         )
@@ -133,16 +129,15 @@ def train_source(task: Task, algo: str, arm: Arm, settings: DeepSettings, seed: 
         task: Which has a source.
         algo: As for `train`.
         arm: Likewise.
-        settings: Of everything; but options are not tried there, as what does harm may help where the goal has moved.
+        settings: Of everything.
         seed: Of the run in the target; the source has one of its own.
 
     Returns:
         As of `train`.
     """
     source = Task(task.env, task.source or {}, n_timesteps=task.source_timesteps)
-    untried = dataclasses.replace(settings, withhold=dict.fromkeys(settings.withhold, 0.0))
     plain: Arm = "options" if arm in OPTIONS else "stock"
-    return train(source, algo, plain, untried, SOURCE_SEED + seed, steps_after=source.n_timesteps)
+    return train(source, algo, plain, settings, SOURCE_SEED + seed, steps_after=source.n_timesteps)
 
 
 def run(task: Task, algo: str, arm: Arm, settings: DeepSettings, folder: Path, seed: int) -> Result:

@@ -65,8 +65,6 @@ class DeepSettings:
         ppo: Of ``PPO``, stock and with options.
         max_option_exploration: Of `SubgoalDiscoveryCallback`, by the algorithm's family.
         max_runs: Of `OptionsWrapper`, by the algorithm's family, 0 for no limit; random repeats have none.
-        withhold: Of `TrialSettings`, by the algorithm's family, 0 for no trial of options; in the old task there is
-            none, for what does harm there may help where the goal has moved.
         both_as: Whose arguments of the algorithm both sides take; by default each its own.
         n_envs: Parallel environments.
         max_options: Option slots.
@@ -89,7 +87,6 @@ class DeepSettings:
     ppo: Sides = field(default_factory=_ppo)
     max_option_exploration: dict[str, float] = field(default_factory=lambda: {"dqn": 0.5, "ppo": 0.75})
     max_runs: dict[str, int] = field(default_factory=lambda: {"dqn": 0, "ppo": 5})
-    withhold: dict[str, float] = field(default_factory=lambda: {"dqn": 0.0, "ppo": 0.3})
     both_as: Literal["", "stock", "options"] = ""
     n_envs: int = 8
     max_options: int = 4
@@ -115,7 +112,6 @@ class DeepSettings:
             own["max_option_exploration"] = self.max_option_exploration[family(algo)]
         if arm in OPTIONS:
             own["max_runs"] = self.max_runs[family(algo)]
-            own["withhold"] = self.withhold[family(algo)]
         if arm in N_STEP:
             own["n_steps"] = self.n_steps
         if arm in OPTIONS and family(algo) == "dqn" and self.brought_exploration is not None:
@@ -142,7 +138,7 @@ class DeepSettings:
         for name in ("n_steps", "brought_exploration", "bonus_weight"):
             if getattr(self, name) != getattr(DeepSettings(), name):
                 flags.append(f"--settings.{name.replace('_', '-')} {getattr(self, name)}")
-        for group in ("max_option_exploration", "max_runs", "withhold"):
+        for group in ("max_option_exploration", "max_runs"):
             for name, value in getattr(self, group).items():
                 if value != getattr(DeepSettings(), group)[name]:
                     flags.append(f"--settings.{group.replace('_', '-')}.{name} {value}")

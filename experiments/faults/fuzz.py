@@ -24,7 +24,6 @@ from sb3_options.density.diverse_density import DiverseDensity, log_diverse_dens
 from sb3_options.density.search import ConceptSearch
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.subgoals import SubgoalDiscovery
-from sb3_options.execution.trials import TrialSettings
 from sb3_options.experience.recording import RewardPeaks
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.settings import OptionLearningSettings
@@ -41,7 +40,6 @@ SETTINGS: dict[str, Callable[..., Any]] = {
     for of in (
         DiscoverySettings,
         OptionLearningSettings,
-        TrialSettings,
         RewardPeaks,
         DiverseDensity,
         ConceptSearch,

@@ -38,7 +38,7 @@ ASKING = frozenset(
     {
         "__str__", "action_masks", "available", "concept_features", "feature_groups", "feature_kind", "get_state",
         "layer_states", "learned_map", "lost_step", "render", "run_folder", "running_option", "seen_observation_space",
-        "set_layer_states", "set_state", "withheld_slots",
+        "set_layer_states", "set_state",
     }
 )  # fmt: skip
 """Methods that set nothing which outlives an episode. They are not called again in an environment that starts anew."""

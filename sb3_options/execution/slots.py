@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -23,7 +22,6 @@ from sb3_options.execution import layers, monitoring
 from sb3_options.execution.interruption import Interruption
 from sb3_options.execution.recording import RecordTrajectories
 from sb3_options.execution.run_limit import RunLimit
-from sb3_options.execution.trials import Withholding
 from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, Observations
 from sb3_options.experience.recording import RewardPeaks
 from sb3_options.options.archive import Source
@@ -101,7 +99,6 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         self._reports_availability = False
         self._recording: RecordTrajectories | None = None
         self._interruption: Interruption | None = None
-        self._withholding: Withholding | None = None
         self._expects_empty = self._warned = False
         self._running: int | None = None
         self._outermost: gym.Env[Any, Any] = self
@@ -109,7 +106,7 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
     def available(self, observations: Observations) -> BoolArray:
         """Which augmented actions may start in each observation, shape (batch, n_primitive + max_options).
 
-        By initiation sets alone: an observation does not tell what is withheld in an episode or may not run again.
+        By initiation sets alone: an observation does not tell what may not run again.
         """
         return self.bank.available(observations)
 
@@ -174,8 +171,6 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self.bank.remove(slot)
         if option is None:
             self._limit.runs[slot] = 0  # the next one begins to count anew; one that has grown does not
-            if self._withholding is not None:
-                self._withholding.forget(slot)
 
     def load_options(self, source: Source) -> None:
         """Fill slots with the options of a file; as `OptionBank.load`."""
@@ -215,28 +210,6 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         """Whether ``info["option"]["available"]`` says which slots may start in each observation arrived in."""
         self._reports_availability = report
 
-    def withhold_options(self, shares: dict[int, float], seed: Sequence[int]) -> None:
-        """Try options: let each episode from the next one on do without a slot with a probability of ``shares[slot]``.
-
-        The info that ends an episode then holds a `TrialReport` as ``info["option_trial"]``. A slot that is withheld
-        is masked; chosen all the same, it runs what the agent would do without it, and names that as ``actions``.
-
-        Args:
-            shares: By slot; those that are not named are not tried.
-            seed: Of the generator that draws; used the first time.
-        """
-        if self._withholding is None:
-            self._withholding = Withholding(seed, self.gamma)
-        self._withholding.shares = dict(shares)
-
-    def withheld_slots(self) -> list[int]:
-        """The slots that the current episode does without."""
-        return [] if self._withholding is None else self._withholding.withheld()
-
-    def end_trials(self) -> None:
-        """Withhold nothing any more, in the current episode either."""
-        self._withholding = None
-
     def record_trajectories(self, record: bool, peaks: RewardPeaks | None = None) -> None:
         """Whether infos hold the primitive steps that were taken, which are recorded beneath this wrapper.
 
@@ -260,7 +233,6 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             "random": self._random.bit_generator.state,
             "runs": self._limit.runs,
             "reports_availability": self._reports_availability,
-            "withholding": None if self._withholding is None else self._withholding.get_state(),
             "warned": self._warned,
             "feature_size": self.bank.feature_size,
         }
@@ -271,10 +243,6 @@ class OptionSlots(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         self._random.bit_generator.state = state["random"]
         self._limit.runs[:] = state["runs"]
         self._reports_availability, self._warned = state["reports_availability"], state["warned"]
-        self._withholding = None
-        if state["withholding"] is not None:
-            self._withholding = Withholding([], self.gamma)
-            self._withholding.set_state(state["withholding"])
         self.bank.feature_size = state["feature_size"]
 
     def count_primitive_steps(self) -> None:

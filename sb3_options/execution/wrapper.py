@@ -85,8 +85,6 @@ class OptionsWrapper(OptionSlots):
         self._running = None  # an error may have ended the last episode within an option
         if self.features is not None and self.bank.feature_size is None:
             self.bank.feature_size = checked_size(self.features.map, batch_of_one(observation))
-        if self._withholding is not None:
-            self._withholding.begin(self.bank.filled)
         return observation, info
 
     def step(self, action: int) -> StepReturn:
@@ -116,11 +114,6 @@ class OptionsWrapper(OptionSlots):
         if option is None or self._limit.is_reached(slot):
             return self._run_primitive(slot % self.n_primitive, instead=True)
         observation = self._current_observation("step()")
-        if self._withholding is not None and slot in self._withholding.withheld():
-            primitive = self._withholding.instead_of(
-                option, action, observation, self.action_masks, self.n_primitive, self._interruption
-            )
-            return self._run_primitive(primitive, instead=True)
         return self._run_option(option, slot, observation)
 
     def lost_step(self, observation: Any) -> dict[str, Any]:
@@ -177,18 +170,15 @@ class OptionsWrapper(OptionSlots):
     def _reported(self, result: StepReturn, option: dict[str, Any]) -> StepReturn:
         """What the last primitive step returned, with all that ``info`` is to say."""
         observation, reward, terminated, truncated, info = result
-        if "option" in info or "option_trial" in info:
+        if "option" in info:
             raise ValueError(
-                'The environment has an info["option"] or info["option_trial"] of its own, where OptionsWrapper '
-                "reports what ran: give it another name there, and wrap in OptionsWrapper once only."
+                'The environment has an info["option"] of its own, where OptionsWrapper reports what ran: give it '
+                "another name there, and wrap in OptionsWrapper once only."
             )
         info = dict(info)  # an environment may hand out one and the same dictionary every time
         info["option"] = option
         if self._recording is not None and self._recording.finished:
             info.update(self._recording.take())
-        if self._withholding is not None:
-            rewards = option["rewards"].tolist() if "rewards" in option else [float(reward)]
-            info.update(self._withholding.note(rewards, over=terminated or truncated))
         return observation, reward, terminated, truncated, info
 
     def _available_slots(self, arrived_in: Observations) -> BoolArray:
@@ -211,7 +201,7 @@ class OptionsWrapper(OptionSlots):
         """Which augmented actions may start now, shape (n_primitive + max_options,).
 
         An environment that masks its own actions goes on doing so; what an option does inside is not masked. An option
-        that this episode does without, or that has run ``max_runs`` times in it, may not start.
+        that has run ``max_runs`` times in this episode may not start.
 
         Raises:
             gymnasium.error.ResetNeeded: Before the first ``reset``.
@@ -229,6 +219,4 @@ class OptionsWrapper(OptionSlots):
                 )
             primitives &= own
         self._limit.forbid(slots)
-        if self._withholding is not None:
-            slots[self._withholding.withheld()] = False
         return mask

@@ -81,7 +81,6 @@ class OptionDQN(MaskedPrediction, DQN):
         assert self.env is not None  # it has just been reset
         check_gamma(self, self.env)
         self.env.env_method("report_availability", True)
-        self.env.env_method("end_trials")  # an exception may have ended an earlier training
         buffer = self._option_buffer()
         buffer.heads_are_closed = True
         n_primitive = n_actions_of(self) - self._n_slots

@@ -165,8 +165,6 @@ class MacroQ(MaskedPrediction):
         )
         assert self.env is not None  # _setup_learn has reset it
         assert self.features is not None  # set up with the model
-        if self._n_slots:
-            self.env.env_method("end_trials")  # an exception may have ended an earlier training
         callback.on_training_start(locals(), globals())
         callback.on_rollout_start()
         self._table = self.policy.table()
@@ -206,7 +204,7 @@ class MacroQ(MaskedPrediction):
             elif self._asks:
                 choices = self._choices()
             elif self._n_slots:
-                choices = [self._choices_after(run, slots) for run, slots in zip(runs, self._withheld, strict=True)]
+                choices = [self._choices_after(run) for run in runs]
         callback.on_rollout_end()
         callback.on_training_end()
         return self
@@ -332,18 +330,15 @@ class MacroQ(MaskedPrediction):
         """Which actions may start now in each environment, asked for when an episode has ended."""
         assert self.env is not None  # only asked while learning
         if self._n_slots:
-            self._withheld: list[list[int]] = self.env.env_method("withheld_slots")
             return [mask.nonzero()[0].tolist() for mask in self.env.env_method("action_masks")]
         return [list(range(self._n_actions))] * self.env.num_envs
 
-    def _choices_after(self, run: OptionRun | None, withheld: Sequence[int]) -> list[int]:
-        """Which actions may start after the step that ran this, in an episode without the ``withheld`` slots."""
+    def _choices_after(self, run: OptionRun | None) -> list[int]:
+        """Which actions may start after the step that ran this."""
         if run is None or run.available is None:
             return self._primitives
         slots: list[bool] = run.available[-1].tolist()
-        return self._primitives + [
-            self._n_primitive + slot for slot, may_start in enumerate(slots) if may_start and slot not in withheld
-        ]
+        return self._primitives + [self._n_primitive + slot for slot, may_start in enumerate(slots) if may_start]
 
     def _explore(self, values: list[float], choices: list[int]) -> int:
         """ε-greedy among ``choices``, ties broken at random."""

@@ -71,7 +71,6 @@ class TrainConfig:
         net_arch: Hidden layers of the network.
         algo_kwargs: Keyword arguments of SB3's class besides.
         bonus: "counts" or "rnd": an intrinsic reward.
-        close_harmful: Close options that prove harmful.
         min_reached: Least share of runs to reach; 0: any.
         success: terminated, return:30, steps:500.
         discovery: How subgoals are found.
@@ -106,7 +105,6 @@ class TrainConfig:
     net_arch: Annotated[tuple[Count, ...], tyro.conf.arg(metavar="N ...")] = (64, 64)
     algo_kwargs: Annotated[dict[str, Any], BeforeValidator(algo_keywords_of), PAIRS] = field(default_factory=dict)
     bonus: Annotated[Literal["none", "counts", "rnd"], KIND] = "none"
-    close_harmful: bool = False
     min_reached: Annotated[Share, SHARE] = 0.0
     success: Annotated[str, AfterValidator(rule_of), tyro.conf.arg(metavar="RULE")] = "reported"
     discovery: DiscoverySettings = field(default_factory=DiscoverySettings)
@@ -114,8 +112,6 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         """Refuse what does not go together."""
-        if self.close_harmful and self.discovery.segmentation == "peaks":
-            raise ValueError("--close-harmful compares episodes, and a continuing task has none: leave it out.")
 
 
 @settings

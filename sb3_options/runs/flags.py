@@ -43,7 +43,6 @@ LAST = (
     "env_wrapper",
     "feature_map",
     "bonus",
-    "close_harmful",
     "min_reached",
     "success",
     "checkpoint_freq",

@@ -15,9 +15,8 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options import MacroQ, OptionReplayBuffer, OptionsWrapper, load_model
-from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback, TrialSettings
+from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.callbacks.installer import OptionInstaller
-from sb3_options.callbacks.trials import OptionTrials
 from sb3_options.density.regions import Region
 from sb3_options.discovery.budget import STEP_SECONDS, TABLE_STEP_SECONDS
 from sb3_options.discovery.methods import DiscoveryMethod, Experience, GivenPlaces
@@ -57,23 +56,12 @@ def test_values_that_interrupt_do_not_outlive_the_training_that_asked_for_them()
     assert env._interruption is None
 
 
-def test_a_trial_withholds_nothing_after_training() -> None:
-    env = with_option()
-    trial = TrialSettings(withhold=0.5, patience=1, success_window=1)
-    model_of(env).learn(700, callback=SubgoalDiscoveryCallback(max_new_options=0, trial=trial))
-    assert env._withholding is None
-    env.reset(seed=0)
-    assert env.action_masks()[4]
-
-
-def test_an_option_that_is_being_removed_has_no_second_verdict() -> None:
+def test_an_option_that_is_being_removed_is_not_judged_again() -> None:
     env = with_option()
     installer = OptionInstaller(model_of(env), env_of(model_of(env)), None)
     assert installer.installed() == [0]
     installer.uninstall(0)
     assert installer.installed() == []
-    trials = OptionTrials(env_of(model_of(env)), TrialSettings(), 0)
-    assert trials.episode_ended(None, success=True, filled=installer.installed()) == []
 
 
 def test_a_closed_option_makes_room_for_another() -> None:
@@ -81,13 +69,8 @@ def test_a_closed_option_makes_room_for_another() -> None:
     model_of(optioned_rooms(2)).learn(5000, callback=callback)
     assert len(callback.discoveries) == 1
     assert not callback._may_discover()
-    callback._close_option(callback.discoveries[0].slot, "harmful")
+    callback._close_option(callback.discoveries[0].slot)
     assert callback._may_discover()
-
-
-def test_a_trial_of_a_continuing_task_is_refused() -> None:
-    with pytest.raises(ValueError, match="A trial compares episodes, and a continuing task has none"):
-        SubgoalDiscoveryCallback({"segmentation": "peaks"}, trial=TrialSettings())
 
 
 def test_macro_q_serves_the_environment_of_a_sibling() -> None:
@@ -166,28 +149,6 @@ def test_parameters_that_were_set_are_trained_heads(algorithm: Any, callback: An
     again.learn(1, callback=[callback(), ConvertCallback(lambda *_: False)])
     assert again._n_updates == 0
     assert all(torch.equal(expected[name], value) for name, value in again.policy.state_dict().items())
-
-
-@pytest.mark.parametrize("callback", [PrimitiveStepsCallback, lambda: SubgoalDiscoveryCallback(max_new_options=0)])
-def test_a_trial_that_an_exception_ended_withholds_nothing_in_the_next_training(callback: Any) -> None:
-    env = with_option()
-    model = model_of(env)
-    trial = SubgoalDiscoveryCallback(max_new_options=0, trial={"withhold": 0.9, "patience": 1, "success_window": 1})
-
-    class FullDiskError(OSError):
-        pass
-
-    def fail(local: dict[str, Any], _: dict[str, Any]) -> bool:
-        if env.withheld_slots():
-            raise FullDiskError
-        return True
-
-    with pytest.raises(FullDiskError):
-        model.learn(2000, callback=[trial, ConvertCallback(fail)])
-    assert env.withheld_slots() == [0]
-    model.learn(1, callback=callback(), reset_num_timesteps=False)
-    env.reset()
-    assert env.withheld_slots() == []
 
 
 def test_a_callback_is_for_one_model(tmp_path: Path) -> None:

@@ -21,8 +21,7 @@ STEPS = 2600
 
 def eager() -> SubgoalDiscoveryCallback:
     """Tries options from the next episode on, so that every algorithm does in these few steps."""
-    trial = {"patience": 1, "look_every": 2, "success_window": 1, "withhold": 0.5}
-    return fast_callback(max_new_options=2, trial=trial, option_settings={"grow": True, "keep_learning": True})
+    return fast_callback(max_new_options=2, option_settings={"grow": True, "keep_learning": True})
 
 
 def first(files: list[Path], holds: Callable[[Path], object]) -> Path:

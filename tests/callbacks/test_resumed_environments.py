@@ -29,7 +29,6 @@ from sb3_options.checkpoints.file import CheckpointFolder, read
 from sb3_options.discovery.grouped import GroupedDiscovery
 from sb3_options.envs.minigrid import make as make_minigrid
 from tests.callbacks.test_checkpoint_resuming import (
-    TRIAL,
     Callbacks,
     check_resumes,
     discovering,
@@ -117,7 +116,7 @@ def test_grouped_discovery(tmp_path: Path) -> None:
     soon = {"start_radius": 0.5, "goal_radius": 0.5, "min_positive": 4, "decay": 0.5, "threshold": 0.5}
     callbacks, _ = check_resumes(
         lambda: model_of("MaskablePPO", vec(optioned(empty))),
-        lambda: [SubgoalDiscoveryCallback(soon, max_new_options=1, trial=TRIAL)],
+        lambda: [SubgoalDiscoveryCallback(soon, max_new_options=1)],
         tmp_path,
         cuts=(0.0, 0.3, 0.9),
         steps=2500,

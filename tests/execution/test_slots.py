@@ -171,25 +171,6 @@ def test_concept_features() -> None:
         without.concept_features({"place": np.array([[3.0]])})
 
 
-def test_an_episode_that_began_with_another_option_tells_nothing_of_the_new_one() -> None:
-    """It drew for the one that was there, which another environment's episode may have closed."""
-    wrapped = OptionsWrapper(CountingEnv(truncate_at=5), 2, gamma=0.9)
-    for slot in range(2):
-        wrapped.set_option(slot, steady_option())
-    wrapped.withhold_options({0: 1.0, 1: 1.0}, [0])
-    wrapped.reset(seed=0)
-    assert wrapped.withheld_slots() == [0, 1]
-    wrapped.set_option(0, None)
-    wrapped.set_option(0, steady_option())
-    assert wrapped.withheld_slots() == [1]
-    info: dict[str, Any] = {}
-    for _ in range(5):
-        info = wrapped.step(0)[4]
-    assert info["option_trial"]["withheld"] == {1: True}
-    wrapped.reset()
-    assert wrapped.withheld_slots() == [0, 1]
-
-
 @pytest.mark.parametrize("env", ["CartPole-v1", DummyVecEnv([CountingEnv])])
 def test_what_is_no_environment_is_refused(env: Any) -> None:
     with pytest.raises(TypeError, match=r"^OptionsWrapper needs one environment, .*wrapper_class=OptionsWrapper"):

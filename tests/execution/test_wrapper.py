@@ -207,13 +207,12 @@ def test_a_primitive_step_adds_no_more_than_five_scalars_to_its_info() -> None:
     assert all(isinstance(value, int | float | str) for value in added.values())
 
 
-@pytest.mark.parametrize("name", ["option", "option_trial"])
-def test_an_environment_that_uses_the_names_itself_is_refused(name: str) -> None:
-    env = OptionsWrapper(CountingEnv(step=lambda env, _: (np.zeros(1), 0.0, False, False, {name: "left"})))
+def test_an_environment_that_uses_the_name_itself_is_refused() -> None:
+    env = OptionsWrapper(CountingEnv(step=lambda env, _: (np.zeros(1), 0.0, False, False, {"option": "left"})))
     env.bank.add(steady_option())
     env.reset(seed=0)
     for action in (0, 2):
-        with pytest.raises(ValueError, match=rf'^The environment has an info.+"{name}"\].* of its own.+another name'):
+        with pytest.raises(ValueError, match=r'^The environment has an info.+"option"\].* of its own.+another name'):
             env.step(action)
 
 
@@ -237,16 +236,3 @@ def test_says_what_runs_while_it_runs() -> None:
     for action in (0, 3, 1, 2):  # a primitive, the option, a primitive, an empty slot
         env.step(action)
     assert said == ["primitive action", *["option 1: forwards"] * 2, "primitive action", "primitive action"]
-
-
-def test_a_trial_discounts_every_step_inside_an_option() -> None:
-    """Step t is rewarded with t: the outcome is Σ γᵗ⁻¹ t, however the steps were taken."""
-    env = OptionsWrapper(CountingEnv(terminate_at=5), 1, gamma=0.5)
-    env.bank.add(steady_option(max_duration=3))
-    env.withhold_options({0: 1e-9}, [0])
-    env.reset()
-    for action in (0, 2, 0):
-        _, _, terminated, _, info = env.step(action)
-    assert terminated
-    outcome = sum(0.5 ** (t - 1) * t for t in range(1, 6))
-    assert info["option_trial"] == {"withheld": {0: False}, "outcome": pytest.approx(outcome)}

@@ -18,7 +18,6 @@ from experiments.deep.summary import (
     summarise,
 )
 from sb3_options import OptionReplayBuffer, OptionsWrapper
-from sb3_options.callbacks import SubgoalDiscoveryCallback, TrialSettings
 from sb3_options.envs import GridWorld
 from tests.support.helpers import CountingEnv
 
@@ -201,7 +200,6 @@ def test_the_command_says_what_was_varied() -> None:
         both_as="stock",
         max_option_exploration={"dqn": 0.5, "ppo": 0.25},
         max_runs={"dqn": 7, "ppo": 0},
-        withhold={"dqn": 0.1, "ppo": 0.3},
         callback={"interruption": False},
         n_steps=3,
     )
@@ -211,28 +209,10 @@ def test_the_command_says_what_was_varied() -> None:
         "--settings.max-option-exploration.ppo 0.25",
         "--settings.max-runs.dqn 7",
         "--settings.max-runs.ppo 0",
-        "--settings.withhold.dqn 0.1",
         "--settings.callback.no-interruption",
     ]
     assert varied.arguments("ppo", "options") == varied.ppo["stock"] != DeepSettings().arguments("ppo", "options")
     assert DeepSettings(both_as="options").arguments("ppo", "stock") == varied.ppo["options"]
-
-
-def test_options_are_tried_in_the_target_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    tried = []
-
-    class Recorded(SubgoalDiscoveryCallback):
-        def __init__(self, *args: Any, **kwargs: Any) -> None:
-            tried.append(kwargs["trial"])
-            super().__init__(*args, **kwargs)
-
-    monkeypatch.setattr(conditions, "SubgoalDiscoveryCallback", Recorded)
-    full = tasks.TASKS["transfer", "TwoRooms"]
-    task = tasks.Task(full.env, full.target, full.source, 300, 300)
-    settings = DeepSettings(evaluation_episodes=2, final_evaluations=1)
-    conditions.train_source(task, "ppo", "options", settings, 0)
-    conditions.train(task, "ppo", "options", settings, 0)
-    assert tried == [None, TrialSettings(withhold=0.3)]
 
 
 @pytest.mark.parametrize("arm", ["stock", "options"])

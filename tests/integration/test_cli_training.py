@@ -13,7 +13,6 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from sb3_options import OptionBank, cli
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.discovery.figures import subgoals_figure
-from sb3_options.execution.trials import TrialSettings
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
 from sb3_options.runs.config import CLASSES, DQNConfig
@@ -111,14 +110,12 @@ class TestTrain:
 
         monkeypatch.setattr(cli, "SubgoalDiscoveryCallback", Remembered)
         args = ["--n-timesteps", "600", "--no-progress", "--tensorboard-log", str(tmp_path), "--eval-episodes", "1"]
-        cli.main(["dqn", *args, "--no-interruption", "--intra-option", "--close-harmful"])
+        cli.main(["dqn", *args, "--no-interruption", "--intra-option"])
         cli.main(["dqn", *args, "--max-option-exploration", "0.25"])
         switched, usual = made
         assert not switched.interruption
-        assert switched.trial == TrialSettings()
         assert switched.model.replay_buffer.intra_option  # type: ignore[attr-defined]  # of DQN
         assert usual.interruption
-        assert usual.trial is None
         assert usual.max_option_exploration == 0.25
         assert not usual.model.replay_buffer.intra_option  # type: ignore[attr-defined]  # of DQN
 

@@ -31,7 +31,6 @@ ALIASES = {
     "groups": "FeatureGroup",
     "settings": "DiscoverySettings",
     "option_settings": "OptionLearningSettings",
-    "trial": "TrialSettings",
     "embedding": "EmbeddingSettings",
     "rnd": "RNDSettings",
     "max_option_exploration": "opening_share",

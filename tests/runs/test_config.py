@@ -28,7 +28,7 @@ COMMON: dict[str, Any] = {
     "seed": 9, "tensorboard_log": Path("else/where"), "n_envs": 3, "eval_freq": 50, "eval_episodes": 4,
     "progress": False, "device": "cpu", "num_threads": 2, "vec_env": "subproc", "options": Path("a/run"),
     "max_options": 2, "max_new_options": None, "discover": False, "compare": True, "gamma": 0.5,
-    "learning_rate": 3e-05, "net_arch": (3,), "close_harmful": True, "min_reached": 0.3, "bonus": "rnd",
+    "learning_rate": 3e-05, "net_arch": (3,), "min_reached": 0.3, "bonus": "rnd",
     "success": "return:3",
     "algo_kwargs": {"max_grad_norm": 0.25},
     "series": ({"goal": [4, 2]}, {"goal": [8, 4], "max_steps": 9}),

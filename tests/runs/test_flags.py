@@ -94,10 +94,6 @@ def refusal(capsys: pytest.CaptureFixture[str], args: list[str]) -> str:
         (["--seed", "many"], "--seed"),
         (["--max-option", "3"], "--max-options"),
         (
-            ["--close-harmful", "--discovery.segmentation=peaks"],
-            "--close-harmful compares episodes, and a continuing task has none",
-        ),
-        (
             ["--algo=maskableppo", "--max-runs=5", "--discovery.segmentation=peaks"],
             "--max-runs counts in an episode, and a continuing task has none",
         ),
