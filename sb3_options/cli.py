@@ -35,7 +35,7 @@ from sb3_options.runs import evaluation
 from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import callback_settings, check_algorithm, check_device, make_model, warn_without_gpu
 from sb3_options.runs.budget import KeepToBudget, memory_is_short, rounded_up
-from sb3_options.runs.card import CARD, write_card
+from sb3_options.runs.card import write_card
 from sb3_options.runs.closing import Trained, how_to_resume, program_name, report, unit_of
 from sb3_options.runs.compare import CompareConfig, show_comparison
 from sb3_options.runs.config import TrainConfig
@@ -45,10 +45,7 @@ from sb3_options.runs.hparams import hparams_of
 from sb3_options.runs.inspection import InspectConfig, show_options
 from sb3_options.runs.interrupts import PATIENCE, Interrupts, StopWhenNoted
 from sb3_options.runs.keywords import NUMBERS
-from sb3_options.runs.logs import KeepTraining, without
 from sb3_options.runs.resume import ResumeConfig, lengthen, mark_finished, resume_run
-from sb3_options.runs.series import Series, train_in_turn
-from sb3_options.runs.task_ends import StopWhenLearned
 from sb3_options.runs.tune_config import TuneConfig
 from sb3_options.runs.under_way import held
 from sb3_options.runs.video import mode_among
@@ -73,10 +70,8 @@ def main(args: Sequence[str] | None = None) -> None:
             of, run = COMMANDS[command]
             run = partial(resume, interrupts=interrupts) if run is resume else run
             run(tyro.cli(of, prog=f"{prog} {command}", args=args[1:], registry=NUMBERS))
-        elif (config := parse(args[1:] if command == "train" else args, prog)).series:
-            train_series(config, interrupts)
         else:
-            train(config, interrupts)
+            train(parse(args[1:] if command == "train" else args, prog), interrupts)
     except KeyboardInterrupt as interrupt:
         errors.print(" ".join(["Interrupted", *interrupt.args]) + ".")
         sys.exit(interrupts.status)
@@ -120,24 +115,8 @@ def train(config: TrainConfig, interrupts: Interrupts | None = None) -> Path:
     return _train(config, interrupts=interrupts).folder
 
 
-def train_series(config: TrainConfig, interrupts: Interrupts | None = None) -> list[Path]:
-    """Train in one task after another; see `train_in_turn`.
-
-    Args:
-        config: With a ``series``.
-        interrupts: As for `train`.
-
-    Returns:
-        The run folder of each task that was begun.
-
-    Raises:
-        As `train`.
-    """
-    return train_in_turn(config, partial(_train, interrupts=interrupts), console)
-
-
 def resume(resumed: ResumeConfig, interrupts: Interrupts | None = None) -> None:
-    """Go on with a run that was cut off, and with the series that it is in; see `resume_run`.
+    """Go on with a run that was cut off; see `resume_run`.
 
     Raises:
         As `train`, and as `resume_run`.
@@ -148,7 +127,6 @@ def resume(resumed: ResumeConfig, interrupts: Interrupts | None = None) -> None:
 def _train(
     config: TrainConfig,
     *,
-    series: Series | None = None,
     resumed: Path | None = None,
     interrupts: Interrupts | None = None,
 ) -> Trained:
@@ -165,7 +143,7 @@ def _train(
             bank: OptionBank = env.get_attr("bank")[0]
             started_with = [f"{slot} ({option.name})" for slot, option in enumerate(bank.slots) if option is not None]
         discovery = _discovery(config, resumed)
-        trained = _train_once(config, discovery, interrupts, series=series, resumed=resumed)
+        trained = _train_once(config, discovery, interrupts, resumed=resumed)
         if config.compare and config.discover and resumed is None and not interrupts.noted:
             console.print("Once more, without discovery:")
             other = dataclasses.replace(config, discover=False, compare=False, options=None)
@@ -178,7 +156,7 @@ def _train(
         what = ", ".join(started_with) or "none"
         console.print(f"Started with the options of {escape(str(config.options))}: {escape(what)}.")
     _show_discoveries(config, discovery)
-    report(console, trained, without_discovery, in_series=series is not None, draws=draws)
+    report(console, trained, without_discovery, draws=draws)
     return trained
 
 
@@ -187,17 +165,15 @@ def _train_once(
     discovery: SubgoalDiscoveryCallback,
     interrupts: Interrupts,
     *,
-    series: Series | None = None,
     resumed: Path | None = None,
 ) -> Trained:
     """Train, and leave all of a run folder; none without a step taken, unless it was there before."""
     folder = runs.new_run_folder(config) if resumed is None else resumed
     with nullcontext() if resumed else held(folder):  # who resumes holds it already
-        finished = _learn(config, discovery, folder, interrupts, series=series, resume=resumed is not None)
+        finished = _learn(config, discovery, folder, interrupts, resume=resumed is not None)
         if folder.exists():
             _draw(config, discovery, folder)
-            with without(folder / CARD):
-                write_card(folder, config, discovery.history, {d.slot: d.timestep for d in discovery.discoveries})
+            write_card(folder, config, discovery.history, {d.slot: d.timestep for d in discovery.discoveries})
         if finished:
             mark_finished(config, folder)  # last: who was killed before does the end again
     return Trained(config, folder, discovery, finished, interrupts.noted)
@@ -224,7 +200,6 @@ def _learn(
     folder: Path,
     interrupts: Interrupts,
     *,
-    series: Series | None = None,
     resume: bool = False,
 ) -> bool:
     """Train, and save what was learned, however training ends; without a step taken, remove a new folder.
@@ -242,8 +217,6 @@ def _learn(
         envs.append(runs.make_env(config, config.n_envs, config.seed, monitor_dir=monitors, vec_env=config.vec_env))
         if not resume:
             configs.save(config, folder / runs.CONFIG)
-            if series is not None:
-                series.save(folder)
         model = make_model(config, envs[0])
         model.tensorboard_log = str(folder)
         callbacks: list[BaseCallback] = [discovery]
@@ -259,9 +232,7 @@ def _learn(
             evaluation_callback = eval_callback_class(config.algo)(interrupts, folder, rule, envs[1], **how)
             # EvalCallback counts calls of step, of which one may be many primitive steps.
             callbacks.append(EveryNTimesteps(config.eval_freq, evaluation_callback))
-        callbacks += [KeepToBudget(), StopWhenNoted(interrupts), KeepTraining()]
-        if series is not None and not series.is_last:
-            callbacks.append(StopWhenLearned(discovery.history))
+        callbacks += [KeepToBudget(), StopWhenNoted(interrupts)]
         if config.checkpoint_freq > 0:
             callbacks += _checkpoints(config, folder, model, callbacks, interrupts, resume=resume)
         interrupts.ended = interrupts.noted
@@ -358,7 +329,7 @@ def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path
     if config.vec_env != "dummy":  # φ was in a process that has ended
         env = runs.make_env(config, 1, config.seed)
         bank.bind(lambda observations: env.env_method("concept_features", observations)[0])
-    with without(folder / runs.SUBGOALS), atomic_write(folder / runs.SUBGOALS) as temporary:
+    with atomic_write(folder / runs.SUBGOALS) as temporary:
         figure = subgoals_figure(discovery.discovery, bank, discovery.why_nothing())
         figure.savefig(temporary, dpi=110)
 

@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from experiments.common.seeds import Result
 from experiments.deep.agents import make_model
 from experiments.deep.settings import GAMMA, DeepSettings
-from experiments.series.tasks import Chain
+from experiments.first_success.chain import Chain
 from sb3_options import OptionsWrapper
 from sb3_options.callbacks import IntrinsicRewardCallback, SubgoalDiscoveryCallback
 

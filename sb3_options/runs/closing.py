@@ -66,16 +66,13 @@ class Trained(NamedTuple):
     interrupted: bool
 
 
-def report(
-    console: Console, trained: Trained, without_discovery: Trained | None, *, in_series: bool, draws: bool
-) -> None:
+def report(console: Console, trained: Trained, without_discovery: Trained | None, *, draws: bool) -> None:
     """Print how training went, beside the same without discovery where that is finished, and the commands that follow.
 
     Args:
         console: Where to.
         trained: The run.
         without_discovery: What ``--compare`` trained after it; None where that was not begun.
-        in_series: Whether the run is a task of ``--series``.
         draws: Whether the environment draws pictures, of which a video can be made.
     """
     config, histories = trained.config, {"this run": trained.discovery.history}
@@ -88,7 +85,7 @@ def report(
     elif without_discovery is not None:
         steps = f"{without_discovery.discovery.num_timesteps:,} of {config.n_timesteps:,} primitive steps"
         console.print(f"The run without discovery was interrupted after {steps}.")
-    elif trained.discovery.max_new_options != 0 and not (in_series or config.compare):
+    elif trained.discovery.max_new_options != 0 and not config.compare:
         console.print("Against --no-discover: train with --compare, which trains once more without discovery.")
     next_commands(console, config, trained.folder, draws=draws)
     last = without_discovery or trained

@@ -17,7 +17,7 @@ from sb3_options.checked import Field, readable, settings, truth_values
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.runs import yaml_file
-from sb3_options.runs.keywords import PAIRS, SERIES, algo_keywords_of, keywords_of, rule_of, tasks_of
+from sb3_options.runs.keywords import PAIRS, algo_keywords_of, keywords_of, rule_of
 from sb3_options.runs.shipped import shipped
 from sb3_options.runs.users_code import with_trusted
 
@@ -46,7 +46,6 @@ class TrainConfig:
         algo: Name of the algorithm.
         env: Gymnasium id.
         env_kwargs: Keyword arguments of the environment.
-        series: Env kwargs of tasks in turn; options stay.
         env_wrapper: Wrapper for it, module:Class.
         feature_map: φ: module:function, or one to learn.
         n_timesteps: Primitive steps of all environments.
@@ -80,7 +79,6 @@ class TrainConfig:
     algo: Annotated[str, tyro.conf.Suppress]
     env: str = "sb3_options/TwoRooms-v0"
     env_kwargs: Annotated[dict[str, Any], BeforeValidator(keywords_of), PAIRS] = field(default_factory=dict)
-    series: Annotated[tuple[dict[str, Any], ...], BeforeValidator(tasks_of), SERIES] = ()
     env_wrapper: Annotated[str | None, NAME] = None
     feature_map: Annotated[str | None, NAME] = None
     n_timesteps: Count = 60_000
@@ -254,15 +252,15 @@ GROUPS = {"discovery": DiscoverySettings, "option": OptionLearningSettings}
 COMMON = frozenset(f.name for f in dataclasses.fields(TrainConfig))
 """The settings that every algorithm has."""
 
-HAD_BY_ALL = {f.name: f.default for of in (MaskablePPOConfig, DQNConfig) for f in dataclasses.fields(of)} | {
-    "teach_head": False,
-    "discovery.min_density": 0.5,
-}
-"""Default of every setting in 0.1, where a file of a run named those of all algorithms. The last ones are gone."""
+OF_ALL = frozenset().union(*({f.name for f in dataclasses.fields(of)} for of in CLASSES.values()))
+"""The settings of all algorithms."""
+
+FOR_ANOTHER = COMMON - {"n_envs", "learning_rate", "algo_kwargs"}
+"""What a file says of another algorithm than its own."""
 
 
 def load(path: Path, trusted: Mapping[str, str | None] | None = None) -> TrainConfig:
-    """The configuration that `save` wrote, by this version or by 0.1.
+    """The configuration that `save` wrote.
 
     Args:
         path: Of the file.
@@ -311,8 +309,7 @@ def tuned(env_id: str, algo: str = "dqn") -> TrainConfig:
 def made(values: Mapping[str, Any], where: str | Path) -> TrainConfig:
     """The configuration with these settings; the others have the defaults of environment and algorithm.
 
-    Values without an ``algo`` are DQN's, as the files of 0.1 were written for it. A setting that the algorithm does not
-    have is passed over where it has its default of 0.1, which named all of them.
+    Values without an ``algo`` are for the default algorithm of the environment.
 
     Args:
         values: By name; a file may spell names as flags.
@@ -322,7 +319,8 @@ def made(values: Mapping[str, Any], where: str | Path) -> TrainConfig:
         ValueError: A setting is not known, has no effect, or is out of its range.
     """
     values = with_method(values, where)
-    algo, env_id = str(values.get("algo", "dqn")), str(values.get("env"))
+    env_id = str(values.get("env", TrainConfig.env))
+    algo = str(values.get("algo", default_algo(env_id)))
     known = {"": names_of(algo)} | {f"{name}.": [f.name for f in dataclasses.fields(of)] for name, of in GROUPS.items()}
 
     everywhere = {name: group + name for group, names in reversed(known.items()) for name in names}
@@ -339,12 +337,12 @@ def made(values: Mapping[str, Any], where: str | Path) -> TrainConfig:
             elif not group and inner and of in GROUPS:  # discovery.min_positive: 8
                 part = those.setdefault(of, {})
                 those[of] = {**part, **kept({inner: value}, f"{of}.")} if isinstance(part, dict) else part
-            elif group + name not in HAD_BY_ALL:
+            elif not group and name in OF_ALL:
+                raise ValueError(f"{where}: {no_effect(name, algo)}")
+            else:
                 near = difflib.get_close_matches(name, known[group] if group else everywhere, n=1, cutoff=0.0)[0]
                 near = group + near if group else everywhere[near]
                 raise ValueError(f"{where}: there is no setting {group + name!r}. Did you mean {near!r}?")
-            elif value != HAD_BY_ALL[group + name]:
-                raise ValueError(f"{where}: {no_effect(group + name, algo)}")
         return those
 
     content = {name: value for name, value in shipped(env_id).items() if name in known[""]} | {"algo": algo}
@@ -386,5 +384,4 @@ def names_of(algo: str) -> list[str]:
 def no_effect(name: str, algo: str) -> str:
     """What to say of a setting that an algorithm does not have."""
     having = ", ".join(other for other in CLASSES if name in names_of(other))
-    why = f"it is a setting of {having}" if having else "it was removed in 0.2, because it did not help"
-    return f"--{name.replace('_', '-')} has no effect on {algo}: {why}. Leave it out."
+    return f"--{name.replace('_', '-')} has no effect on {algo}: it is a setting of {having}. Leave it out."

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import io
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from stable_baselines3.common.callbacks import BaseCallback, EvalCallback, ProgressBarCallback
+from stable_baselines3.common.callbacks import EvalCallback, ProgressBarCallback
+from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_options.atomic import atomic_write
 from sb3_options.experience.success import SuccessRule, judged, tell_success
 from sb3_options.runs.interrupts import Interrupts
-from sb3_options.runs.logs import Tolerance
 
 SHOWN_EVERY = 100
-"""Decisions of an evaluation between two changes of what the progress bar says."""
+"""Decisions of an evaluation between two changes of the progress bar's text."""
 
-
-BEST, EVALUATIONS = "best_model.zip", "evaluations.npz"
-"""Files in the run folder."""
+BEST = "best_model.zip"
+"""File in the run folder."""
 
 
 class _InterruptedError(Exception):
@@ -27,60 +24,45 @@ class _InterruptedError(Exception):
 
 
 class WatchedEvalCallback(EvalCallback):
-    """SB3's ``EvalCallback``, whose evaluations the progress bar shows, and which an interrupt ends with training.
-
-    It writes ``evaluations.npz`` and ``best_model.zip`` whole or not at all; a full disk ends no training. It logs
-    success by the run's rule, as training and ``evaluate`` do.
+    """SB3's ``EvalCallback`` with progress, interrupts and the run's rule of success.
 
     Args:
         interrupts: Notes them.
         folder: Where to write.
         success: The rule; None for what the environment reports.
-        *args: Of ``EvalCallback``.
-        **kwargs: Likewise.
+        eval_env: Where to play.
+        **kwargs: Of ``EvalCallback``.
     """
 
     remembers_nothing = True  # more than EvalCallback does, from one evaluation to the next
 
     def __init__(
-        self, interrupts: Interrupts, folder: Path, success: SuccessRule | None, *args: Any, **kwargs: Any
+        self, interrupts: Interrupts, folder: Path, success: SuccessRule | None, eval_env: VecEnv, **kwargs: Any
     ) -> None:
-        super().__init__(*args, **kwargs | {"callback_on_new_best": _SaveBest(folder / BEST)})
-        self.interrupts, self.success = interrupts, success
+        super().__init__(eval_env, log_path=str(folder), best_model_save_path=str(folder), **kwargs)
+        self.interrupts = interrupts
+        self.success = success
         self._unreported: list[bool] = []
-        self.log_path: Any = io.BytesIO()  # SB3's file, rewritten with every evaluation
-        self._file = folder / EVALUATIONS
-        self._write = Tolerance(self._file).tolerant(self._write_evaluations)
         self._decisions = 0
 
     def _init_callback(self) -> None:
-        self.log_path, file = None, self.log_path  # SB3 would make its folder
         super()._init_callback()
-        self.log_path = file
         if self.success is not None:
             self.eval_env.env_method("record_trajectories", True)
 
     def _on_step(self) -> bool:
         self._unreported = []
-        self.log_path.seek(0)
-        self.log_path.truncate()
         try:
             goes_on = super()._on_step()
         except _InterruptedError:
             self.interrupts.ended = True
             return False
-        if content := self.log_path.getvalue():
-            self._write(content)
         self._show(f"evaluated: {self.last_mean_reward:.4g}")
         return goes_on
 
-    def _write_evaluations(self, content: bytes) -> None:
-        with atomic_write(self._file) as temporary:
-            temporary.write_bytes(content)
-
     def _log_success_callback(self, locals_: dict[str, Any], globals_: dict[str, Any]) -> None:
         # SB3 calls it after every decision of an evaluation.
-        with suppress(ValueError):  # what the environment reports is no truth value, which training says
+        with suppress(ValueError):  # the environment reports no truth value, which training says
             if self.success is not None and "trajectory" in locals_["info"]:
                 self._tell_success(locals_["info"], self.success)
         super()._log_success_callback(locals_, globals_)
@@ -102,20 +84,6 @@ class WatchedEvalCallback(EvalCallback):
         for callback in getattr(self.locals.get("callback"), "callbacks", ()):  # learn adds the bar to all others
             if isinstance(callback, ProgressBarCallback):
                 callback.pbar.set_description(text)
-
-
-class _SaveBest(BaseCallback):
-    """Saves the model."""
-
-    remembers_nothing = True
-
-    def __init__(self, path: Path) -> None:
-        super().__init__()
-        self._save = Tolerance(path).tolerant(lambda: self.model.save(path))
-
-    def _on_step(self) -> bool:
-        self._save()
-        return True
 
 
 def eval_callback_class(algo: str) -> type[WatchedEvalCallback]:

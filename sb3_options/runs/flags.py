@@ -19,13 +19,11 @@ from sb3_options.runs import config as configs
 from sb3_options.runs.config import CLASSES, GROUPS, TrainConfig
 from sb3_options.runs.folder import CONFIG
 from sb3_options.runs.keywords import NUMBERS, check_keywords
-from sb3_options.runs.other_algorithm import carried_over
 from sb3_options.runs.users_code import IMPORTING, named_in_errors
 
 FIRST = (
     "env",
     "env_kwargs",
-    "series",
     "n_timesteps",
     "seed",
     "n_envs",
@@ -105,16 +103,16 @@ def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
         trusted = {name: value for name in IMPORTING if (value := getattr(given, name)) is not None}
         values = {} if given.config is None else _read(Path(given.config), trusted)
         values |= trusted
-        # A file that names no algorithm was written for DQN.
-        unnamed = configs.default_algo(given.env or TrainConfig.env) if given.config is None else "dqn"
+        unnamed = configs.default_algo(str(values.get("env", TrainConfig.env)))
         algo = (given.algo or (named or [str(values.get("algo", unnamed))])[0]).lower()
         names = [_name_of(flag) for flag in flags if flag.startswith("--")]
-        values = carried_over(values, algo, names, given.config or prog)
+        if values.get("algo", algo) != algo:  # what is the algorithm's own says nothing of another
+            values = {name: value for name, value in values.items() if name in (*configs.FOR_ANOTHER, "method")}
         default = configs.made({**values, "algo": algo}, given.config or prog)
         for name in names:
             if (spelt := name.replace("_", "-")) in ELSEWHERE:
                 raise ValueError(f"There is no flag --{spelt}. Did you mean --{ELSEWHERE[spelt]}?")
-            if name in configs.HAD_BY_ALL and name not in configs.names_of(algo):
+            if name in configs.OF_ALL and name not in configs.names_of(algo):
                 raise ValueError(configs.no_effect(name, algo))
     except (ValueError, OSError) as error:
         sys.exit(f"{prog}: {error}")
@@ -122,12 +120,6 @@ def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
         _show_help(default, given.help, f"{prog} [ALGORITHM]")
     config = tyro.cli(type(default), prog=f"{prog} {algo}", default=default, args=flags, registry=NUMBERS)
     check_keywords(config.env, config.env_kwargs, wrapper=config.env_wrapper)
-    for number, task in enumerate(config.series, 1):
-        try:
-            check_keywords(config.env, task, "--series", wrapper=config.env_wrapper)
-        except ValueError as error:
-            error.add_note(f"This is task {number} of the series.")
-            raise
     return config
 
 

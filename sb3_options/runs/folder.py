@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import json
 import shutil
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -14,6 +16,7 @@ import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.preprocessing import get_obs_shape
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
@@ -30,7 +33,6 @@ from sb3_options.runs import yaml_file
 from sb3_options.runs.config import MaskablePPOConfig, TrainConfig
 from sb3_options.runs.eval_callback import BEST as BEST
 from sb3_options.runs.interrupts import ignore_interrupts
-from sb3_options.runs.logs import begin_monitors, go_on_counting, keep_monitor
 from sb3_options.runs.users_code import feature_map_of, imported, named, named_in_errors
 
 CONFIG = "config.yml"
@@ -247,15 +249,12 @@ def make_env(
     elsewhere, classes = vec_env != "dummy", {"dummy": DummyVecEnv, "subproc": watched_workers, "ray": RayVecEnv}
     override = monitor_dir is None or not monitor_dir.exists()
     if vec_env == "ray" and monitor_dir is not None:
-        begin_monitors(monitor_dir, n_envs, config.env)
+        _begin_monitors(monitor_dir, n_envs, config.env)
         override = False  # an environment that starts anew goes on with its file
 
     def with_options(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
         if elsewhere:
             ignore_interrupts()
-        keep_monitor(env)
-        if vec_env == "ray":
-            go_on_counting(env)
         if beneath is not None:
             env = beneath(env)
         return OptionsWrapper(
@@ -290,6 +289,16 @@ def make_env(
         monitor_kwargs={"override_existing": override},
         vec_env_cls=classes[vec_env],  # type: ignore[arg-type]  # it makes one, too
     )
+
+
+def _begin_monitors(folder: Path, n_envs: int, env_id: str) -> None:
+    """Write the heads of new files of ``Monitor``: one that appends writes none."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for i in range(n_envs):
+        path = folder / f"{i}.{Monitor.EXT}"
+        if not path.exists():
+            head = json.dumps({"t_start": time.time(), "env_id": env_id})
+            path.write_text(f"#{head}\nr,l,t\n", encoding="utf-8")
 
 
 def _wrapped(

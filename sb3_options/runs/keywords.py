@@ -1,4 +1,4 @@
-"""Values on the command line: keyword arguments of an environment or of each task of a series, and whole numbers."""
+"""Values on the command line: keyword arguments and whole numbers."""
 
 from __future__ import annotations
 
@@ -73,36 +73,6 @@ PAIRS = tyro.constructors.PrimitiveConstructorSpec[dict[str, Any]](
     str_from_instance=lambda keywords: [f"{name}:{json.dumps(value)}" for name, value in keywords.items()],
 )
 """How the command line spells keyword arguments."""
-
-
-def tasks_of(texts: Any) -> Any:
-    """The keyword arguments of each task: a pair ``name:value``, or a mapping in YAML, ``{name: value, …}``.
-
-    Raises:
-        ValueError: A text is neither, or no YAML that can be read safely.
-    """
-    if not isinstance(texts, list | tuple):
-        raise ValueError(f"series takes a list of tasks, each a pair name:value or a mapping, got {texts!r}.")
-    return [_task_of(text) if isinstance(text, str) else text for text in texts]
-
-
-def _task_of(text: str) -> Any:
-    if not text.startswith("{"):
-        return keywords_of(text, "--series")
-    try:
-        return yaml_file.parse(text)
-    except ValueError as error:
-        raise ValueError(f"--series: {text} is no YAML that can be read safely: {error}") from error
-
-
-SERIES = tyro.constructors.PrimitiveConstructorSpec[tuple[dict[str, Any], ...]](
-    nargs="*",
-    metavar="[TASK ...]",
-    instance_from_str=lambda texts: tuple(tasks_of(texts)),
-    is_instance=lambda value: isinstance(value, tuple) and all(isinstance(task, dict) for task in value),
-    str_from_instance=lambda tasks: [json.dumps(task) for task in tasks],
-)
-"""How the command line spells a series."""
 
 
 def check_keywords(

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 import yaml
@@ -16,11 +17,8 @@ from sb3_options.atomic import atomic_write
 from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
-from sb3_options.runs import series as in_series
 from sb3_options.runs import yaml_file
 from sb3_options.runs.config import TrainConfig
-from sb3_options.runs.logs import without
-from sb3_options.runs.series import Train
 from sb3_options.runs.under_way import held
 from sb3_options.runs.users_code import IMPORTING
 
@@ -49,12 +47,12 @@ class ResumeConfig:
     progress: bool = True
 
 
-def resume_run(resumed: ResumeConfig, train: Train, console: Console) -> None:
-    """Go on with a run, and with the series that it is in. Of one that is finished that is said, and nothing done.
+def resume_run(resumed: ResumeConfig, train: Callable[..., Any], console: Console) -> None:
+    """Go on with a run. A finished run is left as it is.
 
     Args:
         resumed: Which.
-        train: Trains in one task.
+        train: Trains.
         console: For what is printed.
 
     Raises:
@@ -67,19 +65,11 @@ def resume_run(resumed: ResumeConfig, train: Train, console: Console) -> None:
         raise FileNotFoundError(f"{run} is no run folder: there is no {runs.CONFIG} in it.")
     with held(run):
         config = config_of(resumed)
-        series = in_series.read(run, {name: getattr(resumed, name) for name in IMPORTING})
-        if series is not None and resumed.n_timesteps is not None:
-            raise ValueError("--n-timesteps cannot be given for a series: its tasks share what it was to train for.")
-        if is_finished(config, run) and (series is None or series.is_last):
+        if is_finished(config, run):
             console.print(f"{escape(str(run))} is finished: it has trained for {config.n_timesteps:,} primitive steps.")
-            if series is None:
-                console.print("To train on, pass --n-timesteps with a larger number.")
-        elif series is None:
-            train(config, resumed=run)
+            console.print("To train on, pass --n-timesteps with a larger number.")
         else:
-            run = run.absolute()  # the next tasks come beside it, wherever it is now
-            whole = dataclasses.replace(series.config, progress=resumed.progress, tensorboard_log=run.parents[1])
-            in_series.go_on(dataclasses.replace(series, config=whole), config, run, train, console)
+            train(config, resumed=run)
 
 
 def config_of(resumed: ResumeConfig) -> TrainConfig:
@@ -110,7 +100,7 @@ def mark_finished(config: TrainConfig, run: Path) -> None:
     """Note in a run folder that training has come to its end; without checkpoints there is nothing to note."""
     file = run / FINISHED
     if file.parent.is_dir():
-        with without(file), atomic_write(file) as temporary:
+        with atomic_write(file) as temporary:
             temporary.write_text(f"n_timesteps: {config.n_timesteps}\n", encoding="utf-8")
 
 

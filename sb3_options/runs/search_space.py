@@ -22,7 +22,7 @@ Value: TypeAlias = Any
 
 PARTS = ("base", "search")
 RANGE = ("low", "high", "log", "step")
-FIXED = ("algo", "seed", "tensorboard_log", "compare", "series", "progress")
+FIXED = ("algo", "seed", "tensorboard_log", "compare", "progress")
 """What cannot be searched: a search has one algorithm, and seeds and folders of its own."""
 
 

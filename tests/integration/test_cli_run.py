@@ -26,6 +26,7 @@ from tests.support.sb3_helpers import SMALL_ROOMS, n_colours, read_video
 
 ROOT = Path(__file__).parents[2]
 CONFIG = """
+algo: dqn
 env_kwargs:
   map: |
     SSSS#....

@@ -18,8 +18,6 @@ from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
 from sb3_options.runs.resume import FINISHED, is_finished
-from sb3_options.runs.series import BEFORE
-from sb3_options.runs.task_ends import KEPT
 from sb3_options.runs.under_way import held
 
 CONFIG = """
@@ -258,84 +256,3 @@ def test_an_environment_that_does_not_tell_its_state(tmp_path: Path, capsys: pyt
     cli.main(["resume", str(copy), "--no-progress"])
     assert {what: those for what, those in differences(run, copy).items() if those} == {}
     assert "cannot go on" not in capsys.readouterr().out
-
-
-@pytest.fixture(scope="module")
-def tasks(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a series of two tasks that has ended."""
-    folder = tmp_path_factory.mktemp("series")
-    series = "series: [{goal: [1, 1]}, {goal: [8, 0]}]\ncompare: false\n"
-    settings = CONFIG.replace("compare: true\n", series).replace("checkpoint_freq: 400", "checkpoint_freq: 200")
-    settings = settings.replace("...G", "....").replace("n_timesteps: 2000", "n_timesteps: 6000")
-    (folder / "config.yml").write_text(settings, encoding="utf-8")
-    cli.main(["--config", str(folder / "config.yml"), "--tensorboard-log", str(folder)])
-    assert len(list((folder / "ppo").iterdir())) == 2
-    return folder / "ppo"
-
-
-class TestSeries:
-    @pytest.mark.parametrize("number", [1, 2])
-    def test_goes_on_in_the_task_that_was_under_way(
-        self, number: int, tasks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        names = [f"sb3_options-TwoRooms-v0_{i}" for i in (1, 2)]
-        beside = tmp_path / "elsewhere" / "ppo"
-        for i, name in enumerate(names[:number], start=1):
-            if i < number:
-                shutil.copytree(tasks / name, beside / name)
-            else:
-                cut_off(tasks / name, beside, before_the_last=True)
-                (beside / name / KEPT).unlink()
-        earlier = {file: file.read_bytes() for file in (beside / names[0]).rglob("*") if file.is_file() and number == 2}
-        cli.main(["resume", str(beside / names[number - 1]), "--no-progress"])
-        assert sorted(each.name for each in beside.iterdir()) == names
-        for name in names:
-            assert {what: those for what, those in differences(tasks / name, beside / name).items() if those} == {}
-        assert all(file.read_bytes() == content for file, content in earlier.items())
-        out = " ".join(capsys.readouterr().out.split())
-        assert f"Task {number} of 2" in out
-        table = out.partition("taken out")[2]
-        assert table.count("goal") >= 2
-        assert "were not begun" not in out
-
-    def test_only_the_last_task_goes_on(self, tasks: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        first, second = sorted(tasks.iterdir())
-        with pytest.raises(SystemExit):
-            cli.main(["resume", str(first)])
-        assert f"The series has gone on after {first}: resume the last one, {second}." in " ".join(
-            capsys.readouterr().err.split()
-        )
-
-    def test_the_last_of_three_is_named(self, tasks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        for each in tasks.iterdir():
-            shutil.copytree(each, tmp_path / each.name)
-        first, second = sorted(tmp_path.iterdir())
-        third = tmp_path / "z"
-        shutil.copytree(second, third)
-        (third / "before.yml").write_text(f"before: [{first.name}, {second.name}]\n")
-        with pytest.raises(SystemExit):
-            cli.main(["resume", str(first)])
-        assert f"resume the last one, {third}." in " ".join(capsys.readouterr().err.split())
-
-    @pytest.mark.parametrize(
-        "content",
-        [
-            "before: [../../etc]\nrows: [[a, b, c, d, e]]\n",
-            "before: [x]\nrows: []\n",
-            "before: [x, y]\nrows: [[a, b, c, d, e], [a, b, c, d, e]]\n",
-            "before: [x]\nrows: [[a, b, c, d, 5]]\n",
-            "before: [x]\nrows: [[a, b]]\n",
-            "before: x\n",
-            "",
-        ],
-    )
-    def test_refuses_what_does_not_say_where_it_is(
-        self, content: str, tasks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        (tmp_path / "ppo").mkdir()
-        second = cut_off(sorted(tasks.iterdir())[1], tmp_path / "ppo")
-        (second / BEFORE).write_text(content, encoding="utf-8")
-        with pytest.raises(SystemExit):
-            cli.main(["resume", str(second)])
-        assert "does not say what was done before this task of" in " ".join(capsys.readouterr().err.split())
-        assert not (second / runs.MODEL).exists()

@@ -4,7 +4,6 @@ from typing import Any
 
 import gymnasium as gym
 import pytest
-import yaml
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options.discovery.settings import DiscoverySettings
@@ -31,7 +30,6 @@ COMMON: dict[str, Any] = {
     "learning_rate": 3e-05, "net_arch": (3,), "min_reached": 0.3, "bonus": "rnd",
     "success": "return:3",
     "algo_kwargs": {"max_grad_norm": 0.25},
-    "series": ({"goal": [4, 2]}, {"goal": [8, 4], "max_steps": 9}),
     "discovery": DiscoverySettings(
         peak_reward=0.75, max_segment=70,
         max_share=0.125, capacity=7, max_bytes=99, method="l-cut", min_positive=2, negative_bags=False,
@@ -100,24 +98,6 @@ def test_saving_replaces_a_file_whole(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-OLD: dict[str, Any] = {
-    "n_steps": 128, "gae_lambda": 0.95, "ent_coef": 0.01, "n_epochs": 10, "clip_range": 0.2, "max_runs": None,
-    "batch_size": 64, "buffer_size": 50_000, "learning_starts": 500, "train_freq": 4,
-    "target_update_interval": 500, "exploration_fraction": 0.5, "exploration_final_eps": 0.05,
-    "max_option_exploration": 0.5, "interruption": True, "intra_option": False, "teach_head": False,
-}  # fmt: skip
-"""Settings in a file of 0.1, which names those of all algorithms, and one that is gone."""
-
-
-@pytest.mark.parametrize("algo", CLASSES)
-def test_settings_of_other_algorithms_in_old_files_are_passed_over_at_their_defaults(algo: str, tmp_path: Path) -> None:
-    (tmp_path / "old.yml").write_text(yaml.safe_dump({**OLD, "algo": algo, "seed": 7}))
-    config = configs.load(tmp_path / "old.yml")
-    assert (config.algo, config.seed) == (algo, 7)
-    own = {f.name for f in dataclasses.fields(config)} & set(OLD)
-    assert {name: getattr(config, name) for name in own} == {name: OLD[name] for name in own}
-
-
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -127,17 +107,13 @@ def test_settings_of_other_algorithms_in_old_files_are_passed_over_at_their_defa
             "Leave it out.",
         ),
         ("algo: a2c\nbatch_size: 32\n", "--batch-size has no effect on a2c"),
-        (
-            "teach_head: true\n",
-            "--teach-head has no effect on dqn: it was removed in 0.2, because it did not help. Leave it out.",
-        ),
     ],
 )
-def test_other_values_of_them_are_refused(text: str, expected: str, tmp_path: Path) -> None:
-    (tmp_path / "old.yml").write_text(text)
+def test_settings_of_other_algorithms_are_refused(text: str, expected: str, tmp_path: Path) -> None:
+    (tmp_path / "config.yml").write_text(text)
     with pytest.raises(ValueError, match=expected.replace(".", r"\.")) as error:
-        configs.load(tmp_path / "old.yml")
-    assert str(tmp_path / "old.yml") in str(error.value)
+        configs.load(tmp_path / "config.yml")
+    assert str(tmp_path / "config.yml") in str(error.value)
 
 
 def test_an_environment_brings_its_own_defaults() -> None:
@@ -193,7 +169,9 @@ def test_truth_values_in_files_are_no_numbers() -> None:
         with pytest.raises(ValueError, match=r"^run\.yml: .* should be a number, got True\.$"):
             configs.made(values, "run.yml")
     assert (
-        configs.made({"discover": False, "env_kwargs": {"continuing": True}}, "run.yml").env_kwargs["continuing"]
+        configs.made({"algo": "dqn", "discover": False, "env_kwargs": {"continuing": True}}, "run.yml").env_kwargs[
+            "continuing"
+        ]
         is True
     )
 

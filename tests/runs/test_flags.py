@@ -13,7 +13,7 @@ from sb3_options.runs.flags import parse
 
 def test_flags_win_over_the_file_wherever_they_stand(tmp_path: Path) -> None:
     path = tmp_path / "config.yml"
-    path.write_text("seed: 3\nn-timesteps: 500\ndiscover: false\ndiscovery:\n  capacity: 9\n  decay: 0.5\n")
+    path.write_text("algo: dqn\nseed: 3\nn-timesteps: 500\ndiscover: false\ndiscovery:\n  capacity: 9\n  decay: 0.5\n")
     for args in (
         ["--config", str(path), "--seed", "4", "--discovery.decay", "0.25", "--discover"],
         ["--seed", "4", "--discovery.decay", "0.25", "--discover", f"--config={path}"],
@@ -27,7 +27,7 @@ def test_flags_win_over_the_file_wherever_they_stand(tmp_path: Path) -> None:
 
 def test_an_empty_file_means_the_defaults(tmp_path: Path) -> None:
     (tmp_path / "config.yml").write_text("# nothing\n")
-    assert parse(["--config", str(tmp_path / "config.yml")]) == DQNConfig()
+    assert parse(["--config", str(tmp_path / "config.yml")]) == MaskablePPOConfig()
 
 
 @pytest.mark.parametrize("algo", CLASSES)
@@ -110,7 +110,6 @@ def refusal(capsys: pytest.CaptureFixture[str], args: list[str]) -> str:
         (["ppo", "--no-interruption"], "--interruption has no effect on ppo: it is a setting of dqn, qrdqn,"),
         (["--algo=ppo", "--max-option-exploration=1"], "--max-option-exploration has no effect on ppo"),
         (["--algo=ppo", "--max-runs=5"], "--max-runs has no effect on ppo: it is a setting of maskableppo."),
-        (["dqn", "--teach-head"], "--teach-head has no effect on dqn: it was removed in 0.2"),
         (["--algo", "sarsa"], "There is no algorithm 'sarsa': choose from dqn, qrdqn,"),
         (["evaluat", "run"], "Did you mean 'evaluate'?"),
         (["sarsa"], "There is no algorithm 'sarsa': choose from dqn, qrdqn,"),
@@ -139,24 +138,21 @@ def test_what_makes_no_sense_is_refused(args: list[str], expected: str, capsys: 
             ["--env", "CartPole-v1", "--env-kwargs", "colour:red"],
             "--env-kwargs: CartPole-v1 takes no 'colour'. It takes sutton_barto_reward, render_mode.",
         ),
-        (["--series", "goal:[2, 0]", "gaol:[3, 0]"], "--series: sb3_options/TwoRooms-v0 takes no 'gaol'."),
         (
             ["--env", "MiniGrid-DoorKey-5x5-v0", "--env-kwargs", "misson:False"],
             "--env-kwargs: MiniGrid-DoorKey-5x5-v0 takes no 'misson'. Did you mean 'mission'? It takes size,",
         ),
         (
-            ["--env", "minigrid:MiniGrid-LockedRoom-v0", "--series", "agent_view_sise:9"],
-            "--series: minigrid:MiniGrid-LockedRoom-v0 takes no 'agent_view_sise'. Did you mean 'agent_view_size'?",
+            ["--env", "minigrid:MiniGrid-LockedRoom-v0", "--env-kwargs", "agent_view_sise:9"],
+            "--env-kwargs: minigrid:MiniGrid-LockedRoom-v0 takes no 'agent_view_sise'. Did you mean 'agent_view_size'?",
         ),
         (
             ["--env", "MiniGrid-LockedRoom-v0", "--env-wrapper", "a:b", "--env-kwargs", "asked:False"],
             "--env-kwargs: MiniGrid-LockedRoom-v0 takes no 'asked'. It takes",
         ),
         (
-            ["--env", "MiniGrid-MultiRoom-N2-S4-v0", "--series", "env_id:MiniGrid-MultiRoom-N4-S5-v1"],
-            "--series takes arguments of --env MiniGrid-MultiRoom-N2-S4-v0, 'env_id' would name another environment. "
-            "Train there on its own, and go on with the options of this run: "
-            "--env ID --options RUN.",
+            ["--env", "MiniGrid-MultiRoom-N2-S4-v0", "--env-kwargs", "env_id:MiniGrid-MultiRoom-N4-S5-v1"],
+            "--env-kwargs takes arguments of --env MiniGrid-MultiRoom-N2-S4-v0, 'env_id' would name another",
         ),
         (
             ["--env-kwargs", "id:CartPole-v1"],
@@ -210,34 +206,11 @@ def test_an_algorithm_brings_its_own_defaults(tmp_path: Path) -> None:
 CHANGED = "algo: ppo\nlearning_rate: 0.0003\nn_steps: 64\nn_envs: 4\ngamma: 0.9\nnet_arch: [8]\n"
 
 
-def test_a_file_for_another_algorithm_of_the_family(tmp_path: Path) -> None:
+def test_a_file_for_another_algorithm_says_what_all_share(tmp_path: Path) -> None:
     path = tmp_path / "config.yml"
     path.write_text(CHANGED)
-    a2c = parse(["--config", str(path), "--algo", "a2c"])
-    assert a2c == A2CConfig(learning_rate=3e-4, n_steps=64, n_envs=4, gamma=0.9, net_arch=(8,))
-
-
-def test_what_was_chosen_for_another_family_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "config.yml"
-    path.write_text(CHANGED)
-    assert (
-        f"{path}: what was chosen for ppo says nothing of dqn: --learning-rate 0.0003 --n-steps 64. Leave it out of "
-        "the file, or choose for dqn: --learning-rate N --n-steps N."
-    ) in refusal(capsys, ["dqn", "--config", str(path)])
-    dqn = parse(["dqn", "--config", str(path), "--learning-rate", "0.01", "--n-steps=3"])
-    assert dqn == DQNConfig(learning_rate=0.01, n_steps=3, n_envs=4, gamma=0.9, net_arch=(8,))
-    path.write_text("algo: ppo\ngae_lambda: 0.8\n")
-    assert "--gae-lambda has no effect on dqn" in refusal(capsys, ["dqn", "--config", str(path)])
-
-
-@pytest.mark.parametrize("asked", CLASSES)
-@pytest.mark.parametrize("algo", CLASSES)
-def test_defaults_in_the_file_of_a_run_give_way_to_those_of_another_algorithm(
-    algo: str, asked: str, tmp_path: Path
-) -> None:
-    for env_id in (TrainConfig.env, "sb3_options/Pioneer-v0"):
-        configs.save(parse([algo, "--env", env_id, "--seed", "5"]), tmp_path / "config.yml")
-        assert parse([asked, "--config", str(tmp_path / "config.yml")]) == parse([asked, "--env", env_id, "--seed=5"])
+    assert parse(["--config", str(path), "--algo", "a2c"]) == A2CConfig(gamma=0.9, net_arch=(8,))
+    assert parse(["dqn", "--config", str(path), "--n-steps=3"]) == DQNConfig(n_steps=3, gamma=0.9, net_arch=(8,))
 
 
 @pytest.mark.parametrize(

@@ -138,36 +138,6 @@ def test_training_that_comes_to_its_end_meanwhile_is_finished(
     assert "Resume:" not in said
 
 
-def test_a_series_ends_with_its_task(
-    counting: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    entered: list[bool] = []
-    enter = Interrupts.__enter__
-
-    def watched(self: Interrupts) -> Interrupts:
-        entered.append(enter(self).saving)
-        return self
-
-    steps = iter(range(1, 10_000))
-
-    def step(env: CountingEnv, action: int) -> Any:
-        if next(steps) == 30:  # 20 successes have ended the first task
-            send(signal.SIGTERM)
-        return np.array([float(env.time)]), 0.0, True, False, {"is_success": True}
-
-    monkeypatch.setattr(Interrupts, "__enter__", watched)
-    counting(lambda step: None)  # which is unregistered in the end
-    gym.registry.pop("Interrupted-v0")
-    gym.register("Interrupted-v0", lambda length=1: CountingEnv(step=step))  # type: ignore[arg-type]  # likewise
-    with pytest.raises(SystemExit) as stopped:
-        cli.main(command_line(tmp_path, "--series", "length:1", "length:2", "length:3"))
-    assert stopped.value.code == 143
-    assert entered == [False, False]
-    said = capfd.readouterr().out
-    assert "Of 3 tasks 1 were not begun." in said
-    assert re.search(r"^Resume: .+ resume \S+Interrupted-v0_2$", said, re.MULTILINE)
-
-
 @pytest.mark.parametrize("number", SIGNALS)
 def test_the_exit_status_is_that_of_shells(number: int, counting: Any, tmp_path: Path) -> None:
     counting(lambda step: send(number) if step == AT_STEP else None)

@@ -1,4 +1,4 @@
-"""A chain of rooms, and the series of goals that leads to its end."""
+"""A chain of rooms."""
 
 from __future__ import annotations
 
@@ -20,12 +20,10 @@ class Chain:
     Attributes:
         n_rooms: How many.
         max_steps: Steps after which an episode ends.
-        n_timesteps: Primitive steps of all tasks of a series together.
     """
 
     n_rooms: int = 8
     max_steps: int = 250
-    n_timesteps: int = 60_000
 
     def task(self, rooms: int, max_steps: int | None = None) -> gym.Env[Any, Any]:
         """The same map with the goal at the far end of one of its rooms; episodes start anywhere in the first."""
@@ -47,7 +45,3 @@ class Chain:
         x, y = self.goal(self.n_rooms)
         rows[y][x] = "G"
         return "\n".join("".join(row) for row in rows)
-
-    def series(self) -> list[int]:
-        """The goal moves on by one room at a time, from the second to the last."""
-        return list(range(2, self.n_rooms + 1))

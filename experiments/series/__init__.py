@@ -1,1 +1,0 @@
-"""Does a series of growing tasks, with options carried on, lead to a task that is too far away to be learned alone?"""
