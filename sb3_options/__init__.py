@@ -1,6 +1,5 @@
 """Options for Stable-Baselines3 agents, discovered while they train by differentiable diverse density."""
 
-from sb3_options import moved
 from sb3_options.density.diverse_density import DiverseDensity
 from sb3_options.execution.concepts import ConceptsInObservation, WithoutConcepts
 from sb3_options.execution.wrapper import OptionsWrapper
@@ -15,8 +14,6 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option
 
 __version__ = "0.2.0.dev0"
-
-moved.install()
 
 __all__ = [
     "ConceptsInObservation",

@@ -267,7 +267,7 @@ def read(source: Source) -> tuple[dict[str, Any], Arrays]:
         raise ValueError(f"{name} is damaged: {error!r}") from error
     if not isinstance(about, dict):
         raise ValueError(f"{name} is damaged: it says {type(about).__name__} where a dictionary should be.")
-    if about.pop("format", metadata["format"]) != metadata["format"]:  # version 0.1.0 did not say it twice
+    if about.pop("format", None) != metadata["format"]:
         raise ValueError(f"{name} is damaged: its format is not the one it was written in.")
     return about, tensors
 

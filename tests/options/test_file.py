@@ -233,12 +233,6 @@ def test_no_flipped_bit_of_the_header_is_read_over() -> None:
             read(bytes(flipped))
 
 
-def test_a_file_of_version_0_1_0_says_its_format_outside_the_digest_only() -> None:
-    text = json.dumps({"n_primitive": 4, "slots": {}})
-    old = to_safetensors({}, {"format": FILE_FORMAT, "bank": text, "digest": digest(text, {})})
-    assert read(old) == read(packed({"n_primitive": 4, "slots": {}}, {}))
-
-
 @pytest.mark.parametrize(
     ("its_digest", "why"), [(digest("", {}), "KeyError"), ("another", "its contents are not what was written to it")]
 )
