@@ -24,6 +24,7 @@ from sphinx.util.typing import stringify_annotation
 
 CAPTIONS = {
     "": "Project",
+    "docs": "Project",
     "docs/guide": "Guide",
     "docs/notebooks": "Notebooks",
     "docs/concepts": "Concepts",

@@ -90,3 +90,16 @@ def test_a_folder_without_a_place_is_named() -> None:
     content.modules["attic"] = []
     with pytest.raises(ValueError, match=r"PLACES must say where \['attic'\] stand: add their column and floor"):
         architecture.draw(content)
+
+
+def test_every_promise_has_its_test() -> None:
+    page = (ROOT / "docs" / "promises.md").read_text(encoding="utf-8")
+    named = re.findall(r"`([\w/]+\.py)::(\w+)`", page)
+    assert len(named) > 100
+    missing = [
+        f"{path}::{name}"
+        for path, name in named
+        if not (ROOT / "tests" / path).is_file()
+        or not re.search(rf"^ *def {name}\(", (ROOT / "tests" / path).read_text(encoding="utf-8"), re.MULTILINE)
+    ]
+    assert not missing, "docs/promises.md names these tests: name another one there, or withdraw the promise"
