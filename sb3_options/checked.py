@@ -19,6 +19,8 @@ from pydantic.dataclasses import dataclass
 
 __all__ = ["Field", "given_as", "is_number", "readable", "settings", "truth_values", "whole"]
 
+from sb3_options.state import storable
+
 T = TypeVar("T")
 
 
@@ -44,7 +46,7 @@ def settings(cls: type[T]) -> type[T]:
             raise ValueError(f"{cls.__name__}: {wrong}")
 
     made.__init__ = __init__  # type: ignore[method-assign]  # it takes what the generated one takes
-    return made  # type: ignore[return-value]  # pydantic types it as a class of its own, and it is ``cls`` itself
+    return storable(made)  # type: ignore[arg-type]  # pydantic types it as a class of its own, and it is ``cls`` itself
 
 
 def is_number(value: object) -> bool:

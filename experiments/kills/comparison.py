@@ -14,7 +14,6 @@ from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
 from sb3_options.checkpoints.comparison import OF_THE_CLOCK, differing
 from sb3_options.checkpoints.file import CheckpointFolder
-from sb3_options.checkpoints.records import RECORDS
 from sb3_options.checkpoints.tree import encode
 from sb3_options.options import file as option_file
 from sb3_options.runs import folder as runs
@@ -43,7 +42,7 @@ def _of_options(one: Path, other: Path) -> list[str]:
 
 def _of_models(one: Path, other: Path) -> list[str]:
     a, b = (load_from_zip_file(folder / runs.MODEL, load_data=False)[1] for folder in (one, other))
-    first, second = (encode(_plain(each), RECORDS) for each in (a, b))
+    first, second = (encode(_plain(each)) for each in (a, b))
     if first[0] != second[0]:
         return ["other parameters"]
     return [

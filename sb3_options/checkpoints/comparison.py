@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from sb3_options.checkpoints.records import RECORDS
 from sb3_options.checkpoints.tree import Arrays, State, encode
 
 OF_THE_CLOCK = frozenset(
@@ -33,7 +32,7 @@ def differing(one: State, other: State) -> list[str]:
         one: As a checkpoint holds it.
         other: Likewise.
     """
-    first, second = (encode(_without_clock(state), RECORDS) for state in (one, other))
+    first, second = (encode(_without_clock(state)) for state in (one, other))
     return list(_differences(first[0], second[0], first[1], second[1], ""))
 
 

@@ -20,7 +20,6 @@ from stable_baselines3.common.vec_env import (
 from stable_baselines3.common.vec_env.stacked_observations import StackedObservations
 
 from sb3_options.checkpoints import vec_monitor
-from sb3_options.checkpoints.records import RECORDS
 from sb3_options.checkpoints.tree import State, encode
 from sb3_options.execution import layers
 from sb3_options.execution.ray_vec_env import RayVecEnv
@@ -79,7 +78,7 @@ def refusal(venv: VecEnv | None) -> str | None:
     """Why there can be no checkpoints of an environment; None if there can, and it is prepared."""
     try:
         prepare(venv)  # type: ignore[arg-type]  # a model without an environment is not trained
-        encode(get_state(venv), RECORDS)  # type: ignore[arg-type]  # likewise
+        encode(get_state(venv))  # type: ignore[arg-type]  # likewise
     except (ValueError, TypeError) as error:
         return str(error)
     return None

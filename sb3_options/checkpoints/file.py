@@ -22,7 +22,6 @@ from safetensors.numpy import save as to_safetensors
 
 from sb3_options.atomic import atomic_write
 from sb3_options.checkpoints.growing import KnownBlocks
-from sb3_options.checkpoints.records import RECORDS
 from sb3_options.checkpoints.tree import Arrays, State, decode, encode
 from sb3_options.learning.stored_rows import Growing
 
@@ -156,7 +155,7 @@ def read(file: Path) -> State:
             raise ValueError("its contents are not what was written to it")
         for number, about in json.loads(header["blocks"]).items():
             arrays[number] = _joined(about, file.parent / BLOCKS)
-        state = decode(json.loads(header["state"]), arrays, RECORDS)
+        state = decode(json.loads(header["state"]), arrays)
         if not isinstance(state, dict):
             raise ValueError("it holds no state")
     except (SafetensorError, KeyError, TypeError, AttributeError, RecursionError, ValueError, OSError) as error:
@@ -165,7 +164,7 @@ def read(file: Path) -> State:
 
 
 def _packed(state: State, blocks: Path, known: KnownBlocks) -> bytes:
-    content, arrays = encode(state, RECORDS)
+    content, arrays = encode(state)
     small: Arrays = {}
     large: dict[str, Any] = {}
     for number, array in arrays.items():

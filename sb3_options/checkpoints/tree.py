@@ -1,21 +1,21 @@
 """States as JSON and arrays: `encode` takes them apart, `decode` puts them together.
 
-A state is made of None, truth values, numbers, text, bytes, arrays, tensors, lists, tuples, dictionaries and the
-records of `sb3_options.checkpoints.records`. Nothing else can be in it, so that reading one runs nothing. What is one
-object in two places is one object again: incremental search knows a bag by being the same array.
+A state is made of None, truth values, numbers, text, bytes, arrays, tensors, lists, tuples, dictionaries, sets, deques
+and the classes decorated with `sb3_options.state.storable`. Nothing else can be in it: reading a state runs no code of
+the file. An array or a value that occurs twice is one object again.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections import OrderedDict
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, TypeAlias
+from collections import Counter, OrderedDict, deque
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 import torch
+
+from sb3_options.state import VALUES, made, names_of
 
 State: TypeAlias = dict[str, Any]
 """What ``get_state`` gives and ``set_state`` takes."""
@@ -30,70 +30,49 @@ KINDS = "biuf"
 """Kinds of arrays that safetensors holds: truth values, whole numbers and floats."""
 
 
-class Record(NamedTuple):
-    """How objects of one class are taken apart and made.
-
-    Attributes:
-        cls: The class.
-        make: From the fields, by name.
-        fields: Of an object, by name.
-    """
-
-    cls: type[Any]
-    make: Callable[..., Any]
-    fields: Callable[[Any], State]
+MAPS: dict[str, type[dict[Any, Any]]] = {"map": dict, "ordered": OrderedDict, "counter": Counter}
+ITEMS: dict[str, type[Any]] = {"tuple": tuple, "set": set, "frozenset": frozenset}
 
 
-def record(cls: type[Any]) -> Record:
-    """Of a dataclass or named tuple, whose constructor takes all of its fields."""
-    names = [f.name for f in dataclasses.fields(cls)] if dataclasses.is_dataclass(cls) else list(cls._fields)
-    return Record(cls, cls, lambda each: {name: getattr(each, name) for name in names})
-
-
-def encode(state: Any, records: Mapping[str, Record]) -> tuple[Any, Arrays]:
-    """A state as JSON and arrays by number.
-
-    Args:
-        state: The whole one: what is the same object in two places is stored once.
-        records: By name.
+def encode(state: Any) -> tuple[Any, Arrays]:
+    """A state as JSON and arrays by number; an object that occurs twice is stored once.
 
     Raises:
-        TypeError: There is something in it that cannot be stored; the text says where.
+        TypeError: Something in it cannot be stored; the text says where.
     """
-    encoder = _Encoder(records)
+    encoder = _Encoder()
     return encoder.encoded(state, ""), encoder.arrays
 
 
-def decode(content: Any, arrays: Arrays, records: Mapping[str, Record]) -> Any:
+def decode(content: Any, arrays: Arrays) -> Any:
     """The inverse of `encode`; arrays are taken over, not copied.
 
     Raises:
         ValueError: The content was not made by `encode`, or arrays are missing.
     """
     try:
-        return _Decoder(arrays, records).decoded(content)
-    except (KeyError, TypeError, AttributeError, IndexError, RecursionError) as error:
+        return _Decoder(arrays).decoded(content)
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError) as error:
         raise ValueError(f"it is damaged: {error!r}") from error
 
 
 class _Encoder:
-    def __init__(self, records: Mapping[str, Record]) -> None:
-        self._by_class = {each.cls: (name, each) for name, each in records.items()}
+    def __init__(self) -> None:
         self.arrays: Arrays = {}
         self._numbers: dict[int, str] = {}
-        self._records: dict[int, int] = {}
+        self._values: dict[int, int] = {}
         self._kept: list[Any] = []  # so that no other object takes an id
 
     def encoded(self, value: Any, where: str) -> Any:
         kind = type(value)
         if kind in PLAIN:
             return value if kind is not float or math.isfinite(value) else {MARK: "float", "value": repr(value)}
-        if kind in (dict, OrderedDict):  # vectorised environments give the latter
+        if kind in MAPS.values():
             return self._dictionary(value, where)
         if kind is list:
             return [self.encoded(each, f"{where}[{i}]") for i, each in enumerate(value)]
-        if kind in self._by_class:
-            return self._record(value, where)
+        if VALUES.get(kind.__name__) is kind:
+            return self._value(value, where)
         if kind is tuple:
             return {MARK: "tuple", "items": [self.encoded(each, f"{where}[{i}]") for i, each in enumerate(value)]}
         if isinstance(value, torch.Tensor):
@@ -104,13 +83,21 @@ class _Encoder:
             return {MARK: "scalar", **self._array(value, np.asarray(value), where)}
         if kind is bytes:
             return {MARK: "bytes", **self._array(value, np.frombuffer(value, dtype=np.uint8), where)}
+        if kind is deque:
+            items = [self.encoded(each, f"{where}[{i}]") for i, each in enumerate(value)]
+            return {MARK: "deque", "items": items, "maxlen": value.maxlen}
+        if kind in (set, frozenset):
+            return {MARK: kind.__name__, "items": [self.encoded(each, where) for each in _ordered(value)]}
+        if kind is torch.dtype:
+            return {MARK: "dtype", "name": str(value).removeprefix("torch.")}
         raise TypeError(f"a {kind.__name__} cannot be stored, at {where or 'the top'}")
 
     def _dictionary(self, value: dict[Any, Any], where: str) -> Any:
-        if all(type(key) is str for key in value) and MARK not in value:
+        if type(value) is dict and all(type(key) is str for key in value) and MARK not in value:
             return {key: self.encoded(each, f"{where}.{key}") for key, each in value.items()}
+        mark = next(name for name, kind in MAPS.items() if kind is type(value))
         items = [[self.encoded(k, where), self.encoded(each, f"{where}[{k!r}]")] for k, each in value.items()]
-        return {MARK: "map", "items": items}
+        return {MARK: mark, "items": items}
 
     def _array(self, value: Any, array: npt.NDArray[Any], where: str) -> State:
         if array.dtype.kind not in KINDS or not array.dtype.isnative:
@@ -126,19 +113,20 @@ class _Encoder:
             )
         return {"array": number, "transposed": True} if transposed else {"array": number}
 
-    def _record(self, value: Any, where: str) -> State:
-        if id(value) in self._records:
-            return {MARK: "same", "record": self._records[id(value)]}
-        name, how = self._by_class[type(value)]
-        fields = self.encoded(how.fields(value), f"{where}<{name}>")
-        self._records[id(value)] = len(self._records)  # after those inside it, as they are made
+    def _value(self, value: Any, where: str) -> State:
+        if id(value) in self._values:
+            return {MARK: "same", "value": self._values[id(value)]}
+        name = type(value).__name__
+        fields = {each: getattr(value, each) for each in names_of(type(value))}
+        content = self.encoded(fields, f"{where}<{name}>")
+        self._values[id(value)] = len(self._values)  # after those inside it, as they are made
         self._kept.append(value)
-        return {MARK: name, "fields": fields}
+        return {MARK: name, "fields": content}
 
 
 class _Decoder:
-    def __init__(self, arrays: Arrays, records: Mapping[str, Record]) -> None:
-        self._arrays, self._how = arrays, records
+    def __init__(self, arrays: Arrays) -> None:
+        self._arrays = arrays
         self._made: list[Any] = []
         self._tensors: dict[str, torch.Tensor] = {}
         self._views: dict[str, npt.NDArray[Any]] = {}
@@ -152,21 +140,21 @@ class _Decoder:
         if mark is None:
             return {key: self.decoded(each) for key, each in content.items()}
         if mark == "same":
-            return self._made[content["record"]]
+            return self._made[content["value"]]
         if mark == "float":
             return float(content["value"])
-        if mark == "tuple":
-            return tuple(self.decoded(each) for each in content["items"])
-        if mark == "map":
-            return {self.decoded(key): self.decoded(each) for key, each in content["items"]}
         if mark in ("array", "tensor", "scalar", "bytes"):
             return self._array(content, mark)
-        if mark not in self._how:
-            raise ValueError(f"it holds a {mark!r}, which is not known")
-        fields = self.decoded(content["fields"])
-        made = self._how[mark].make(**fields)
-        self._made.append(made)
-        return made
+        if mark == "dtype":
+            return {"float32": torch.float32, "float64": torch.float64}[content["name"]]
+        if mark in MAPS:
+            return MAPS[mark]({self.decoded(key): self.decoded(each) for key, each in content["items"]})
+        if "items" in content:
+            items = (self.decoded(each) for each in content["items"])
+            return deque(items, content["maxlen"]) if mark == "deque" else ITEMS[mark](items)
+        new = made(mark, self.decoded(content["fields"]))
+        self._made.append(new)
+        return new
 
     def _array(self, content: State, mark: str) -> Any:
         number = content["array"]
@@ -178,3 +166,11 @@ class _Decoder:
         if mark == "bytes":
             return array.tobytes()
         return self._tensors.setdefault(number, torch.from_numpy(array)) if mark == "tensor" else array
+
+
+def _ordered(value: Any) -> list[Any]:
+    """Elements of a set in an order that does not depend on the process, where they have one."""
+    try:
+        return sorted(value)
+    except TypeError:
+        return list(value)

@@ -15,8 +15,10 @@ from torch import Tensor
 from sb3_options.density.arrays import BoolArray, FloatArray, IntArray, row_keys
 from sb3_options.density.checks import LARGEST_FEATURE, check_finite, real_array
 from sb3_options.density.layout import SEGMENT_INSTANCES, BagArrays, Segment, segment_of
+from sb3_options.state import storable
 
 
+@storable
 @dataclass(frozen=True, eq=False)
 class Bags:
     """Bags of instances, packed once and searched many times; made by :meth:`pack`.

@@ -29,6 +29,7 @@ from sb3_options.density.objective import evaluate
 from sb3_options.density.one_hot import is_one_hot, one_hot_log_density
 from sb3_options.density.peaks import best_apart
 from sb3_options.density.search import UPDATE_PAIRS, ConceptSearch, Solution
+from sb3_options.state import storable
 
 ARRIVED = 1e-5
 """An ascent has arrived when two steps running raise the log density by less than this share of it, or of 1 nat."""
@@ -118,6 +119,7 @@ def log_diverse_density(
     return value.to(bags.dtype)
 
 
+@storable
 class Peak(NamedTuple):
     """A concept of high diverse density.
 

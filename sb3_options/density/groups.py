@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from sb3_options.density.arrays import BoolArray, FloatArray, IntArray
+from sb3_options.state import storable
 
 
+@storable
 @dataclass(frozen=True)
 class FeatureGroup:
     """Features of concept space that make a concept together (the subsets of McGovern & Barto 2001, §7 and §8).

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from sb3_options.density.arrays import BoolArray, FloatArray, IntArray
+from sb3_options.state import storable
 
 SEGMENT_INSTANCES = 1 << 17
 """Instances a segment holds, unless one bag alone has more: 8 starts at once then fill `MAX_PAIRS`."""
@@ -62,6 +63,7 @@ class Segment(NamedTuple):
     rows_of_bags: tuple[Tensor, ...]
 
 
+@storable
 class BagArrays(NamedTuple):
     """Bags as arrays: instances (N, m) bag after bag, lengths (n,), which are positive (n,), and weights (n,)."""
 

@@ -10,8 +10,10 @@ from scipy.spatial.distance import cdist
 
 from sb3_options.density.arrays import BoolArray, FloatArray
 from sb3_options.density.groups import FeatureGroup
+from sb3_options.state import storable
 
 
+@storable
 @dataclass(frozen=True)
 class Region:
     """A union of balls of one radius in concept space: a subgoal (one ball) or an initiation set (many).
@@ -52,6 +54,7 @@ class Region:
         return features if self.group is None else self.group.own(features)
 
 
+@storable
 @dataclass(frozen=True)
 class HalfSpace(Region):
     """One side of a plane in concept space, ``points`` being one point of the plane.

@@ -13,10 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sb3_options.experience.observations import FeatureMap, FloatArray, IntArray, Observations
+from sb3_options.state import storable
 
 logger = logging.getLogger("sb3_options")
 
 
+@storable
 @dataclass(frozen=True)
 class Trajectory:
     """One episode, or one segment of it, in primitive steps, each distinct observation stored once.
@@ -55,6 +57,7 @@ class Trajectory:
         return own + self.visits.nbytes + self.actions.nbytes + self.rewards.nbytes
 
 
+@storable
 class EpisodeRecord(NamedTuple):
     """One episode of training, or one segment of a continuing task, in primitive steps.
 
@@ -71,6 +74,7 @@ class EpisodeRecord(NamedTuple):
     steps: int
 
 
+@storable
 @dataclass(frozen=True)
 class LabelledTrajectory:
     """A trajectory with its features and its label, as discovery needs them.

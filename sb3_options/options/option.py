@@ -21,6 +21,7 @@ from sb3_options.experience.observations import (
     key_of,
 )
 from sb3_options.options.policies import OptionPolicy, PolicyInput
+from sb3_options.state import storable
 
 CACHE_BYTES = 4 << 20
 """Memory of each cache of a `SubgoalOption`, observations included; approximate."""
@@ -161,6 +162,7 @@ def checked_duration(max_duration: int) -> int:
     return int(max_duration)
 
 
+@storable
 class SubgoalOption(Option):
     """An option made of data only: reach a region of concept space, from within an initiation set.
 
@@ -178,6 +180,8 @@ class SubgoalOption(Option):
     Raises:
         ValueError: ``max_duration`` < 1.
     """
+
+    STATE = ("subgoal", "initiation_set", "option_policy", "policy_input", "max_duration", "name", "fixed")
 
     def __init__(
         self,

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
 from sb3_options.experience.observations import FloatArray, IntArray, Observations, flatten
+from sb3_options.state import storable
 
 PolicyInput: TypeAlias = Literal["observation", "features"]
 """What a policy acts on: the observation, or its features φ in concept space."""
@@ -27,6 +28,7 @@ class OptionPolicy(Protocol):
         """Everything the policy consists of, by name; `from_arrays` is the inverse."""
 
 
+@storable
 class TabularPolicy:
     """Greedy in a table of action values, for observations that repeat.
 
@@ -36,6 +38,8 @@ class TabularPolicy:
         states: Known observations as flat rows, shape (m, size of an observation), m ≥ 1.
         values: Action values, −∞ for actions never tried there, shape (m, n_primitive).
     """
+
+    STATE = ("states", "values")
 
     def __init__(self, states: FloatArray, values: FloatArray) -> None:
         self.states = states + 0.0  # -0.0 and 0.0 are one state, but not one key
@@ -90,6 +94,7 @@ class TabularPolicy:
         return {"table_states": self.states, "table_values": self.values}
 
 
+@storable
 class NetworkPolicy:
     """Greedy in a small network of action values, for observations that do not repeat.
 
@@ -101,6 +106,8 @@ class NetworkPolicy:
         weights: Of the layers, each (inputs, outputs).
         biases: Of the layers, each (outputs,); ReLU between layers.
     """
+
+    STATE = ("mean", "std", "weights", "biases")
 
     def __init__(self, mean: FloatArray, std: FloatArray, weights: list[FloatArray], biases: list[FloatArray]) -> None:
         self.mean, self.std, self.weights, self.biases = mean, std, weights, biases

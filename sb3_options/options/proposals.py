@@ -10,8 +10,10 @@ import numpy as np
 
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
+from sb3_options.state import storable
 
 
+@storable
 @dataclass(frozen=True)
 class Passage:
     """Reach a region from within a set of states, and stay in that set on the way.
@@ -34,6 +36,7 @@ class Passage:
                 raise TypeError(f"{name} of a Passage must be a Region, got {value!r:.200}")
 
 
+@storable
 @dataclass(frozen=True, eq=False)
 class IntrinsicReward:
     """Gain r(s, s') = f(s') − f(s) as long as there is something to gain (Machado et al. 2017, eq. 2).

@@ -6,7 +6,6 @@ import json
 import numpy as np
 import pytest
 
-from sb3_options.checkpoints.records import RECORDS
 from sb3_options.checkpoints.tree import decode, encode
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.discovery.proposed import discovery_with
@@ -59,8 +58,8 @@ def test_it_goes_on_with_its_state() -> None:
     whole, other = (discovery_with(SETTINGS, [NEAR, FAR], seed=seed) for seed in (3, 4))
     assert isinstance(whole, RandomGroupedDiscovery)
     live(whole, 8)
-    content, arrays = encode(whole.get_state(), RECORDS)
-    other.set_state(decode(json.loads(json.dumps(content)), arrays, RECORDS))
+    content, arrays = encode(whole.get_state())
+    other.set_state(decode(json.loads(json.dumps(content)), arrays))
     n = len(whole.found)
     for each in (whole, other):
         live(each, 12)

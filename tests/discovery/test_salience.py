@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sb3_options.checkpoints.records import RECORDS
 from sb3_options.checkpoints.tree import decode, encode
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.discovery.grouped import GroupedDiscovery
@@ -127,8 +126,8 @@ def test_a_database_goes_on_with_its_state() -> None:
     database, other = (OutcomeDatabase(100, salience=Salience(GROUPS, 0.5, 3)) for _ in range(2))
     for each in lives:
         database.add(each)
-    content, arrays = encode(database.get_state(), RECORDS)
-    other.set_state(decode(json.loads(json.dumps(content)), arrays, RECORDS))
+    content, arrays = encode(database.get_state())
+    other.set_state(decode(json.loads(json.dumps(content)), arrays))
     assert sum(each.whole is not None for each in other) == 6
     for both in (database, other):
         both.add(rare())
@@ -201,9 +200,9 @@ def test_trajectories_that_are_labelled_anew_stay_in_the_order_in_which_they_cam
     lives += [lived([NOTHING, FAR, NEAR, BEHIND], success=True) for _ in range(3)]
     for i, each in enumerate(lives):
         if i == 30:  # a checkpoint lies between
-            content, arrays = encode(database.get_state(), RECORDS)
+            content, arrays = encode(database.get_state())
             other = OutcomeDatabase(10, salience=Salience(GROUPS, 0.2, 3))
-            other.set_state(decode(json.loads(json.dumps(content)), arrays, RECORDS))
+            other.set_state(decode(json.loads(json.dumps(content)), arrays))
         database.add(each)
         if i >= 30:
             other.add(each)

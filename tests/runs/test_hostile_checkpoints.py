@@ -19,7 +19,6 @@ from safetensors.numpy import save as to_safetensors
 from sb3_options import cli
 from sb3_options.checkpoints import file as checkpoint_file
 from sb3_options.checkpoints.file import FORMAT, CheckpointFolder, read
-from sb3_options.checkpoints.records import RECORDS
 from sb3_options.checkpoints.tree import Arrays, encode
 from sb3_options.runs import folder as runs
 
@@ -69,7 +68,7 @@ def changed(change: Callable[[dict[str, Any], Path], object]) -> Make:
 
     def make(state: dict[str, Any], trace: Path) -> bytes:
         change(state, trace)
-        content, arrays = encode(state, RECORDS)
+        content, arrays = encode(state)
         return packed(json.dumps(content), arrays)
 
     return make

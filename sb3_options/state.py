@@ -1,0 +1,224 @@
+"""A class's fields are its checkpoint: one walk reads the state of an object, and one writes it back in place.
+
+::
+
+    @dataclass(eq=False)
+    class Tracker:
+        settings: Settings
+        success: SuccessRule = field(metadata=TRANSIENT)  # code: the training that resumes passes it again
+        random: np.random.Generator
+        counts: Counter[bytes] = field(default_factory=Counter)
+
+    state = state_of(tracker)
+    restore(tracker, state)
+
+Mutable parts are restored in place: dataclasses, random generators, torch modules and optimizers, and objects with
+their own ``get_state`` and ``set_state``. So are lists, dictionaries, sets and deques. A class that is not a dataclass
+names its attributes in ``STATE``. Elements of a container that do not exist before `restore` must be plain values,
+arrays, or objects of a class decorated with `storable`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import sys
+from collections import Counter, OrderedDict, deque
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple, TypeVar
+
+import numpy as np
+
+T = TypeVar("T")
+
+TRANSIENT: Final = {"transient": True}
+"""Metadata of a dataclass field that is not part of the state: code, settings passed anew, caches."""
+
+VALUES: dict[str, type[Any]] = {}
+"""Classes whose objects a checkpoint may contain, by name; `storable` adds to them."""
+
+PLAIN = (type(None), bool, int, float, str, bytes, np.ndarray, np.generic)
+
+
+def storable(cls: type[T]) -> type[T]:
+    """Class decorator: a checkpoint stores objects of this class whole, and makes them anew from their fields.
+
+    The class is a dataclass, a named tuple, or names the arguments of its constructor in ``STATE``.
+
+    Raises:
+        ValueError: Another class of this name is decorated.
+    """
+    other = VALUES.setdefault(cls.__name__, cls)
+    if (other.__module__, other.__qualname__) != (cls.__module__, cls.__qualname__):
+        raise ValueError(f"There are two storable classes of the name {cls.__name__}: {other} and {cls}.")
+    VALUES[cls.__name__] = cls
+    return cls
+
+
+@storable
+class Part(NamedTuple):
+    """The state of a mutable object inside another one.
+
+    Attributes:
+        of: Name of its class.
+        state: As ``get_state`` gives it; None where the same object has occurred before.
+    """
+
+    of: str
+    state: Any
+
+
+def names_of(cls: type[Any]) -> tuple[str, ...]:
+    """Names of the attributes that are the state of a class.
+
+    Raises:
+        TypeError: It declares none.
+    """
+    if "__dataclass_fields__" in vars(cls):
+        return tuple(each.name for each in dataclasses.fields(cls) if not each.metadata.get("transient"))
+    declared = [vars(base)["STATE"] for base in reversed(cls.__mro__) if "STATE" in vars(base)]
+    if not declared and issubclass(cls, tuple) and hasattr(cls, "_fields"):
+        declared = [cls._fields]
+    if not declared:
+        raise TypeError(
+            f"a {cls.__name__} cannot be stored: make it a dataclass, or give it get_state() and set_state(state)"
+        )
+    return tuple(name for names in declared for name in names)
+
+
+def made(name: str, fields: Mapping[str, Any]) -> Any:
+    """An object of a class decorated with `storable`.
+
+    Raises:
+        ValueError: There is no such class.
+    """
+    cls = VALUES.get(name)
+    if cls is None:
+        raise ValueError(f"it holds a {name!r}, which is not known")
+    late = [each.name for each in dataclasses.fields(cls) if not each.init] if dataclasses.is_dataclass(cls) else []
+    new = cls(**{name: each for name, each in fields.items() if name not in late})
+    for each in late:
+        if each in fields:
+            object.__setattr__(new, each, fields[each])
+    return new
+
+
+def state_of(owner: object) -> dict[str, Any]:
+    """The state of an object, by the names of its attributes.
+
+    It refers to the object's arrays: store or copy it before the object changes. The object's own ``get_state`` is not
+    called, which may thus be ``{**state_of(self), ...}``.
+
+    Raises:
+        TypeError: Something in it cannot be stored; the text says where.
+    """
+    return _fields(owner, type(owner).__name__, {})
+
+
+def restore(owner: Any, state: Mapping[str, Any]) -> None:
+    """Write what `state_of` returned into an object that was made with the same arguments.
+
+    The object's own ``set_state`` is not called. It takes the arrays over.
+
+    Raises:
+        ValueError: The state is of an object with other parts.
+        KeyError: A part of the state is missing.
+    """
+    for name in names_of(type(owner)):
+        setattr(owner, name, _restored(getattr(owner, name, None), state[name], f"{type(owner).__name__}.{name}"))
+
+
+def _fields(owner: object, where: str, seen: dict[int, object]) -> dict[str, Any]:
+    seen[id(owner)] = owner
+    names = names_of(type(owner))
+    if dataclasses.is_dataclass(owner):
+        declared = {each.name for each in dataclasses.fields(owner)}
+        for name in getattr(owner, "__dict__", ()):
+            if name not in declared and not isinstance(getattr(type(owner), name, None), functools.cached_property):
+                raise TypeError(f"{where}.{name} is no field of {type(owner).__name__}, and would be lost: declare it")
+    return {name: _kept(getattr(owner, name), f"{where}.{name}", seen, direct=True) for name in names}
+
+
+def _kept(item: Any, where: str, seen: dict[int, object], *, direct: bool = False) -> Any:
+    kind = type(item)
+    if isinstance(item, PLAIN) or kind.__name__ in VALUES or _is_tensor(item):
+        return item
+    if isinstance(item, dict) and (direct or kind in (dict, OrderedDict, Counter)):
+        pairs = {key: _kept(each, f"{where}[{key!r}]", seen) for key, each in item.items()}
+        return kind(pairs) if kind in (OrderedDict, Counter) else pairs
+    if kind in (set, frozenset):
+        return item.copy()
+    if kind in (list, tuple, deque):
+        items = (_kept(each, f"{where}[{i}]", seen) for i, each in enumerate(item))
+        return deque(items, item.maxlen) if isinstance(item, deque) else kind(items)
+    if id(item) in seen:
+        return Part(kind.__name__, None)
+    seen[id(item)] = item
+    return Part(kind.__name__, _own(item, where, seen))
+
+
+def _own(item: Any, where: str, seen: dict[int, object]) -> Any:
+    if isinstance(item, np.random.Generator):
+        return item.bit_generator.state
+    if hasattr(item, "get_state"):  # torch's generators have it
+        return item.get_state()
+    if hasattr(item, "state_dict"):
+        return dict(item.state_dict())
+    try:
+        return _fields(item, where, seen)
+    except TypeError as error:
+        raise error if where in str(error) else TypeError(f"{error}, at {where}") from None
+
+
+def _restored(present: Any, item: Any, where: str) -> Any:
+    """The item, or the present object after it has taken the item's place."""
+    if isinstance(item, Part):
+        if type(present).__name__ != item.of:
+            raise ValueError(f"{where} is a {type(present).__name__}, and was a {item.of}")
+        if item.state is not None:
+            _set_own(present, item.state)
+        return present
+    if type(item).__name__ in VALUES:
+        return item
+    if isinstance(item, dict):
+        pairs = {key: _restored(_at(present, key), each, f"{where}[{key!r}]") for key, each in item.items()}
+        if not isinstance(present, dict):
+            return type(item)(pairs)
+        present.clear()
+        present.update(pairs)
+        return present
+    if isinstance(item, list | tuple | deque):
+        items = [_restored(_at(present, i), each, f"{where}[{i}]") for i, each in enumerate(item)]
+        if not isinstance(present, list | deque):
+            return deque(items, item.maxlen) if isinstance(item, deque) else type(item)(items)
+        present.clear()
+        present.extend(items)
+        return present
+    if isinstance(item, set) and isinstance(present, set):
+        present.clear()
+        present.update(item)
+        return present
+    return item.to(present.device) if _is_tensor(item) and _is_tensor(present) else item
+
+
+def _set_own(present: Any, state: Any) -> None:
+    if isinstance(present, np.random.Generator):
+        present.bit_generator.state = state
+    elif hasattr(present, "set_state"):
+        present.set_state(state)
+    elif hasattr(present, "load_state_dict"):
+        present.load_state_dict(state)
+    else:
+        restore(present, state)
+
+
+def _at(container: Any, key: Any) -> Any:
+    if isinstance(container, dict):
+        return container.get(key)
+    indexed = isinstance(container, list | tuple | deque) and isinstance(key, int)
+    return container[key] if indexed and key < len(container) else None
+
+
+def _is_tensor(item: object) -> bool:
+    torch = sys.modules.get("torch")  # whoever has a tensor has imported it
+    return torch is not None and isinstance(item, torch.Tensor)
