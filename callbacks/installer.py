@@ -11,7 +11,6 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_options.callbacks.checks import check_same_slots, masks_actions, warn_unmasked
 from sb3_options.callbacks.counting import evaluation_envs
-from sb3_options.callbacks.intra_option import IntraOptionUpdater
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.execution.exploration import cap_option_exploration
 from sb3_options.execution.workers import watch_workers
@@ -87,7 +86,6 @@ class OptionInstaller:
             present.n_primitive, present.max_options, feature_map=self.features_of, signature=present.signature
         )
         self.explored = cap_option_exploration(model, self.n_primitive, max_option_exploration)
-        self.updater = IntraOptionUpdater(model, venv, self.bank) if IntraOptionUpdater.applies_to(model) else None
         self.interrupter: Interrupter | None = None
         if interruption and heads.has_networks(model.policy):
             self.interrupter = Interrupter(model, venv, self.eval_envs)
@@ -141,10 +139,7 @@ class OptionInstaller:
             return
         before = self.bank[slot]
         self._send(slot, option)
-        if _same_initiation(before, option):
-            if self.updater is not None:
-                self.updater.note_change(slot)
-        elif slot not in self._new:
+        if slot not in self._new and not _same_initiation(before, option):
             self._new.append(slot)  # its availability has to be computed anew
 
     def uninstall(self, slot: int) -> None:
@@ -178,10 +173,6 @@ class OptionInstaller:
             available = stored_availability(self.buffer, self.venv)
             for slot in self._new:
                 self.buffer.set_next_available(slot, available[:, self.n_primitive + slot])
-        if self.updater is not None:
-            for slot in self._new:
-                self.updater.compare_all(slot)
-            self.updater.update()
         if self.interrupter is not None and len(self.bank):
             self.interrupter.refresh(at_once=bool(self._new))
         self._new.clear()
@@ -203,7 +194,6 @@ class OptionInstaller:
             "pending": list(self._pending),
             "new": list(self._new),
             "closing": sorted(self._closing),
-            "updater": None if self.updater is None else self.updater.get_state(),
             "interrupter": None if self.interrupter is None else self.interrupter.get_state(),
         }
 
@@ -238,8 +228,6 @@ class OptionInstaller:
             self.explored.filled = tuple(slot for slot in self.bank.filled if slot not in pending)
         self._pending = {slot: self.bank[slot] for slot in state["pending"]}  # type: ignore[misc]  # filled above
         self._new, self._closing = state["new"], set(state["closing"])
-        if self.updater is not None:
-            self.updater.set_state(state["updater"])
         if self.interrupter is not None:
             self.interrupter.set_state(state["interrupter"])
 
@@ -270,8 +258,6 @@ class OptionInstaller:
             if self.explored is not None:
                 self.explored.filled = self.bank.filled
             forget_slot(self.model, slot, self.n_primitive)
-            if self.updater is not None:
-                self.updater.clear(slot)
             if slot in self._new:
                 self._new.remove(slot)
         self._closing.clear()

@@ -27,7 +27,7 @@ from sb3_options.experience.observations import (
     take,
 )
 from sb3_options.experience.option_run import OptionRun
-from sb3_options.learning.bonus_replay import RowBonuses, set_bonus
+from sb3_options.learning.bonus_replay import set_bonus
 from sb3_options.learning.novelty import (
     Keys,
     Novelty,
@@ -167,9 +167,6 @@ class IntrinsicRewardCallback(BaseCallback):
                 "The bonus of an option is that of the primitive steps inside it, which a replay buffer with "
                 "macro_q=False does not store: leave out replay_buffer_kwargs={'macro_q': False}."
             )
-        if isinstance(self._replay, OptionReplayBuffer) and self._replay.row_bonuses is None:
-            # An earlier version pickled it, and did not note how long runs were: they get the bonus of their last step.
-            self._replay.row_bonuses = RowBonuses(self._replay.buffer_size)
 
     @property
     def _replay(self) -> ReplayBuffer | None:

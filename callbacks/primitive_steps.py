@@ -30,7 +30,6 @@ from sb3_options.execution.wrappers_above import monitor_primitive_steps
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning import heads
 from sb3_options.learning.checks import check_gamma, check_wrapped
-from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.learning.rollout_buffer import SMDPAdvantages, option_rollout_buffer
 from sb3_options.learning.saved_model import keep_options
 
@@ -100,9 +99,6 @@ class PrimitiveStepsCallback(BaseCallback):
 
     def _start_counting(self) -> None:
         watch_workers(self.training_env)
-        buffer = getattr(self.model, "replay_buffer", None)
-        if isinstance(buffer, OptionReplayBuffer):
-            buffer.heads_are_closed = True
         self._rollout_buffer = option_rollout_buffer(self.model)
         made_with = self.model.__dict__.pop("n_primitive_steps", None)  # an earlier version saved it in a short rollout
         if made_with is not None and self._rollout_buffer is not None:

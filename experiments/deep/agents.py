@@ -69,8 +69,7 @@ def make_model(algo: str, venv: VecEnv, arm: Arm, settings: DeepSettings, seed: 
         if arm in STOCK:
             own = {**own, **n_steps}
         else:  # SB3 hands its own argument to its own buffers only
-            buffer = {**settings.buffer, **n_steps}
-            own = {**own, "replay_buffer_class": OptionReplayBuffer, "replay_buffer_kwargs": buffer}
+            own = {**own, "replay_buffer_class": OptionReplayBuffer, "replay_buffer_kwargs": n_steps}
     made: BaseAlgorithm = (stock if arm in STOCK else with_options)("MlpPolicy", venv, **common, **own)
     return made
 

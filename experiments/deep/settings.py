@@ -72,7 +72,6 @@ class DeepSettings:
         discovery: Other than the defaults of `DiscoverySettings`.
         option: Other than the defaults of `OptionLearningSettings`.
         callback: Switches of `SubgoalDiscoveryCallback`: ``interruption``.
-        buffer: Switches of `OptionReplayBuffer`: ``intra_option``, ``macro_q``.
         n_steps: Decisions of the n-step returns, stock and with options.
         brought_exploration: Share of training over which DQN's ε falls where options are brought along, which explore
             themselves; None takes the algorithm's own.
@@ -94,7 +93,6 @@ class DeepSettings:
     discovery: dict[str, Any] = field(default_factory=lambda: {"decay": 0.75, "min_positive": 5, "search_growth": 0.0})
     option: dict[str, Any] = field(default_factory=lambda: {"grow": True})
     callback: dict[str, Any] = field(default_factory=lambda: {"interruption": True})
-    buffer: dict[str, Any] = field(default_factory=lambda: {"intra_option": False})
     n_steps: int = 10
     brought_exploration: float | None = None
     bonus_weight: float = 0.1
@@ -108,7 +106,7 @@ class DeepSettings:
         own = {"algorithm": self.arguments(algo, arm), "steps_after": self.steps_after[family(algo)]}
         common = ["n_envs", "evaluate_every", "evaluation_episodes", "final_evaluations"]
         if arm not in STOCK:
-            common += ["max_options", "max_new_options", "discovery", "option", "callback", "buffer"]
+            common += ["max_options", "max_new_options", "discovery", "option", "callback"]
             own["max_option_exploration"] = self.max_option_exploration[family(algo)]
         if arm in OPTIONS:
             own["max_runs"] = self.max_runs[family(algo)]
@@ -142,10 +140,9 @@ class DeepSettings:
             for name, value in getattr(self, group).items():
                 if value != getattr(DeepSettings(), group)[name]:
                     flags.append(f"--settings.{group.replace('_', '-')}.{name} {value}")
-        for group, default in (("callback", DeepSettings().callback), ("buffer", DeepSettings().buffer)):
-            for name, value in getattr(self, group).items():
-                if value != default.get(name):
-                    flags.append(f"--settings.{group}.{'' if value else 'no-'}{name.replace('_', '-')}")
+        for name, value in self.callback.items():
+            if value != DeepSettings().callback.get(name):
+                flags.append(f"--settings.callback.{'' if value else 'no-'}{name.replace('_', '-')}")
         return flags
 
 

@@ -23,7 +23,7 @@ from safetensors.numpy import save as to_safetensors
 from sb3_options.atomic import atomic_write
 from sb3_options.checkpoints.growing import KnownBlocks
 from sb3_options.checkpoints.tree import Arrays, State, decode, encode
-from sb3_options.learning.stored_rows import Growing
+from sb3_options.learning.replay_buffer import Growing
 
 FORMAT = "sb3-options checkpoint 1"
 

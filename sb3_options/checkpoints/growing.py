@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sb3_options.learning.stored_rows import Growing
+from sb3_options.learning.replay_buffer import Growing
 
 
 class _Written(NamedTuple):

@@ -14,9 +14,8 @@ from stable_baselines3.common.logger import Logger
 
 from sb3_options.checkpoints.tree import State
 from sb3_options.learning import buffer_state
-from sb3_options.learning.replay_buffer import OptionReplayBuffer
+from sb3_options.learning.replay_buffer import Growing, OptionReplayBuffer
 from sb3_options.learning.rollout_buffer import option_rollout_buffer
-from sb3_options.learning.stored_rows import Growing
 
 SUPPORTED = ("DQN", "OptionDQN", "QRDQN", "PPO", "MaskablePPO", "A2C", "TRPO", "RecurrentPPO", "MacroQ")
 """Names of the classes of models whose whole state is known."""

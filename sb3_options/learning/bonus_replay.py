@@ -41,7 +41,6 @@ class RowBonuses:
     def sampled(
         self,
         drawn: Rows,
-        one_step: Rows,
         arrived_in: Callable[[Rows], Observations],
         discounts: npt.NDArray[np.float32],
         successors: Successors | None,
@@ -50,21 +49,18 @@ class RowBonuses:
         """What is added to the rewards of a batch.
 
         Args:
-            drawn: Rows that were drawn; they have n-step returns, if there are any.
-            one_step: Rows that come behind them in the batch.
+            drawn: Its rows.
             arrived_in: The next observations of some rows.
             discounts: Of all rows.
             successors: Which row follows each; None for single decisions.
             n_steps: Decisions of a return.
 
         Returns:
-            (drawn and one_step, 1).
+            (batch, 1).
         """
         column = _OptionBonusColumn(self, arrived_in, discounts)
-        if successors is None:
-            return column[np.concatenate([drawn, one_step])][:, None]
-        returns = successors.returns(drawn, n_steps, column, discounts).rewards
-        return np.concatenate([returns, column[one_step]])[:, None]
+        bonuses = column[drawn] if successors is None else successors.returns(drawn, n_steps, column, discounts).rewards
+        return bonuses[:, None]
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "bonus": None}
@@ -81,8 +77,6 @@ class _OptionBonusColumn:
         self._discounts = discounts  # of a step inside an option γ
 
     def __getitem__(self, rows: Rows, /) -> npt.NDArray[np.float32]:
-        if not len(rows):
-            return np.zeros(0, dtype=np.float32)
         inner_steps = self._inner_steps[rows]
         steps = np.maximum(inner_steps, 1)
         which = np.repeat(np.arange(len(rows)), steps)

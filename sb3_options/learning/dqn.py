@@ -20,8 +20,7 @@ from sb3_options.experience.observations import BoolArray, FloatArray
 from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.forgetting import forget_empty
 from sb3_options.learning.masked import MaskedPrediction, n_actions_of, stored_availability
-from sb3_options.learning.replay_buffer import OptionReplayBuffer
-from sb3_options.learning.replay_samples import OptionReplayBufferSamples
+from sb3_options.learning.replay_buffer import OptionReplayBuffer, OptionReplayBufferSamples
 from sb3_options.learning.saved_model import put_back
 
 
@@ -82,7 +81,6 @@ class OptionDQN(MaskedPrediction, DQN):
         check_gamma(self, self.env)
         self.env.env_method("report_availability", True)
         buffer = self._option_buffer()
-        buffer.heads_are_closed = True
         n_primitive = n_actions_of(self) - self._n_slots
         put_back(self, self.env)  # before a slot is taken for empty
         filled = self.env.get_attr("bank", [0])[0].filled

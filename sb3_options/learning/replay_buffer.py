@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import logging
-from typing import Any, Self, cast
+from typing import Any, NamedTuple, Self, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -18,20 +17,54 @@ from sb3_options.checked import whole
 from sb3_options.experience.observations import BoolArray, Observations, take
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.bonus_replay import RowBonuses
-from sb3_options.learning.intra_option import ConsistencyTable
 from sb3_options.learning.n_step import Successors
-from sb3_options.learning.replay_samples import OptionReplayBufferSamples
-from sb3_options.learning.stored_rows import Rows, StoredRows
-
-logger = logging.getLogger("sb3_options")
 
 NO_ROWS: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)
 
-QUANTILE_SHARE = 0.25
-"""Largest share of a batch of QRDQN, whose size is fixed, that gives way to intra-option rows."""
+Rows = dict[str, npt.NDArray[Any]]
+"""Observations by key; of a space that is no ``Dict`` the key is empty."""
 
 
-class OptionReplayBuffer(StoredRows, ReplayBuffer):
+class OptionReplayBufferSamples(NamedTuple):
+    """`ReplayBufferSamples` with what options add.
+
+    Attributes:
+        observations: (batch, ...).
+        actions: Augmented actions, (batch, 1).
+        next_observations: (batch, ...).
+        dones: 1 where nothing follows; a timeout is not such an end. (batch, 1).
+        rewards: Σ γⁱ rᵢ over the k primitive steps, (batch, 1).
+        discounts: γᵏ, (batch, 1).
+        next_available: Which option slots may start in the next observation, (batch, max_options); None where the
+            buffer does not track availability.
+    """
+
+    observations: Any
+    actions: torch.Tensor
+    next_observations: Any
+    dones: torch.Tensor
+    rewards: torch.Tensor
+    discounts: torch.Tensor
+    next_available: torch.Tensor | None
+
+
+class Growing(NamedTuple):
+    """How far an array has come that is written row by row, and over its oldest rows once it is full.
+
+    Attributes:
+        array: All of it.
+        written: Rows written so far.
+        at: The row that is written next.
+        changes: How often rows were changed in another way.
+    """
+
+    array: npt.NDArray[Any]
+    written: int
+    at: int
+    changes: int
+
+
+class OptionReplayBuffer(ReplayBuffer):
     """A replay buffer that makes SB3's off-policy algorithms learn correctly over options.
 
     Every transition of k primitive steps is stored with Σ γⁱ rᵢ and sampled with ``discounts`` = γᵏ, which DQN,
@@ -40,10 +73,6 @@ class OptionReplayBuffer(StoredRows, ReplayBuffer):
 
     Macro-Q learning (McGovern & Sutton 1998): each primitive step inside an option is stored as well, with its own
     action and reward and a discount of γ, so that one run of an option updates k + 1 values.
-
-    Intra-option learning (Sutton, Precup & Singh 1999, §6; `intra_option`): every primitive step of a batch also
-    becomes a transition of each option that is consistent with it. The callback says which these are.
-    At most as many such rows are added as were drawn, so that those drawn keep at least half of their weight.
 
     With ``n_steps`` the target is the return over the next n decisions (`n_step`), for the steps inside options too.
 
@@ -58,20 +87,12 @@ class OptionReplayBuffer(StoredRows, ReplayBuffer):
         optimize_memory_usage: Not supported.
         handle_timeout_termination: Bootstrap after a timeout instead of taking it for an end.
         macro_q: Whether the steps inside options are stored.
-        intra_option: Whether options are updated from primitive steps they are consistent with. Off by default: on
-            six seeds it saved no steps (docs/studies/deep.md).
         n_steps: Decisions of an n-step return, each with its own γᵏ. Steps inside options count as one each.
         gamma: Unused, as for SB3's ``NStepReplayBuffer``: every transition has its own discount.
 
     Raises:
         ValueError: ``optimize_memory_usage`` is set, or ``n_steps`` is no whole number of at least 1.
     """
-
-    consistency: ConsistencyTable | None = None
-    heads_are_closed = False  # of empty slots, by a callback or by OptionDQN
-    n_steps = 1  # of a buffer that an earlier version pickled
-    row_bonuses: RowBonuses | None = None  # likewise
-    _successors: Successors | None = None
 
     def __init__(
         self,
@@ -84,7 +105,6 @@ class OptionReplayBuffer(StoredRows, ReplayBuffer):
         handle_timeout_termination: bool = True,
         *,
         macro_q: bool = True,
-        intra_option: bool = False,
         n_steps: int = 1,
         gamma: float | None = None,
     ) -> None:
@@ -99,12 +119,11 @@ class OptionReplayBuffer(StoredRows, ReplayBuffer):
         self.optimize_memory_usage = False
         self.handle_timeout_termination = handle_timeout_termination
         self.macro_q = macro_q
-        self.intra_option = intra_option
         self.n_steps = n_steps
-        if n_steps > 1:
-            self._successors = Successors(buffer_size, n_envs)
+        self._successors = Successors(buffer_size, n_envs) if n_steps > 1 else None
         self.row_bonuses = RowBonuses(buffer_size)
-        self.written = self.copies = 0
+        self.written = 0
+        self.copies = 0
         self._spaces = (
             observation_space.spaces if isinstance(observation_space, spaces.Dict) else {"": observation_space}
         )
@@ -175,15 +194,8 @@ class OptionReplayBuffer(StoredRows, ReplayBuffer):
         """The next observations of all stored transitions, as the VecEnv gave them, row by row."""
         return self._arrived_in(np.s_[: self.size()])
 
-    def stored(self, rows: slice | npt.NDArray[Any]) -> tuple[Observations, npt.NDArray[np.int64], Observations]:
-        """Observations as the VecEnv gave them, augmented actions (n,) and next observations of some rows."""
-        return self._as_given(self._observations, rows), self.actions[rows, 0], self._arrived_in(rows)
-
     def _arrived_in(self, rows: slice | npt.NDArray[Any]) -> Observations:
-        return self._as_given(self._next_observations, rows)
-
-    def _as_given(self, stored: Rows, rows: slice | npt.NDArray[Any]) -> Observations:
-        taken = {k: v[rows] for k, v in stored.items()}
+        taken = {k: v[rows] for k, v in self._next_observations.items()}
         given = {k: v.reshape(len(v), *(self._spaces[k].shape or ())) for k, v in taken.items()}
         return given.get("", given)
 
@@ -218,8 +230,6 @@ class OptionReplayBuffer(StoredRows, ReplayBuffer):
         source = others[np.searchsorted(others, rows) % len(others)]
         for column in self._columns():
             column[rows] = column[source]
-        if self.consistency is not None:
-            self.consistency.copy_rows(source, rows)
 
     def add(
         self,
@@ -252,16 +262,13 @@ class OptionReplayBuffer(StoredRows, ReplayBuffer):
             timeout = bool(info.get("TimeLimit.truncated", False))
             # A slot that ran a primitive instead is stored as that primitive.
             chosen = actions[i] if run.actions is None or run.index >= 0 else run.actions
-            if chosen is run.actions and not self.heads_are_closed:
-                self._warn_of_open_heads()
             last = None if run.available is None else run.available[-1:]
             this = slice(i, i + 1)
             decision, inner, follows = self.pos, NO_ROWS, self._follows(i, here)
             self._write(here, there, chosen[None], reward[this], done[this], timeout, run.discount, last)
             if self.macro_q and run.index >= 0 and run.actions is not None:
                 inner = (self.pos + np.arange(run.duration)) % self.buffer_size
-                if self.row_bonuses is not None:
-                    self.row_bonuses.inner_steps[decision] = run.duration
+                self.row_bonuses.inner_steps[decision] = run.duration
                 self._write_inner(run, there, bool(done[i]), timeout)
             if self._successors is not None:
                 self._successors.add(i, decision, inner, follows=follows, done=bool(done[i]))
@@ -270,13 +277,6 @@ class OptionReplayBuffer(StoredRows, ReplayBuffer):
         """Whether a decision begins where the last one of its environment ended."""
         newest = NO_ROWS if self._successors is None else self._successors.newest(env)
         return all(np.array_equal(self._next_observations[k][newest], v) for k, v in here.items())
-
-    def _warn_of_open_heads(self) -> None:
-        logger.warning(
-            "An empty slot was chosen. Nobody closes the heads of empty slots, whose values are random, and nobody "
-            "counts primitive steps: pass PrimitiveStepsCallback() or SubgoalDiscoveryCallback() to learn()."
-        )
-        self.heads_are_closed = True  # said once
 
     def _write_inner(self, run: OptionRun, there: Rows, done: bool, timeout: bool) -> None:
         began = {key: self._as_stored(key, rows) for key, rows in self._split(run.observations).items()}
@@ -328,12 +328,9 @@ class OptionReplayBuffer(StoredRows, ReplayBuffer):
         if self.handle_timeout_termination:
             self.timeouts[rows] = timeouts
         self.discounts[rows] = discounts
-        if self.row_bonuses is not None:
-            self.row_bonuses.inner_steps[rows] = 0
+        self.row_bonuses.inner_steps[rows] = 0
         if self.tracks_availability:
             self.next_available[rows] = False if available is None else available
-        if self.consistency is not None:
-            self.consistency.clear_rows(rows)
         self.written += n
         self.full = self.full or self.pos + n >= self.buffer_size
         self.pos = (self.pos + n) % self.buffer_size
@@ -352,46 +349,68 @@ class OptionReplayBuffer(StoredRows, ReplayBuffer):
         return BaseBuffer.sample(self, batch_size, env)  # type: ignore[no-any-return]  # SB3 leaves it unannotated
 
     def _get_samples(self, batch_inds: npt.NDArray[Any], env: VecNormalize | None = None) -> ReplayBufferSamples:
-        n, table, selected = len(batch_inds), self.consistency, None
-        if table is not None:
-            selected = table.select(batch_inds, int(QUANTILE_SHARE * n) if table.quantiles else n)
-        if table is None or selected is None:
-            return cast("ReplayBufferSamples", self._rows_as_samples(batch_inds, env))
-        drawn = batch_inds[: n - len(selected.rows)] if table.quantiles else batch_inds
-        samples = self._rows_as_samples(drawn, env, selected.rows)
-        return cast("ReplayBufferSamples", table.as_option_transitions(samples, selected))
-
-    def _rows_as_samples(
-        self, drawn: npt.NDArray[Any], env: VecNormalize | None = None, one_step: npt.NDArray[Any] = NO_ROWS
-    ) -> OptionReplayBufferSamples:
-        """Stored transitions as the algorithm takes them: n-step returns from those drawn, then some single ones."""
-
         def tensors(stored: Rows, rows: npt.NDArray[Any]) -> Any:
             seen: Any = self._normalize_obs(cast("Any", take(stored.get("", stored), rows)), env)
             return {k: self.to_torch(v) for k, v in seen.items()} if isinstance(seen, dict) else self.to_torch(seen)
 
-        first = last = np.concatenate([drawn, one_step])
-        rewards, discounts = self.rewards[first], self.discounts[first]
-        if self._successors is not None:
-            n, last = len(drawn), first.copy()
-            returns = self._successors.returns(drawn, self.n_steps, self.rewards, self.discounts)
-            last[:n], rewards[:n], discounts[:n] = returns
+        if self._successors is None:
+            last, rewards, discounts = batch_inds, self.rewards[batch_inds], self.discounts[batch_inds]
+        else:
+            last, rewards, discounts = self._successors.returns(batch_inds, self.n_steps, self.rewards, self.discounts)
         rewards = self._normalize_reward(rewards.reshape(-1, 1), env)
-        if self.row_bonuses is not None and self.row_bonuses.bonus is not None:
-            successors = self._successors, self.n_steps
-            rewards += self.row_bonuses.sampled(drawn, one_step, self._arrived_in, self.discounts, *successors)
+        if self.row_bonuses.bonus is not None:
+            rewards += self.row_bonuses.sampled(
+                batch_inds, self._arrived_in, self.discounts, self._successors, self.n_steps
+            )
         dones = self.dones[last] * (1 - self.timeouts[last])
-        return OptionReplayBufferSamples(
-            observations=tensors(self._observations, first),
-            actions=self.to_torch(self.actions[first]),
+        samples = OptionReplayBufferSamples(
+            observations=tensors(self._observations, batch_inds),
+            actions=self.to_torch(self.actions[batch_inds]),
             next_observations=tensors(self._next_observations, last),
             dones=self.to_torch(dones.reshape(-1, 1)),
             rewards=self.to_torch(rewards),
             discounts=self.to_torch(discounts.reshape(-1, 1)),
             next_available=self.to_torch(self.next_available[last]) if self.tracks_availability else None,
         )
+        return cast("ReplayBufferSamples", samples)
 
     def _split(self, observations: Any) -> Rows:
         rows = observations if isinstance(observations, dict) else {"": observations}
         # A Discrete observation is a scalar to the environment and a vector of one to SB3.
         return {k: v.reshape(len(v), *self._shapes[k]) if v.ndim == 1 else v for k, v in rows.items()}
+
+    def _columns(self) -> list[npt.NDArray[Any]]:
+        """Every array with one row per transition."""
+        columns = [self.actions, self.rewards, self.dones, self.timeouts, self.discounts, self.next_available]
+        observations = [*self._observations.values(), *self._next_observations.values()]
+        return [*columns, self.row_bonuses.inner_steps, *observations]
+
+    def growing(self) -> list[Growing]:
+        """The observations, of which a checkpoint need not read again what it has: they are most of the memory."""
+        return [
+            Growing(array, self.written, self.pos, self.copies)
+            for array in (*self._observations.values(), *self._next_observations.values())
+        ]
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint: the stored rows, which are not copied, and the counters."""
+        size = self.size()
+        return {
+            "counters": (self.pos, self.full, self.written),
+            "slots": self.next_available.shape[1],
+            "columns": [column[:size] for column in self._columns()],
+            "successors": None if self._successors is None else self._successors.get_state(size),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Hold what `get_state` gave, in the arrays that there are.
+
+        Raises:
+            ValueError: The rows have another shape, or there are more of them.
+        """
+        self.pos, self.full, self.written = state["counters"]
+        self.track_availability(state["slots"])
+        for column, rows in zip(self._columns(), state["columns"], strict=True):
+            column[: len(rows)] = rows
+        if self._successors is not None:
+            self._successors.set_state(state["successors"])

@@ -38,7 +38,7 @@ LOCATIONS = {
 CALLBACK = frozenset({"max_option_exploration", "interruption"})
 """Settings of some algorithms that `SubgoalDiscoveryCallback` takes."""
 
-ELSEWHERE = CALLBACK | {"intra_option", "max_runs"}
+ELSEWHERE = CALLBACK | {"max_runs"}
 """Settings of some algorithms that their classes do not take."""
 
 RESERVED = frozenset({"policy", "env", "verbose", "_init_setup_model"}) | {
@@ -74,7 +74,7 @@ def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> Ba
     if isinstance(config, DQNConfig):
         # The rollout buffers of the others are the callback's affair.
         settings["replay_buffer_class"] = OptionReplayBuffer
-        settings["replay_buffer_kwargs"] = {"intra_option": config.intra_option, "n_steps": settings.pop("n_steps")}
+        settings["replay_buffer_kwargs"] = {"n_steps": settings.pop("n_steps")}
     if playing:
         settings |= {"buffer_size": 1} if isinstance(config, DQNConfig) else {"n_steps": settings.get("batch_size", 1)}
     model: BaseAlgorithm = _class_of(config.algo)(

@@ -129,7 +129,6 @@ class DQNConfig(TrainConfig):
         max_option_exploration: Largest share of options in exploring.
         n_steps: Decisions of a return.
         interruption: End options worth less than others.
-        intra_option: Steps teach options that agree.
     """
 
     algo: Annotated[Literal["dqn", "qrdqn", "optiondqn"], tyro.conf.Suppress] = "dqn"
@@ -143,7 +142,6 @@ class DQNConfig(TrainConfig):
     max_option_exploration: Share = 0.5
     n_steps: Count = 1
     interruption: bool = True
-    intra_option: bool = False
 
 
 @settings

@@ -184,9 +184,8 @@ def test_environments_in_worker_processes(name: str, tmp_path: Path) -> None:
     [
         {"buffer_size": 300},
         {"replay_buffer_kwargs": {"n_steps": 3}},
-        {"replay_buffer_kwargs": {"intra_option": True}},
     ],
-    ids=["full", "n-step", "intra-option"],
+    ids=["full", "n-step"],
 )
 def test_replay_buffers(kwargs: dict[str, Any], tmp_path: Path) -> None:
     check_resumes(lambda: model_of("DQN", venv_of(), **kwargs), lambda: [discovering()], tmp_path, cuts=(0.3, 0.8))

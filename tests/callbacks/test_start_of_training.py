@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
 from sb3_contrib import QRDQN
@@ -15,7 +14,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options import MacroQ, OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import CheckpointCallback, PrimitiveStepsCallback, SubgoalDiscoveryCallback
-from sb3_options.callbacks.intra_option import IntraOptionUpdater
 from sb3_options.checkpoints.file import read
 from sb3_options.execution.exploration import CappedActions
 from sb3_options.learning import heads
@@ -155,13 +153,10 @@ class TestInterruption:
     @pytest.mark.parametrize("order", [1, -1])
     def test_goes_on_where_both_callbacks_are(self, order: int) -> None:
         env = with_option()
-        model = model_of(env, replay_buffer_kwargs={"intra_option": True})
+        model = model_of(env)
         discovery = finds_nothing()
         model.learn(300, callback=[PrimitiveStepsCallback(), discovery][::order])
         assert env._interruption is not None
-        assert discovery._installer is not None
-        assert discovery._installer.updater is not None
-        assert model.replay_buffer.consistency is discovery._installer.updater.table
 
 
 @both
@@ -179,41 +174,18 @@ def test_what_is_stored_knows_where_options_may_start_that_a_user_has_changed(ca
         np.testing.assert_array_equal(model.replay_buffer.next_available[:size, slot], available(model, slot))
 
 
-class TestIntraOption:
-    @staticmethod
-    def consistent(model: Any) -> npt.NDArray[Any]:
-        """The primitive actions of the stored steps from which the option in slot 0 is updated."""
-        buffer = model.replay_buffer
-        chosen: npt.NDArray[Any] = buffer.actions[: buffer.size(), 0]
-        return np.unique(chosen[buffer.consistency.consistent[: buffer.size(), 0]])
-
-    @both
-    def test_is_of_the_options_that_there_are(self, callback: Any) -> None:
-        env = with_option()
-        model = model_of(env, replay_buffer_kwargs={"intra_option": True})
-        model.learn(600, callback=callback())
-        assert self.consistent(model).tolist() == [1]
-        assert len(model.replay_buffer.sample(64).actions) > 64
-        env.set_option(0, steady_option(2, max_duration=3))
-        go_on(model, callback())
-        assert self.consistent(model).tolist() == [2]
-        env.set_option(0, None)
-        go_on(model, callback())
-        assert self.consistent(model).tolist() == []
-        assert IntraOptionUpdater.applies_to(model)
-
+class TestCheckpoints:
     @pytest.mark.usefixtures("keep_all")
     @pytest.mark.parametrize("algorithm", [DQN, OptionDQN])
     def test_goes_on_from_a_checkpoint(self, algorithm: Any, tmp_path: Path) -> None:
         def make() -> Any:
             env = with_option()
             env.bank.add(option_from(0, 1))
-            return model_of(DummyVecEnv([lambda: env]), algorithm, replay_buffer_kwargs={"intra_option": True})
+            return model_of(DummyVecEnv([lambda: env]), algorithm)
 
-        callbacks, files = check_resumes(make, lambda: [PrimitiveStepsCallback()], tmp_path, cuts=(0.6,), steps=900)
+        _, files = check_resumes(make, lambda: [PrimitiveStepsCallback()], tmp_path, cuts=(0.6,), steps=900)
         (state,) = (each["own"] for each in read(files[-1])["callbacks"] if each["class"] == "PrimitiveStepsCallback")
         assert state["options"]["slots"][0] == {"name": "steady"}
-        assert self.consistent(callbacks[0].model).tolist() == [1]
 
     @pytest.mark.usefixtures("keep_all")
     def test_a_checkpoint_is_refused_without_its_hand_made_option(self, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from sb3_options.checkpoints import file as checkpoint_file
 from sb3_options.checkpoints.file import CheckpointFolder, read
-from sb3_options.learning.stored_rows import Growing
+from sb3_options.learning.replay_buffer import Growing
 
 CAPACITY, WIDTH, PER_BLOCK = 100, 16, 8
 

@@ -13,7 +13,6 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options import OptionDQN, OptionReplayBuffer
-from sb3_options.experience.observations import BoolArray
 from sb3_options.learning import heads
 from sb3_options.learning.rollout_buffer import SMDPAdvantages
 from tests.support.sb3_helpers import RANDOM, TINY, fast_callback, optioned_rooms
@@ -29,7 +28,6 @@ class Promise(NamedTuple):
 
     discounts: bool
     macro_q: bool
-    intra_option: bool
     masks: bool
     at_once: bool
 
@@ -38,7 +36,7 @@ def promises() -> dict[str, Promise]:
     rows = re.findall(r"^\| (\w+) \|(.*)\|$", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)
     cells = {name: [cell.strip() for cell in row.split("|")] for name, row in rows}
     return {
-        name: Promise(row[0] == "yes", row[1] == "yes", row[2] == "yes", row[3] == "yes", row[4] == "at once")
+        name: Promise(row[0] == "yes", row[1] == "yes", row[2] == "yes", row[3] == "at once")
         for name, row in cells.items()
     }
 
@@ -120,11 +118,6 @@ def test_the_table(name: str) -> None:
     if promise.macro_q:
         assert model.replay_buffer.written == model.num_timesteps + len(watch.durations)
 
-    # Intra-option: steps that no option took teach the option.
-    assert promise.intra_option is stores
-    if promise.intra_option:
-        assert _option_rows_of_primitive_steps(algorithm) > 0
-
     # Masks
     assert promise.masks is all(watch.began_inside)
     if promise.masks:
@@ -135,20 +128,6 @@ def test_the_table(name: str) -> None:
     assert not heads.is_closed(model.policy, 4)
     assert heads.is_closed(model.policy, 5)
     assert all(torch.isfinite(p).all() for p in model.policy.parameters())
-
-
-def _option_rows_of_primitive_steps(algorithm: Any) -> int:
-    """Rows of a batch that teach the option although a primitive action was stored."""
-    venv = DummyVecEnv([lambda: optioned_rooms(2)])
-    kwargs: dict[str, Any] = {"replay_buffer_kwargs": {"intra_option": True}, "replay_buffer_class": OptionReplayBuffer}
-    if algorithm is OptionDQN:
-        del kwargs["replay_buffer_class"]
-    model = algorithm("MlpPolicy", venv, gamma=GAMMA, **{**TINY, **RANDOM, **kwargs})
-    model.learn(3_000, callback=fast_callback())
-    stored = model.replay_buffer.actions[: model.replay_buffer.size(), 0]
-    share = float((stored >= 4).mean())
-    drawn: BoolArray = np.concatenate([model.replay_buffer.sample(256).actions.numpy()[:, 0] >= 4 for _ in range(20)])
-    return int(drawn.sum() - 1.5 * share * len(drawn))
 
 
 def test_every_algorithm_is_in_the_table() -> None:

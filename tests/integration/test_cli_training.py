@@ -110,14 +110,12 @@ class TestTrain:
 
         monkeypatch.setattr(cli, "SubgoalDiscoveryCallback", Remembered)
         args = ["--n-timesteps", "600", "--no-progress", "--tensorboard-log", str(tmp_path), "--eval-episodes", "1"]
-        cli.main(["dqn", *args, "--no-interruption", "--intra-option"])
+        cli.main(["dqn", *args, "--no-interruption"])
         cli.main(["dqn", *args, "--max-option-exploration", "0.25"])
         switched, usual = made
         assert not switched.interruption
-        assert switched.model.replay_buffer.intra_option  # type: ignore[attr-defined]  # of DQN
         assert usual.interruption
         assert usual.max_option_exploration == 0.25
-        assert not usual.model.replay_buffer.intra_option  # type: ignore[attr-defined]  # of DQN
 
     def test_an_interrupt_keeps_what_was_learned(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

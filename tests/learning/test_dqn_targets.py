@@ -14,7 +14,7 @@ from torch.nn import functional
 from sb3_options import OptionDQN
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.learning import dqn as option_dqn_module
-from sb3_options.learning.replay_samples import OptionReplayBufferSamples
+from sb3_options.learning.replay_buffer import OptionReplayBufferSamples
 from tests.learning.tables import (
     GAMMA,
     N_ACTIONS,

@@ -54,4 +54,4 @@ def test_stock_dqn_without_a_callback_says_what_is_missing(callback: Any, caplog
     """Nobody closes the heads of its empty slots, and nobody counts primitive steps."""
     model = DQN("MlpPolicy", optioned_rooms(), gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, **TINY | RANDOM)
     model.learn(50, callback=None if callback is None else callback())
-    assert caplog.text.count("pass PrimitiveStepsCallback() or SubgoalDiscoveryCallback() to learn()") == (not callback)
+    assert caplog.text.count("give learn() a SubgoalDiscoveryCallback, or a PrimitiveStepsCallback") == (not callback)

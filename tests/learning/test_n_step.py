@@ -4,7 +4,6 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pytest
-import torch
 from gymnasium import spaces
 from stable_baselines3 import DQN
 from stable_baselines3.common.buffers import NStepReplayBuffer
@@ -12,7 +11,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_options import OptionDQN, OptionReplayBuffer
 from sb3_options.callbacks import PrimitiveStepsCallback
-from sb3_options.learning.replay_samples import OptionReplayBufferSamples
+from sb3_options.learning.replay_buffer import OptionReplayBufferSamples
 from tests.learning.test_replay_buffer import GAMMA, corridors, fill, optioned, place_in, place_of_tensors
 
 
@@ -155,7 +154,7 @@ def test_a_reset_in_mid_episode_ends_the_returns_before_it(rng: np.random.Genera
         fill(venv, buffer, 2, rng)
         resets.append(buffer.pos)
     before, after = np.array(resets[:-1]) - 1, np.array(resets[:-1])
-    led, began = cast("Any", buffer.stored(before)[2]), cast("Any", buffer.stored(after)[0])
+    led, began = buffer._next_observations[""][before], buffer._observations[""][after]
     elsewhere = (led != began).any(axis=1) & (buffer.dones[before] == 0)
     assert elsewhere.sum() > 20
     assert buffer._successors is not None
@@ -204,20 +203,6 @@ def test_equals_the_stock_buffer_without_options(rng: np.random.Generator, monke
                 theirs = stock._get_samples(np.arange(60))
             for name in ("observations", "actions", "next_observations", "dones", "rewards", "discounts"):
                 np.testing.assert_allclose(getattr(mine, name)[env::3], getattr(theirs, name), atol=1e-6, err_msg=name)
-
-
-def test_intra_option_rows_stay_single_steps(rng: np.random.Generator) -> None:
-    venv = corridors("box")
-    one, several = buffer_for(venv, 500, 1), buffer_for(venv, 500, 4)
-    for buffer in (one, several):
-        venv = corridors("box")
-        fill(venv, buffer, 100, np.random.default_rng(3))
-    drawn, single = np.arange(20), np.arange(30, 50)
-    mixed = several._rows_as_samples(drawn, None, single)
-    n_step, stored = several._rows_as_samples(drawn), one._rows_as_samples(single)
-    for name in ("observations", "actions", "next_observations", "dones", "rewards", "discounts"):
-        together = torch.cat([getattr(n_step, name), getattr(stored, name)])
-        assert torch.equal(getattr(mixed, name), together), name
 
 
 def test_a_buffer_of_one_option_alone_is_emptied_with_its_successors() -> None:

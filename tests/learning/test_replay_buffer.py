@@ -13,8 +13,7 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecFrameStack, VecNormalize, VecTransposeImage
 
 from sb3_options import Option, OptionReplayBuffer, OptionsWrapper
-from sb3_options.learning.intra_option import ConsistencyTable
-from sb3_options.learning.replay_samples import OptionReplayBufferSamples
+from sb3_options.learning.replay_buffer import OptionReplayBufferSamples
 from tests.support.sb3_helpers import (
     ActionLog,
     Corridor,
@@ -337,9 +336,7 @@ def test_a_removed_option_leaves_nothing_of_its_rows(rng: np.random.Generator) -
     """Every column of a row that named it is that of the row behind, the timeouts among them."""
     buffer = OptionReplayBuffer(60, spaces.Box(0.0, 1.0, (2,)), spaces.Discrete(4))
     buffer.track_availability(2)
-    buffer.consistency = ConsistencyTable(60, 2, 2)
-    columns = [*buffer._columns(), buffer.consistency.consistent, buffer.consistency.inside]
-    columns.append(buffer.consistency.continuation)
+    columns = buffer._columns()
     assert any(column is buffer.timeouts for column in columns)
     for column in columns:
         column[:] = rng.integers(2, size=column.shape) if column.dtype == bool else rng.random(column.shape)
@@ -353,21 +350,6 @@ def test_a_removed_option_leaves_nothing_of_its_rows(rng: np.random.Generator) -
         np.testing.assert_array_equal(column[rows], was[rows + 1])
         others = np.setdiff1d(np.arange(60), rows)
         np.testing.assert_array_equal(column[others], was[others])
-
-
-@pytest.mark.parametrize("n_rows", [1, 3])
-def test_no_option_is_consistent_with_a_row_that_was_overwritten(n_rows: int) -> None:
-    buffer = OptionReplayBuffer(10, spaces.Box(0.0, 9.0, (1,)), spaces.Discrete(3))
-    buffer.consistency = ConsistencyTable(10, 2, 1)
-    buffer.consistency.consistent[:] = True
-    seen, k = np.zeros((n_rows, 1)), n_rows - 1
-    option = {"index": -1, "duration": 1, "discount": GAMMA, "gamma": GAMMA, "termination": "primitive"}
-    if k:  # an option of k steps writes k + 1 rows
-        inner = {"observations": seen[1:], "actions": np.zeros(k, dtype=int), "rewards": np.zeros(k)}
-        option |= {"index": 0, "duration": k, "termination": "subgoal"} | inner
-    action = np.array([2 if k else 0])
-    buffer.add(np.zeros((1, 1)), np.ones((1, 1)), action, np.zeros(1), np.zeros(1), [{"option": option}])
-    assert buffer.consistency.consistent[:, 0].tolist() == [False] * n_rows + [True] * (10 - n_rows)
 
 
 def test_a_buffer_that_named_nothing_else_is_empty() -> None:

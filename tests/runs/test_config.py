@@ -50,7 +50,7 @@ EVERY_FIELD_CHANGED: list[TrainConfig] = [
     DQNConfig(
         algo="optiondqn", buffer_size=77, learning_starts=11, batch_size=5, train_freq=6, target_update_interval=8,
         exploration_fraction=0.25, exploration_final_eps=0.125, max_option_exploration=0.25, interruption=False,
-        intra_option=True, n_steps=3, **COMMON,
+        n_steps=3, **COMMON,
     ),
     PPOConfig(
         algo="recurrentppo", n_steps=12, gae_lambda=0.5, ent_coef=0.125, n_epochs=3, clip_range=0.25, batch_size=5,
