@@ -1,6 +1,5 @@
 """`ZooOptionsWrapper` and `ZooDiscoveryCallback`, without rl-zoo3 itself."""
 
-import logging
 import sys
 from pathlib import Path
 from typing import Any
@@ -11,10 +10,10 @@ from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv
 
-from sb3_options import OptionBank, OptionReplayBuffer
+from sb3_options import OptionReplayBuffer
 from sb3_options.callbacks import PrimitiveStepsCallback, ZooDiscoveryCallback
 from sb3_options.options.archive import NAME
-from sb3_options.zoo import ZooOptionsWrapper, loaded_model
+from sb3_options.zoo import ZooOptionsWrapper
 from tests.support.sb3_helpers import FAST_DISCOVERY, RANDOM, TINY, optioned_rooms, small_rooms
 
 
@@ -45,32 +44,6 @@ def test_options_are_kept_beside_what_monitor_writes(tmp_path: Path, vec_env_cls
     assert ZooOptionsWrapper(small_rooms(), options_file=tmp_path / NAME).bank.filled == (0,)
 
 
-def test_a_run_without_discoveries_leaves_an_empty_file(tmp_path: Path) -> None:
-    assert not train(zoo_rooms(tmp_path), 50).discoveries
-    bank = OptionBank(4, 4)
-    bank.load(tmp_path / NAME)
-    assert bank.filled == ()
-
-
-def test_what_options_learn_after_they_were_made_is_kept(tmp_path: Path) -> None:
-    train(zoo_rooms(tmp_path), option_settings={"keep_learning": True})
-    kept = ZooOptionsWrapper(small_rooms(), options_file=tmp_path / NAME).bank[0]
-    made = tmp_path / "made"
-    made.mkdir()
-    train(zoo_rooms(made))
-    early = ZooOptionsWrapper(small_rooms(), options_file=made / NAME).bank[0]
-    assert kept is not None
-    assert early is not None
-    assert len(kept.initiation_set.points) >= len(early.initiation_set.points)  # type: ignore[attr-defined]
-    assert (made / NAME).read_bytes() != (tmp_path / NAME).read_bytes()
-
-
-def test_without_a_folder_nothing_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert train(zoo_rooms(None), 50).save_path is None
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_search_may_draw_the_discount(tmp_path: Path) -> None:
     """rl-zoo3 draws γ in every search for hyperparameters, which keeps no runs."""
     venv = zoo_rooms(None, 2)
@@ -94,35 +67,10 @@ def test_a_refused_training_ends_without_another_error(tmp_path: Path) -> None:
     assert not (tmp_path / NAME).exists()
 
 
-def test_another_place_for_the_file(tmp_path: Path) -> None:
-    train(zoo_rooms(tmp_path), 50, save_path=tmp_path / "mine")
-    assert (tmp_path / "mine").exists()
-    assert not (tmp_path / NAME).exists()
-
-
-def test_training_goes_on_where_nothing_can_be_written(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    (tmp_path / "file").touch()
-    with caplog.at_level(logging.WARNING, "sb3_options"):
-        train(zoo_rooms(tmp_path), 50, save_path=tmp_path / "file" / NAME)
-    assert "could not be saved" in caplog.text
-
-
 def test_callback_needs_its_wrapper() -> None:
     model = DQN("MlpPolicy", optioned_rooms(), gamma=0.9, replay_buffer_class=OptionReplayBuffer, **TINY)
     with pytest.raises(ValueError, match=r"needs ZooOptionsWrapper, .* write `env_wrapper: sb3_options\.zoo\.Zoo"):
         model.learn(50, callback=ZooDiscoveryCallback())
-
-
-class TestLoadedRun:
-    def test_training_loads_none(self) -> None:
-        assert loaded_model("train", ["--algo", "dqn", "-f", "logs", "--uuid"]) is None
-        assert loaded_model("pytest", ["--folder", "logs"]) is None
-
-    @pytest.mark.parametrize("flag", ["-i", "--trained-agent", "--trained"])
-    def test_training_goes_on_from_an_agent(self, flag: str) -> None:
-        assert loaded_model("train", ["--algo", "dqn", flag, "logs/dqn/Rooms_1/Rooms.zip"]) == Path(
-            "logs/dqn/Rooms_1/Rooms.zip"
-        )
 
 
 def test_a_run_without_options_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,9 +9,9 @@ import pytest
 
 from benchmarks.diverse_density import __main__ as diverse_density
 from benchmarks.diverse_density.compiled import Compiled
-from benchmarks.diverse_density.data import planted, uneven
+from benchmarks.diverse_density.data import uneven
 from benchmarks.diverse_density.parts import area_under_curve
-from benchmarks.diverse_density.references import BagByBag, Vectorised, descend_pruned
+from benchmarks.diverse_density.references import BagByBag, Vectorised
 from tests.density.definition import oracle
 
 TABLE: dict[str, Any] = {"table_bags": (20,), "table_instances": (20, 30)}
@@ -43,19 +43,6 @@ def test_the_compiled_rival_agrees_with_the_definition() -> None:
         by_point, by_scale = np.split(Vectorised(data.positive, data.negative)(np.concatenate([t, s]))[1], 2)
         np.testing.assert_allclose(gradient[:3], by_point / s, rtol=1e-3, atol=1e-3)
         np.testing.assert_allclose(gradient[3:], by_scale - by_point * t / s, rtol=1e-3, atol=1e-3)
-
-
-def test_rivals_that_prune_find_what_all_starts_find() -> None:
-    rng = np.random.default_rng(2)
-    bags = planted(rng, 8, 10, reach=5.0)
-    objective, starts = Vectorised(bags, []), np.concatenate(bags) - [3.0, -2.0]
-    everything = descend_pruned(objective, starts, 1.0, finalists=len(starts), first_steps=20)
-    pruned = descend_pruned(objective, starts, 1.0, finalists=8, first_steps=20)
-    assert pruned.evaluations < everything.evaluations
-    assert pruned.value == pytest.approx(everything.value, abs=1e-3)
-    found = Compiled(bags, []).search(starts, 1.0, finalists=8, first_steps=20, final_steps=500, tolerance=1e-6)
-    a, s = np.split(found, 2)
-    assert objective(np.concatenate([a / s, s]))[0] == pytest.approx(everything.value, abs=1e-3)
 
 
 def test_area_under_curve() -> None:

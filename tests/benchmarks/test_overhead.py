@@ -31,11 +31,6 @@ def test_benchmark_writes_results_and_picture(tmp_path: Path, scenarios: str) ->
     assert (tmp_path / "overhead.png").stat().st_size > 5_000
 
 
-def test_an_unknown_scenario_is_named(tmp_path: Path) -> None:
-    with pytest.raises(SystemExit, match="there is no 'ddpg', choose from dqn, ppo, ppo_subprocesses, ppo_checkpoints"):
-        overhead.main(overhead.Benchmark(out=tmp_path, scenarios="dqn,ddpg"))
-
-
 def test_shares_are_of_all_turns() -> None:
     with_ = [Turn(90.0, 10.0, 0.1, 1), Turn(198.0, 5.0, 0.19, 1)]
     without = [Turn(100.0, 9.0, 0.0, 0), Turn(200.0, 5.0, 0.0, 0)]

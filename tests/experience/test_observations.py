@@ -38,11 +38,6 @@ def test_stack_take_concatenate_and_batch_of_one_agree(observations: list[Any]) 
     assert same(take(batch, slice(1, 2)), batch_of_one(observations[1]))
 
 
-def test_shapes() -> None:
-    assert np.asarray(batch_of_one(3)).shape == (1,)
-    assert np.asarray(batch_of_one(np.zeros((4, 5)))).shape == (1, 4, 5)
-
-
 @pytest.mark.parametrize(
     ("observations", "expected"),
     [
@@ -56,10 +51,6 @@ def test_flatten(observations: Observations, expected: list[list[float]]) -> Non
     flat = flatten(observations)
     assert flat.dtype == np.float64
     np.testing.assert_array_equal(flat, expected)
-
-
-def test_flatten_of_an_empty_batch_keeps_the_size() -> None:
-    assert flatten(np.zeros((0, 2, 3))).shape == (0, 6)
 
 
 def test_keys_are_equal_exactly_if_observations_are() -> None:

@@ -24,18 +24,6 @@ OPTION = OptionRun(
 )
 
 
-def test_the_dict_has_the_fields_that_are_not_none() -> None:
-    assert PRIMITIVE.as_info() == {
-        "index": -1,
-        "duration": 1,
-        "discount": 0.9,
-        "gamma": 0.9,
-        "termination": "primitive",
-    }
-    assert list(OPTION.as_info()) == list(OptionRun._fields)
-    assert set(OPTION._replace(available=None).as_info()) == set(OptionRun._fields) - {"available"}
-
-
 @pytest.mark.parametrize("run", [PRIMITIVE, OPTION, OPTION._replace(available=None)])
 @pytest.mark.parametrize("travels", [lambda info: info, copy.deepcopy, lambda info: pickle.loads(pickle.dumps(info))])
 def test_what_was_written_is_read(run: OptionRun, travels: Any) -> None:
@@ -50,12 +38,6 @@ def test_a_users_own_environment_need_only_say_duration_and_discount() -> None:
     assert (run.index, run.duration, run.discount, run.termination) == (-1, 4, 0.9**4, "primitive")
     assert run.gamma == pytest.approx(0.9, rel=1e-15)
     assert run[5:] == (None,) * 5
-
-
-def test_what_else_a_users_own_environment_says_is_left_alone() -> None:
-    option = {"index": -1, "duration": 2.5, "discount": 0.9**2.5, "name": "ferry", "termination": "truncated"}
-    run = OptionRun.from_info({"option": option})
-    assert (run.duration, run.termination) == (2.5, "truncated")
 
 
 @pytest.mark.parametrize(

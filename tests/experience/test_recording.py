@@ -1,6 +1,5 @@
 """Recorders by hand: whole episodes, and segments between peaks of reward."""
 
-import pickle
 from typing import Any
 
 import numpy as np
@@ -33,26 +32,6 @@ def test_each_distinct_observation_is_stored_once_in_order_of_first_visit() -> N
     assert trajectory.rewards.tolist() == [10.0, 0.0, 20.0, 10.0]
     assert (trajectory.terminated, trajectory.truncated, trajectory.is_success) == (True, False, True)
     assert len(trajectory) == 4
-
-
-def test_begin_forgets_the_episode_before() -> None:
-    recorder = record([1, 2, 3], [0, 0])
-    recorder.begin(9)
-    trajectory = ended(recorder, terminated=False, truncated=True)
-    assert np.asarray(trajectory.states).tolist() == [9]
-    assert (len(trajectory), trajectory.visits.tolist(), trajectory.is_success) == (0, [0], None)
-    assert trajectory.actions.dtype == trajectory.visits.dtype == np.int64
-
-
-def test_observations_written_in_place_are_copied() -> None:
-    array = np.zeros(2)
-    recorder = EpisodeRecorder()
-    recorder.begin(array)
-    for i in range(1, 4):
-        array[:] = i
-        recorder.record(0, 0.0, array)
-    states = ended(recorder).states
-    np.testing.assert_array_equal(states, [[0, 0], [1, 1], [2, 2], [3, 3]])
 
 
 def test_dictionaries_written_in_place_are_copied() -> None:
@@ -145,18 +124,6 @@ def test_a_segment_at_the_end_of_an_episode() -> None:
     assert segments([0, 0, 0], max_segment=3, terminated=True) == [(0, 3, False)]
 
 
-def test_a_new_episode_starts_a_new_segment() -> None:
-    recorder = SegmentRecorder(RewardPeaks())
-    recorder.begin(np.array([0]))
-    recorder.record(0, 5.0, np.array([1]))
-    recorder.begin(np.array([7]))
-    recorder.record(0, 1.0, np.array([8]))
-    recorder.record(0, 0.0, np.array([9]))
-    (segment,) = recorder.finished
-    assert states_of(segment).tolist() == [7, 8]
-    assert (segment.terminated, segment.truncated, segment.rewards.tolist()) == (False, False, [1.0])
-
-
 def test_nothing_is_lost_and_memory_is_bounded() -> None:
     rng = np.random.default_rng(0)
     recorder = SegmentRecorder(RewardPeaks(max_segment=40))
@@ -172,20 +139,3 @@ def test_nothing_is_lost_and_memory_is_bounded() -> None:
     assert len(joined) > 5000 - 42
     assert {len(s) for s in cut if not s.is_success} == {40}
     assert all(s.rewards[-1] == 1.0 for s in cut if s.is_success)
-
-
-@pytest.mark.parametrize(
-    ("kwargs", "message"),
-    [
-        ({"peak_reward": float("nan")}, "^RewardPeaks: peak_reward should be a finite number, got nan$"),
-        ({"max_segment": 0}, "^RewardPeaks: max_segment should be greater than or equal to 1, got 0$"),
-        ({"max_segment": 2.5}, "^RewardPeaks: max_segment should be a valid integer"),
-    ],
-)
-def test_values_out_of_range(kwargs: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        RewardPeaks(**kwargs)
-
-
-def test_reward_peaks_travel_between_processes() -> None:
-    assert pickle.loads(pickle.dumps(RewardPeaks(0.5, 7))) == RewardPeaks(0.5, 7)

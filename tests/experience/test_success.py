@@ -6,8 +6,6 @@ import pytest
 from sb3_options.experience.success import (
     judged,
     reported_success,
-    success_by_return,
-    success_by_steps,
     success_in,
     success_rule,
 )
@@ -36,21 +34,6 @@ def episode(rewards: list[float], *, terminated: bool = True, is_success: bool |
 )
 def test_reported_success(trajectory: Trajectory, success: bool) -> None:
     assert reported_success(trajectory) is success
-
-
-@pytest.mark.parametrize(("threshold", "success"), [(2.5, True), (2.51, False), (-1.0, True)])
-def test_success_by_return_is_not_discounted(threshold: float, success: bool) -> None:
-    assert success_by_return(threshold)(episode([1.0, 2.0, -0.5], is_success=False)) is success
-
-
-@pytest.mark.parametrize(("limit", "is_success", "success"), [(3, True, True), (2, True, False), (3, False, False)])
-def test_success_by_steps(limit: int, is_success: bool, success: bool) -> None:
-    assert success_by_steps(limit)(episode([0.0] * 3, is_success=is_success)) is success
-
-
-def test_success_by_steps_out_of_range() -> None:
-    with pytest.raises(ValueError, match=r"^limit must be at least 1 primitive step, got 0\.$"):
-        success_by_steps(0)
 
 
 @pytest.mark.parametrize("said", [True, 1, 1.0, np.True_, np.float32(1), np.array(1.0), np.array([True]), np.int64(1)])
@@ -90,12 +73,6 @@ def test_a_text_names_a_rule(text: str, successes: list[bool]) -> None:
 def test_a_text_that_names_none(text: str) -> None:
     with pytest.raises(ValueError, match=rf"for instance return:30, got {text!r}; in a script also a function of a Tr"):
         success_rule(text)
-
-
-@pytest.mark.parametrize("said", [True, np.bool_(True), 1, 2.5])
-def test_what_a_rule_may_say(said: Any) -> None:
-    assert judged(lambda _: said, episode([1.0])) is True
-    assert judged(lambda _: None, episode([1.0])) is False  # type: ignore[arg-type, return-value]
 
 
 @pytest.mark.parametrize("said", ["no", np.array([True, False]), []])

@@ -6,8 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sb3_options.discovery.outcome_database import OutcomeDatabase
-from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.trajectories import TrajectoryDatabase
 from tests.support.helpers import line
@@ -32,12 +30,6 @@ def test_the_database_counts_successes() -> None:
     assert database.n_successful == 0
 
 
-@pytest.mark.parametrize("capacity", [0, -1])
-def test_the_database_needs_room_for_one(capacity: int) -> None:
-    with pytest.raises(ValueError, match=rf"^capacity must be at least 1 trajectory, got {capacity}\.$"):
-        TrajectoryDatabase(capacity)
-
-
 def test_the_database_counts_bytes(caplog: pytest.LogCaptureFixture) -> None:
     one = line(range(100))
     arrays = (one.trajectory.states, one.trajectory.visits, one.trajectory.actions, one.trajectory.rewards)
@@ -55,15 +47,6 @@ def test_the_database_counts_bytes(caplog: pytest.LogCaptureFixture) -> None:
     assert list(map(id, database)) == [id(large)]
     database.add(trajectories[0])
     assert list(map(id, database)) == [id(trajectories[0])], "the large one is the older"
-
-
-def test_both_databases_of_outcomes_count_them() -> None:
-    one = line(range(100))
-    database = OutcomeDatabase(100, max_bytes=2 * one.n_bytes)
-    for _ in range(5):
-        database.add(line(range(100)))
-    assert len(database) == 2
-    assert SubgoalDiscovery(DiscoverySettings(max_bytes=17)).database.max_bytes == 17
 
 
 def test_a_feature_map_that_returns_a_view_keeps_nothing_alive() -> None:

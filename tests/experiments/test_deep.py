@@ -7,19 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.common.gridworlds import world_of
 from experiments.deep import __main__ as deep
 from experiments.deep import arms, conditions, report, tasks, tune
-from experiments.deep.repeats import LONGEST, RandomRepeat
 from experiments.deep.settings import DeepSettings
 from experiments.deep.summary import (
     curve,
     steps_to_success,
     summarise,
 )
-from sb3_options import OptionReplayBuffer, OptionsWrapper
+from sb3_options import OptionReplayBuffer
 from sb3_options.envs import GridWorld
-from tests.support.helpers import CountingEnv
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
 
@@ -32,23 +29,6 @@ def test_steps_to_success() -> None:
     lucky_once = result([0, 1000, 2000, 3000, 4000], [0.0, 0.9, 0.5, 1.0, 0.9])
     assert steps_to_success(lucky_once, 9000) == 3000
     assert steps_to_success(result([0, 1000, 2000], [0.0, 0.85, 1.0]), 9000) == 9000
-
-
-@pytest.mark.parametrize("arm", ["carried", "options", "options-bonus"])
-def test_what_the_old_task_leaves(arm: Any, tmp_path: Path) -> None:
-    """The network of ``carried`` begins with what it learned there; the rest begins anew."""
-    task = tasks.Task("sb3_options/TwoRooms-v0", {"goal": (20, 0)}, {}, n_timesteps=64, source_timesteps=600)
-    settings = DeepSettings(evaluate_every=1000, evaluation_episodes=1, final_evaluations=1)
-    result = conditions.run(task, "ppo", arm, settings, tmp_path, 0)
-    assert ("brought" in result) == (arm != "carried")
-    source = conditions.train_source(task, "ppo", arm, settings, 0)
-    before = conditions.train(task, "ppo", arm, settings, 0, carried=source.model if arm == "carried" else None)
-    learned = source.model.policy.state_dict()
-    began = before.model.policy.state_dict()
-    far = [
-        float((learned[k] - began[k]).abs().max()) for k in learned if k in began and began[k].shape == learned[k].shape
-    ]
-    assert (max(far) < 0.2) == (arm == "carried")
 
 
 def test_a_curve_holds_its_last_value() -> None:
@@ -75,30 +55,6 @@ def test_steps_of_the_best_policy_in_a_corridor() -> None:
     assert tasks.optimal_steps(GridWorld("S..G", success_probability=1.0)) == pytest.approx(3.0)
     lone = GridWorld("SG", success_probability=0.0)
     assert tasks.optimal_steps(lone) == pytest.approx(4.0)  # one direction of four
-
-
-def test_the_moved_goal_stays_in_its_room() -> None:
-    for (kind, _), task in tasks.TASKS.items():
-        if kind == "transfer":
-            assert task.source is not None
-            target, source = (world_of(task.env, **kwargs) for kwargs in (task.target, task.source))
-            assert target.goal != source.goal
-            assert target.observation_space == source.observation_space
-
-
-def test_random_repeats_are_drawn_anew_and_heavy_tailed() -> None:
-    env = OptionsWrapper(CountingEnv(), 1, gamma=1.0)
-    env.bank.add(RandomRepeat(1, np.random.default_rng(0)))
-    env.reset()
-    durations = []
-    for _ in range(2000):
-        info = env.step(2)[4]["option"]
-        assert (info["actions"] == 1).all()
-        durations.append(info["duration"])
-    # Of a zeta distribution with exponent 2: 6/π² are 1, a quarter of that 2.
-    assert np.mean(np.array(durations) == 1) == pytest.approx(6 / np.pi**2, abs=0.04)
-    assert np.mean(np.array(durations) == 2) == pytest.approx(1.5 / np.pi**2, abs=0.03)
-    assert LONGEST >= max(durations) > 20
 
 
 @pytest.mark.parametrize(

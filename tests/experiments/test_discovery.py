@@ -30,10 +30,6 @@ def test_summary_counts_near_and_early_runs_only() -> None:
     assert low < 0.4 < high
 
 
-def test_summary_of_no_option_at_all() -> None:
-    assert summarise([result(None, None)])["n_with_option"] == 0
-
-
 def test_study_writes_results_and_picture(tmp_path: Path) -> None:
     discovery.main(discovery.Study(out=tmp_path, runs=2, n_timesteps=200, jobs=1))
     content = json.loads((tmp_path / "results.json").read_text())

@@ -6,7 +6,7 @@ import torch
 
 from experiments.common.em_dd import ExpectationMaximisation, MostLikely
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Plane, Point
+from sb3_options.density.concepts import Point
 from sb3_options.density.search import ConceptSearch
 from tests.density.planted import planted
 
@@ -33,15 +33,3 @@ def test_finds_what_was_planted() -> None:
     assert values == sorted(values, reverse=True)
     assert peaks[0].converged
     assert np.linalg.norm(peaks[0].region().points[0] - [3, -2]) < 0.5
-
-
-def test_learns_scales() -> None:
-    best = ExpectationMaximisation(search=ConceptSearch(max_starts=64)).fit(planted(1, 5))[0]
-    assert np.linalg.norm(best.region().points[0] - [3, -2]) < 0.5
-
-
-def test_bad_settings() -> None:
-    with pytest.raises(ValueError, match="rounds must be at least 1, got 0"):
-        ExpectationMaximisation(rounds=0)
-    with pytest.raises(ValueError, match="search must be for a gaussian concept, got Plane"):
-        ExpectationMaximisation(search=ConceptSearch(concept=Plane()))

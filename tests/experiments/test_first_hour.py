@@ -4,17 +4,13 @@ import json
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from experiments.first_hour import __main__ as first_hour
 from experiments.first_hour.conditions import (
-    BY_DEFAULT,
     COMPETENT_EPISODES,
-    CONDITIONS,
     README,
     competent_after,
-    to_goal,
 )
 from sb3_options.experience.trajectories import EpisodeRecord
 
@@ -41,20 +37,12 @@ def test_the_program_of_the_readme_has_these_settings(tmp_path: Path) -> None:
     assert (run["episodes"], run["where"]) == (0, [])
 
 
-def test_every_condition_is_one() -> None:
-    assert {name for names in BY_DEFAULT.values() for name in names} == set(CONDITIONS) | set(README)
-
-
 def test_competence_takes_success_and_short_ways() -> None:
     good = [EpisodeRecord(30 * i, 1.0, True, 30) for i in range(1, COMPETENT_EPISODES + 1)]
     assert competent_after(good) == 30 * COMPETENT_EPISODES
     assert competent_after(good[1:]) is None
     assert competent_after([e._replace(success=False) for e in good]) is None
     assert competent_after([e._replace(steps=41) for e in good]) is None
-
-
-def test_cells_to_the_goal_of_the_lake() -> None:
-    assert [to_goal("FrozenLake-v1", np.eye(64)[state]) for state in (63, 62, 55, 0)] == [0, 1, 1, 14]
 
 
 @pytest.mark.parametrize("name", ["first-hour-rooms", "first-hour-rooms-dqn", "first-hour-lake", "first-hour-readme"])

@@ -23,7 +23,3 @@ def test_counts_on_from_earlier_results(tmp_path: Path) -> None:
 def test_results_of_another_study_do_not_count(tmp_path: Path, other: dict[str, int]) -> None:
     results(Study(out=tmp_path), [Victim("ppo")])
     assert kills._done(Study(out=tmp_path, **other)) == []  # type: ignore[arg-type]  # of several types
-
-
-def test_the_first_results_are_all_there_are(tmp_path: Path) -> None:
-    assert kills._done(Study(out=tmp_path)) == []

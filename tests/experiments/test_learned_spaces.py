@@ -1,21 +1,12 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from experiments.common.gridworlds import world_of
 from experiments.learned_spaces.__main__ import Study, main
-from experiments.learned_spaces.conditions import ARMS, NAMES, TASKS, free_cells, pictures_of, run
+from experiments.learned_spaces.conditions import ARMS, NAMES, TASKS, run
 
 BRIEF = {"updates": 2, "batch_size": 16, "first_trajectories": 2}
-
-
-def test_cells_and_their_pictures() -> None:
-    world = world_of("sb3_options/FourRooms-v0", observation="image")
-    positions = world.concept_features(pictures_of(world))
-    assert [tuple(cell) for cell in positions.tolist()] == free_cells(world)
-    assert len(free_cells(world)) == np.sum(~world.walls) - 1
 
 
 @pytest.mark.parametrize("arm", ARMS)

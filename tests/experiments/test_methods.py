@@ -1,7 +1,6 @@
 """The race: its tasks, what is measured, tiny runs that go on where they were, tables and tuning."""
 
 import json
-import math
 import re
 from pathlib import Path
 from typing import Any
@@ -13,19 +12,14 @@ import pytest
 from experiments.common.gridworlds import rooms_of, world_of
 from experiments.methods import conditions, tune
 from experiments.methods.__main__ import Study, main, table
-from experiments.methods.conditions import LENGTHS, Entry, length_of, run
+from experiments.methods.conditions import Entry, run
 from experiments.methods.entrants import (
     EM_DD,
     ENTRANTS,
-    FILTERED,
     HAND_MADE,
     NONE,
-    TUNABLE,
-    all_settings_of,
-    chosen_settings,
     discovery_of,
 )
-from experiments.methods.filtered import FilteredDiscovery
 from experiments.methods.report import Report, all_parts, parts_of
 from experiments.methods.report import means as means_table
 from experiments.methods.spaces import SPACES, defaults_of
@@ -39,11 +33,8 @@ from experiments.methods.tasks import (
     step_limit,
     task_for,
 )
-from experiments.random_walks.maps import random_map
 from sb3_options.discovery.methods import GivenPlaces
-from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.envs import GridWorld
-from sb3_options.experience.trajectories import Trajectory
 
 SHORT = 2000
 """Primitive steps: two evaluations, and too few successes for most methods."""
@@ -84,17 +75,6 @@ class TestTasks:
         assert places(task)
         assert all(at_bottleneck(task, point) for point in places(task))
 
-    def test_random_maps_have_two_to_six_rooms(self) -> None:
-        counts = set()
-        for seed in range(40):
-            world = GridWorld(task_for("random maps", seed).same["map"])
-            counts.add(len(rooms_of(world)))
-        assert counts == {2, 3, 4, 5, 6}
-
-    def test_the_maps_of_the_other_study_are_as_they_were(self) -> None:
-        """Random maps of `experiments.random_walks` are drawn by their first arguments."""
-        assert random_map(0, shapes=((1, 2), (1, 3), (2, 2)), sides=(4, 9)) == random_map(0)
-
     def test_taxi(self) -> None:
         env = gym.make("experiments/Taxi-v0", destination=2)
         starts = {env.reset(seed=seed)[0] for seed in range(200)}
@@ -107,12 +87,6 @@ class TestTasks:
         assert not at_bottleneck(task, waiting_elsewhere)
         assert at_bottleneck(task, np.eye(125)[(0 * 5 + 4) * 5 + 1])  # at stop 1, where the passenger waits
         assert not at_bottleneck(task, np.eye(125)[(0 * 5 + 0) * 5 + 4])  # at the destination, the goal
-
-    def test_the_robot_has_a_place_by_hand_and_a_shorter_training(self) -> None:
-        task = task_for("Pioneer", 0)
-        assert places(task) == [(0.0, math.radians(45))]
-        assert at_bottleneck(task, places(task)[0]) is None
-        assert length_of("Pioneer", "macroq") < length_of("TwoRooms", "macroq") == LENGTHS["macroq"]
 
 
 class TestEntrants:
@@ -133,36 +107,8 @@ class TestEntrants:
             assert space._contains(space.to_internal_repr(value)), name
         discovery_of(method, defaults, task_for("TwoRooms", 0), 0)  # takes them
 
-    def test_all_that_have_settings_are_tuned(self) -> None:
-        assert set(SPACES) == TUNABLE
-
-    def test_settings_that_are_not_there_yet(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("experiments.methods.entrants.TUNED", tmp_path / "tuned.json")
-        assert chosen_settings(("l-cut", NONE), "defaults") == {"l-cut": {}, NONE: {}}
-        with pytest.raises(SystemExit, match=r"^--settings tuned: l-cut not tuned yet, see python -m experiments.meth"):
-            chosen_settings(("l-cut", NONE), "tuned")
-        (tmp_path / "tuned.json").write_text('{"l-cut": {"settings": {"max_cut": 0.1}}}')
-        assert chosen_settings(("l-cut", NONE), "tuned") == {"l-cut": {"max_cut": 0.1}, NONE: {}}
-
-    def test_described_with_the_defaults(self) -> None:
-        """Results that were made with other defaults are no results of today's."""
-        assert all_settings_of("diverse-density", {"decay": 0.5})["decay"] == 0.5
-        assert all_settings_of("diverse-density", {})["min_positive"] == DiscoverySettings().min_positive
-        assert all_settings_of("em-dd", {})["method"] == "em-dd"
-        assert all_settings_of("random", {}) == {"min_successes": 4}
-        assert all_settings_of("every-visit", {"decay": 0.5}) | {"radius": 0} == {
-            "decay": 0.5, "threshold": 0.6, "min_successes": 4, "radius": 0
-        }  # fmt: skip
-        assert all_settings_of(NONE, {}) == all_settings_of(HAND_MADE, {}) == {}
-
 
 class TestSummary:
-    def test_where_all_runs_agree_the_interval_is_that_of_so_many_runs(self) -> None:
-        runs = {"l-cut": [result(1000, near=(True, True), seed=seed) for seed in range(10)]}
-        near = summarise(runs, 6000)["l-cut"]["near"]
-        assert near["mean"] == near["high"] == 1.0
-        assert near["low"] == pytest.approx(0.722, abs=1e-3)
-
     def test_ratios_to_random_places(self) -> None:
         runs = {"l-cut": [result(1000, 500)], "random": [result(2000, 2000)]}
         summary = summarise(runs, 6000)
@@ -194,18 +140,6 @@ class TestSummary:
         assert lines[0] == "| | MacroQ, same task | MacroQ, goal moved |"
         assert lines[2].startswith("| l-cut | ≥0.50 (0.50 to 0.50) | 0.71 (")
         assert lines[3] == "| none | 1 | 1 |"
-
-    def test_the_interval_of_all_tasks_is_narrower_than_that_of_each(self) -> None:
-        steps, rng = np.random.default_rng(0).integers(1000, 5000, (2, 2, 20)), np.random.default_rng(1)
-        runs = {
-            f"{task}, macroq, {entrant}": [result(int(n), int(n), seed=i) for i, n in enumerate(rng.permutation(of))]
-            for task, both in zip("AB", steps, strict=True)
-            for entrant, of in zip(("l-cut", NONE), both, strict=True)
-        }
-        together = over_tasks(runs, {"A, macroq": 6000, "B, macroq": 6000})["macroq"]["l-cut"]["same"]["of_primitives"]
-        alone = over_tasks(runs, {"A, macroq": 6000})["macroq"]["l-cut"]["same"]["of_primitives"]
-        assert together["low"] < together["mean"] < together["high"]
-        assert together["high"] - together["low"] < alone["high"] - alone["low"]
 
     def test_what_is_measured(self) -> None:
         runs = {
@@ -247,32 +181,6 @@ def test_a_run_of_a_control_carries_its_options_over() -> None:
     assert found["found"]
     assert found["moved"]["decided"] > 0  # runs of options that were found in the same task
     assert found["same"]["seconds"] > found["same"]["discovery"] > 0
-
-
-@pytest.mark.parametrize(("min_passing", "several"), [(0.7, False), (0.0, True)])
-def test_a_control_draws_from_the_states_that_diverse_density_searches(min_passing: float, several: bool) -> None:
-    """All ways lead through (4, 0), and go apart before and after."""
-    settings = DiscoverySettings(start_radius=1, goal_radius=1, min_cut=0.0, min_passing=min_passing)
-    drawn = set()
-    for seed in range(12):
-        discovery = FilteredDiscovery(settings, seed=seed)
-        for way in range(6):
-            x = np.arange(9.0)
-            states = np.stack([x, np.where(x == 4, 0.0, 2.0 * way)], axis=1)
-            how = (np.zeros(8, dtype=np.int64), np.zeros(8), True, False, True)
-            discovery.add(Trajectory(states, np.arange(9), *how), states, success=True)
-            discovery.search()
-        drawn.add(tuple(discovery.found[0].centre.tolist()))
-    assert len(drawn) > 4 if several else drawn == {(4.0, 0.0)}
-
-
-def test_the_race_takes_it_where_it_is_named() -> None:
-    entry = Entry("FourRooms", "macroq", FILTERED, {}, 4 * SHORT)
-    assert FILTERED not in ENTRANTS
-    assert all_settings_of(FILTERED, {})["method"] == FILTERED
-    found = run(entry, 0)["found"]
-    assert found
-    assert all(each["near"] for each in found)  # the filters leave bottlenecks alone
 
 
 def test_the_race_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -328,36 +236,3 @@ def test_tuning_goes_on_and_keeps_the_best(tmp_path: Path, monkeypatch: pytest.M
     assert tuned["covering"]["score"] == tuned["covering"]["settings"]["min_trajectories"] <= 10
     with pytest.raises(SystemExit, match=r"^--method: 'none' has nothing to tune, choose from diverse-density,"):
         tune.Tuning(out=tmp_path, method="none")
-
-
-def test_tuning_that_was_killed_goes_on_with_the_trial_it_was_at(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Also where that were the defaults."""
-    tried: list[tuple[str, float]] = []
-    killed_at = {0, 2}
-
-    def score(tuning: object, settings: dict[str, Any], folder: Path) -> float:
-        tried.append((folder.name, settings["min_trajectories"]))
-        if len(tried) - 1 in killed_at:
-            raise KeyboardInterrupt
-        return float(settings["min_trajectories"])
-
-    monkeypatch.setattr(tune, "score", score)
-    told = tune.Tuning(out=tmp_path, method="covering", trials=3, chosen=tmp_path / "tuned.json", jobs=1)
-    for _ in killed_at:
-        with pytest.raises(KeyboardInterrupt):
-            tune.main(told)
-    tune.main(told)
-    assert tried[0] == tried[1] == ("0", 10)
-    assert tried[2] == tried[3]
-    assert len(tried) == 5
-    assert json.loads((tmp_path / "tuned.json").read_text())["covering"]["score_of_defaults"] == 10.0
-
-
-def test_a_trial_is_scored_by_its_steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    told = tune.Tuning(out=tmp_path, method="covering", seeds=1, tasks=("FourRooms",), n_timesteps=SHORT, jobs=1)
-    scored = tune.score(told, {"n_pairs": 1, "min_trajectories": 3}, tmp_path / "0")
-    assert math.log(1000) <= scored <= math.log(SHORT)
-    monkeypatch.setattr(conditions, "make_learner", refuse)
-    assert tune.score(told, {"n_pairs": 1, "min_trajectories": 3}, tmp_path / "0") == scored

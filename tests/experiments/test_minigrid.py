@@ -9,16 +9,15 @@ import numpy as np
 import pytest
 import yaml
 
-from experiments.minigrid import agents, conditions, keys, reach, settings, summary
-from experiments.minigrid.__main__ import Study, folder_of, main
+from experiments.minigrid import agents, conditions, settings, summary
+from experiments.minigrid.__main__ import Study, main
 from experiments.minigrid.conditions import stages_of
-from experiments.minigrid.hand_made import FORWARD, LEFT, RIGHT, TOGGLE, approach, options_on, to_subgoals_on
+from experiments.minigrid.hand_made import options_on
 from experiments.minigrid.ratios import AGENTS, Ratios, draw, fresh_table, ratio_of_medians, reach_table, table
-from experiments.minigrid.settings import ARMS, FAMILIES, Arm, Stage, primitive_rollouts
+from experiments.minigrid.settings import ARMS, FAMILIES, Arm, Stage
 from experiments.minigrid.summary import frames_to, median_frames, summarise
 from sb3_options import OptionsWrapper
-from sb3_options.callbacks import IntrinsicRewardCallback, SubgoalDiscoveryCallback
-from sb3_options.envs.minigrid import FEATURES
+from sb3_options.callbacks import IntrinsicRewardCallback
 
 
 def test_study_writes_results_and_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -56,22 +55,6 @@ def test_a_model_can_go_through_all_stages(family: str) -> None:
     assert len({str((venv.observation_space, venv.action_space)) for venv in venvs}) == 1
 
 
-def features(**values: float) -> Any:
-    row = np.zeros((1, len(FEATURES)))
-    for name, value in values.items():
-        row[0, FEATURES.index(name)] = value
-    return row
-
-
-@pytest.mark.parametrize(
-    ("forward", "lateral", "free", "action"),
-    [(1, 0, 0, TOGGLE), (3, 0, 1, FORWARD), (2, 1, 1, FORWARD), (1, 2, 0, RIGHT), (1, -1, 0, LEFT), (0, 2, 1, RIGHT)],
-)
-def test_the_way_to_a_thing(forward: int, lateral: int, free: int, action: int) -> None:
-    seen = features(closed_door_visible=1, closed_door_forward=forward, closed_door_lateral=lateral, free_ahead=free)
-    assert approach(seen, "closed_door", TOGGLE).tolist() == [action]
-
-
 def test_hand_made_options_solve_a_small_task_by_themselves() -> None:
     venv = agents.venv_of("MiniGrid-MultiRoom-N2-S4-v0", 0, slots=4, by_hand=options_on)
     assert isinstance(venv.envs[0], OptionsWrapper)  # type: ignore[attr-defined]  # a DummyVecEnv
@@ -88,28 +71,6 @@ def test_the_last_environments_rehearse_and_say_nothing_of_success() -> None:
     notes.locals["infos"][0] = {"is_success": True}
     assert notes._on_step()
     assert list(notes._successes) == [True]
-
-
-def test_options_stay_as_they_are_from_the_third_task_on() -> None:
-    assert [settings.options_of("discovered", stage) for stage in range(4)] == [{"grow": True}] * 2 + [{}] * 2
-
-
-def test_options_to_subgoals_begin_within_so_many_cells() -> None:
-    seen = np.concatenate([
-        features(closed_door_visible=1, closed_door_forward=forward, closed_door_lateral=lateral)
-        for forward, lateral in [(1, 0), (1, 1), (2, 2), (0, 0)]
-    ])  # fmt: skip
-    seen[3] = 0  # nothing is in view
-    for within, begins in [(None, [False, True, True, False]), (2, [False, True, False, False])]:
-        door, *_ = to_subgoals_on(np.asarray, within)
-        assert door.initiation(seen).tolist() == begins
-        assert door.termination(seen).tolist() == [1, 0, 0, 0]
-
-
-def test_arms_that_see_only_their_own_features() -> None:
-    own, all_seen = settings.of("discovered, own features", "DoorKey"), settings.of("discovered", "DoorKey")
-    assert (own["options"], own["own_features_only"]) == ({}, True)
-    assert (all_seen["options"], all_seen["own_features_only"]) == ({"grow": True}, False)
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -179,17 +140,6 @@ def test_who_never_gets_there_is_the_slowest(frames: list[int | None], median: f
     assert median_frames(frames) == median
 
 
-def test_rollouts_count_decisions_in_n6_alone() -> None:
-    counted = {
-        stage.env_id for stages in FAMILIES.values() for stage in stages if not primitive_rollouts("discovered", stage)
-    }
-    assert counted == {"MiniGrid-MultiRoom-N6-v0"}
-    for counts_steps in (True, False):
-        (callback,) = conditions._callbacks("discovered", 0, 3, is_last=True, primitive_rollouts=counts_steps)
-        assert isinstance(callback, SubgoalDiscoveryCallback)
-        assert callback.primitive_rollouts is counts_steps
-
-
 def test_the_bonus_ends_before_the_last_task() -> None:
     def has_bonus(arm: Arm, stage: int, *, is_last: bool) -> bool:
         callbacks = conditions._callbacks(arm, 0, stage, is_last=is_last, primitive_rollouts=True)
@@ -218,65 +168,6 @@ def test_shares_of_runs_that_reach_are_of_all_seeds_together() -> None:
     ]
     summary = summarise("MultiRoom-4", {"discovered": runs})
     assert summary["options"] == {"key at 1": {"n_runs": 2, "reached": [0.95, 0.25], "runs": [20, 4]}}
-
-
-@pytest.mark.parametrize(("task", "share"), [("DoorKey-5x5", 0.5), ("KeyCorridorS3R1", 0.1)])
-def test_hand_made_options_fetch_keys_and_unlock_doors(task: str, share: float) -> None:
-    """KeyCorridor: the ball behind the door can be fetched by whoever has put down the key. Primitives alone: 0.00."""
-    slots = settings.max_options(task.split("S3")[0])
-    with_options = agents.venv_of(f"MiniGrid-{task}-v0", 0, slots=slots, by_hand=options_on)
-    assert agents.success_rate(agents.uniform(0), with_options, 0) > share
-
-
-def test_normalisation_goes_on_in_the_next_task() -> None:
-    first = agents.normalised(agents.venv_of("MiniGrid-Empty-5x5-v0", 0, n_envs=2), None)
-    first.reset()
-    for _ in range(5):
-        first.step(np.array([2, 1]))
-    second = agents.normalised(agents.venv_of("MiniGrid-Empty-6x6-v0", 0, n_envs=2), first, training=False)
-    assert second.obs_rms is first.obs_rms
-    assert (second.training, second.norm_reward) == (False, False)
-
-
-def test_folders_of_arms_have_plain_names() -> None:
-    folders = [folder_of(arm) for arm in ARMS]
-    assert len(set(folders)) == len(ARMS)
-    assert all(re.fullmatch(r"[\w-]+", folder) for folder in folders)
-
-
-def test_contrasts_of_keys_in_equal_times(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(settings, "N_ENVS", 2)
-    monkeypatch.setitem(settings.PPO, "n_steps", 64)
-    monkeypatch.setitem(settings.PPO, "batch_size", 64)
-    keys.main(keys.Study(out=tmp_path, runs=1, first_seed=0, jobs=1, frames=600))
-    written = json.loads((tmp_path / "results.json").read_text())
-    (run,) = written["runs"]
-    assert run["failures"] > 0
-    assert list(run["equal_time"]) == list(keys.CONCEPTS)
-    assert all(-1 <= value <= 1 for value in run["all_time"].values())
-
-
-def test_the_point_of_a_concept() -> None:
-    point = keys.point_of({"key": (0, 0), "locked_door": (1, 0)})[0]
-    shown = {name: value for name, value in zip(FEATURES, point, strict=True) if value}
-    assert shown == {"key_visible": 1, "locked_door_visible": 1, "locked_door_forward": 1}
-
-
-def test_how_often_options_reach_their_subgoals(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    stages = Stage("MiniGrid-Empty-5x5-v0", 600), Stage("MiniGrid-Empty-6x6-v0", 600)
-    monkeypatch.setitem(FAMILIES, "small", stages)
-    monkeypatch.setattr(settings, "N_ENVS", 2)
-    monkeypatch.setitem(settings.PPO, "n_steps", 64)
-    monkeypatch.setitem(settings.PPO, "batch_size", 64)
-    monkeypatch.setattr(reach, "MOST_RUNS", 20)
-    for name, value in {"min_positive": 4, "decay": 0.5, "threshold": 0.4, "min_contrast": -0.9}.items():
-        monkeypatch.setitem(settings.DISCOVERY, name, value)
-    reach.main(reach.Study(out=tmp_path, runs=1, first_seed=0, jobs=1, family="small", frames=3000))
-    written = json.loads((tmp_path / "results.json").read_text())
-    (run,) = written["runs"]
-    found = {option["where"]: option for option in run["options"]}
-    assert any(option["min_reach"]["first"]["reached"] > 0 for option in found.values())
-    assert set(written["summary"]) == set(reach.LEASTS)
 
 
 def test_ratios_of_medians() -> None:

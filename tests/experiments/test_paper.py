@@ -13,7 +13,7 @@ from experiments.paper import agents, conditions, measures
 from experiments.paper.__main__ import GROUPS, Study, main
 from experiments.paper.report import Report
 from experiments.paper.report import main as fill_in
-from experiments.paper.settings import IN_PAPER, PaperSettings
+from experiments.paper.settings import PaperSettings
 from sb3_options.experience.trajectories import LabelledTrajectory
 from tests.support.helpers import trajectory_of
 
@@ -101,10 +101,6 @@ def test_agents_of_a_seed_are_the_same_until_the_option(tmp_path: Path) -> None:
     assert all(len(curve) == TINY.trials for curve in curves)
     assert learned["primitive"] == live(agents.make_agent(TINY, 1), TINY.trials).lengths
     assert learned == conditions.learning(TINY, tmp_path, 1)
-
-
-def test_every_setting_says_whether_the_paper_gives_it() -> None:
-    assert set(IN_PAPER) == {field.name for field in dataclasses.fields(PaperSettings)}
 
 
 def walk(*cells: tuple[int, int], goal: bool = True) -> LabelledTrajectory:

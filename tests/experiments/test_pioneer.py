@@ -11,12 +11,11 @@ import pytest
 
 pytest.importorskip("pybullet")
 
-from experiments.common.agents import live
 from experiments.pioneer import agents, conditions, summary
 from experiments.pioneer.__main__ import GROUPS, Study, main
 from experiments.pioneer.report import Report
 from experiments.pioneer.report import main as fill_in
-from experiments.pioneer.settings import IN_PAPER, MAIN_TASK, TASKS, PioneerSettings
+from experiments.pioneer.settings import MAIN_TASK, TASKS, PioneerSettings
 from sb3_options.envs.pioneer.env import DISPLACEMENT, GRIPPING, VISIBLE, WIDTH
 from sb3_options.runs.config import DQNConfig, tuned
 
@@ -29,19 +28,6 @@ TINY = PioneerSettings(
     threshold=0.05,
     network_updates=20,
 )
-
-
-def test_a_figure_with_its_numbers_and_another_from_what_was_kept(tmp_path: Path) -> None:
-    study = Study(figure="learning", out=tmp_path, runs=2, first_seed=0, jobs=1, settings=TINY)
-    main(study)
-    kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("groups/learning/seeds/*.json")}
-    assert len(kept) == 2
-    numbers = json.loads((tmp_path / "results.json").read_text())["figures"]["learning"]
-    assert all(ratio["low"] <= ratio["mean"] <= ratio["high"] for ratio in numbers["ratios"].values())
-    main(dataclasses.replace(study, figure="figure8"))
-    assert json.loads((tmp_path / "results.json").read_text())["figures"]["figure8"]["n_runs"] == 2
-    assert {path.stem for path in tmp_path.glob("*.png")} == {"learning", "figure8"}
-    assert kept == {path: path.stat().st_mtime_ns for path in kept}
 
 
 @pytest.mark.slow
@@ -94,15 +80,6 @@ def test_agents_of_a_seed_are_the_same_until_the_option(tmp_path: Path) -> None:
     assert (tmp_path / "3.safetensors").is_file()
 
 
-def test_touches_are_counted_and_paid_for() -> None:
-    agent = agents.make_agent(TINY, MAIN_TASK, 0)
-    trials = agents.described(live(agent, 2, agents.discoverer(TINY, 0, max_new_options=0)).episodes)
-    for steps, total, success, touches in zip(*(trials[c] for c in trials), strict=True):
-        assert total == pytest.approx(10 * success - 0.1 * steps - touches)
-        assert conditions.touches_of(success, steps, total) == pytest.approx(touches)
-    assert sum(trials["touches"]) > 0
-
-
 def test_features_tell_apart_what_matters() -> None:
     coding = agents.features(TINY)
     seen = np.full((5, 11), 2.0)
@@ -118,11 +95,6 @@ def test_features_tell_apart_what_matters() -> None:
     assert shared[3] == coding.n_active
 
 
-def test_a_window_is_reported_only_where_all_its_trials_are() -> None:
-    runs = [{"steps": [2] * 30}, {"steps": [4] * 30}]
-    assert set(summary.ratios_of(runs, runs)) == {"steps_trials_0_19", "steps_trials_all"}
-
-
 @pytest.mark.parametrize(
     ("displacement", "width", "good"),
     [(0.0, 0.8, True), (-9.0, 0.56, True), (11.0, 0.8, False), (0.0, 0.5, False), (None, None, False)],
@@ -130,7 +102,3 @@ def test_a_window_is_reported_only_where_all_its_trials_are() -> None:
 def test_dead_ahead_and_near(displacement: float | None, width: float | None, good: bool) -> None:
     option = {"displacement": None if displacement is None else math.radians(displacement), "width": width}
     assert summary.is_near_and_ahead(option) == good
-
-
-def test_what_the_paper_says_is_said_of_settings_there_are() -> None:
-    assert set(IN_PAPER) <= {field.name for field in dataclasses.fields(PioneerSettings)}

@@ -10,8 +10,8 @@ from scipy.sparse import csr_array
 from experiments.common.gridworlds import rooms_of
 from experiments.published import measures
 from experiments.published.__main__ import ROWS, Study, main
-from experiments.published.graphs import climbed, cover_time, diffusion_time, grid, joined
-from experiments.published.learning import moves_of, steps_to_learn, tasks_of
+from experiments.published.graphs import cover_time, diffusion_time, grid, joined
+from experiments.published.learning import moves_of, tasks_of
 
 LINE = csr_array(np.diag(np.ones(2), 1) + np.diag(np.ones(2), -1))
 """Three cells in a row."""
@@ -31,11 +31,6 @@ def test_an_option_that_passes_the_goal_reaches_it() -> None:
     right = np.array([1, 2, 2])
     left = np.array([0, 0, 1])
     assert diffusion_time(LINE, [right, left]) < diffusion_time(LINE, [])
-
-
-def test_climbing() -> None:
-    assert climbed(LINE, np.array([0.0, 1.0, 2.0])).tolist() == [1, 2, 2]
-    assert climbed(LINE, np.array([2.0, 0.0, 2.1])).tolist() == [0, 2, 2]  # −2.1 + 0.9 · 2 is no gain
 
 
 def test_cover_time_of_a_line() -> None:
@@ -66,23 +61,7 @@ def test_tasks_lead_from_room_to_room() -> None:
     assert all(start != goal for start, goal in zip(rooms[::2], rooms[1::2], strict=True))
 
 
-CORRIDOR = np.array([[max(i - 1, 0), min(i + 1, 9), i, i] for i in range(10)])
 """Ten cells in a row; two of the four moves lead against walls."""
-
-
-def test_an_option_along_a_corridor_is_learned_from_sooner() -> None:
-    tasks, along = np.tile([0, 9], (20, 1)), np.minimum(np.arange(10) + 1, 9)
-    without = steps_to_learn(CORRIDOR, [], tasks, np.random.default_rng(0))
-    with_it = steps_to_learn(CORRIDOR, [along], tasks, np.random.default_rng(0))
-    assert with_it.max() <= np.median(without)
-    assert (with_it % 100 == 0).all()
-
-
-def test_what_an_option_keeps_the_agent_from_is_not_learned() -> None:
-    """Twenty options that lead back to the start, and four moves; the goal is at the other end."""
-    back = np.maximum(np.arange(10) - 1, 0)
-    steps = steps_to_learn(CORRIDOR, [back] * 20, np.tile([0, 9], (5, 1)), np.random.default_rng(0), most=1000)
-    assert (steps == 1000).all()
 
 
 def test_covering_options_cover_sooner() -> None:
@@ -107,11 +86,6 @@ def test_a_row_alone_leaves_the_others(tmp_path: Path) -> None:
         "l_cut": "python -m experiments.published --rows l_cut --runs 1 --first-seed 3",
     }
     assert rows["l_cut"]["within_one_step"] == 1
-
-
-def test_a_row_that_there_is_not(tmp_path: Path) -> None:
-    with pytest.raises(SystemExit, match=r"^--rows: there is no 'lcut', choose from eigenoptions, covering, l_cut,"):
-        Study(out=tmp_path, rows=("lcut",))
 
 
 def test_the_committed_rows_say_what_measured_them() -> None:

@@ -2,26 +2,11 @@ import json
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
 import pytest
 
 from experiments.random_walks.__main__ import COMPARED, Study, main
-from experiments.random_walks.conditions import TASKS, Positions, is_bottleneck, run, world_for
-from experiments.random_walks.maps import SIDES, random_map
+from experiments.random_walks.conditions import TASKS, is_bottleneck, run, world_for
 from experiments.random_walks.report import parts_of
-from sb3_options.envs import GridWorld
-from sb3_options.experience.observations import FloatArray
-
-
-def test_maps_are_rooms_with_a_way_from_every_start_to_the_goal() -> None:
-    shapes = set()
-    for seed in range(60):
-        world = GridWorld(random_map(seed))  # refuses starts that cannot reach the goal
-        assert random_map(seed) == random_map(seed)
-        sides = [SIDES[0] * n + n - 1 for n in (1, 2, 3)]
-        assert min(world.walls.shape) >= sides[0]
-        shapes.add(world.walls.shape)
-    assert len(shapes) > 30
 
 
 def test_what_counts_as_a_bottleneck() -> None:
@@ -52,17 +37,6 @@ def test_study_writes_results_and_picture(
     assert written["command"].endswith(f"--compare {compare}" + (" --noise 0.3" if noise else ""))
     assert set(written["summary"]) == {f"{task}: {arm}" for task in TASKS for arm in COMPARED[compare]}
     assert (tmp_path / "random_walks.png").stat().st_size > 10_000
-
-
-def test_with_noise_no_position_is_seen_twice_but_all_are_near_where_the_agent_is() -> None:
-    def shown(noise: float) -> FloatArray:
-        seen = Positions(world_for("KeyDoor", 0), noise, seed=0)
-        return np.array([seen.reset(seed=0)[0], *(seen.step(i % 4)[0] for i in range(40))])
-
-    exact, noisy = shown(0.0), shown(0.3)
-    assert len(np.unique(noisy, axis=0)) == len(noisy) > len(np.unique(exact, axis=0))
-    assert 0.2 < np.abs(noisy - exact).max() <= 0.3
-    assert (noisy[:, 2] == exact[:, 2]).all(), "whether there is a key is known"
 
 
 def test_the_tables_of_the_page() -> None:

@@ -1,9 +1,5 @@
 """Trainings, searches and studies on a real cluster of two nodes, one of which is killed."""
 
-import os
-import signal
-import subprocess
-import sys
 import threading
 from functools import partial
 from pathlib import Path
@@ -153,40 +149,3 @@ def test_a_study_on_two_machines_one_of_which_is_lost(nodes: TwoNodes, tmp_path:
     assert spread == alone
     assert files(tmp_path / "two") == files(tmp_path / "one")
     assert len(files(tmp_path / "two")) == 6
-
-
-def walk_and_note(folder: Path, seed: int) -> dict[str, Any]:
-    """`walk`, and a file for each time that it begins; from the third seed on it waits for the word."""
-    (folder / f"{seed}-{os.getpid()}").touch()
-    if seed >= 2:
-        wait_until((folder / "go").exists)
-    return walk(seed)
-
-
-def study_of(folder: Path, out: str, on: Machines) -> None:
-    run_parts([Part("walk", partial(walk_and_note, folder), folder / out)], range(4), settings={"steps": 500}, on=on)
-
-
-def test_a_study_goes_on_whose_command_was_killed(nodes: TwoNodes, tmp_path: Path) -> None:
-    program = (
-        "import sys; from pathlib import Path; from experiments.common.machines import Machines\n"
-        "from tests.integration.test_cluster import study_of\n"
-        "study_of(Path(sys.argv[1]), 'two', Machines(cluster=sys.argv[2]))"
-    )
-    root = Path(__file__).parents[2]
-    command = [sys.executable, "-c", program, str(tmp_path), nodes.address]
-    first = subprocess.Popen(command, cwd=root)
-    wait_until(lambda: first.poll() is not None or (len(files(tmp_path / "two")) == 2 and [*tmp_path.glob("2-*")]))
-    assert first.poll() is None
-    first.send_signal(signal.SIGKILL)
-    assert first.wait() == -signal.SIGKILL
-    kept = files(tmp_path / "two")
-    assert sorted(kept) == ["seeds/0.json", "seeds/1.json"]
-    (tmp_path / "go").touch()
-    subprocess.run(command, cwd=root, check=True)
-    begun = [path.name.split("-")[0] for path in tmp_path.glob("*-*")]
-    assert [begun.count(seed) for seed in "01"] == [1, 1], "what was there was not run again"
-    assert begun.count("2") >= 2
-    study_of(tmp_path, "one", Machines(jobs=1))
-    assert files(tmp_path / "two") == files(tmp_path / "one")
-    assert len(files(tmp_path / "two")) == 4

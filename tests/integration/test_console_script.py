@@ -1,11 +1,9 @@
 """A wheel, installed where there is no checkout: the console script trains, evaluates, compares and shows options."""
 
 import io
-import os
 import shutil
 import subprocess
 import sys
-import zipfile
 from importlib.metadata import version
 from pathlib import Path
 
@@ -73,23 +71,6 @@ def test_from_a_wheel_in_an_empty_folder(installed: Path, tmp_path: Path) -> Non
     assert (first / "README.md").read_text().count("one run, and no study") == 1
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group("wheel")
-def test_the_wheel_holds_the_settings_that_ship(installed: Path) -> None:
-    (file,) = installed.parent.glob("*.whl")
-    names = zipfile.ZipFile(file).namelist()
-    assert "sb3_options/runs/tuned/pioneer.yml" in names
-    assert "sb3_options/envs/pioneer/env.py" in names
-    assert not any(name.startswith(("tests/", "experiments/", "benchmarks/")) for name in names)
-
-
-def test_without_words_it_shows_its_help(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.argv", ["/somewhere/bin/sb3-options"])
-    with pytest.raises(SystemExit, match=r"^0$"):
-        script.main()
-    assert "usage: sb3-options" in capsys.readouterr().out
-
-
 def test_a_terminal_without_greek_letters_is_helped_too(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = io.BytesIO()
     monkeypatch.setattr("sys.argv", ["/somewhere/bin/sb3-options", "--help", "all"])
@@ -104,18 +85,6 @@ def test_a_missing_extra_is_named(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert "pip install 'sb3-options[train,contrib]' (in a checkout '.[train,contrib]')" in done.stderr
-    assert "Traceback" not in done.stderr
-
-
-def test_the_script_of_a_checkout_says_so_too(tmp_path: Path) -> None:
-    script = ROOT / "train.py"
-    code = f"import sys, runpy; sys.modules['tyro'] = None; runpy.run_path({str(script)!r}, run_name='__main__')"
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    assert done.returncode == 1
-    assert done.stderr.startswith("train.py needs the package tyro: pip install 'sb3-options[train,contrib]'")
     assert "Traceback" not in done.stderr
 
 

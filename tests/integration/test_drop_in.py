@@ -6,8 +6,6 @@ from typing import Any, cast
 import gymnasium as gym
 import pytest
 from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options.callbacks import SubgoalDiscoveryCallback
@@ -64,29 +62,3 @@ def test_taxi(n_envs: int) -> None:
     assert len(callback.discoveries) == 1
     episodes = [e["l"] for e in cast("Any", model.ep_info_buffer)]
     assert max(episodes) == 200
-
-
-def test_intrinsic_reward_without_options() -> None:
-    from stable_baselines3 import PPO
-
-    from sb3_options.callbacks import IntrinsicRewardCallback
-
-    env = make_vec_env("sb3_options/TwoRooms-v0", n_envs=4, seed=0)
-    model = PPO("MlpPolicy", env, n_steps=64, gamma=0.97, normalize_advantage=False)
-    bonus = IntrinsicRewardCallback("counts")
-    model.learn(512, callback=bonus)
-    assert bonus.novelty is not None
-    assert bonus.novelty.records()["states"] > 5
-
-
-def test_vec_env_of_four() -> None:
-    from stable_baselines3 import DQN
-
-    from sb3_options import OptionReplayBuffer, OptionsWrapper
-
-    env = make_vec_env("sb3_options/TwoRooms-v0", n_envs=4, seed=0, wrapper_class=OptionsWrapper)
-    assert isinstance(env, DummyVecEnv)
-    assert env.env_is_wrapped(Monitor) == env.env_is_wrapped(OptionsWrapper) == [True] * 4
-    model = DQN("MlpPolicy", env, gamma=0.99, replay_buffer_class=OptionReplayBuffer, learning_starts=500, seed=0)
-    model.learn(800, callback=SubgoalDiscoveryCallback())
-    assert model.num_timesteps == 800

@@ -11,10 +11,8 @@ import pytest
 from experiments.kills.comparison import differences
 from sb3_options import cli
 from sb3_options.callbacks.checkpoints import CheckpointCallback
-from sb3_options.execution import workers
-from sb3_options.execution.workers import WorkerLostError, watched_workers
+from sb3_options.execution.workers import WorkerLostError
 from sb3_options.runs import folder as runs
-from tests.support.helpers import CountingEnv
 
 FLAGS = (
     "ppo --n-envs 2 --vec-env subproc --n-timesteps 1024 --n-steps 64 --batch-size 64 --n-epochs 1 --net-arch 8 "
@@ -76,15 +74,3 @@ def test_a_worker_that_an_error_ended_is_nothing_to_try_again(
         cli.main(FLAGS.split())
     assert stopped.value.code == 1
     assert capsys.readouterr().err == "Error: Environment 0 of 2 is gone.\n"
-
-
-@pytest.mark.parametrize("error", [EOFError(), ConnectionResetError(), BrokenPipeError()])
-def test_a_worker_that_is_lost_before_its_environment_is_made(
-    monkeypatch: pytest.MonkeyPatch, error: Exception
-) -> None:
-    def lost(*_: Any, **__: Any) -> None:
-        raise error
-
-    monkeypatch.setattr(workers, "SubprocVecEnv", lost)
-    with pytest.raises(WorkerLostError, match=r"^Environment 0 of 2 is gone: its worker process ended before"):
-        watched_workers([CountingEnv] * 2)

@@ -17,7 +17,7 @@ from sb3_options.callbacks import CheckpointCallback
 from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
-from sb3_options.runs.resume import FINISHED, is_finished
+from sb3_options.runs.resume import is_finished
 from sb3_options.runs.under_way import held
 
 CONFIG = """
@@ -95,12 +95,6 @@ def test_a_run_that_is_cut_off_again_and_again(run: Path, tmp_path: Path) -> Non
     assert {what: those for what, those in differences(run, copy).items() if those} == {}
 
 
-def test_shows_how_far_it_is(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    steps = int(next(iter(CheckpointFolder(run / runs.CHECKPOINTS))).stem)
-    cli.main(["resume", str(cut_off(run, tmp_path))])
-    assert f"Going on after {steps:,} primitive steps." in capsys.readouterr().out
-
-
 def wait_for_the_next_second() -> None:
     """TensorBoard's files are read in the order of their names: a second, then how many this process has written.
 
@@ -168,18 +162,6 @@ class TestFinished:
         assert "To train on, pass --n-timesteps with a larger number." in said
         assert {file: file.read_bytes() for file in copy.rglob("*") if file.is_file()} == before
 
-    @pytest.mark.parametrize("without", [runs.MODEL, FINISHED])
-    def test_only_with_all_that_training_leaves(self, without: str, run: Path, tmp_path: Path) -> None:
-        copy = tmp_path / run.name
-        shutil.copytree(run, copy)
-        assert is_finished(configs.load(copy / runs.CONFIG), copy)
-        (copy / without).unlink()
-        assert not is_finished(configs.load(copy / runs.CONFIG), copy)
-
-    def test_the_run_beside_it_of_compare_is_finished_too(self, run: Path) -> None:
-        other = run.with_name(run.name[:-1] + "2")
-        assert is_finished(configs.load(other / runs.CONFIG), other)
-
     def test_goes_on_for_longer(self, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         copy = tmp_path / run.name
         shutil.copytree(run, copy)
@@ -193,18 +175,6 @@ class TestFinished:
         assert dataclasses.replace(kept, n_timesteps=2000) == configs.load(run / runs.CONFIG)
         assert is_finished(kept, copy)
 
-    def test_from_its_start_it_is_the_longer_run(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        flags = ["ppo", "--n-envs", "1", "--n-steps", "64", "--batch-size", "64", "--env-kwargs", "max_steps:50"]
-        flags += ["--no-progress", "--device", "cpu", "--checkpoint-freq", "500", "--learning-rate", "0.01"]
-        short, long = (tmp_path / str(n) / "ppo" / "sb3_options-TwoRooms-v0_1" for n in (300, 900))
-        for run in (short, long):
-            cli.main([*flags, "--n-timesteps", run.parts[-3], "--tensorboard-log", str(run.parents[1])])
-        capsys.readouterr()
-        cli.main(["resume", str(short), "--no-progress", "--n-timesteps", "900"])
-        assert "Going on after 0 primitive steps. There is no later checkpoint." in capsys.readouterr().out
-        differ = {what: those for what, those in differences(short, long).items() if those}
-        assert differ == {}
-
 
 class TestRefuses:
     def refusal(self, capsys: pytest.CaptureFixture[str], *args: str) -> str:
@@ -213,18 +183,11 @@ class TestRefuses:
         assert stopped.value.code == 1
         return capsys.readouterr().err
 
-    def test_what_is_no_run(self, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-        assert "is no run folder: there is no config.yml in it." in self.refusal(capsys, str(tmp_path))
-
     def test_a_run_without_checkpoints(self, run: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
         copy = cut_off(run, tmp_path)
         shutil.rmtree(copy / runs.CHECKPOINTS)
         assert "There is no checkpoint in" in self.refusal(capsys, str(copy))
         assert (copy / runs.CONFIG).is_file()
-
-    def test_fewer_steps(self, run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        said = self.refusal(capsys, str(run), "--n-timesteps", "1999")
-        assert f"--n-timesteps must be at least 2,000, as {run} has it, got 1,999." in said
 
     def test_a_run_that_is_being_trained(self, run: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
         copy = cut_off(run, tmp_path)

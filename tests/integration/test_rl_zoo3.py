@@ -109,16 +109,6 @@ def test_train_enjoy_and_record(tmp_path: Path, algo: str) -> None:
 
 
 @needs_zoo
-@pytest.mark.slow
-def test_training_goes_on_from_a_run_with_its_options(tmp_path: Path) -> None:
-    train(tmp_path, "dqn", 1500)
-    first = tmp_path / "logs" / "dqn" / RUN
-    agent = first / f"{ENV.replace('/', '-')}.zip"
-    train(tmp_path, "dqn", 300, "--trained-agent", str(agent))
-    assert filled_slots(first.with_name(RUN[:-1] + "2") / NAME)[0] == 0
-
-
-@needs_zoo
 def test_the_best_model_and_checkpoints_bring_their_own_options(tmp_path: Path) -> None:
     run = tmp_path / "dqn" / "Rooms-v0_1"
     run.mkdir(parents=True)

@@ -3,11 +3,8 @@
 import html
 import re
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
 
 import pytest
-from sphinx.application import Sphinx
 from sphinx.util.inventory import InventoryFile
 
 import sb3_options
@@ -105,21 +102,6 @@ def test_an_entry_says_arguments_types_and_errors(built: Built) -> None:
 
 
 @pytest.mark.slow
-def test_an_entry_leads_to_its_source(built: Built) -> None:
-    link = r'href="../../(_modules/sb3_options/callbacks/discovery)\.html#SubgoalDiscoveryCallback"'
-    (page,) = set(re.findall(link, built.text("docs/api/callbacks")))
-    assert "class SubgoalDiscoveryCallback(PrimitiveStepsCallback):" in built.words(page)
-
-
-@pytest.mark.slow
-def test_a_short_name_of_a_docstring_is_a_link(built: Built) -> None:
-    assert re.search(
-        r'href="experience.html#sb3_options.experience.recording.RewardPeaks"[^>]*><code[^>]*><span[^>]*>recording.Re',
-        built.text("docs/api/discovery"),
-    )
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("page", NOTEBOOKS, ids=lambda page: page.name)
 def test_a_notebook_shows_what_it_printed_and_drew(page: Path, built: Built) -> None:
     name = name_of(page).removesuffix(".nb.md")
@@ -143,25 +125,3 @@ def test_every_block_of_python_is_a_cell() -> None:
 def test_a_notebook_with_commands_is_refused(python: str, got: str) -> None:
     with pytest.raises(ValueError, match=rf"blocks of Python only, got \[{got}\]: what is not to be run belongs"):
         site.read_notebook(f"# Title\n\n{python}```bash\nrm file\n```\n")
-
-
-def menu_of(text: str) -> str:
-    source = [text]
-    app = SimpleNamespace(
-        config=SimpleNamespace(root_doc="docs/index"),
-        project=SimpleNamespace(path2doc=lambda path: path.removesuffix(".md")),
-    )
-    site.add_menu(cast("Sphinx", cast("Any", app)), "docs/index", source)
-    return source[0].removeprefix(text)
-
-
-def test_the_menu_has_a_page_where_it_is_linked_last() -> None:
-    menu = menu_of("[b](guide/b.md) [c](guide/c.md#part) [a](guide/a.md) [b](guide/b.md) [R](../README.md)")
-    guide = menu.partition(":caption: Guide")[2].partition("```")[0]
-    assert guide.split() == ["/docs/guide/a", "/docs/guide/b"]
-    assert ":caption: Project\n\n/README\n" in menu
-
-
-def test_a_folder_without_a_caption_is_named() -> None:
-    with pytest.raises(ValueError, match=r"CAPTIONS must say under which heading .* the pages of 'docs/attic' stand"):
-        menu_of("[old](attic/old.md)")

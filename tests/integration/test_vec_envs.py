@@ -3,15 +3,12 @@
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
-from gymnasium import spaces
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
@@ -29,16 +26,11 @@ from stable_baselines3.common.vec_env import (
 
 from sb3_options import OptionBank, OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
-from sb3_options.cli import train
-from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.execution.vec_env import as_wrapper_sees
 from sb3_options.options.option import SubgoalOption
-from sb3_options.runs.config import DQNConfig
 from tests.support.helpers import DictEnv, place_of
 from tests.support.sb3_helpers import (
-    FAST_DISCOVERY,
     RANDOM,
-    SMALL_ROOMS,
     TINY,
     fast_callback,
     optioned_rooms,
@@ -121,18 +113,6 @@ def test_identical_rollouts_in_one_process_and_in_workers(n_envs: int, doorway: 
     assert any(end for row in expected[1:] for end in row[4])
 
 
-def test_options_arrive_between_decisions(doorway: SubgoalOption) -> None:
-    """A slot is empty until `set_option` returns, and filled in every environment from the next decision on."""
-    with rooms("subproc", 2) as venv:
-        venv.reset()
-        for _ in range(3):
-            _, _, _, infos = venv.step(np.array([SLOT_0, SLOT_0]))
-            assert [info["option"]["index"] for info in infos] == [-1, -1]
-        venv.env_method("set_option", 0, doorway)
-        _, _, _, infos = venv.step(np.array([SLOT_0, SLOT_0]))
-        assert [info["option"]["index"] for info in infos] == [0, 0]
-
-
 @pytest.mark.parametrize("algorithm", [DQN, OptionDQN, PPO])
 def test_same_weights_bit_for_bit(algorithm: Any) -> None:
     weights, discoveries = [], []
@@ -181,14 +161,6 @@ def test_trains_and_discovers_within(name: str, algorithm: Any) -> None:
         assert max(used) > 2
         assert model.num_timesteps >= n_timesteps
         assert all(torch.isfinite(value).all() for value in model.policy.state_dict().values())
-
-
-def test_normalised_beneath_stacked_suits_rollouts() -> None:
-    """rl-zoo3's order."""
-    with rooms("dummy", 2) as bare:
-        callback = fast_callback()
-        ppo(stacked(VecNormalize(bare, gamma=0.9))).learn(4000, callback=callback)
-        assert len(callback.discoveries) == 1
 
 
 class Spy(BaseCallback):
@@ -259,28 +231,6 @@ def test_one_entry_of_a_dict_is_refused() -> None:
         model.learn(20, callback=SubgoalDiscoveryCallback())
 
 
-class Restless(gym.Env[npt.NDArray[np.float32], int]):
-    """Its observation is not a number from the tenth step on."""
-
-    action_space: Any = spaces.Discrete(2)
-    observation_space: Any = spaces.Box(0.0, 1.0, (1,), np.float32)
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        super().reset(seed=seed)
-        self.time = 0
-        return np.zeros(1, np.float32), {}
-
-    def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        self.time += 1
-        return np.full(1, np.nan if self.time == 10 else 0.5, np.float32), 0.0, False, False, {}
-
-
-def test_check_nan_still_finds_what_it_looks_for() -> None:
-    venv = VecCheckNan(DummyVecEnv([lambda: OptionsWrapper(Restless(), gamma=0.9)]), raise_exception=True)
-    with pytest.raises(ValueError, match="found nan in observations"):
-        dqn(venv).learn(100, callback=SubgoalDiscoveryCallback())
-
-
 class TestVecMonitor:
     @pytest.mark.parametrize("callback", [SubgoalDiscoveryCallback, PrimitiveStepsCallback])
     def test_is_said_to_count_something_else(
@@ -291,27 +241,6 @@ class TestVecMonitor:
             model.learn(200, callback=callback())
         assert caplog.text.count("VecMonitor above OptionsWrapper counts decisions") == 1
         assert "make_vec_env(..., wrapper_class=OptionsWrapper)" in caplog.text
-
-    def test_nothing_is_said_of_a_monitor(self, caplog: pytest.LogCaptureFixture) -> None:
-        with caplog.at_level(logging.WARNING, "sb3_options"), rooms("dummy", 1) as venv:
-            dqn(venv).learn(200, callback=SubgoalDiscoveryCallback())
-        assert not caplog.records
-
-
-@pytest.mark.slow
-def test_command_line_trains_alike_in_worker_processes(tmp_path: Path) -> None:
-    weights = []
-    for kind in ("dummy", "subproc"):
-        config = DQNConfig(
-            env_kwargs={"map": SMALL_ROOMS.strip(), "max_steps": 150},
-            n_timesteps=2500, n_envs=2, eval_freq=500, eval_episodes=2, exploration_final_eps=0.5, progress=False,
-            discovery=DiscoverySettings(**FAST_DISCOVERY), tensorboard_log=tmp_path / kind, vec_env=kind,
-        )  # fmt: skip
-        folder = train(config)
-        assert (folder / "subgoals.png").is_file()
-        assert OptionsWrapper(small_rooms(), options_file=folder / "options.safetensors").bank.filled == (0,)
-        weights.append(DQN.load(folder / "model.zip", device="cpu").policy.state_dict())
-    assert all(torch.equal(weights[0][name], weights[1][name]) for name in weights[0])
 
 
 class TestEvaluationEnvironment:

@@ -6,8 +6,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from multiprocessing import Pipe, Process
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +15,7 @@ import pytest
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecNormalize
+from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv, VecNormalize
 
 from sb3_options import OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
@@ -152,32 +150,6 @@ def test_ended_by_an_error_in_the_environment(workers: list[SubprocVecEnv], capf
     assert "ZeroDivisionError: the environment's own error" in capfd.readouterr().err
 
 
-def test_watching_twice_is_watching_once(workers: list[SubprocVecEnv]) -> None:
-    venv = forked(workers, 2)
-    watch_workers(VecNormalize(venv))
-    remotes = venv.remotes
-    watch_workers(venv)
-    assert all(mine is before for mine, before in zip(venv.remotes, remotes, strict=True))
-    assert venv.reset().shape == (2, 45)  # type: ignore[union-attr]  # no dictionary
-
-
-def test_an_environment_without_workers_is_left_alone() -> None:
-    venv = DummyVecEnv([make_optioned_rooms])
-    before = dict(vars(venv))
-    watch_workers(venv)
-    assert vars(venv) == before
-
-
-def test_closing_ends_workers_that_are_watched(workers: list[SubprocVecEnv]) -> None:
-    venv = forked(workers, 2)
-    watch_workers(venv)
-    venv.reset()
-    venv.step_async(np.zeros(2, dtype=int))
-    venv.close()
-    assert all_gone(pids_of(venv))
-    assert [process.exitcode for process in venv.processes] == [0, 0]
-
-
 def test_ending_workers_in_the_middle_of_a_step(workers: list[SubprocVecEnv]) -> None:
     """Where an interrupt came between two answers, ``close`` would wait for one that was read already."""
     venv = forked(workers, 2)
@@ -188,24 +160,6 @@ def test_ending_workers_in_the_middle_of_a_step(workers: list[SubprocVecEnv]) ->
     end_workers(venv)
     venv.close()
     assert all_gone(pids_of(venv))
-
-
-def sleep_for_ever(ready: Connection) -> None:
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    ready.send(None)
-    time.sleep(LIMIT)
-
-
-def test_a_worker_that_will_not_go_is_made_to(workers: list[SubprocVecEnv]) -> None:
-    venv = forked(workers, 1)
-    ready, its_end = Pipe()
-    stubborn = Process(target=sleep_for_ever, args=(its_end,), daemon=True)
-    stubborn.start()
-    ready.recv()
-    venv.processes.append(stubborn)
-    assert stubborn.pid is not None
-    end_workers(venv)
-    assert all_gone([stubborn.pid])
 
 
 def children_of(pid: int) -> list[int]:
