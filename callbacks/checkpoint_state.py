@@ -80,7 +80,7 @@ def set_states(root: BaseCallback | None, states: list[State]) -> None:
             f"The checkpoint was written with the callbacks {', '.join(there)}, here are {', '.join(here)}."
         )
     for callback, state in zip(callbacks, states, strict=True):
-        _check_settings(callback, state.get("settings", {}))  # checkpoints of before did not tell
+        _check_settings(callback, state["settings"])
         for name in COUNTERS:
             setattr(callback, name, state["counters"][name])
         for name in _names(callback):  # and no others that a stranger's file may name, as a path to write to

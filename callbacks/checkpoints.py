@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList, ProgressBarCallback
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.type_aliases import TrainFreq
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -72,6 +73,8 @@ class CheckpointCallback(BaseCallback):
         self._resumed = state
 
     def _on_training_start(self) -> None:
+        self._rollouts = 0
+        self._log_interval: int | None = self.locals.get("log_interval")
         models.check(self.model)
         self._root: BaseCallback | None = self.locals.get("callback")
         self._check_folder()
@@ -108,14 +111,28 @@ class CheckpointCallback(BaseCallback):
                 what = f"{type(error).__name__}: {' '.join(str(error).split())}"
                 raise ValueError(f"The checkpoint does not fit what is trained here: {what}") from error
             self._there = self.model.num_timesteps
-        elif (self._last is None or now - self._last >= self.freq) and not self._is_last_rollout():
+        elif self._is_due(now):
             self._last = now
             best, before = checkpoint_state.best_of(self._root), self._best
             self._best = best
             self._save(best=best > before)
         began = self.model.num_timesteps > 0
-        if self.end_when is not None and began and not self._is_last_rollout() and self.end_when():
+        if self.end_when is not None and began and self._may_end() and self.end_when():
             self._end()
+        self._rollouts += 1
+
+    def _is_due(self, now: int) -> bool:
+        return (self._last is None or now - self._last >= self.freq) and self._may_end()
+
+    def _may_end(self) -> bool:
+        """Whether training that goes on from here is the training that was not cut off.
+
+        SB3 counts ``log_interval`` of an on-policy algorithm from the start of ``learn``.
+        """
+        interval = self._log_interval if isinstance(self.model, OnPolicyAlgorithm) else None
+        if interval is not None and self._rollouts % interval:
+            return False
+        return not self._is_last_rollout()
 
     def _save(self, *, best: bool = False, then: str = "training goes on") -> None:
         now = self.model.num_timesteps
@@ -236,10 +253,12 @@ def load_checkpoint(
         raise ValueError("load_checkpoint needs a CheckpointCallback among the callbacks: it puts everything back.")
     file, state = CheckpointFolder(folder).newest()
     try:
-        there, steps = state["model"]["class"], int(state["model"]["counters"]["num_timesteps"])
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        there, steps = state["model"]["class"], state["model"]["counters"]["num_timesteps"]
+    except (KeyError, TypeError) as error:
         raise ValueError(f"{file} is no checkpoint of a training: {error!r}") from error
+    if not whole(steps, 0):
+        raise ValueError(f"{file} is no checkpoint of a training: it has taken {steps!r} steps")
     if there != type(model).__name__:
         raise ValueError(f"The checkpoint is of {there}, the model is {type(model).__name__}.")
     own[0].resume_from(state)
-    return steps
+    return int(steps)

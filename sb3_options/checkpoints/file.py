@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -29,6 +30,10 @@ FORMAT = "sb3-options checkpoint 1"
 
 BLOCK_BYTES = 1 << 20
 """Largest content of a block: a checkpoint writes at most about this much of an array that has not changed."""
+
+MOST_REPETITIONS = 16
+MOST_REPEATED_BYTES = 1 << 30
+"""A checkpoint may name a block more than once (rows of zeros), up to this many bytes more than the repetitions."""
 
 BLOCKS = "blocks"
 """Folder of the blocks, beside the checkpoints."""
@@ -153,7 +158,9 @@ def read(file: Path) -> State:
         arrays = {key: np.array(array) for key, array in from_safetensors(content).items()}
         if header["digest"] != _digest(header["state"], header["blocks"], arrays):
             raise ValueError("its contents are not what was written to it")
-        for number, about in json.loads(header["blocks"]).items():
+        large = json.loads(header["blocks"])
+        _check_sizes(large, file.parent / BLOCKS)
+        for number, about in large.items():
             arrays[number] = _joined(about, file.parent / BLOCKS)
         state = decode(json.loads(header["state"]), arrays)
         if not isinstance(state, dict):
@@ -198,18 +205,40 @@ def _cut(array: npt.NDArray[Any], folder: Path, known: KnownBlocks) -> State:
     return {"shape": list(array.shape), "dtype": array.dtype.str, "names": names}
 
 
+def _check_sizes(large: dict[str, State], folder: Path) -> None:
+    """Refuse arrays that are larger than their blocks, and more repetitions of blocks than a training has."""
+    sizes: dict[str, int] = {}
+    total = 0
+    for about in large.values():
+        for name in set(about["names"]):
+            if not _NAME.fullmatch(name):
+                raise ValueError(f"{name!r} is no name of a block")
+            sizes[name] = (folder / f"{name}{SUFFIX}").stat().st_size
+        if not all(type(n) is int and n >= 0 for n in about["shape"]):
+            raise ValueError(f"its shape is {about['shape']}")
+        declared = math.prod(about["shape"]) * np.dtype(about["dtype"]).itemsize
+        if declared > sum(sizes[name] for name in about["names"]):
+            raise ValueError(f"its blocks are too small for an array of shape {about['shape']}")
+        total += sum(sizes[name] for name in about["names"])
+    if total > MOST_REPEATED_BYTES + MOST_REPETITIONS * sum(sizes.values()):
+        raise ValueError(f"its blocks of {sum(sizes.values()):,} bytes are to be read as {total:,} bytes")
+
+
 def _joined(about: State, folder: Path) -> npt.NDArray[Any]:
-    parts = []
+    array = np.empty(about["shape"], about["dtype"])
+    rows = array if array.ndim else array[None]
+    start = 0
     for name in about["names"]:
-        if not _NAME.fullmatch(name):
-            raise ValueError(f"{name!r} is no name of a block")
-        rows = from_safetensors((folder / f"{name}{SUFFIX}").read_bytes())["rows"]
-        if hashlib.sha256(np.ascontiguousarray(rows).data).hexdigest() != name:
+        block = from_safetensors((folder / f"{name}{SUFFIX}").read_bytes())["rows"]
+        if hashlib.sha256(np.ascontiguousarray(block).data).hexdigest() != name:
             raise ValueError(f"the contents of its block {name} are not what was written to it")
-        parts.append(rows)
-    array = np.concatenate(parts)
-    if list(array.shape) != about["shape"] or array.dtype.str != about["dtype"]:
-        raise ValueError(f"its blocks make an array of shape {array.shape}, expected {about['shape']}")
+        part = rows[start : start + len(block)]
+        if part.shape != block.shape or part.dtype != block.dtype:
+            raise ValueError(f"its block {name} does not fit an array of shape {about['shape']}")
+        part[...] = block
+        start += len(block)
+    if start != len(rows):
+        raise ValueError(f"its blocks have {start} rows, expected {len(rows)}")
     return array
 
 

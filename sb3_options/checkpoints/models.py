@@ -12,6 +12,7 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import Logger
 
+from sb3_options.checked import is_number, whole
 from sb3_options.checkpoints.tree import State
 from sb3_options.learning import buffer_state
 from sb3_options.learning.replay_buffer import Growing, OptionReplayBuffer
@@ -73,8 +74,8 @@ def get_state(model: BaseAlgorithm) -> State:
     if model.use_sde:  # the noise of the rollout that begins is drawn already
         noise: Any = model.policy.action_dist
         state["noise"] = noise.exploration_mat.detach(), noise.exploration_matrices.detach()
-    if hasattr(model, "_last_lstm_states"):
-        state["lstm"] = None if model._last_lstm_states is None else [tuple(each) for each in model._last_lstm_states]
+    lstm = getattr(model, "_last_lstm_states", None)
+    state["lstm"] = None if lstm is None else [tuple(each) for each in lstm]
     return state
 
 
@@ -94,10 +95,14 @@ def _rollout(model: BaseAlgorithm) -> State:
 
 def prepare(model: BaseAlgorithm, state: State) -> None:
     """Let the first rollout of an on-policy algorithm be as long as the one that began with what `get_state` gave."""
-    there = state.get("rollout", {})  # checkpoints of before have none
+    there = state["rollout"]
     buffer: Any = getattr(model, "rollout_buffer", None)
     if buffer is None or "n_steps" not in there:
         return
+    most: int = model.n_steps  # type: ignore[attr-defined]  # it is on-policy
+    for steps in there.values():
+        if not (whole(steps, 1) and steps <= most):
+            raise ValueError(f"The checkpoint is of rollouts of {steps!r} steps, and the model has n_steps={most}.")
     if "n_primitive_steps" in there:
         buffer = option_rollout_buffer(model)
         buffer.n_primitive_steps = there["n_primitive_steps"]
@@ -112,8 +117,11 @@ def set_state(model: BaseAlgorithm, state: State) -> None:
     """
     if state["class"] != type(model).__name__:
         raise ValueError(f"The checkpoint is of {state['class']}, the model is {type(model).__name__}.")
+    for name, value in ((name, state["counters"][name]) for name in COUNTERS if name in state["counters"]):
+        if not (is_number(value) if isinstance(getattr(model, name, 0), float) else whole(value, 0)):
+            raise ValueError(f"The checkpoint has {name}={value!r}, which is no count of steps, or no rate.")
     gamma = getattr(model, "gamma", None)
-    if state.get("gamma", gamma) != gamma:  # those of before did not tell
+    if state["gamma"] != gamma:
         raise ValueError(f"The checkpoint is of training with gamma={state['gamma']}, the model has gamma={gamma}.")
     model.policy.load_state_dict(state["policy"])
     if state["optimizer"] is not None:
@@ -135,7 +143,7 @@ def set_state(model: BaseAlgorithm, state: State) -> None:
     if model.use_sde:
         noise: Any = model.policy.action_dist
         noise.exploration_mat, noise.exploration_matrices = (each.to(model.device) for each in state["noise"])
-    if state.get("lstm") is not None:
+    if state["lstm"] is not None:
         lstm = (tuple(each.to(model.device) for each in states) for states in state["lstm"])
         model._last_lstm_states = type(model._last_lstm_states)(*lstm)  # type: ignore[attr-defined]  # as there
 

@@ -397,7 +397,6 @@ class OptionReplayBuffer(ReplayBuffer):
         size = self.size()
         return {
             "counters": (self.pos, self.full, self.written),
-            "slots": self.next_available.shape[1],
             "columns": [column[:size] for column in self._columns()],
             "successors": None if self._successors is None else self._successors.get_state(size),
         }
@@ -409,8 +408,9 @@ class OptionReplayBuffer(ReplayBuffer):
             ValueError: The rows have another shape, or there are more of them.
         """
         self.pos, self.full, self.written = state["counters"]
-        self.track_availability(state["slots"])
         for column, rows in zip(self._columns(), state["columns"], strict=True):
+            if rows.shape[1:] != column.shape[1:]:
+                raise ValueError(f"The checkpoint has rows of shape {rows.shape[1:]}, the buffer {column.shape[1:]}.")
             column[: len(rows)] = rows
         if self._successors is not None:
             self._successors.set_state(state["successors"])

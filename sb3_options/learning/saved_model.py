@@ -71,10 +71,22 @@ def load_model(algorithm: type[M], path: str | os.PathLike[str], env: gym.Env[An
             f"{path} could not be loaded by {algorithm.__name__}: {error}. If another algorithm saved it, load it with "
             "that one."
         ) from error
+    check_finite(model, path)
     model.__dict__.pop(CARRIED, None)
     load_options(content, _env_of(model))
     keep_options(model)
     return model
+
+
+def check_finite(model: BaseAlgorithm, path: Path) -> None:
+    """Refuse a loaded model with weights that are NaN or infinite.
+
+    Raises:
+        ValueError: One is.
+    """
+    for name, weights in model.policy.state_dict().items():
+        if weights.is_floating_point() and not weights.isfinite().all():
+            raise ValueError(f"{path} holds weights that are NaN or infinite, {name}: training has diverged.")
 
 
 def load_options(source: Source, env: gym.Env[Any, Any] | VecEnv) -> None:

@@ -24,6 +24,7 @@ from sb3_options.atomic import atomic_write
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.recording import LONGEST_EPISODE
 from sb3_options.experience.success import success_rule
+from sb3_options.learning.saved_model import check_finite
 from sb3_options.learning.value_snapshot import interrupt_options
 from sb3_options.options.bank import OptionBank
 from sb3_options.runs import config as configs
@@ -307,7 +308,7 @@ def _play(
             # torch has a heading, and a line for every array.
             first = next((line.strip() for line in str(error).splitlines() if line.startswith("\t")), error)
             raise ValueError(f"{saved} is damaged, or does not fit {saved.with_name(runs.CONFIG)}: {first}") from error
-        # A model of 0.1 holds no options.
+        check_finite(model, saved)
         bank: OptionBank = venv.get_attr("bank")[0]
         bank.load(saved.with_name(runs.OPTIONS) if saved.name == runs.MODEL else saved)
         if not bank.filled:

@@ -6,10 +6,11 @@ from typing import Any
 import pytest
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import KVWriter, Logger
 
 from sb3_options.callbacks import CheckpointCallback, EndedAtCheckpointError, SubgoalDiscoveryCallback
 from sb3_options.checkpoints.comparison import differing
-from sb3_options.checkpoints.file import CheckpointFolder
+from sb3_options.checkpoints.file import CheckpointFolder, read
 from sb3_options.discovery.methods import Experience, Proposal
 from tests.callbacks.test_checkpoint_resuming import discovering, keep_all, model_of, trained, venv_of
 
@@ -135,3 +136,35 @@ def test_refuses_a_method_that_does_not_tell(tmp_path: Path) -> None:
 
     with pytest.raises(ValueError, match=r"^Checkpoints of discovery by Silent are not supported: give it get_state"):
         model_of("PPO", venv_of()).learn(64, [discovering(method=Silent()), CheckpointCallback(tmp_path)])
+
+
+class Rows(KVWriter):
+    """What is logged, step by step."""
+
+    def __init__(self) -> None:
+        self.rows: list[tuple[int, Any]] = []
+
+    def write(self, key_values: dict[str, Any], key_excluded: dict[str, Any], step: int = 0) -> None:
+        self.rows.append((step, key_values.get("rollout/ep_rew_mean")))
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.usefixtures("keep_all")
+def test_a_checkpoint_lies_where_a_resumed_training_logs_the_same_rollouts(tmp_path: Path) -> None:
+    """SB3 counts log_interval from the start of learn."""
+
+    def logged(resume: Path | None) -> list[tuple[int, Any]]:
+        model, rows = model_of("A2C", venv_of(1)), Rows()
+        model.set_logger(Logger(None, [rows]))
+        callback = CheckpointCallback(tmp_path / str(resume), 1)
+        if resume is not None:
+            callback.resume_from(read(resume))
+        model.learn(32 * 11, callback, log_interval=3)
+        return rows.rows
+
+    whole = logged(None)
+    files = sorted((tmp_path / "None").glob("0*"))
+    assert [int(file.stem) for file in files] == [0, 96, 192, 288]
+    assert logged(files[1]) == [row for row in whole if row[0] > 96]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback, EveryNTimesteps
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecFrameStack, VecNormalize
 
 from sb3_options import OptionReplayBuffer
@@ -79,7 +80,8 @@ def trained(
     assert isinstance(checkpoints, CheckpointCallback)
     if resume is not None:
         checkpoints.resume_from(read(resume))
-    model.learn(steps, callbacks)
+    log = {"log_interval": 1} if isinstance(model, OnPolicyAlgorithm) else {}  # a checkpoint at every rollout, if due
+    model.learn(steps, callbacks, **log)
     state = checkpoints.state()
     for callback in state["callbacks"]:
         if callback["class"] == "CheckpointCallback":  # whose turn it is has no part in training

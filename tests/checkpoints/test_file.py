@@ -1,9 +1,12 @@
 import errno
+import json
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from safetensors.numpy import save as to_safetensors
 
 from sb3_options.checkpoints import file as checkpoint_file
 from sb3_options.checkpoints.file import BLOCKS, CheckpointFolder, read
@@ -109,6 +112,42 @@ def test_every_flipped_byte_is_noticed(folder: CheckpointFolder) -> None:
             else:  # a space of the header's padding, say
                 np.testing.assert_array_equal(state["rows"], large(40))
         path.write_bytes(content)
+
+
+@pytest.mark.parametrize(
+    ("shape", "names", "text"),
+    [
+        ([200_000 << 17], 200_000, "are to be read as 209,7"),
+        ([1 << 40], 1, "are too small for an array of shape"),
+        ([-1], 1, r"its shape is \[-1\]"),
+        ([1 << 16], 1, "does not fit an array|its blocks have 131072 rows"),
+    ],
+)
+def test_refuses_sizes_beyond_the_blocks_before_memory_is_spent(
+    shape: list[int], names: int, text: str, tmp_path: Path
+) -> None:
+    folder = CheckpointFolder(tmp_path)
+    file = folder.save(1, {"rows": np.zeros(1 << 18)})
+    (name,) = (path.stem for path in (tmp_path / BLOCKS).iterdir())
+    about = json.dumps({"0": {"shape": shape, "dtype": "<f8", "names": [name] * names}})
+    state = json.dumps({"rows": {"$": "array", "array": "0"}})
+    metadata = {"format": checkpoint_file.FORMAT, "state": state, "blocks": about}
+    metadata["digest"] = checkpoint_file._digest(state, about, {})
+    file.write_bytes(to_safetensors({}, metadata=metadata))
+    tracemalloc.start()
+    with pytest.raises(ValueError, match=text):
+        read(file)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 200 << 20
+
+
+def test_rows_of_zeros_come_back(tmp_path: Path) -> None:
+    """All their blocks are one file."""
+    folder = CheckpointFolder(tmp_path)
+    folder.save(1, {"rows": np.zeros((40, 1 << 17))})
+    assert folder.newest()[1]["rows"].shape == (40, 1 << 17)
+    assert len(blocks(folder)) == 1
 
 
 def test_says_that_there_is_none(folder: CheckpointFolder) -> None:

@@ -216,6 +216,14 @@ def test_another_algorithm_than_saved_it_is_told(tmp_path: Path) -> None:
         load_model(DQN, tmp_path / "model.zip", optioned_rooms())
 
 
+def test_weights_that_are_nan_name_the_file(tmp_path: Path) -> None:
+    model = trained(PPO)
+    model.policy.value_net.weight.data[0, 0] = np.nan
+    model.save(tmp_path / "model.zip")
+    with pytest.raises(ValueError, match=r"model\.zip holds weights that are NaN or infinite, value_net\.weight"):
+        load_model(PPO, tmp_path / "model.zip", optioned_rooms())
+
+
 def test_environments_without_slots_are_refused(tmp_path: Path) -> None:
     trained(DQN).save(tmp_path / "model.zip")
     with pytest.raises(ValueError, match="is not wrapped in OptionsWrapper"):

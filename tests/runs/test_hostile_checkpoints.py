@@ -107,13 +107,24 @@ REFUSED: dict[str, tuple[Make, str]] = {
     "many digits": (plain('{"model": ' + "9" * 5_000 + "}"), "is no checkpoint, or it is damaged"),
     "an empty state": (plain("{}"), "is no checkpoint of a training: KeyError('model')"),
     "a model that is a number": (plain('{"model": 1}'), "is no checkpoint of a training"),
-    "infinite steps": (
-        plain('{"model": {"class": "PPO", "counters": {"num_timesteps": Infinity}}}'),
-        "is no checkpoint of a training",
+    **{
+        f"{steps} steps": (
+            plain(f'{{"model": {{"class": "PPO", "counters": {{"num_timesteps": {steps}}}}}}}'),
+            "is no checkpoint of a training",
+        )
+        for steps in ("Infinity", "-1", "0.5", "true", '"9"')
+    },
+    "a negative count of updates": (
+        changed(lambda s, _: s["model"]["counters"].update({"_n_updates": -1})),
+        "The checkpoint has _n_updates=-1",
+    ),
+    "a rollout that fills the memory": (
+        changed(lambda s, _: s["model"]["rollout"].update({"n_steps": 10**12})),
+        "The checkpoint is of rollouts of 1000000000000 steps",
     ),
     "a class to make": (plain('{"model": {"$": "os.system", "fields": {}}}'), "it holds a 'os.system', which is not"),
     "a record of other fields": (plain('{"a": {"$": "Region", "fields": {"command": "ls"}}}'), "it is damaged"),
-    "a record that was not made": (plain('{"a": {"$": "same", "record": 3}}'), "it is damaged"),
+    "a record that was not made": (plain('{"a": {"$": "same", "value": 3}}'), "it is damaged"),
     "an array that is not there": (plain('{"a": {"$": "array", "array": "7"}}'), "it is damaged: KeyError('7')"),
     "a block elsewhere": (plain("{}", blocks=blocks(names=["../../config"])), "is no name of a block"),
     "a block at the root": (plain("{}", blocks=blocks(names=["/etc/passwd"])), "is no name of a block"),
