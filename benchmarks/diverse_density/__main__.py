@@ -2,9 +2,8 @@
 
 ``python -m benchmarks.diverse_density --out FOLDER`` measures with one thread, contestants taking turns: the search on
 Musk1 against scipy and against a search compiled by numba, from the same starts; what the number of finalists is
-worth; nanoseconds per (start, instance) beside two bare kernels; cross-validation on Musk1; and what one more
-trajectory costs discovery during training. It writes ``results.json`` and ``diverse_density.png``. Without the Musk1
-data it says so and does the rest.
+worth; nanoseconds per (start, instance) beside two bare kernels; and cross-validation on Musk1. It writes
+``results.json`` and ``diverse_density.png``. Without the Musk1 data it says so and does the rest.
 """
 
 from __future__ import annotations
@@ -20,14 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.diverse_density.data import musk1
-from benchmarks.diverse_density.parts import (
-    against_references,
-    cross_validation,
-    kernel,
-    one_more_bag,
-    quality,
-    table_of_one_more_bag,
-)
+from benchmarks.diverse_density.parts import against_references, cross_validation, kernel, quality
 from experiments.common.seeds import write_json
 
 
@@ -45,16 +37,11 @@ class Benchmark:
         runs: Searches from jittered starts, for each number of finalists.
         repetitions: Of ten-fold cross-validation.
         nested: Repetitions in which settings are chosen within every fold.
-        bags: In the database when one more comes.
-        instances: In each of those.
-        added: How many more come.
-        table_bags: Numbers of bags of the table of how that grows.
-        table_instances: Numbers of instances of the table.
         seed: Of synthetic data.
     """
 
     out: Path
-    parts: tuple[Literal["kernel", "musk1", "one_more_bag"], ...] = ("kernel", "musk1", "one_more_bag")
+    parts: tuple[Literal["kernel", "musk1"], ...] = ("kernel", "musk1")
     musk1: Path = Path("../shared/data/musk1.npz")
     rounds: int = 9
     loop_starts: int = 3
@@ -62,11 +49,6 @@ class Benchmark:
     runs: int = 20
     repetitions: int = 10
     nested: int = 3
-    bags: int = 1000
-    instances: int = 500
-    added: int = 40
-    table_bags: tuple[int, ...] = (10, 100, 1000)
-    table_instances: tuple[int, ...] = (100, 500, 1000)
     seed: int = 0
 
 
@@ -84,11 +66,6 @@ def main(benchmark: Benchmark) -> None:
         results["musk1_classifier"] = cross_validation(data, benchmark.repetitions, benchmark.nested)
     elif "musk1" in benchmark.parts:
         console.print(f"There are no Musk1 data at {benchmark.musk1}: pass their place with --musk1. Skipped.")
-    if "one_more_bag" in benchmark.parts:
-        results["one_more_bag"] = one_more_bag(benchmark.bags, benchmark.instances, benchmark.added, benchmark.seed)
-        results["one_more_bag_table"] = table_of_one_more_bag(
-            benchmark.table_bags, benchmark.table_instances, min(benchmark.added, 15), benchmark.seed
-        )
     counts = {name: getattr(benchmark, name) for name in ("rounds", "runs", "repetitions", "nested")}
     flags = [f"--parts {' '.join(benchmark.parts)}", *(f"--{name} {n}" for name, n in counts.items())]
     command = " ".join(["python -m benchmarks.diverse_density", *flags])
@@ -125,9 +102,6 @@ def rows(results: dict[str, Any]) -> list[tuple[str, str, str, str, str]]:
         line("Musk1 best negative log likelihood", results["musk1_speed"]["best_nll_at_one_scale"], "≤")
         for name in ("accuracy", "auc"):
             line(f"Musk1 {name}", results["musk1_classifier"][name])
-    if "one_more_bag" in results:
-        line("one more bag, ms", results["one_more_bag"]["milliseconds"], "≤")
-        line("peak memory, MB", results["one_more_bag"]["peak_memory_megabytes"], "<")
     return out
 
 

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import math
-import resource
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,16 +12,13 @@ import torch
 from rich.progress import track
 
 from benchmarks.diverse_density.classifier import BagStatisticsForest, DiverseDensityClassifier
-from benchmarks.diverse_density.data import LabelledBags, planted, uneven
+from benchmarks.diverse_density.data import LabelledBags, uneven
 from benchmarks.diverse_density.references import BagByBag, Vectorised, descend, descend_pruned
 from sb3_options.density.arrays import BoolArray, FloatArray
 from sb3_options.density.bags import Bags
 from sb3_options.density.concepts import Point
 from sb3_options.density.diverse_density import log_diverse_density
 from sb3_options.density.search import ConceptSearch
-from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.discovery.subgoals import SubgoalDiscovery
-from sb3_options.experience.trajectories import Trajectory
 from sb3_options.runs.intervals import mean_interval
 
 UNBOUNDED = Point(scale_bounds=(0, math.inf), prior=None)
@@ -77,7 +71,7 @@ def against_references(data: LabelledBags, rounds: int, loop_starts: int) -> dic
     Every round runs our whole search and the two rivals that prune like it, the vectorised reference from its share of
     the starts, and the bag-by-bag reference from a few; times of parts are scaled up to all starts.
     """
-    from benchmarks.diverse_density.compiled import Compiled  # numba is no part of the memory of `one_more_bag`
+    from benchmarks.diverse_density.compiled import Compiled
 
     data = data.standardised()
     starts = np.concatenate(data.positive)
@@ -302,80 +296,3 @@ def area_under_curve(score: FloatArray, labels: FloatArray | BoolArray) -> float
     """Probability that a positive scores above a negative, ties counting half."""
     above = score[labels.astype(bool)][:, None] - score[~labels.astype(bool)]
     return float(np.mean((above > 0) + 0.5 * (above == 0)))
-
-
-def one_more_bag(n_bags: int, n_instances: int, added: int, seed: int) -> dict[str, Any]:
-    """What one more bag costs when there are many, in a process of its own for the sake of its memory.
-
-    Discovery as in training: trajectories of a database that is full, so that each new one replaces the oldest. The
-    first search is of a process that has already searched: what is done once is no part of it.
-    """
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        return pool.submit(_one_more_bag, n_bags, n_instances, added, seed).result()
-
-
-def table_of_one_more_bag(bags: Sequence[int], instances: Sequence[int], added: int, seed: int) -> dict[str, Any]:
-    """How that grows: milliseconds of one more bag, and of a first search, for every number of bags and instances."""
-    table = {f"{n} x {m}": one_more_bag(n, m, added, seed) for n in bags for m in instances}
-    return {
-        size: {
-            "median_milliseconds": part["median_milliseconds"],
-            "first_search_milliseconds": 1e3 * part["seconds_of_first_search"],
-        }
-        for size, part in table.items()
-    }
-
-
-def _one_more_bag(n_bags: int, n_instances: int, added: int, seed: int) -> dict[str, Any]:
-    torch.set_num_threads(1)
-    before = _peak_megabytes()
-    rng = np.random.default_rng(seed)
-    # No share of the limit of the running average is ever reached, or the place would be taken and left out.
-    settings = DiscoverySettings(
-        capacity=n_bags,
-        search="incremental",
-        start_radius=0,
-        goal_radius=0,
-        threshold=math.nextafter(1, 0),
-        loops="keep",
-        min_passing=0.0,
-        leak=0.0,
-    )
-    discovery = SubgoalDiscovery(settings)
-    for _ in range(n_bags):
-        discovery.add(*_trajectory(rng, n_instances))
-    whole = seconds(discovery.search)
-    times = []
-    for _ in range(added):
-        trajectory, features = _trajectory(rng, n_instances)
-        began = time.process_time()
-        discovery.add(trajectory, features)
-        discovery.search()
-        times.append(1e3 * (time.process_time() - began))
-    memory, peak = _peak_megabytes(), discovery.last.peaks[0]
-    bags = discovery.bags()
-    assert bags is not None  # or there were no peaks
-    exact = discovery.engine().search(bags, starts=peak.point[None])[0]
-    cost = mean_interval(np.array(times))
-    return {
-        "n_bags": n_bags,
-        "n_instances": n_instances,
-        "added": added,
-        "distance_of_best_peak": float(np.linalg.norm(peak.point - [3.0, -2.0])),
-        "nats_below_search_anew": exact.log_density - peak.log_density,
-        "seconds_of_first_search": whole,
-        "milliseconds": {**cost._asdict(), "bar": 50.0, "reached": cost.mean <= 50.0},
-        "median_milliseconds": float(np.median(times)),
-        "peak_memory_megabytes": {"value": memory, "of_imports": before, "bar": 500.0, "reached": memory < 500.0},
-    }
-
-
-def _trajectory(rng: np.random.Generator, n_instances: int) -> tuple[Trajectory, FloatArray]:
-    """A success that visits the planted place at some time, and its features."""
-    bag = rng.permutation(planted(rng, 1, n_instances)[0])
-    n = len(bag) - 1
-    return Trajectory(bag, np.arange(n + 1), np.zeros(n, np.int64), np.zeros(n), True, False, True), bag
-
-
-def _peak_megabytes() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

@@ -118,7 +118,6 @@ CASES: dict[str, tuple[Make, Callable[[], gym.Env[Any, Any]], Callable[[], Subgo
     "DQN, discovering": (_dqn, _room, _callback),
     "endless failures": (_ppo, _room, partial(_callback, success=_fail)),
     "one endless episode": (_one_epoch, _endless, partial(_callback, success=_fail)),
-    "incremental search": (_one_epoch, _room, partial(_callback, settings={"search": "incremental"})),
     "options that go on learning, observations that never repeat": (
         _one_epoch,
         _never_again,

@@ -28,7 +28,7 @@ from sb3_options.density.layout import Workspace
 from sb3_options.density.objective import evaluate
 from sb3_options.density.one_hot import is_one_hot, one_hot_log_density
 from sb3_options.density.peaks import best_apart
-from sb3_options.density.search import UPDATE_PAIRS, ConceptSearch, Solution
+from sb3_options.density.search import ConceptSearch, Solution
 from sb3_options.state import storable
 
 ARRIVED = 1e-5
@@ -36,6 +36,9 @@ ARRIVED = 1e-5
 
 APART = 0.9
 """Where instances that were visited one after the other lie so many widths apart, no other point ties with them."""
+
+TRIED_PAIRS = 1 << 20
+"""(Instances × points) that a search evaluates at once where there is little evidence."""
 
 SHORTLIST = 4
 """Times the number of starts: how many points are evaluated on all bags, or more where there is little evidence."""
@@ -291,7 +294,7 @@ class DiverseDensity:
         theta = torch.from_numpy(evidence.scaled(points).T.copy()).to(evidence.device)
         known = {column.tobytes(): point for column, point in zip(theta.T.cpu().numpy(), points, strict=True)}
         theta = self.concepts.shortlist(
-            evidence, theta, max(SHORTLIST * self.n_starts, UPDATE_PAIRS // 2 // evidence.n_instances)
+            evidence, theta, max(SHORTLIST * self.n_starts, TRIED_PAIRS // evidence.n_instances)
         )
         found = self.concepts.ascend(evidence, theta, self.n_starts, steps=self.steps, ties=self.tolerance, least=0.0)
         # A start that was not left is itself, to the last bit.

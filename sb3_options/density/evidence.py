@@ -1,4 +1,4 @@
-"""Bags as a search for one class of concepts sees them: scaled, packed once, then added and removed one by one."""
+"""Bags as a search for one class of concepts sees them: scaled, and packed once."""
 
 from __future__ import annotations
 
@@ -12,15 +12,10 @@ from torch import Tensor
 
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
-from sb3_options.density.checks import check_finite, real_array
 from sb3_options.density.concepts import Concept, Frame
 from sb3_options.density.energies import Columns, Likelihood
 from sb3_options.density.layout import SEGMENT_INSTANCES, BagArrays, Segment, Workspace, segment_of
 from sb3_options.density.objective import evaluate
-
-GROWING_INSTANCES = SEGMENT_INSTANCES // 4
-"""What is packed again with every bag that is added or removed; more segments cost calls in every evaluation."""
-
 
 FARTHEST = 1e15
 """Widths from the origin whose squares, times those of learned scales, single precision can hold."""
@@ -56,11 +51,6 @@ class Evidence:
         self._segments: dict[torch.dtype, list[Segment]] = {}
 
     @property
-    def n_bags(self) -> int:
-        """How many bags there are."""
-        return sum(len(part.lengths) for part in self._parts)
-
-    @property
     def n_instances(self) -> int:
         """How many instances they hold."""
         return sum(len(part.instances) for part in self._parts)
@@ -69,45 +59,6 @@ class Evidence:
     def positive_weight(self) -> float:
         """Sum of the weights of the positive bags."""
         return float(sum(part.weights[part.positive].sum() for part in self._parts))
-
-    def add(self, bag: FloatArray, *, positive: bool = True, weight: float = 1.0) -> None:
-        """Add a bag (n, d), at the cost of packing one segment.
-
-        Raises:
-            ValueError: The bag is empty, has other features, or is not finite.
-        """
-        instances = real_array("bag", bag)
-        if instances.ndim != 2 or not len(instances) or instances.shape[1] != self.frame.n_features:
-            raise ValueError(f"bag must have shape (n >= 1, {self.frame.n_features}), got {instances.shape}")
-        check_finite("bag", instances)
-        new = BagArrays(
-            self.scaled(instances), np.array([len(instances)]), np.array([positive]), np.array([float(weight)])
-        )
-        if self._parts and len(self._parts[-1].instances) + len(instances) <= GROWING_INSTANCES:
-            new = self._parts.pop().joined(new)
-            for segments in self._segments.values():
-                self._workspace.forget([segments.pop()])
-        self._parts.append(new)
-        for dtype, segments in self._segments.items():
-            segments.append(self._packed(new, dtype))
-
-    def remove(self, number: int) -> None:
-        """Remove the bag of this number, as packed and added since, at the cost of packing one segment.
-
-        Raises:
-            ValueError: There is no such bag.
-        """
-        if not 0 <= number < self.n_bags:
-            raise ValueError(f"number must be that of one of {self.n_bags} bags, from 0, got {number}")
-        ends = np.cumsum([len(part.lengths) for part in self._parts])
-        at = int(np.searchsorted(ends, number, side="right"))
-        part = self._parts[at]
-        # A large part is divided once, so that the next bag to go costs less.
-        left = part.without(number - int(ends[at]) + len(part.lengths)).split(GROWING_INSTANCES)
-        self._parts[at : at + 1] = left
-        for dtype, segments in self._segments.items():
-            self._workspace.forget(segments[at : at + 1])
-            segments[at : at + 1] = [self._packed(rest, dtype) for rest in left]
 
     def sample(self, n: int) -> Evidence:
         """Evidence of up to ``n`` positive and ``n`` negative bags, evenly spaced."""
@@ -122,15 +73,6 @@ class Evidence:
         sample = copy.copy(self)
         sample._parts, sample._segments, sample._workspace = [functools.reduce(BagArrays.joined, some)], {}, Workspace()
         return sample
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint: the bags as they are packed, on which the last bits of sums depend."""
-        return {"parts": list(self._parts), "frame": tuple(self.frame)}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Hold what `get_state` gave, and nothing else."""
-        self._parts, self.frame = state["parts"], Frame(*state["frame"])
-        self._segments, self._workspace = {}, Workspace()
 
     @torch.inference_mode()
     def loss(self, theta: Tensor) -> tuple[Tensor, Tensor]:

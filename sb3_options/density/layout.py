@@ -9,7 +9,6 @@ over a bag is a chain of operations on whole blocks, and no place is padding.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -75,17 +74,6 @@ class BagArrays(NamedTuple):
     def joined(self, other: BagArrays) -> BagArrays:
         """These bags and then those."""
         return BagArrays(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
-
-    def without(self, number: int) -> BagArrays:
-        """These bags but one."""
-        ends = np.cumsum(self.lengths)
-        gone = slice(ends[number] - self.lengths[number], ends[number])
-        return BagArrays(
-            np.delete(self.instances, gone, axis=0),
-            np.delete(self.lengths, number),
-            np.delete(self.positive, number),
-            np.delete(self.weights, number),
-        )
 
     def take(self, numbers: IntArray) -> BagArrays:
         """Some of these bags, at least one."""
@@ -194,11 +182,6 @@ class Workspace:
     def __init__(self) -> None:
         self._flat = torch.empty(0)
         self._views: dict[int, tuple[Segment, dict[tuple[int, torch.dtype], Arrays]]] = {}
-
-    def forget(self, segments: Sequence[Segment]) -> None:
-        """Free what was kept for segments that are no more."""
-        for segment in segments:
-            self._views.pop(id(segment), None)
 
     def take(self, segment: Segment, n_starts: int, like: Tensor) -> Arrays:
         """Uninitialised arrays with the precision and the device of ``like``."""

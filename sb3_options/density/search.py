@@ -34,23 +34,8 @@ SURVIVORS = 4
 SAMPLE, PROMISING = 3, 8
 """`ConceptSearch.shortlist` judges all by this many positive and negative bags, and one in so many by so many more."""
 
-UPDATE_PAIRS = 1 << 21
-UPDATE_STARTS = 8
-UPDATE_NEW = 4
-UPDATE_FINALISTS = 4
-"""What `ConceptSearch.update` may cost: (instances × starts) of an evaluation; and if that would be fewer, earlier
-peaks and new points that are tried, and starts that climb."""
-
-UPDATE_MOST_FINALISTS = 8
-"""With little evidence."""
-
 SORTING_STEPS = 3
 """Steps after which `ConceptSearch.ascend` merges starts that lie close."""
-
-
-UPDATE_STEPS = 2
-UPDATE_MOST_STEPS = 6
-"""Steps that they climb with much and with little evidence."""
 
 
 class Solution(NamedTuple):
@@ -212,34 +197,6 @@ class ConceptSearch:
         descent.run(self.final_steps)
         return self._solutions(descent, evidence)
 
-    def update(
-        self, evidence: Evidence, warm: Sequence[Solution], starts: ArrayLike, *, steps: int | None = None
-    ) -> list[Solution]:
-        """Search again after bags were added or removed, at a small part of the cost of a search.
-
-        The earlier peaks and some new points are evaluated, and the best of all climb a few steps, in single precision.
-        Peaks that did not climb are returned as well; those that are far worse than the best are forgotten.
-
-        Args:
-            evidence: As it is now.
-            warm: Peaks of the search before, of which the best few climb on; the less evidence, the more.
-            starts: (m, d) new points, such as instances of the new bag; a `shortlist` of them is tried.
-            steps: Most evaluations of those that climb; the more evidence, the fewer by default.
-
-        Raises:
-            ValueError: As `search`.
-        """
-        affordable = UPDATE_PAIRS // evidence.n_instances
-        most = max(UPDATE_STARTS, affordable)
-        known = [self._in_frame(solution, evidence)[:, None] for solution in warm[:most]]
-        new = self.concept.start(self._start_points(evidence, starts), self.start_scales[0])
-        theta = torch.cat([*known, self.shortlist(evidence, new, max(UPDATE_NEW, affordable))], dim=1).float()
-        if not theta.shape[1]:
-            raise ValueError("there is nothing to search from: pass starts or warm")
-        climbing = min(UPDATE_MOST_FINALISTS, max(UPDATE_FINALISTS, most // 4))
-        steps = min(UPDATE_MOST_STEPS, max(UPDATE_STEPS, most // 16)) if steps is None else steps
-        return self.ascend(evidence, theta, most, climbing=climbing, steps=steps, forget=True)
-
     def shortlist(self, evidence: Evidence, theta: Tensor, n: int) -> Tensor:
         """Up to ``n`` columns of θ (P, S): the best by a few of the bags, of which the best by more of them."""
         for n_bags in (SAMPLE, SAMPLE * PROMISING):
@@ -255,9 +212,7 @@ class ConceptSearch:
         n: int,
         *,
         steps: int,
-        climbing: int | None = None,
         ties: float = 0.0,
-        forget: bool = False,
         least: float = -math.inf,
     ) -> list[Solution]:
         """Evaluate concepts, and let the best climb a few steps.
@@ -267,9 +222,7 @@ class ConceptSearch:
             theta: (P, S), in the precision in which they climb.
             n: Most that are returned: the best that lie apart.
             steps: Most evaluations of those that climb.
-            climbing: How many of the best climb; the others rest. By default all.
             ties: Concepts this close to the best are as good, and come in the order given.
-            forget: Leave out what is so far from the best that it cannot become as good.
             least: −log density − log prior that nothing can be below; where one is there already, none climbs.
         """
         # Of a point whose every bag pulls with all its weight: a step is then never much too long.
@@ -277,25 +230,18 @@ class ConceptSearch:
         loss = evidence.value(theta)
         tied = loss <= loss.min() + ties
         best = self._best_apart(theta, torch.where(tied, loss.min(), loss), max(n, int(tied.sum())))
-        if forget:
-            # Twice what a point loses within `merge_radius` of a peak.
-            reach = curvature * self.merge_radius**2
-            best = [i for i, near in zip(best, (loss[best] <= loss[best[0]] + reach).tolist(), strict=True) if near]
         theta, loss = theta[:, best], loss[best]
         converged = torch.zeros_like(loss, dtype=torch.bool)
         if loss[0] > least:
-            n_climbing = len(best) if climbing is None else min(climbing, len(best))
-            descent = self._descent(theta[:, :n_climbing], evidence, curvature=curvature)
+            descent = self._descent(theta, evidence, curvature=curvature)
             descent.run(min(steps, SORTING_STEPS))
             kept = self._best_apart(descent.theta, descent.value, n)
             descent.keep(kept, theta.dtype)
             descent.run(max(0, steps - SORTING_STEPS), contest=True)
             better = descent.value < loss[kept]
-            theta[:, kept] = torch.where(better, descent.theta, theta[:, kept])
-            loss[kept] = torch.where(better, descent.value, loss[kept])
-            converged[kept] = descent.converged
-            left = [*kept, *range(n_climbing, len(best))]
-            theta, loss, converged = theta[:, left], loss[left], converged[left]
+            theta = torch.where(better, descent.theta, theta[:, kept])
+            loss = torch.where(better, descent.value, loss[kept])
+            converged = descent.converged
         else:
             converged |= loss <= least
         return self.solutions(theta.double(), loss.double(), converged, evidence)

@@ -51,7 +51,7 @@ class FilteredBags:
 
     @cached_property
     def bags(self) -> Bags:
-        """Packed, when first asked for: an incremental search does without."""
+        """Packed, when first asked for."""
         return Bags.pack(self.positive, self.negative)
 
 
@@ -82,7 +82,7 @@ class _Known:
 
 
 class BagMaker:
-    """Makes the bags. A bag that does not change is the same array every time, which incremental search relies on.
+    """Makes the bags. A bag that does not change is the same array every time.
 
     Args:
         settings: How.
@@ -201,7 +201,7 @@ class BagMaker:
             known.kept = None
 
     def get_state(self) -> dict[str, Any]:
-        """For a checkpoint. Incremental search knows a bag by being the same array, so the bags are in it.
+        """For a checkpoint.
 
         Shares of passing ways are not: they are counts, which are the same when all ways are counted anew.
         """

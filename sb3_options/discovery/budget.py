@@ -136,16 +136,15 @@ def seconds_of_certain(n_instances: int, n_features: int) -> float:
     return CERTAIN_SECONDS + HELD_SECONDS * n_instances * n_features
 
 
-def n_compared(sizes: Sequence[int], n_instances: int, *, incremental: bool) -> int:
+def n_compared(sizes: Sequence[int], n_instances: int) -> int:
     """Points that a gradient search compares with all instances.
 
     Args:
-        sizes: Instances of each positive bag, oldest first.
+        sizes: Instances of each positive bag.
         n_instances: In all bags.
-        incremental: Whether it tries the instances of the newest bag alone.
     """
     tried = min(sum(sorted(sizes)[:TRIED_BAGS]), max(2 * ASCENTS, MOST_PAIRS // n_instances))
-    return ASCENTS + (min(sizes[-1], MOST_PAIRS // n_instances) if incremental else tried)
+    return ASCENTS + tried
 
 
 def seconds_of_counting(n_instances: int, n_features: int) -> float:

@@ -51,9 +51,7 @@ class DiscoverySettings:
             Below 1 because an unsuccessful trajectory may well pass a bottleneck (the paper's §8).
         leak: λ in [0, 1): the probability that a trajectory succeeds without the bottleneck, because there is another
             way. Above 0, a trajectory of the other way costs a concept no more than log λ.
-        search: ``gradient`` ascent from many starts, ``exhaustive`` over the instances of positive bags, or
-            ``incremental``: ascent from the peaks of the last search and the best instances of the newest positive
-            bag, over bags that are packed once. With many or long trajectories it takes a small part of the time.
+        search: ``gradient`` ascent from many starts, or ``exhaustive`` over the instances of positive bags.
         search_growth: A search waits for so many new trajectories for each success that is kept: fewer hardly change
             what is common to all. With 0.05 every trajectory is searched for until there are twenty successes; 0
             searches after every one, as the paper does.
@@ -92,7 +90,7 @@ class DiscoverySettings:
     negative_bags: bool = True
     negative_strength: Annotated[float, Field(gt=0, le=1)] = 0.1
     leak: Annotated[float, Field(ge=0, lt=1)] = 0.3
-    search: Literal["gradient", "exhaustive", "incremental"] = "gradient"
+    search: Literal["gradient", "exhaustive"] = "gradient"
     search_growth: Annotated[float, Field(ge=0, lt=1)] = 0.05
     scale: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
     start_radius: Annotated[float, Field(ge=0)] = 2.0

@@ -12,7 +12,6 @@ import numpy as np
 from sb3_options.density.bags import Bags
 from sb3_options.density.diverse_density import DiverseDensity, Peak
 from sb3_options.density.groups import FeatureGroup
-from sb3_options.density.incremental import IncrementalSearch
 from sb3_options.density.regions import Region
 from sb3_options.discovery.anchors import moved, nearest_instance, nearest_observations
 from sb3_options.discovery.bag_maker import BagMaker, FilteredBags
@@ -83,7 +82,6 @@ class SubgoalDiscovery:
         self.recurrence = Recurrence(s.min_positive, max(s.peak_radius, s.subgoal_radius))
         self._n_new = self._n_since = 0
         self._maker = BagMaker(s, self.static_filter, self.kind)
-        self._incremental: IncrementalSearch | None = None
 
     @property
     def scale(self) -> FloatArray | None:
@@ -190,19 +188,14 @@ class SubgoalDiscovery:
             return seconds_of_counting(n, d)
         if engine.method == "exhaustive":
             return seconds_of_search(n, sum(sizes) * EXHAUSTIVE_SHARE, d)
-        return seconds_of_search(n, n_compared(sizes, n, incremental=self.settings.search == "incremental"), d)
+        return seconds_of_search(n, n_compared(sizes, n), d)
 
     def _certain(self, evidence: FilteredBags, engine: DiverseDensity) -> list[Peak]:
         """The peaks where no search is needed: no bag is negative, and a point is in all of them."""
-        starts, must_see_all = self._warm_starts(engine), self.settings.search == "incremental"
-        return [] if must_see_all else engine.certain(evidence.positive, starts)
+        return engine.certain(evidence.positive, self._warm_starts(engine))
 
     def _peaks(self, evidence: FilteredBags, engine: DiverseDensity) -> list[Peak]:
-        if self.settings.search != "incremental" or engine.method == "exhaustive":
-            return engine.search(evidence.bags, starts=self._warm_starts(engine))
-        if self._incremental is None:
-            self._incremental = IncrementalSearch(engine)
-        return self._incremental.search(evidence.positive, evidence.negative)
+        return engine.search(evidence.bags, starts=self._warm_starts(engine))
 
     def _places(self, peaks: list[Peak]) -> FloatArray:
         """The middles of the best peaks' plateaus, (n, d); none if they are too many or too wide."""
@@ -331,7 +324,6 @@ class SubgoalDiscovery:
             for found in self.found
         ]
         self.last = Search([], None, self.last.seconds)
-        self._incremental = None
         self._maker.forget_space()
         self._maker.visited(self.database)
         self.recurrence.forget()
@@ -351,7 +343,6 @@ class SubgoalDiscovery:
             "kind": self.kind,
             "taken": list(self.taken),
             "maker": self._maker.get_state(),
-            "incremental": None if self._incremental is None else self._incremental.get_state(),
             "budget": self.budget.get_state(),
             "recurrence": self.recurrence.get_state(),
             **{"n_new": self._n_new, "n_since": self._n_since, "n_withdrawn": self.n_withdrawn},
@@ -368,10 +359,6 @@ class SubgoalDiscovery:
         self.last = Search(last["peaks"], evidence, last["seconds"])
         self.seconds, self.kind, self.taken = state["seconds"], state["kind"], state["taken"]
         self._maker.set_state(state["maker"])
-        self._incremental = None
-        if state["incremental"] is not None:
-            self._incremental = IncrementalSearch(self.engine())
-            self._incremental.set_state(state["incremental"])
         self.budget.set_state(state["budget"])
         self.recurrence.set_state(state["recurrence"])
         self._n_new, self._n_since, self.n_withdrawn = state["n_new"], state["n_since"], state["n_withdrawn"]
@@ -394,7 +381,6 @@ class SubgoalDiscovery:
                 decay=self.settings.decay, threshold=self.settings.threshold, radius=self.settings.peak_radius
             )
             self.last = Search([], self.last.evidence, self.last.seconds)
-            self._incremental = None
             self._maker.forget_bags()
             return subgoal
         return None

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,8 +12,6 @@ from benchmarks.diverse_density.data import uneven
 from benchmarks.diverse_density.parts import area_under_curve
 from benchmarks.diverse_density.references import BagByBag, Vectorised
 from tests.density.definition import oracle
-
-TABLE: dict[str, Any] = {"table_bags": (20,), "table_instances": (20, 30)}
 
 
 def test_references_agree_with_the_definition() -> None:
@@ -51,28 +48,9 @@ def test_area_under_curve() -> None:
 
 def test_runs_without_the_musk_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    diverse_density.main(
-        diverse_density.Benchmark(
-            out=out, musk1=tmp_path / "none.npz", kernel_rounds=1, bags=20, instances=20, added=2, **TABLE
-        )
-    )
+    diverse_density.main(diverse_density.Benchmark(out=out, musk1=tmp_path / "none.npz", kernel_rounds=1))
     assert "There are no Musk1 data" in capsys.readouterr().out
     results = json.loads((out / "results.json").read_text())
-    assert set(results) == {"command", "kernel", "one_more_bag", "one_more_bag_table"}
+    assert set(results) == {"command", "kernel"}
     assert set(results["kernel"]["8"]) == {"nanoseconds", "two_kernels_nanoseconds", "two_kernels_share"}
     assert (out / "diverse_density.png").stat().st_size > 0
-
-
-def test_one_part_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    diverse_density.main(
-        diverse_density.Benchmark(
-            out=tmp_path / "out", parts=("one_more_bag",), bags=20, instances=20, added=2, **TABLE
-        )
-    )
-    assert "one more bag, ms" in capsys.readouterr().out
-    results = json.loads((tmp_path / "out" / "results.json").read_text())
-    assert set(results["one_more_bag_table"]) == {"20 x 20", "20 x 30"}
-    part = results["one_more_bag"]
-    assert part["distance_of_best_peak"] < 0.5
-    assert part["nats_below_search_anew"] < 0.01
-    assert not (tmp_path / "out" / "diverse_density.png").exists()

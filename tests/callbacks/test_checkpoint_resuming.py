@@ -204,19 +204,6 @@ def test_bonuses(name: str, kind: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("keep_all")
-def test_incremental_search(tmp_path: Path) -> None:
-    def others() -> Callbacks:
-        callback = discovering()
-        callback.settings = type(callback.settings)(
-            min_positive=3, start_radius=0.5, goal_radius=3.0, threshold=0.99, cut_threshold=0.99, search="incremental"
-        )
-        return [callback]
-
-    callbacks, _ = check_resumes(lambda: model_of("A2C", venv_of()), others, tmp_path, cuts=(0.6, 0.9))
-    assert callbacks[0].discovery._incremental is not None  # type: ignore[attr-defined]  # of discovery
-
-
-@pytest.mark.usefixtures("keep_all")
 def test_searches_that_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A schedule by the clock would be another one after a kill."""
     monkeypatch.setattr("sb3_options.discovery.budget.SHORTEST", 0)

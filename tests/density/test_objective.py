@@ -272,23 +272,6 @@ def test_chunks_change_nothing(max_pairs: int) -> None:
         torch.testing.assert_close(one, other, rtol=1e-12, atol=1e-12)
 
 
-def test_bags_added_one_by_one() -> None:
-    rng = np.random.default_rng(10)
-    positive, negative = random_bags(rng, 40, 3, 1.0), random_bags(rng, 20, 3, 1.0)
-    theta = theta_of(rng.normal(size=(5, 3)), np.ones(3))
-    grown = evidence_of(Bags.pack(positive[:1]))
-    grown.loss(theta)
-    for bag in positive[1:]:
-        grown.add(bag)
-    for bag in negative:
-        grown.add(bag, positive=False)
-    assert grown.n_bags == 60
-    for one, other in zip(grown.loss(theta), evidence_of(Bags.pack(positive, negative)).loss(theta), strict=True):
-        torch.testing.assert_close(one, other, rtol=1e-12, atol=1e-12)
-    with pytest.raises(ValueError, match=r"bag must have shape \(n >= 1, 3\), got \(2, 2\)"):
-        grown.add(np.zeros((2, 2)))
-
-
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
 def test_cuda_agrees(dtype: torch.dtype) -> None:

@@ -11,7 +11,6 @@ import torch
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
 from sb3_options.density.concepts import Concept, Plane, Point
-from sb3_options.density.evidence import Evidence
 from sb3_options.density.lbfgs import BatchedLBFGS
 from sb3_options.density.regions import HalfSpace, Region
 from sb3_options.density.search import ConceptSearch
@@ -230,88 +229,6 @@ def test_weak_and_narrow_negatives_tolerate_a_visit() -> None:
     assert np.linalg.norm(strict.region().points[0] - [3, -2]) > 0.2
 
 
-def test_update_follows_added_bags() -> None:
-    rng = np.random.default_rng(4)
-
-    def bag() -> FloatArray:
-        return np.vstack([rng.uniform(-10, 10, size=(20, 2)), rng.normal([3, -2], 0.3)])
-
-    search = ConceptSearch(concept=Point("fixed"))
-    evidence = search.evidence(Bags.pack([bag() for _ in range(10)]))
-    peaks = search.search(evidence)
-    for _ in range(5):
-        new = bag()
-        evidence.add(new)
-        peaks = search.update(evidence, peaks, new)
-    again = search.search(evidence, warm=peaks)
-    assert peaks[0].log_density == pytest.approx(again[0].log_density, abs=1e-4)
-    assert np.linalg.norm(peaks[0].region().points[0] - [3, -2]) < 0.5
-
-
-def bags_of(rng: np.random.Generator, n: int) -> list[FloatArray]:
-    return [np.vstack([rng.uniform(-10, 10, (int(rng.integers(1, 40)), 2)), [[3.0, -2.0]]]) for _ in range(n)]
-
-
-def values_at(evidence: Evidence, points: FloatArray, dtype: torch.dtype) -> FloatArray:
-    loss = evidence.loss(torch.from_numpy(evidence.scaled(points).T.copy()).to(dtype))[0]
-    return np.asarray(-loss.double().numpy())
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_adding_and_removing_one_by_one_equals_building_at_once(
-    monkeypatch: pytest.MonkeyPatch, dtype: torch.dtype
-) -> None:
-    monkeypatch.setattr("sb3_options.density.evidence.GROWING_INSTANCES", 100)  # so that there are several segments
-    rng = np.random.default_rng(6)
-    bags, points = bags_of(rng, 30), rng.uniform(-10, 10, (20, 2))
-    is_positive = [bool(i % 3) for i in range(30)]
-    search = ConceptSearch(concept=Point("fixed"), negative_strength=0.5)
-    grown = search.evidence(Bags.pack([bags[1]], [bags[0]]))
-    order = [1, 0]
-    for i in range(2, 30):
-        values_at(grown, points, dtype)  # packs segments, which must follow
-        grown.add(bags[i], positive=is_positive[i])
-        order.append(i)
-    for number in (29, 0, 0, 13, 5, 5, 0):
-        grown.remove(number)
-        del order[number]
-    left = [[bags[i] for i in order if is_positive[i] == sign] for sign in (True, False)]
-    whole = search.evidence(Bags.pack(*left))
-    assert (grown.n_bags, grown.n_instances) == (23, sum(len(bags[i]) for i in order))
-    assert grown.positive_weight == len(left[0])
-    np.testing.assert_allclose(
-        values_at(grown, points, dtype), values_at(whole, points, dtype), rtol=1e-4 if dtype == torch.float32 else 1e-11
-    )
-    with pytest.raises(ValueError, match=re.escape("number must be that of one of 23 bags, from 0, got 23")):
-        grown.remove(23)
-
-
-def test_removing_divides_a_large_segment(monkeypatch: pytest.MonkeyPatch) -> None:
-    bags, points = bags_of(np.random.default_rng(7), 30), np.array([[3.0, -2.0], [0.0, 0.0]])
-    search = ConceptSearch(concept=Point("fixed"))
-    evidence = search.evidence(Bags.pack(bags))
-    assert len(evidence.segments(torch.float64)) == 1
-    monkeypatch.setattr("sb3_options.density.evidence.GROWING_INSTANCES", 100)
-    evidence.remove(17)
-    assert len(evidence.segments(torch.float64)) > 3
-    whole = search.evidence(Bags.pack(bags[:17] + bags[18:]))
-    np.testing.assert_allclose(
-        values_at(evidence, points, torch.float64), values_at(whole, points, torch.float64), rtol=1e-11, atol=1e-12
-    )
-
-
-def test_update_climbs_from_a_peak_that_a_bag_moved() -> None:
-    """With many bags the step that one more bag asks for is far shorter than 1."""
-    rng = np.random.default_rng(8)
-    bags = [rng.normal([3, -2], 0.3, size=(1, 2)) for _ in range(301)]
-    search = ConceptSearch(concept=Point("fixed"))
-    evidence = search.evidence(Bags.pack(bags[:-1]))
-    peaks = search.search(evidence)
-    evidence.add(bags[-1])
-    moved = search.update(evidence, peaks, np.zeros((0, 2)))[0]
-    np.testing.assert_allclose(moved.region().points[0], np.concatenate(bags).mean(0), atol=1e-4)
-
-
 def test_with_a_leak_a_bag_without_the_concept_hardly_counts() -> None:
     rng = np.random.default_rng(9)
     most = [np.vstack([rng.uniform(-10, 10, (5, 2)), rng.normal([3, -2], 0.1)]) for _ in range(9)]
@@ -364,11 +281,6 @@ def test_cuda_finds_the_same(concept: Concept) -> None:
     search = ConceptSearch(concept=concept)
     best, other = search.search(bags)[0], search.search(there)[0]
     assert other.log_density == pytest.approx(best.log_density, abs=1e-4)
-    evidence = search.evidence(there)
-    peaks = search.search(evidence)
-    evidence.add(parts[0])
-    assert search.update(evidence, peaks, parts[0])
-    assert search.search(evidence, warm=peaks)
 
 
 @pytest.mark.parametrize(
@@ -403,14 +315,8 @@ def test_bad_searches() -> None:
         ConceptSearch(features=[2]).search(bags)
     with pytest.raises(ValueError, match=re.escape("scale has shape (3,), the bags have 2 features")):
         ConceptSearch(scale=[1.0, 1.0, 1.0]).search(bags)
-    with pytest.raises(ValueError, match="nothing to search from: pass starts or warm"):
-        search.update(search.evidence(bags), [], np.zeros((0, 2)))
-    with pytest.raises(ValueError, match="steps must be a whole number of at least 0, got -1"):
-        search.update(search.evidence(bags), [], np.zeros((1, 2)), steps=-1)
     with pytest.raises(ValueError, match=r"steps must be a whole number of at least 0, got 2\.5"):
         search.climb(search.evidence(bags), 2.5)  # type: ignore[arg-type]  # wrong on purpose
-    with pytest.raises(ValueError, match="bag holds features beyond"):
-        search.evidence(bags).add(np.full((1, 2), 1e200))
     warm = search.search(bags)
     with pytest.raises(ValueError, match=re.escape("instances must have shape (n, 2), got (1, 3)")):
         warm[0].probability(np.zeros((1, 3)))

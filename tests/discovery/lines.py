@@ -25,7 +25,7 @@ SMALL: dict[str, Any] = {
 }
 """The paper's bags and diverse density, of few trajectories, which may be searched again and again."""
 
-SEARCHES: tuple[Literal["gradient", "exhaustive", "incremental"], ...] = ("gradient", "exhaustive", "incremental")
+SEARCHES: tuple[Literal["gradient", "exhaustive"], ...] = ("gradient", "exhaustive")
 
 
 def settings_of(**changes: Any) -> DiscoverySettings:

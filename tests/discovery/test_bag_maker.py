@@ -99,7 +99,7 @@ def test_ids_of_a_copy_are_not_believed() -> None:
 
 
 def test_a_copy_goes_on_with_its_bags() -> None:
-    """Incremental search knows a bag by being the same array: a copy finds its own in the copied cache."""
+    """A copy finds its own bags in the copied cache."""
     trajectories = [line([0, i, i + 1, 20]) for i in (5, 7, 9)]
     maker = BagMaker(DiscoverySettings(**PLAIN), None, None)
     before = maker.make(trajectories, ())

@@ -76,7 +76,7 @@ RANGES: list[tuple[str, tuple[Any, ...], str]] = [
     ("scale", (0.0, -1.0, math.nan, math.inf), "should be (greater than 0|a finite number)"),
     ("negative_strength", (0.0, -0.5, 1.5, math.nan), "should be (greater than 0|less than or equal to 1)"),
     ("leak", (-0.1, 1.0, math.nan), "should be (greater than or equal to 0|less than 1)"),
-    ("search", ("random", None), "should be 'gradient', 'exhaustive' or 'incremental'"),
+    ("search", ("random", None), "should be 'gradient' or 'exhaustive'"),
     ("max_bytes", (0, -1), "should be greater than or equal to 1"),
     ("max_share", (0.0, -0.1, 1.1, math.nan), "should be (greater than 0|less than or equal to 1)"),
     ("method", ("hand", None), "should be 'diverse-density', 'first-visits',"),

@@ -49,7 +49,7 @@ class TestTwoRooms:
     def test_random_walks_lead_to_the_doorway(
         self,
         walks: list[list[tuple[Trajectory, FloatArray]]],
-        search: Literal["gradient", "exhaustive", "incremental"],
+        search: Literal["gradient", "exhaustive"],
     ) -> None:
         near = 0
         for trajectories in walks:
@@ -77,34 +77,10 @@ class TestTwoRooms:
         assert subgoal is not None
         assert np.linalg.norm(subgoal.points[0] - DOORWAY) <= 1.0 + 2 * noise
 
-    @pytest.mark.parametrize("capacity", [100, 20])
-    def test_incremental_search_finds_what_exhaustive_search_finds(
-        self, walks: list[list[tuple[Trajectory, FloatArray]]], capacity: int
-    ) -> None:
-        """The first subgoal of every training, within a cell and an episode; a capacity of 20 evicts."""
-        same = 0
-        for trajectories in walks[:4]:
-            firsts = []
-            for search in SEARCHES[1:]:
-                discovery = SubgoalDiscovery(DiscoverySettings(search=search, capacity=capacity), kind="environment")
-                firsts.append((N_WALKS, np.zeros(2)))
-                for episode, (trajectory, features) in enumerate(trajectories):
-                    discovery.add(trajectory, features)
-                    subgoal = discovery.search()
-                    if subgoal is not None:
-                        firsts[-1] = (episode, subgoal.points[0])
-                        break
-            (one, place), (other, again) = firsts
-            same += abs(one - other) <= 1 and bool(np.linalg.norm(place - again) <= 1.0)
-        assert same >= 3
-
-    @pytest.mark.parametrize("search", ["gradient", "incremental"])
-    def test_one_seed_one_result(
-        self, walks: list[list[tuple[Trajectory, FloatArray]]], search: Literal["gradient", "incremental"]
-    ) -> None:
+    def test_one_seed_one_result(self, walks: list[list[tuple[Trajectory, FloatArray]]]) -> None:
         results = []
         for _ in range(2):
-            discovery = SubgoalDiscovery(DiscoverySettings(search=search), kind="environment")
+            discovery = SubgoalDiscovery(DiscoverySettings(), kind="environment")
             for trajectory, features in walks[0][:25]:
                 discovery.add(trajectory, features)
                 discovery.search()

@@ -1,7 +1,7 @@
 """Searches for a subgoal among a few places on a line, worked out by hand, and those that find none."""
 
 import math
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ class TestSearch:
         discovery.add(*on_a_line(1, 3.5, 5, 7, 21))
         assert [found(discovery) for _ in range(3)] == [None, None, [5.0]]
 
-    @pytest.mark.parametrize("search", ["exhaustive", "incremental"])
+    @pytest.mark.parametrize("search", SEARCHES)
     def test_found_subgoals_are_taken(self, search: str) -> None:
         discovery = SubgoalDiscovery(settings_of(search=search, spacing=3.0))
         discovery.add(*on_a_line(0, 2, 5, 9, 12, 20))
@@ -48,14 +48,14 @@ class TestSearch:
         # In the end nothing is left to search, which is no error.
         assert discovery.bags() is None
 
-    @pytest.mark.parametrize("search", ["exhaustive", "incremental"])
-    def test_so_are_those_that_had_an_option_before(self, search: Literal["exhaustive", "incremental"]) -> None:
+    @pytest.mark.parametrize("search", SEARCHES)
+    def test_so_are_those_that_had_an_option_before(self, search: str) -> None:
         discovery = SubgoalDiscovery(settings_of(search=search, spacing=3.0), taken=[ball(5.0)])
         discovery.add(*on_a_line(0, 2, 5, 9, 12, 20))
         discovery.add(*on_a_line(1, 3.5, 5, 7, 12, 21))
         assert found(discovery) == [12.0]
 
-    @pytest.mark.parametrize("search", ["exhaustive", "incremental"])
+    @pytest.mark.parametrize("search", SEARCHES)
     def test_negative_bags_speak_against(self, search: str) -> None:
         for negative_bags, expected in ((True, [12.0]), (False, [5.0])):
             discovery = SubgoalDiscovery(
@@ -66,7 +66,7 @@ class TestSearch:
             discovery.add(*on_a_line(0, 4, 5, 6, 30, success=False))
             assert found(discovery) == expected
 
-    @pytest.mark.parametrize("search", ["exhaustive", "incremental"])
+    @pytest.mark.parametrize("search", SEARCHES)
     def test_too_many_places_are_accidents(self, search: str) -> None:
         for max_places, expected in ((1, None), (2, [5.0])):
             discovery = SubgoalDiscovery(settings_of(search=search, max_places=max_places))
@@ -74,7 +74,7 @@ class TestSearch:
             discovery.add(*on_a_line(1, 3.5, 5, 7, 12, 21))
             assert found(discovery) == expected
 
-    @pytest.mark.parametrize("search", ["exhaustive", "incremental"])
+    @pytest.mark.parametrize("search", SEARCHES)
     def test_a_wide_plateau_is_open_space(self, search: str) -> None:
         for max_extent, expected in ((1.0, None), (2.0, [7.0])):
             discovery = SubgoalDiscovery(settings_of(search=search, max_extent=max_extent))
@@ -92,7 +92,7 @@ class TestSearch:
         assert bags is not None
         assert bags.n_positive == 2
 
-    @pytest.mark.parametrize("search", ["exhaustive", "incremental"])
+    @pytest.mark.parametrize("search", SEARCHES)
     def test_only_the_last_trajectories_count(self, search: str) -> None:
         discovery = SubgoalDiscovery(settings_of(search=search, capacity=2))
         for _ in range(5):
