@@ -24,7 +24,8 @@ from stable_baselines3.common.vec_env import (
 from sb3_options.callbacks.counting import all_callbacks
 from sb3_options.checked import given_as, is_number, whole
 from sb3_options.density.groups import FeatureGroup, checked_groups
-from sb3_options.execution.wrappers_above import ChangesSteps
+from sb3_options.execution.above import wrappers_above
+from sb3_options.execution.slots import Traits
 from sb3_options.learning import heads
 from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.macro_q import MacroQ
@@ -91,9 +92,9 @@ def groups_here(given: tuple[FeatureGroup, ...] | None, venv: VecEnv) -> tuple[F
     Raises:
         ValueError: One names a feature that there is not, or two have one name.
     """
-    groups = venv.env_method("feature_groups", indices=[0])[0] if given is None else given
-    n_features = venv.env_method("concept_size", indices=[0])[0]
-    return groups if n_features is None else checked_groups(groups, n_features)
+    traits: Traits = venv.get_attr("traits", [0])[0]
+    groups = traits.feature_groups if given is None else given
+    return groups if traits.feature_size is None else checked_groups(groups, traits.feature_size)
 
 
 def check_training(callback: SubgoalDiscoveryCallback, before: BaseAlgorithm | None) -> None:
@@ -117,7 +118,7 @@ def check_training(callback: SubgoalDiscoveryCallback, before: BaseAlgorithm | N
             "This SubgoalDiscoveryCallback was with another model, whose episodes and options it knows: make a new one "
             "for each model."
         )
-    if callback.settings.segmentation == "peaks" and set(venv.get_attr("max_runs")) != {None}:
+    if callback.settings.segmentation == "peaks" and any(each.max_runs is not None for each in venv.get_attr("traits")):
         raise ValueError("max_runs counts in an episode, and a continuing task has none: leave it out with peaks.")
     check_alike(venv)
     others = [each for each in all_callbacks(callback.locals.get("callback")) if each is not callback]
@@ -135,8 +136,8 @@ def check_alike(venv: VecEnv) -> None:
         ValueError: Their options, their feature maps or their limits of runs differ.
     """
     check_same_options(venv)
-    _check_same("feature maps", venv.env_method("feature_kind"))
-    _check_same("max_runs", venv.get_attr("max_runs"))
+    _check_same("feature maps", [each.feature_kind for each in venv.get_attr("traits")])
+    _check_same("max_runs", [each.max_runs for each in venv.get_attr("traits")])
 
 
 def check_same_options(venv: VecEnv) -> None:
@@ -200,7 +201,7 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
     check_nothing_above_changes_steps(venv)
     check_normalized_rewards(model)
     check_gamma(model, venv)
-    if venv.env_method("feature_kind", indices=[0])[0] is None:
+    if venv.get_attr("traits", [0])[0].feature_kind is None:
         raise ValueError(
             f"There is no default feature map for {venv.observation_space}: pass OptionsWrapper(env, "
             "feature_map=...) a function from a batch of observations to features of shape (batch, d), or the name of "
@@ -210,7 +211,7 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
 
 def _check_masks(venv: VecEnv) -> None:
     """Refuse masks that a wrapper above `OptionsWrapper` made of the environment's own actions."""
-    venv.env_method("expect_empty", True)  # as training does: that no slot is filled is nothing to be told of
+    venv.env_method("set_slots", expect_empty=True)  # as training does: that no slot is filled is nothing to be told of
     n, mask = int(venv.action_space.n), np.asarray(venv.env_method("action_masks", indices=[0])[0])  # type: ignore[attr-defined]  # checked to be Discrete
     if mask.shape != (n,):
         raise ValueError(
@@ -221,7 +222,7 @@ def _check_masks(venv: VecEnv) -> None:
 
 def _check_nothing_above_changes_observations(venv: VecEnv) -> None:
     """Refuse wrappers above `OptionsWrapper` that change observations: options act on those that it sees."""
-    seen: spaces.Space[Any] = venv.env_method("seen_observation_space", indices=[0])[0]
+    seen: spaces.Space[Any] = venv.get_attr("traits", [0])[0].observation_space
     while isinstance(venv, VecEnvWrapper):
         # What these three do is undone where options are asked.
         undone = isinstance(venv, (VecNormalize, VecTransposeImage, VecFrameStack))
@@ -238,12 +239,11 @@ def check_nothing_above_changes_steps(venv: VecEnv) -> None:
     Raises:
         ValueError: There is one.
     """
-    changed = venv.env_is_wrapped(ChangesSteps)  # type: ignore[arg-type]  # a kind of wrapper
-    if any(changed):
-        chain = venv.env_method("__str__", indices=[changed.index(True)])[0]
+    names = {each.name for env in wrappers_above(venv) for each in env if each.may_change_steps}
+    if names:
         raise ValueError(
-            f"In {chain} something above OptionsWrapper may change rewards, observations or the ends of episodes, of "
-            "which the steps inside options know nothing: put it beneath, for instance "
+            f"{' and '.join(sorted(names))} above OptionsWrapper may change rewards, observations or the ends of "
+            "episodes, of which the steps inside options know nothing: put it beneath, for instance "
             "OptionsWrapper(TimeLimit(env, 500)). A wrapper of your own whose step returns what the environment's step "
             "returned says so by a class attribute, returns_steps_unchanged = True."
         )
@@ -355,7 +355,7 @@ def check_same_slots(venv: VecEnv, eval_env: VecEnv) -> None:
             f"The environment of EvalCallback has actions {actions[1]}, the training environment {actions[0]}: give "
             "both the same max_options."
         )
-    limits = [set(env.get_attr("max_runs")) for env in (venv, eval_env)]
+    limits = [{each.max_runs for each in env.get_attr("traits")} for env in (venv, eval_env)]
     if limits[0] != limits[1]:
         raise ValueError(
             f"The environment of EvalCallback has max_runs {limits[1].pop()}, the training environment "

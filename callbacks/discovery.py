@@ -27,8 +27,8 @@ from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.static_filter import StaticFilter
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.embedding.settings import EmbeddingSettings
+from sb3_options.execution.above import monitor_primitive_steps
 from sb3_options.execution.exploration import checked_share
-from sb3_options.execution.wrappers_above import monitor_primitive_steps
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.success import SuccessRule, judged, reported_success, success_rule, tell_success
 from sb3_options.experience.trajectories import EpisodeRecord, LabelledTrajectory, Trajectory
@@ -168,14 +168,14 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                 seed=self.seed,
                 success=self.success,
                 static_filter=self.static_filter,
-                kind=venv.env_method("feature_kind", indices=[0])[0],
+                kind=venv.get_attr("traits", [0])[0].feature_kind,
                 taken=[option.subgoal for option in self._options.bank.slots if isinstance(option, SubgoalOption)],
             )
         self.discovery.budget.step_seconds = step_seconds_of(self.model)
         for slot, option in enumerate(self._options.bank.slots):
             if isinstance(option, SubgoalOption) and slot not in self._made_here and not option.fixed:
                 self._growth.adopted(slot)
-        venv.env_method("record_trajectories", True, self.settings.reward_peaks())
+        venv.env_method("set_slots", record=self.settings.reward_peaks() or True)
         self._clock, self._ended = DiscoveryClock(self._search.seconds), False
 
     @property

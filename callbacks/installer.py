@@ -12,9 +12,9 @@ from stable_baselines3.common.vec_env import VecEnv
 from sb3_options.callbacks.checks import check_same_slots, masks_actions, warn_unmasked
 from sb3_options.callbacks.counting import evaluation_envs
 from sb3_options.embedding.learned_map import LearnedMap
+from sb3_options.execution.above import monitor_primitive_steps
 from sb3_options.execution.exploration import cap_option_exploration
 from sb3_options.execution.workers import watch_workers
-from sb3_options.execution.wrappers_above import monitor_primitive_steps
 from sb3_options.experience.observations import FloatArray, Observations
 from sb3_options.learning import heads
 from sb3_options.learning.forgetting import forget_empty, forget_slot
@@ -90,9 +90,9 @@ class OptionInstaller:
         if interruption and heads.has_networks(model.policy):
             self.interrupter = Interrupter(model, venv, self.eval_envs)
         else:
-            self._call_environments("set_interruption", None)  # an earlier training may have left its own
+            self._set_slots(interruption=None)  # an earlier training may have left its own
         opens = open_untrained and self.has_heads and heads.is_untrained(model, self.n_primitive)
-        self._call_environments("expect_empty", True)
+        self._set_slots(expect_empty=True)
         keep_options(model, self.bank)
         for slot, option in enumerate(present.slots):
             if option is None:
@@ -121,7 +121,7 @@ class OptionInstaller:
     def send_learned_map(self) -> None:
         """Let the feature map of every environment be the one that is learned here."""
         assert self.learned_map is not None  # `LearnedFeatures.begin` has set it
-        self._call_environments("set_learned_map", self.learned_map.arrays())
+        self._set_slots(learned_map=self.learned_map.arrays())
 
     def install(self, slot: int, option: Option) -> None:
         """Install an option in an empty slot, at once or when the next rollout starts."""
@@ -219,7 +219,7 @@ class OptionInstaller:
                 continue
             if here is not None:
                 self.bank.remove(slot)
-                self._call_environments("set_option", slot, None)
+                self._set_slots(options={slot: None})
             if there["option"] is not None and slot in pending:
                 self.bank.add(there["option"], slot)
             elif there["option"] is not None:
@@ -254,7 +254,7 @@ class OptionInstaller:
     def _uninstall_closed(self) -> None:
         for slot in self._closing:
             self.bank.remove(slot)
-            self._call_environments("set_option", slot, None)
+            self._set_slots(options={slot: None})
             if self.explored is not None:
                 self.explored.filled = self.bank.filled
             forget_slot(self.model, slot, self.n_primitive)
@@ -279,13 +279,14 @@ class OptionInstaller:
             self.explored.filled = self.bank.filled
         if isinstance(option, SubgoalOption):
             # φ stays behind: functions may not travel between processes.
-            self._call_environments("set_option", slot, option.bind(None))
+            self._set_slots(options={slot: option.bind(None)})
         else:  # it may be made for its environment
-            self._call_environments("set_option", slot, option, training=not present)
+            self._set_slots(training=not present, options={slot: option})
 
-    def _call_environments(self, method: str, *args: object, training: bool = True) -> None:
+    def _set_slots(self, *, training: bool = True, **changes: Any) -> None:
+        """Change the `SlotState` of the environments for evaluation, and of those for ``training``."""
         for venv in [self.venv, *self.eval_envs] if training else self.eval_envs:
-            venv.env_method(method, *args)
+            venv.env_method("set_slots", **changes)
 
 
 def _n_available(others: Sequence[Option | None], option: Option) -> float:

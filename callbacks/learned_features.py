@@ -175,8 +175,8 @@ def features_for(
         settings: How a map is learned.
         seed: Likewise.
     """
-    there: LearnedMap | None = options.venv.env_method("learned_map", indices=[0])[0]
-    if there is not None and not isinstance(present, LearnedFeatures):
+    there: object = options.venv.get_attr("bank", [0])[0].feature_map
+    if isinstance(there, LearnedMap) and not isinstance(present, LearnedFeatures):
         present = LearnedFeatures(copy.deepcopy(there), settings, seed)
     present.begin(options)
     return present

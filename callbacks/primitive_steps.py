@@ -23,10 +23,10 @@ from sb3_options.callbacks.counting import (
     evaluation_envs,
 )
 from sb3_options.callbacks.installer import OptionInstaller
+from sb3_options.execution.above import monitor_primitive_steps
 from sb3_options.execution.ray_vec_env import RayVecEnv
 from sb3_options.execution.workers import watch_workers
 from sb3_options.execution.wrapper import OptionsWrapper
-from sb3_options.execution.wrappers_above import monitor_primitive_steps
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning import heads
 from sb3_options.learning.checks import check_gamma, check_wrapped
@@ -95,7 +95,7 @@ class PrimitiveStepsCallback(BaseCallback):
             keep_options(self.model)
             for venv in evaluation_envs(self.locals.get("callback")):
                 if all(venv.env_is_wrapped(OptionsWrapper)):
-                    venv.env_method("set_interruption", None)
+                    venv.env_method("set_slots", interruption=None)
 
     def _start_counting(self) -> None:
         watch_workers(self.training_env)

@@ -92,7 +92,7 @@ class FilteredDraws(TimedDiscovery):
 
     def _on_training_start(self) -> None:
         if self.discovery is None:
-            kind = self.training_env.env_method("feature_kind", indices=[0])[0]
+            kind = self.training_env.get_attr("traits", [0])[0].feature_kind
             self.discovery = FilteredDiscovery(self.settings, self.success, self.static_filter, kind, seed=self.seed)
         super()._on_training_start()
 
@@ -102,7 +102,7 @@ class ExpectationSearches(TimedDiscovery):
 
     def _on_training_start(self) -> None:
         if self.discovery is None:
-            kind = self.training_env.env_method("feature_kind", indices=[0])[0]
+            kind = self.training_env.get_attr("traits", [0])[0].feature_kind
             self.discovery = MostLikelyDiscovery(self.settings, self.success, self.static_filter, kind)
         super()._on_training_start()
 

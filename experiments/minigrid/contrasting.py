@@ -18,7 +18,7 @@ class ContrastingSubgoalsCallback(SubgoalDiscoveryCallback):
                 self.settings,
                 groups=groups_here(self.groups, self.training_env),
                 success=self.success,
-                kind=self.training_env.env_method("feature_kind", indices=[0])[0],
+                kind=self.training_env.get_attr("traits", [0])[0].feature_kind,
                 taken=[option.subgoal for option in slots if isinstance(option, SubgoalOption)],
                 contrasting=True,
                 seed=self.seed,

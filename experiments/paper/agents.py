@@ -87,7 +87,7 @@ def fork(agent: MacroQ) -> MacroQ:
     twin = copy.deepcopy(agent)
     wrapper = wrapper_of(twin)
     wrapper.set_option(0, None)
-    wrapper.record_trajectories(False)
+    wrapper.set_slots(record=False)
     return twin
 
 
@@ -132,7 +132,7 @@ class Replay(BaseCallback):
         self.backups = 0
 
     def _on_training_start(self) -> None:
-        wrapper_of(self._agent).record_trajectories(True)
+        wrapper_of(self._agent).set_slots(record=True)
         for _ in range(self.sweeps):
             for labelled in self.saved:
                 self._replay(labelled.trajectory, labelled.features)

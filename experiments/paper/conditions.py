@@ -134,9 +134,9 @@ def learning(settings: PaperSettings, artifacts: Path, seed: int) -> Result:
 def _record(agent: MacroQ, n_trials: int, lengths: list[int]) -> list[LabelledTrajectory]:
     """Live for some trials, append their lengths, and return their trajectories."""
     wrapper = wrapper_of(agent)
-    wrapper.record_trajectories(True)
+    wrapper.set_slots(record=True)
     trials = live(agent, n_trials)
-    wrapper.record_trajectories(False)
+    wrapper.set_slots(record=False)
     lengths += trials.lengths
     return [_labelled(agent, info["trajectory"]) for info in trials.infos]
 

@@ -22,8 +22,9 @@ from stable_baselines3.common.vec_env.stacked_observations import StackedObserva
 from sb3_options.checkpoints import vec_monitor
 from sb3_options.checkpoints.tree import State, encode
 from sb3_options.execution import layers
+from sb3_options.execution.above import Outermost
 from sb3_options.execution.ray_vec_env import RayVecEnv
-from sb3_options.execution.slots import OptionSlots, Outermost
+from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.learning.novelty import set_statistics, statistics_of
 
 REMEMBER_NOTHING = (VecTransposeImage, VecCheckNan, VecExtractDictObs)
@@ -47,7 +48,7 @@ def prepare(venv: VecEnv, *, just_reset: bool = False) -> None:
         return
     if not isinstance(venv, SubprocVecEnv | RayVecEnv):
         raise ValueError(f"Checkpoints of {type(venv).__name__} are not supported yet.")
-    if not all(venv.env_is_wrapped(OptionSlots)):
+    if not all(venv.env_is_wrapped(OptionsWrapper)):
         raise ValueError("Checkpoints of environments in worker processes need OptionsWrapper around each of them.")
     venv.env_is_wrapped(Outermost)  # type: ignore[arg-type]  # it is asked whether they are instances
     for why in venv.env_method("prepare_layers", just_reset):

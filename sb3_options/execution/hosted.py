@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import gymnasium as gym
 from stable_baselines3.common.env_util import is_wrapped
 from stable_baselines3.common.vec_env.patch_gym import _patch_env
 from stable_baselines3.common.vec_env.subproc_vec_env import _stack_obs
+
+from sb3_options.execution.above import Outermost
+from sb3_options.execution.slots import SlotState
 
 Infos = list[dict[str, Any]]
 
@@ -24,25 +27,11 @@ class Steps(NamedTuple):
     reset_infos: Infos
 
 
-class Settings:
-    """What was set in one environment, to be set again in one that takes its place.
+class Settings(NamedTuple):
+    """What was set in one environment, to be set again in one that takes its place."""
 
-    Of each method the latest call counts; of one whose first argument is a whole number, as a slot is, the latest with
-    each number.
-    """
-
-    def __init__(self) -> None:
-        self._calls: dict[Any, tuple[str, tuple[Any, ...], dict[str, Any]]] = {}
-
-    def note(self, kind: str, args: tuple[Any, ...], kwargs: dict[str, Any], *, key: Any) -> None:
-        """Remember a call of `HostedEnvironments`, in the place of an earlier one with the same key."""
-        self._calls.pop((kind, key), None)  # the latest stands last
-        self._calls[kind, key] = (kind, args, kwargs)
-
-    @property
-    def calls(self) -> list[tuple[str, tuple[Any, ...], dict[str, Any]]]:
-        """In order."""
-        return list(self._calls.values())
+    slots: SlotState | None
+    attributes: Mapping[str, Any]
 
 
 class HostedEnvironments:
@@ -56,26 +45,26 @@ class HostedEnvironments:
         self._env_fns = list(env_fns)
         self.envs: list[Any] = []
         self._reset_infos: Infos = [{} for _ in env_fns]
+        self._known: list[SlotState | None] = []
 
     def make(self) -> tuple[Any, Any]:
         """Make them, once; returns observation space and action space of the first."""
         if not self.envs:
             self.envs = [_patch_env(make()) for make in self._env_fns]
+            self._known = [_slots_of(env) for env in self.envs]
         return self.envs[0].observation_space, self.envs[0].action_space
 
     def begin(self, settings: Sequence[Settings], seeds: Sequence[int | None]) -> None:
-        """Make them in the place of others that are lost.
-
-        Args:
-            settings: Of each.
-            seeds: For each action space, which random actions are drawn from.
-        """
+        """Make them in the place of others that are lost; ``seeds`` are for the action spaces."""
         self.make()
-        for env, of, seed in zip(self.envs, settings, seeds, strict=True):
+        for env, of, seed in zip(self.envs, copy.deepcopy(list(settings)), seeds, strict=True):
             if seed is not None:
                 env.action_space.seed(seed)
-            for kind, args, kwargs in of.calls:
-                _HOW[kind](env, *copy.deepcopy(args), **copy.deepcopy(kwargs))
+            for name, value in of.attributes.items():
+                setattr(env, name, value)
+            if of.slots is not None and is_wrapped(env, Outermost):  # type: ignore[arg-type]  # it is asked of each
+                env.get_wrapper_attr("set_slots")(**vars(of.slots))
+        self._known = [_slots_of(env) for env in self.envs]
 
     def reset(self, seeds: Sequence[int | None], options: Sequence[dict[str, Any]]) -> tuple[Any, Infos]:
         """Reset all of them."""
@@ -103,27 +92,34 @@ class HostedEnvironments:
         return Steps(stacked, rewards, dones, infos, list(self._reset_infos))
 
     def lost_infos(self, observations: Sequence[Any]) -> Infos:
-        """Infos of a step whose outcome is lost, of each environment.
-
-        Args:
-            observations: The last that is known of each.
-        """
+        """Infos of a step whose outcome is lost, given the last observation that is known of each environment."""
         return [
             env.get_wrapper_attr("lost_step")(seen) if _has(env, "lost_step") else {}
             for env, seen in zip(self.envs, observations, strict=True)
         ]
 
-    def call(self, kind: str, indices: Sequence[int], args: tuple[Any, ...], kwargs: dict[str, Any]) -> list[Any]:
-        """What others ask of some of them: ``env_method``, ``get_attr`` and so on.
+    def call(
+        self, kind: str, indices: Sequence[int], args: tuple[Any, ...], kwargs: dict[str, Any]
+    ) -> tuple[list[Any], dict[int, SlotState]]:
+        """What others ask of some of them, ``env_method``, ``get_attr`` and so on, and which slots this has changed.
 
         Each gets arguments of its own: they share nothing, and what Ray hands out cannot be written to.
         """
-        return [_HOW[kind](self.envs[i], *copy.deepcopy(args), **copy.deepcopy(kwargs)) for i in indices]
+        answers = [_HOW[kind](self.envs[i], *copy.deepcopy(args), **copy.deepcopy(kwargs)) for i in indices]
+        now = {i: _slots_of(self.envs[i]) for i in indices}
+        changed = {i: state for i, state in now.items() if state is not None and state is not self._known[i]}
+        for i, state in changed.items():
+            self._known[i] = state
+        return answers, changed
 
     def close(self) -> None:
         """Close all of them."""
         for env in self.envs:
             env.close()
+
+
+def _slots_of(env: Any) -> SlotState | None:
+    return env.get_wrapper_attr("slot_state") if _has(env, "slot_state") else None
 
 
 def _method(env: Any, name: str, *args: Any, **kwargs: Any) -> Any:

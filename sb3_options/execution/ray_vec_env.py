@@ -16,9 +16,9 @@ import numpy.typing as npt
 from gymnasium import spaces
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from sb3_options.checked import whole
 from sb3_options.execution.hosted import HostedEnvironments, Infos, Settings, Steps
-from sb3_options.execution.ray_cluster import connect, emptiest, n_cores
+from sb3_options.execution.ray_cluster import connect
+from sb3_options.execution.slots import SlotState
 from sb3_options.execution.workers import PATIENCE, WorkerLostError
 
 logger = logging.getLogger("sb3_options")
@@ -34,15 +34,6 @@ FIRST_WAIT = 0.25
 LEAST_WAIT = 1.0
 """Seconds in which an answer that is there can be fetched, though another one has used up the time."""
 
-ASKING = frozenset(
-    {
-        "__str__", "action_masks", "available", "concept_features", "feature_groups", "feature_kind", "get_state",
-        "layer_states", "learned_map", "lost_step", "render", "run_folder", "running_option", "seen_observation_space",
-        "set_layer_states", "set_state",
-    }
-)  # fmt: skip
-"""Methods that set nothing which outlives an episode. They are not called again in an environment that starts anew."""
-
 
 class RayVecEnv(VecEnv):
     """A ``VecEnv`` whose environments live in Ray actors, several to an actor, on all machines of a cluster.
@@ -52,25 +43,23 @@ class RayVecEnv(VecEnv):
     millisecond more than theirs.
 
     The loss of a machine, or of a process, ends no training. The environments of its actors start anew elsewhere, with
-    their options and with what else was set in them by ``env_method`` and ``set_attr``: of each method the latest call,
-    per slot where the first argument is a number. The episodes that were in flight end as truncated: reward 0,
-    ``info["TimeLimit.truncated"]``, the last observation that is known as ``terminal_observation``, and
-    ``info["lost"]``. There is one warning a loss; `lost_actors` counts them, and callbacks of this library log it as
-    ``time/lost_actors``. The new environments draw from seeds of their own. What is lost before the first reset has
-    lost nothing: it starts anew and is not counted.
+    what their slots held (`SlotState`) and the attributes that ``set_attr`` has set. The episodes that were in flight
+    end as truncated: reward 0, ``info["TimeLimit.truncated"]``, the last observation that is known as
+    ``terminal_observation``, and ``info["lost"]``. There is one warning a loss; `lost_actors` counts them, and
+    callbacks of this library log it as ``time/lost_actors``. The new environments draw from seeds of their own. What is
+    lost before the first reset starts anew and is not counted.
 
-    Ray notices at once that a process has ended, after 15 s that a raylet has, and after a minute that a machine hangs.
-    Variables on the head set other limits: ``RAY_health_check_period_ms``, ``RAY_health_check_timeout_ms``,
-    ``RAY_health_check_failure_threshold``. It never notices that a single process hangs; ``step_timeout`` does.
+    Ray notices that a process or a machine has ended, and after a minute that a machine hangs. It never notices that a
+    single process hangs; ``step_timeout`` does.
 
     Every machine needs the same Python, the same packages, and the files that the environments read.
 
     Args:
         env_fns: Each makes an environment.
-        n_actors: Actors, at most one an environment; by default one a core of the cluster.
+        n_actors: Actors, at most one an environment; by default one a core of the cluster. Ray spreads them.
         address: As `connect` takes it.
         num_cpus: Cores that an actor reserves. By default it reserves none, so that the environments of a lost machine
-            always find a place. Actors are spread over the machines by their cores all the same.
+            always find a place.
         step_timeout: Seconds that an actor may take for a step, a reset or another call, of all its environments.
             Whoever takes longer hangs, and is lost. None waits for ever. To start an actor may take any time.
 
@@ -78,7 +67,7 @@ class RayVecEnv(VecEnv):
         lost_actors: How often an actor was lost.
 
     Raises:
-        ValueError: There are no environments, or ``n_actors`` < 1, or ``step_timeout`` <= 0.
+        ValueError: ``step_timeout`` <= 0.
         ModuleNotFoundError: Ray is not installed.
         ConnectionError: There is no cluster at ``address``.
         WorkerLostError: The same environments were lost time and again.
@@ -93,20 +82,18 @@ class RayVecEnv(VecEnv):
         num_cpus: float | None = None,
         step_timeout: float | None = 600.0,
     ) -> None:
-        if not env_fns:
-            raise ValueError("env_fns is empty: RayVecEnv needs at least one environment.")
-        if n_actors is not None and n_actors < 1:
-            raise ValueError(f"n_actors must be at least 1, got {n_actors}.")
         if step_timeout is not None and not step_timeout > 0:
             raise ValueError(f"step_timeout must be more than 0 s, or None for no limit, got {step_timeout}.")
         self.step_timeout = step_timeout
         self._ray = connect(address)
         self._class = self._ray.remote(HostedEnvironments)
-        self._num_cpus = 0.0 if num_cpus is None else num_cpus
+        self._num_cpus = num_cpus or 0.0
         n_envs = len(env_fns)
-        n_actors = min(n_envs, n_cores(self._ray) if n_actors is None else n_actors)
+        n_actors = min(n_envs, n_actors or max(1, int(self._ray.cluster_resources().get("CPU", 1))))
         self._groups = [group.tolist() for group in np.array_split(np.arange(n_envs), n_actors)]
-        self._env_fns, self._settings = list(env_fns), [Settings() for _ in env_fns]
+        self._env_fns = list(env_fns)
+        self._slots: list[SlotState | None] = [None] * n_envs
+        self._attributes: list[dict[str, Any]] = [{} for _ in env_fns]
         self._first_seeds: list[int | None] = [None] * n_envs
         self._losses_in_a_row = [0] * n_actors
         self.lost_actors = 0
@@ -114,21 +101,14 @@ class RayVecEnv(VecEnv):
         self._seen: Any = None
         self._anew: dict[int, tuple[Any, Infos, Infos]] = {}
         self._steps: list[Any] = []
-        self._places: list[str | None] = [None] * n_actors
         self._actors = [self._start(a) for a in range(n_actors)]
         (observation_space, action_space), *_ = self._gather([(a, "make", ()) for a in range(n_actors)], started=False)
         super().__init__(n_envs, observation_space, action_space)
 
     def _start(self, actor: int) -> Any:
         # To note every step for Ray's dashboard takes a sixth of the time of a call.
-        how: dict[str, Any] = {"num_cpus": self._num_cpus, "max_restarts": 0, "enable_task_events": False}
-        place = emptiest(self._ray, self._places, avoid=self._places[actor])
-        self._places[actor] = place
-        if place is not None:  # a machine that is gone by then is no bar
-            from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
-
-            how["scheduling_strategy"] = NodeAffinitySchedulingStrategy(place, soft=True)
-        return self._class.options(**how).remote([self._env_fns[i] for i in self._groups[actor]])
+        options = {"num_cpus": self._num_cpus, "scheduling_strategy": "SPREAD", "enable_task_events": False}
+        return self._class.options(**options).remote([self._env_fns[i] for i in self._groups[actor]])
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
         """Send an action to every environment; one that started anew since the last step gets none."""
@@ -211,38 +191,31 @@ class RayVecEnv(VecEnv):
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Set an attribute of some environments."""
         self._call("set_attr", indices, attr_name, value)
-        self._note("set_attr", indices, (attr_name, value), {}, key=attr_name)
+        for i in self._get_indices(indices):
+            self._attributes[i][attr_name] = value
 
     def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
         """What a method of some environments returns."""
-        results = self._call("env_method", indices, method_name, *args, **kwargs)
-        if method_name not in ASKING:
-            number = int(args[0]) if args and whole(args[0], 0) else None  # of a slot
-            self._note("env_method", indices, (method_name, *args), kwargs, key=(method_name, number))
-        return results
+        return self._call("env_method", indices, method_name, *args, **kwargs)
 
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
     ) -> list[bool]:
         """Whether some environments are in a wrapper."""
-        results = self._call("is_wrapped", indices, wrapper_class)
-        self._note("is_wrapped", indices, (wrapper_class,), {}, key=wrapper_class)  # to ask may set something
-        return results
-
-    def _note(
-        self, kind: str, indices: VecEnvIndices, args: tuple[Any, ...], kwargs: dict[str, Any], *, key: Any
-    ) -> None:
-        for i in self._get_indices(indices):
-            self._settings[i].note(kind, args, kwargs, key=key)
+        return self._call("is_wrapped", indices, wrapper_class)
 
     def _call(self, kind: str, indices: VecEnvIndices, *args: Any, **kwargs: Any) -> list[Any]:
         """What some environments answer, in the order of ``indices``."""
         asked = list(self._get_indices(indices))
-        by_actor = [(a, [i for i in group if i in asked], group[0]) for a, group in enumerate(self._groups)]
-        calls = [(a, "call", (kind, [i - first for i in mine], args, kwargs)) for a, mine, first in by_actor if mine]
+        by_actor = {a: mine for a, group in enumerate(self._groups) if (mine := [i for i in group if i in asked])}
+        calls = [
+            (a, "call", (kind, [i - self._groups[a][0] for i in mine], args, kwargs)) for a, mine in by_actor.items()
+        ]
         answers: dict[int, Any] = {}
-        for (_, mine, _), results in zip((each for each in by_actor if each[1]), self._gather(calls), strict=True):
+        for (a, mine), (results, slots) in zip(by_actor.items(), self._gather(calls), strict=True):
             answers |= dict(zip(mine, copy.deepcopy(results), strict=True))  # what Ray hands out cannot be written to
+            for i, state in slots.items():
+                self._slots[self._groups[a][0] + i] = state
         return [answers[i] for i in asked]
 
     def _gather(self, calls: Sequence[tuple[int, str, tuple[Any, ...]]], *, started: bool = True) -> list[Any]:
@@ -319,7 +292,7 @@ class RayVecEnv(VecEnv):
     def _begin(self, actor: int) -> None:
         group, anew = self._groups[actor], self._actors[actor]
         seeds = [self._later_seed(i) for i in group]
-        self._get(anew.begin.remote([self._settings[i] for i in group], seeds))
+        self._get(anew.begin.remote([Settings(self._slots[i], self._attributes[i]) for i in group], seeds))
         if self._seen is not None:
             observations, reset_infos = self._get(anew.reset.remote(seeds, [{}] * len(group)))
             last = [self._seen_by(i) for i in group]

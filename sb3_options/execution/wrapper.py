@@ -2,23 +2,40 @@
 
 from __future__ import annotations
 
+import dataclasses
+import logging
 import os
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import RecordConstructorArgs
+from stable_baselines3.common.monitor import Monitor
 
+from sb3_options.checked import is_number
+from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.embedding.settings import MapName
-from sb3_options.execution.features import checked_size
+from sb3_options.execution import features as feature_maps
+from sb3_options.execution import layers
+from sb3_options.execution.above import Above, count_primitive_steps, described
 from sb3_options.execution.finite import check_finite
 from sb3_options.execution.option_step import StepReturn, run_option
-from sb3_options.execution.slots import TERMINATION_SEED, OptionSlots
-from sb3_options.experience.observations import BoolArray, FeatureMap, Observations, batch_of_one
+from sb3_options.execution.recording import RecordTrajectories
+from sb3_options.execution.slots import SlotState, Traits
+from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, Observations, batch_of_one
 from sb3_options.experience.option_run import OptionRun
+from sb3_options.experience.recording import RewardPeaks
+from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option
 
+logger = logging.getLogger("sb3_options")
 
-class OptionsWrapper(OptionSlots):
+TERMINATION_SEED = 0x0971055
+"""Mixed into the seed of ``reset``: β draws from a stream apart from the environment's."""
+
+
+class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
     """Adds ``max_options`` option slots to the actions of an environment with discrete actions.
 
     ``step(a)`` runs a primitive once, or an option to its end, and returns the last observation, the discounted sum
@@ -70,8 +87,185 @@ class OptionsWrapper(OptionSlots):
         max_runs: int | None = None,
         check_finite: bool = False,
     ) -> None:
-        super().__init__(env, max_options, gamma, feature_map, options_file, max_runs, check_finite)
+        if not isinstance(env, gym.Env):
+            raise TypeError(
+                f"OptionsWrapper needs one environment, as gymnasium.make(...) gives it, got {env!r}. For several: "
+                "make_vec_env(..., wrapper_class=OptionsWrapper, wrapper_kwargs={...})."
+            )
+        # Not copied: a feature map may be a method of the environment, which would be copied with it.
+        RecordConstructorArgs.__init__(
+            self,
+            _disable_deepcopy=True,
+            max_options=max_options,
+            gamma=gamma,
+            feature_map=feature_map,
+            options_file=options_file,
+            max_runs=max_runs,
+            check_finite=check_finite,
+        )
+        gym.Wrapper.__init__(self, env)
+        primitive = env.action_space
+        if not isinstance(primitive, spaces.Discrete):
+            raise TypeError(
+                f"OptionsWrapper needs a Discrete action space, got {primitive}: options choose among numbered "
+                "primitive actions. Discretise the actions first."
+            )
+        if primitive.start != 0:
+            raise ValueError(f"OptionsWrapper needs actions that start at 0, got {primitive}.")
+        if not (is_number(gamma) and 0.0 < gamma <= 1.0):
+            raise ValueError(f"gamma must be in (0, 1], got {gamma!r}.")
+        if not isinstance(options_file, str | bytes | os.PathLike | None):
+            raise TypeError(f"options_file must be a path or None, got {type(options_file).__name__}.")
+        if max_runs is not None and not (is_number(max_runs) and max_runs >= 1 and max_runs % 1 == 0):
+            raise ValueError(f"max_runs must be a whole number, at least 1, or None for no limit, got {max_runs!r}.")
+        self.gamma = float(gamma)
+        self.max_runs = max_runs
+        self.check_finite = check_finite
+        self.n_primitive = int(primitive.n)
+        self.features = feature_maps.resolve(env, feature_map)
+        self.bank = OptionBank(
+            self.n_primitive,
+            max_options,
+            feature_map=self.features.map if self.features else None,
+            observation_size=feature_maps.flat_size(env.observation_space),
+            feature_size=self.features.size if self.features else None,
+            signature=feature_maps.signature(env.observation_space, self.features),
+        )
+        if options_file is not None:
+            self.bank.load(options_file)
+        self.action_space: Any = spaces.Discrete(self.n_primitive + max_options)
+        self.slot_state = SlotState()
+        self.outermost: gym.Env[Any, Any] = self
         self._primitive = OptionRun(-1, 1, self.gamma, self.gamma, "primitive").as_info()
+        self._observation: Any = None
+        self._random = np.random.default_rng(TERMINATION_SEED)  # until a reset is given a seed
+        self._runs = np.zeros(max_options, dtype=np.int64)
+        self._recording: RecordTrajectories | None = None
+        self._warned = False
+        self._running: int | None = None
+
+    @property
+    def traits(self) -> Traits:
+        """What this wrapper is; with `bank`, all that others ask, also from another process."""
+        features = self.features
+        return Traits(
+            self.n_primitive,
+            self.bank.max_options,
+            self.gamma,
+            self.max_runs,
+            self.env.has_wrapper_attr("action_masks"),
+            self.observation_space,
+            features.kind if features else None,
+            features.groups if features else (),
+            self.bank.feature_size,
+        )
+
+    @property
+    def above(self) -> tuple[Above, ...]:
+        """The wrappers above this one, the outermost first, once `wrappers_above` was asked for them."""
+        return described(self.outermost, self)
+
+    def set_slots(self, **changes: Any) -> None:
+        """Replace fields of this environment's `SlotState`; ``options`` are added to those that it names.
+
+        Raises:
+            TypeError: There is no such field, or an option is none.
+            ValueError: There is no such slot, or the feature map is not learned.
+        """
+        state = dataclasses.replace(self.slot_state, **changes)
+        for slot, option in changes.get("options", {}).items():
+            self._put(slot, option)
+        if changes.get("learned_map") is not None:
+            self._load_map(changes["learned_map"])
+        self.slot_state = dataclasses.replace(state, options={**self.slot_state.options, **changes.get("options", {})})
+        if "record" in changes:
+            self._record(changes["record"])
+        if state.primitive_monitor:
+            count_primitive_steps(self.outermost, self)
+
+    def set_option(self, slot: int, option: Option | None) -> None:
+        """Fill slot ``slot`` with ``option``, or empty it with None; the same as ``set_slots(options={slot: option})``.
+
+        Raises:
+            TypeError: It is no option.
+            ValueError: There is no such slot.
+        """
+        self.set_slots(options={slot: option})
+
+    def _put(self, slot: int, option: Option | None) -> None:
+        self.bank.check_slot(slot)
+        if option is not None:
+            self.bank.add(option, slot)
+            return
+        if slot in self.bank.filled:
+            self.bank.remove(slot)
+        self._runs[slot] = 0  # the next one begins to count anew; one that has grown does not
+
+    def _load_map(self, arrays: Any) -> None:
+        learned = self.features.map if self.features else None
+        if not isinstance(learned, LearnedMap):
+            raise ValueError(f"The feature map of {self} is not learned: there is nothing to set.")
+        learned.load(arrays)
+
+    def _record(self, record: bool | RewardPeaks) -> None:
+        if record and self._recording is None:
+            # Beneath a Monitor, which others expect right beneath this wrapper.
+            outer: gym.Wrapper[Any, Any, Any, Any] = self.env if isinstance(self.env, Monitor) else self
+            self._recording = RecordTrajectories(outer.env)
+            outer.env = self._recording
+        if self._recording is not None:
+            peaks = record if isinstance(record, RewardPeaks) else None
+            self._recording.set(bool(record), peaks, self._observation)
+
+    def concept_features(self, observations: Observations) -> FloatArray:
+        """φ of a batch of observations, shape (batch, d).
+
+        Raises:
+            ValueError: There is no feature map.
+        """
+        if self.features is None:
+            raise ValueError(
+                f"There is no default feature map for {self.observation_space}: pass "
+                "OptionsWrapper(env, feature_map=...) a function from a batch of observations to features (batch, d), "
+                "or the name of one that is learned, 'temporal-distance' or 'laplacian'."
+            )
+        return self.features.map(observations)
+
+    def available(self, observations: Observations) -> BoolArray:
+        """Which augmented actions may start in each observation, shape (batch, n_primitive + max_options).
+
+        By initiation sets alone: an observation does not tell what may not run again.
+        """
+        return self.bank.available(observations)
+
+    def action_masks(self) -> BoolArray:
+        """Which augmented actions may start now, shape (n_primitive + max_options,).
+
+        An environment that masks its own actions goes on doing so; what an option does inside is not masked. An option
+        that has run ``max_runs`` times in this episode may not start.
+
+        Raises:
+            gymnasium.error.ResetNeeded: Before the first ``reset``.
+        """
+        if self.bank.max_options and not self.bank.filled:
+            self._warn_once(
+                "No slot holds an option, so that masks allow primitive actions alone. If options were discovered, the "
+                'model needs them here: sb3_options.load_model(MaskablePPO, "model.zip", env) or '
+                'sb3_options.load_options("model.zip", env). To train, give learn() a SubgoalDiscoveryCallback or a '
+                "PrimitiveStepsCallback. This is said once."
+            )
+        mask: BoolArray = self.bank.available(batch_of_one(self._current_observation("action_masks()")))[0]
+        primitives, slots = mask[: self.n_primitive], mask[self.n_primitive :]
+        if self.env.has_wrapper_attr("action_masks"):
+            own = np.asarray(self.env.get_wrapper_attr("action_masks")(), dtype=bool)
+            if own.shape != primitives.shape:
+                raise ValueError(
+                    f"action_masks() of the environment must have an entry for each of its {self.n_primitive} actions, "
+                    f"got shape {own.shape}."
+                )
+            primitives &= own
+        self._forbid_further_runs(slots)
+        return mask
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment; ``seed`` also seeds whether options with 0 < β < 1 end."""
@@ -81,10 +275,10 @@ class OptionsWrapper(OptionSlots):
         if seed is not None:
             self._random = np.random.default_rng([seed, TERMINATION_SEED])
         self._observation = observation
-        self._limit.runs[:] = 0
+        self._runs[:] = 0
         self._running = None  # an error may have ended the last episode within an option
         if self.features is not None and self.bank.feature_size is None:
-            self.bank.feature_size = checked_size(self.features.map, batch_of_one(observation))
+            self.bank.feature_size = feature_maps.checked_size(self.features.map, batch_of_one(observation))
         return observation, info
 
     def step(self, action: int) -> StepReturn:
@@ -110,11 +304,22 @@ class OptionsWrapper(OptionSlots):
             raise ValueError(f"action must be between 0 and {last}, got {action}.")
         option = self.bank[slot]
         if option is None:
-            self._chose_empty(slot)
-        if option is None or self._limit.is_reached(slot):
+            self._warn_once(
+                f"Slot {slot} was chosen, and it is empty: a primitive action takes its place. To train, give "
+                "learn() a SubgoalDiscoveryCallback, or a PrimitiveStepsCallback where nothing is to be discovered: "
+                "they close empty slots, which harm learning otherwise. A trained model needs its options in the "
+                'environment it acts in: sb3_options.load_model(DQN, "model.zip", env) or '
+                'sb3_options.load_options("model.zip", env). This is said once.'
+            )
+        if option is None or (self.max_runs is not None and self._runs[slot] >= self.max_runs):
             return self._run_primitive(slot % self.n_primitive, instead=True)
         observation = self._current_observation("step()")
         return self._run_option(option, slot, observation)
+
+    def running_option(self) -> str:
+        """What runs at this moment, for people: an option and its slot, or "primitive action"."""
+        option = None if self._running is None else self.bank[self._running]
+        return "primitive action" if option is None else f"option {self._running}: {option.name}"
 
     def lost_step(self, observation: Any) -> dict[str, Any]:
         """The info of a step whose outcome is lost, with its environment: one primitive step that was cut off.
@@ -123,7 +328,7 @@ class OptionsWrapper(OptionSlots):
             observation: In which it was taken, and the last that is known.
         """
         option = {**self._primitive, "termination": "truncated"}
-        if self._reports_availability and self.bank.filled:
+        if self.slot_state.report_availability and self.bank.filled:
             option["available"] = self._available_slots(batch_of_one(observation))
         return {"option": option}
 
@@ -133,17 +338,17 @@ class OptionsWrapper(OptionSlots):
         option = self._primitive.copy()
         if instead:
             option["actions"] = np.array([action])
-        if self._reports_availability and self.bank.filled:
+        if self.slot_state.report_availability and self.bank.filled:
             option["available"] = self._available_slots(batch_of_one(result[0]))
         return self._reported(result, option)
 
     def _run_option(self, option: Option, slot: int, observation: Any) -> StepReturn:
         """Run an option to its end."""
         inside = bool(option.initiation(batch_of_one(observation))[0])
-        self._limit.runs[slot] += inside
+        self._runs[slot] += inside
         interrupted = None
-        if inside and self._interruption is not None:
-            interrupted = self._interruption.watch(self.n_primitive + slot, observation, self.action_masks)
+        if inside and self.slot_state.interruption is not None:
+            interrupted = self.slot_state.interruption.watch(self.n_primitive + slot, observation, self.action_masks)
         self._running = slot
         result, run = run_option(
             option,
@@ -152,7 +357,7 @@ class OptionsWrapper(OptionSlots):
             self._primitive_step,
             inside=inside,
             interrupted=interrupted,
-            available=self._available_slots if self._reports_availability else None,
+            available=self._available_slots if self.slot_state.report_availability else None,
             n_primitive=self.n_primitive,
             gamma=self.gamma,
             random=self._random,
@@ -182,41 +387,67 @@ class OptionsWrapper(OptionSlots):
         return observation, reward, terminated, truncated, info
 
     def _available_slots(self, arrived_in: Observations) -> BoolArray:
-        """Which slots may start in each observation; in the last, where the agent is, `max_runs` counts."""
+        """Which slots may start in each observation; in the last, where the agent is, ``max_runs`` counts."""
         available: BoolArray = self.bank.available_slots(arrived_in)
-        if self.max_runs is not None:
-            self._limit.forbid(available[-1])
+        self._forbid_further_runs(available[-1])
         return available
+
+    def _forbid_further_runs(self, slots: BoolArray) -> None:
+        """Clear, in place, the slots that have run ``max_runs`` times in this episode."""
+        if self.max_runs is not None:
+            slots[self._runs >= self.max_runs] = False
 
     def _current_observation(self, needed_by: str) -> Any:
         if self._observation is None:
             raise gym.error.ResetNeeded(f"{needed_by} needs a current observation: call reset() first.")
         return self._observation
 
-    def masks_primitives(self) -> bool:
-        """Whether the environment says which of its own actions may be taken."""
-        return bool(self.env.has_wrapper_attr("action_masks"))
+    def _warn_once(self, text: str) -> None:
+        if not (self.slot_state.expect_empty or self._warned):
+            self._warned = True
+            logger.warning(text)
 
-    def action_masks(self) -> BoolArray:
-        """Which augmented actions may start now, shape (n_primitive + max_options,).
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint, without the options, which whoever installed them puts back."""
+        return {
+            "observation": self._observation,
+            "random": self._random.bit_generator.state,
+            "runs": self._runs,
+            "report_availability": self.slot_state.report_availability,
+            "warned": self._warned,
+            "feature_size": self.bank.feature_size,
+        }
 
-        An environment that masks its own actions goes on doing so; what an option does inside is not masked. An option
-        that has run ``max_runs`` times in this episode may not start.
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self._observation = state["observation"]
+        self._running = None
+        self._random.bit_generator.state = state["random"]
+        self._runs[:] = state["runs"]
+        self.slot_state = dataclasses.replace(self.slot_state, report_availability=state["report_availability"])
+        self._warned = state["warned"]
+        self.bank.feature_size = state["feature_size"]
 
-        Raises:
-            gymnasium.error.ResetNeeded: Before the first ``reset``.
-        """
-        if not (self.bank.filled or self._expects_empty or self._warned):
-            self._warn_of_no_options()
-        mask: BoolArray = self.bank.available(batch_of_one(self._current_observation("action_masks()")))[0]
-        primitives, slots = mask[: self.n_primitive], mask[self.n_primitive :]
-        if self.masks_primitives():
-            own = np.asarray(self.env.get_wrapper_attr("action_masks")(), dtype=bool)
-            if own.shape != primitives.shape:
-                raise ValueError(
-                    f"action_masks() of the environment must have an entry for each of its {self.n_primitive} actions, "
-                    f"got shape {own.shape}."
-                )
-            primitives &= own
-        self._limit.forbid(slots)
-        return mask
+    def prepare_layers(self, just_reset: bool) -> str | None:
+        """`layers.prepare` this environment, in its own process; returns why it cannot: an error would end it."""
+        try:
+            layers.prepare(self.outermost, just_reset=just_reset)
+        except ValueError as error:
+            return str(error)
+        return None
+
+    def layer_states(self) -> list[layers.State]:
+        """`layers.states_of` this environment, in its own process."""
+        return layers.states_of(self.outermost)
+
+    def set_layer_states(self, states: list[dict[str, Any]]) -> tuple[str | None, str | None]:
+        """`layers.set_states` of this environment, in its own process: what it returns, and the text of its error."""
+        try:
+            return layers.set_states(self.outermost, states), None
+        except ValueError as error:
+            return None, str(error)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        # A copied or unpickled bank has no feature map (see `OptionBank.__getstate__`); this wrapper does.
+        self.__dict__.update(state)
+        self.bank.bind(self.features.map if self.features else None)

@@ -40,7 +40,7 @@ def check_gamma(model: BaseAlgorithm, venv: VecEnv) -> None:
         ValueError: Their γ differ.
     """
     gamma: float = model.gamma  # type: ignore[attr-defined]  # every algorithm over discrete actions has it
-    different = [g for g in venv.get_attr("gamma") if abs(g - gamma) > 1e-12]
+    different = [g for g in (each.gamma for each in venv.get_attr("traits")) if abs(g - gamma) > 1e-12]
     if different:
         raise ValueError(
             f"OptionsWrapper discounts with gamma={different[0]}, {type(model).__name__} with gamma={gamma}: "

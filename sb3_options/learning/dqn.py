@@ -72,14 +72,14 @@ class OptionDQN(MaskedPrediction, DQN):
 
     def _track_availability(self, env: VecEnv) -> None:
         check_wrapped(env, "The environment of OptionDQN")
-        self._n_slots = n_actions_of(self) - env.get_attr("n_primitive", [0])[0]
+        self._n_slots = n_actions_of(self) - env.get_attr("traits", [0])[0].n_primitive
         self._option_buffer().track_availability(self._n_slots)
 
     def _setup_learn(self, *args: Any, **kwargs: Any) -> Any:
         result = super()._setup_learn(*args, **kwargs)
         assert self.env is not None  # it has just been reset
         check_gamma(self, self.env)
-        self.env.env_method("report_availability", True)
+        self.env.env_method("set_slots", report_availability=True)
         buffer = self._option_buffer()
         n_primitive = n_actions_of(self) - self._n_slots
         put_back(self, self.env)  # before a slot is taken for empty

@@ -155,7 +155,7 @@ def _fitting(
 
 
 def _check_fit(model: BaseAlgorithm, venv: VecEnv, n_primitive: int, max_options: int, gamma: float) -> None:
-    has: list[int] = venv.get_attr("n_primitive")
+    has = [each.n_primitive for each in venv.get_attr("traits")]
     if set(has) != {n_primitive}:
         raise ValueError(f"The model chooses among {n_primitive} actions, env has {has[0]} primitive actions.")
     n_actions: int = venv.action_space.n  # type: ignore[attr-defined]  # OptionsWrapper makes it Discrete

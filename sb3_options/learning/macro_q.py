@@ -135,8 +135,8 @@ class MacroQ(MaskedPrediction):
     def _count_slots(self) -> None:
         self._n_primitive = self._n_actions
         if self.env is not None and all(self.env.env_is_wrapped(OptionsWrapper)):
-            self._n_primitive = self.env.get_attr("n_primitive", [0])[0]
-            self.env.env_method("report_availability", True)
+            self._n_primitive = self.env.get_attr("traits", [0])[0].n_primitive
+            self.env.env_method("set_slots", report_availability=True)
         self._n_slots = self._n_actions - self._n_primitive
         self._primitives = list(range(self._n_primitive))
 
@@ -170,7 +170,7 @@ class MacroQ(MaskedPrediction):
         self._table = self.policy.table()
         self._step_size = cast("float", self.learning_rate)  # the constructor takes no schedule
         choices = self._choices()
-        self._asks = self._n_slots > 0 and any(self.env.env_method("masks_primitives"))
+        self._asks = self._n_slots > 0 and any(each.masks_primitives for each in self.env.get_attr("traits"))
         active = self._active(self._last_obs)
         goes_on, since = True, 0
         while goes_on and self.num_timesteps < total_timesteps:

@@ -21,7 +21,8 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from sb3_options.atomic import atomic_write
-from sb3_options.execution.wrappers_above import monitor_primitive_steps
+from sb3_options.embedding.learned_map import LearnedMap
+from sb3_options.execution.above import monitor_primitive_steps
 from sb3_options.learning.checks import check_wrapped
 from sb3_options.options.archive import CARRIED, NAME, Source, content_in, packed_text, unpacked_text
 from sb3_options.options.bank import OptionBank
@@ -105,8 +106,21 @@ def load_options(source: Source, env: gym.Env[Any, Any] | VecEnv) -> None:
     content = content_in(source)
     venv = env if isinstance(env, VecEnv) else DummyVecEnv([lambda: env])
     check_wrapped(venv, "The environment")
-    venv.env_method("load_options", content)
+    _put(content, venv)
     monitor_primitive_steps(venv)
+
+
+def _put(content: bytes, venv: VecEnv) -> None:
+    """Put the discovered options of a file into the slots of all environments."""
+    bank: OptionBank = venv.get_attr("bank", [0])[0].copy()
+    bank.load(content)
+    options = {slot: bank[slot] for slot in slots_of(content)}
+    learned = bank.feature_map
+    venv.env_method(
+        "set_slots",
+        options={slot: each.bind(None) for slot, each in options.items() if isinstance(each, SubgoalOption)},
+        learned_map=learned.arrays() if isinstance(learned, LearnedMap) and options else None,
+    )
 
 
 def put_back(model: BaseAlgorithm, venv: VecEnv) -> None:
@@ -122,11 +136,11 @@ def put_back(model: BaseAlgorithm, venv: VecEnv) -> None:
     if text is not None:
         content = unpacked_text(text)
         if not set(slots_of(content)) <= set(filled):
-            venv.env_method("load_options", content)
+            _put(content, venv)
     elif not filled and isinstance(save := model.__dict__.get("save"), _Save):
         left = save.left_in_others(venv)
         if left is not None:
-            venv.env_method("load_options", left)
+            _put(left, venv)
 
 
 def keep_options(model: BaseAlgorithm, bank: OptionBank | None = None) -> None:

@@ -132,7 +132,7 @@ def interrupt_options(
         return False
     values = values or ValueSnapshot(model, venv)
     rule = Interruption(values, masks=isinstance(model, OptionDQN), every_choice=every_choice)
-    venv.env_method("set_interruption", rule)
+    venv.env_method("set_slots", interruption=rule)
     return True
 
 

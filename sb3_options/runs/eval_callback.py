@@ -48,7 +48,7 @@ class WatchedEvalCallback(EvalCallback):
     def _init_callback(self) -> None:
         super()._init_callback()
         if self.success is not None:
-            self.eval_env.env_method("record_trajectories", True)
+            self.eval_env.env_method("set_slots", record=True)
 
     def _on_step(self) -> bool:
         self._unreported = []

@@ -282,7 +282,7 @@ def _check_spaces(run: Path, config: TrainConfig) -> None:
 def _spaces(config: TrainConfig) -> tuple[gym.Space[Any], int]:
     """Observations, and how many primitive actions there are."""
     with closing(runs.make_env(config, 1, config.seed)) as venv:
-        return venv.observation_space, venv.get_attr("bank")[0].n_primitive
+        return venv.observation_space, venv.get_attr("traits")[0].n_primitive
 
 
 def _play(
@@ -312,10 +312,10 @@ def _play(
         bank: OptionBank = venv.get_attr("bank")[0]
         bank.load(saved.with_name(runs.OPTIONS) if saved.name == runs.MODEL else saved)
         if not bank.filled:
-            venv.env_method("expect_empty", True)  # the model has no others, so nothing is missing
+            venv.env_method("set_slots", expect_empty=True)  # the model has no others, so nothing is missing
         if isinstance(config, DQNConfig) and config.interruption:
             interrupt_options(model, venv)
-        venv.env_method("record_trajectories", True)
+        venv.env_method("set_slots", record=True)
         played = greedy_episodes(model, venv, episodes, masked=config.algo == "maskableppo")
         found, succeeded = [], success_rule(config.success)
         for _, info in track(played, "Evaluating", total=episodes, transient=True):

@@ -51,9 +51,9 @@ def test_values_that_interrupt_do_not_outlive_the_training_that_asked_for_them()
     env = with_option()
     model = model_of(env)
     model.learn(200, callback=SubgoalDiscoveryCallback(max_new_options=0))
-    assert env._interruption is not None
+    assert env.slot_state.interruption is not None
     model.learn(200, callback=SubgoalDiscoveryCallback(max_new_options=0, interruption=False))
-    assert env._interruption is None
+    assert env.slot_state.interruption is None
 
 
 def test_an_option_that_is_being_removed_is_not_judged_again() -> None:

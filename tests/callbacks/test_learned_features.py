@@ -95,8 +95,8 @@ def test_the_doorway_is_found_without_coordinates(name: MapName, observation: st
     place = places(env, search.found[0].observation)[0]
     assert np.abs(place - DOORWAY).sum() <= 1
     # It was learned on since, and everything moved along.
-    phi = env.learned_map()
-    assert phi is not None
+    phi = env.bank.feature_map
+    assert isinstance(phi, LearnedMap)
     assert phi.learned > 1
     option = env.bank[found.slot]
     assert isinstance(option, SubgoalOption)
@@ -243,10 +243,10 @@ class TestNames:
         kinds = {}
         for env_id in ("FrozenLake-v1", "CartPole-v1", "Blackjack-v1"):
             env = gym.make(env_id)
-            phi = OptionsWrapper(env, 1, feature_map="laplacian").learned_map() if env_id != "Blackjack-v1" else None
+            phi = OptionsWrapper(env, 1, feature_map="laplacian").bank.feature_map if env_id != "Blackjack-v1" else None
             kinds[env_id] = phi.encoder.form.kind if isinstance(phi, LearnedMap) else None
         assert kinds == {"FrozenLake-v1": "table", "CartPole-v1": "vector", "Blackjack-v1": None}
 
     def test_a_map_that_is_not_learned_cannot_be_set(self) -> None:
         with pytest.raises(ValueError, match=r"is not learned: there is nothing to set\.$"):
-            OptionsWrapper(small_rooms(), 2).set_learned_map({})
+            OptionsWrapper(small_rooms(), 2).set_slots(learned_map={})

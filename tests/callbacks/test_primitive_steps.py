@@ -24,8 +24,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 from sb3_options import Option, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.callbacks.counting import all_callbacks
-from sb3_options.execution.monitoring import PrimitiveMonitor
-from sb3_options.execution.wrappers_above import monitor_primitive_steps
+from sb3_options.execution.above import PrimitiveMonitor, monitor_primitive_steps
 from sb3_options.learning import heads
 from tests.support.helpers import CountingEnv, steady_option
 from tests.support.sb3_helpers import RANDOM, StepLog, optioned_rooms, small_rooms

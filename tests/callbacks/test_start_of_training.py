@@ -144,11 +144,11 @@ class TestInterruption:
         evaluation = EvalCallback(evaluated, eval_freq=10_000)
         model_of(env).learn(200, callback=[finds_nothing(), evaluation])
         for each in (env, evaluated):
-            assert each._interruption is not None
+            assert each.slot_state.interruption is not None
         other = PPO("MlpPolicy", env, gamma=DISCOUNT, n_steps=64, batch_size=64, n_epochs=1)
         other.learn(64, callback=[PrimitiveStepsCallback(), evaluation])
         for each in (env, evaluated):
-            assert each._interruption is None
+            assert each.slot_state.interruption is None
 
     @pytest.mark.parametrize("order", [1, -1])
     def test_goes_on_where_both_callbacks_are(self, order: int) -> None:
@@ -156,7 +156,7 @@ class TestInterruption:
         model = model_of(env)
         discovery = finds_nothing()
         model.learn(300, callback=[PrimitiveStepsCallback(), discovery][::order])
-        assert env._interruption is not None
+        assert env.slot_state.interruption is not None
 
 
 @both
@@ -305,4 +305,4 @@ def test_training_that_was_refused_ends_too() -> None:
         refused.learn(50, callback=callback)
     callback.on_training_end()
     assert callback._installer is None
-    assert not env_of(refused).get_attr("_expects_empty")[0]
+    assert not env_of(refused).get_attr("slot_state")[0].expect_empty

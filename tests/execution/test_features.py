@@ -161,12 +161,12 @@ class _Grouped(gym.Wrapper[Any, Any, Any, Any]):
 
 def test_groups_come_from_whoever_has_the_feature_map() -> None:
     env = _Grouped(gym.make("sb3_options/TwoRooms-v0"))
-    (group,) = OptionsWrapper(env).feature_groups()
+    (group,) = OptionsWrapper(env).traits.feature_groups
     assert (group.name, group.features) == ("last", (2,))
     above = ConceptsInObservation(env, lambda env, info: [0.0, 0.0], 2)
-    assert OptionsWrapper(above).feature_groups() == ()
-    assert OptionsWrapper(env, feature_map=lambda obs: np.zeros((len(obs), 1))).feature_groups() == ()
-    assert OptionsWrapper(gym.make("sb3_options/TwoRooms-v0")).feature_groups() == ()
+    assert OptionsWrapper(above).traits.feature_groups == ()
+    assert OptionsWrapper(env, feature_map=lambda obs: np.zeros((len(obs), 1))).traits.feature_groups == ()
+    assert OptionsWrapper(gym.make("sb3_options/TwoRooms-v0")).traits.feature_groups == ()
 
 
 def test_groups_that_do_not_fit_the_feature_map_are_refused() -> None:
@@ -185,4 +185,4 @@ def test_features_of_observations_that_a_wrapper_has_changed_are_refused() -> No
     with pytest.raises(ValueError, match=r"concept_features of GridWorld is for its own observations, .* leave that"):
         OptionsWrapper(changed)
     OptionsWrapper(changed, feature_map=env.get_wrapper_attr("concept_features"))  # whoever means it says so
-    assert OptionsWrapper(gym.wrappers.RecordEpisodeStatistics(env)).feature_kind() == "environment"
+    assert OptionsWrapper(gym.wrappers.RecordEpisodeStatistics(env)).traits.feature_kind == "environment"

@@ -5,10 +5,7 @@ from typing import Any
 import numpy as np
 
 from sb3_options.execution.hosted import HostedEnvironments, Settings
-from sb3_options.execution.ray_vec_env import ASKING
-from sb3_options.execution.slots import OptionSlots
-from sb3_options.execution.wrapper import OptionsWrapper
-from tests.support.helpers import CountingEnv
+from tests.support.helpers import CountingEnv, steady_option
 from tests.support.sb3_helpers import Corridor, make_optioned_rooms, optioned_rooms
 
 
@@ -25,39 +22,30 @@ def test_an_episode_that_ends_is_begun_anew() -> None:
     assert steps.observations["place"].shape == (2, 2)
 
 
-def test_the_latest_settings_are_set_again() -> None:
-    settings = Settings()
-    for method, *args in [("expect_empty", False), ("set_marks", 1), ("expect_empty", True)]:
-        settings.note("env_method", (method, *args), {}, key=method)
-    assert settings.calls == [
-        ("env_method", ("set_marks", 1), {}),
-        ("env_method", ("expect_empty", True), {}),
-    ]
-    settings = Settings()
-    settings.note("env_method", ("expect_empty", True), {}, key="expect_empty")
-    settings.note("set_attr", ("mark", [7]), {}, key="mark")
+def test_what_was_set_is_set_again() -> None:
+    lost = HostedEnvironments([make_optioned_rooms] * 2)
+    lost.make()
+    _, changed = lost.call("env_method", [1], ("set_slots",), {"options": {2: steady_option()}, "expect_empty": True})
+    assert set(changed) == {1}
+    assert lost.call("get_attr", [0, 1], ("gamma",), {}) == ([0.9, 0.9], {})  # nothing has changed
+    lost.call("env_method", [1], ("set_slots",), {"report_availability": True})
+    _, changed = lost.call("env_method", [1], ("set_slots",), {"options": {0: steady_option()}})
     hosted = HostedEnvironments([make_optioned_rooms] * 2)
-    hosted.begin([settings, settings], [3, 4])
+    hosted.begin([Settings(None, {"mark": [7]}), Settings(changed[1], {"mark": [7]})], [3, 4])
     one, other = hosted.envs
-    assert one._expects_empty
-    assert other._expects_empty
+    assert not one.slot_state.expect_empty
+    assert other.slot_state.expect_empty
+    assert other.slot_state.report_availability
+    assert (one.bank.filled, other.bank.filled) == ((), (0, 2))
     assert one.mark == other.mark == [7]
-    assert one.mark is not other.mark  # they share nothing
     draws = [[env.action_space.sample() for _ in range(20)] for env in hosted.envs]
     assert draws[0] != draws[1]
-
-
-def test_every_asking_method_is_there() -> None:
-    known = {name for name in dir(OptionsWrapper) if not name.startswith("_")} | {"__str__", "run_folder"}
-    assert known >= ASKING
-    changing = {name for name in vars(OptionSlots) if name.startswith(("set_", "report_", "record_", "load_"))}
-    assert not (changing - {"set_state", "set_layer_states"}) & ASKING
 
 
 def test_what_is_said_of_a_lost_step() -> None:
     env = optioned_rooms()
     env.reset(seed=0)
-    env.report_availability(True)
+    env.set_slots(report_availability=True)
     plain: dict[str, Any] = {"index": -1, "duration": 1, "discount": 0.9, "gamma": 0.9, "termination": "truncated"}
     seen = np.zeros(2, dtype=np.float32)
     assert env.lost_step(seen) == {"option": plain}

@@ -89,7 +89,7 @@ class KnownMDP:
         """From ``start``, of μ or of greedy choices after its first; standard error, how options ended."""
         wrapped = OptionsWrapper(self.env, 1, gamma=GAMMA)
         wrapped.bank.add(table_option(*self.option[:3], max_duration=10**6))
-        wrapped.set_interruption(rule)
+        wrapped.set_slots(interruption=rule)
         fixed, returns, endings = self.primitive.argmax(axis=1), [], set()
         wrapped.reset(seed=int(start))
         for _ in range(episodes):
@@ -153,7 +153,7 @@ def line_of(n: int, option_values: list[float], rule: dict[str, Any]) -> tuple[i
     wrapped.reset(seed=0)
     wrapped.unwrapped.place = 0  # type: ignore[attr-defined]  # a Corridor
     wrapped._observation = 0
-    wrapped.set_interruption(Interruption(lambda s: np.array([0.0, 1.0, 0.0, option_values[int(s)]]), **rule))
+    wrapped.set_slots(interruption=Interruption(lambda s: np.array([0.0, 1.0, 0.0, option_values[int(s)]]), **rule))
     info = wrapped.step(3)[4]["option"]
     return info["duration"], info["termination"]
 
@@ -246,7 +246,7 @@ def test_reaches_training_and_evaluation(workers: bool) -> None:
     callback = fast_callback()
     model.learn(3000, callback=[callback, beside])
     assert callback.discoveries
-    rules = venv.get_attr("_interruption") + evaluation.get_attr("_interruption")
+    rules = [each.interruption for one in (venv, evaluation) for each in one.get_attr("slot_state")]
     assert [rule.every_choice for rule in rules] == [False, False, True]
     assert all(rule.masks for rule in rules)
     seen = np.eye(45, dtype=np.float32)[7]
@@ -260,7 +260,7 @@ def test_reaches_training_and_evaluation(workers: bool) -> None:
 def test_switched_off_nothing_is_interrupted() -> None:
     model = DQN("MlpPolicy", optioned_rooms(), gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, **TINY | RANDOM)
     model.learn(2500, callback=fast_callback(interruption=False))
-    assert env_of(model).get_attr("_interruption") == [None]
+    assert env_of(model).get_attr("slot_state")[0].interruption is None
 
 
 def test_an_algorithm_without_values_of_options_runs_them_to_their_ends() -> None:
@@ -268,7 +268,7 @@ def test_an_algorithm_without_values_of_options_runs_them_to_their_ends() -> Non
     env.bank.add(steady_option())
     model = PPO("MlpPolicy", env, gamma=GAMMA, n_steps=64, device="cpu")
     model.learn(64, callback=SubgoalDiscoveryCallback(max_new_options=0))
-    assert env._interruption is None
+    assert env.slot_state.interruption is None
     assert not interrupt_options(model, env_of(model))
 
 
@@ -309,4 +309,4 @@ def test_beneath_stacked_frames_options_run_to_their_ends() -> None:
     )
     model.learn(3000, callback=fast_callback())
     assert len(venv.get_attr("bank")[0]) == 1
-    assert venv.get_attr("_interruption") == [None]
+    assert venv.get_attr("slot_state")[0].interruption is None

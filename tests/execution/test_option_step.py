@@ -14,7 +14,7 @@ from scipy.stats import chisquare
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import Option, OptionsWrapper
 from sb3_options.density.regions import Region
-from sb3_options.execution.slots import TERMINATION_SEED
+from sb3_options.execution.wrapper import TERMINATION_SEED
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from tests.support.helpers import CountingEnv, DictEnv, TableEnv, ball, equal, place_of, steady_option, table_option
@@ -58,7 +58,7 @@ def test_an_option_is_a_hand_written_loop_over_1000_random_cases() -> None:
         inner = TableEnv(rng)
         gamma = float(rng.choice([1.0, rng.uniform(0.01, 1.0)]))
         twin, env = copy.deepcopy(inner), OptionsWrapper(inner, max_options=3, gamma=gamma)
-        env.report_availability(True)
+        env.set_slots(report_availability=True)
         for slot in (0, 2):
             termination = rng.choice([0.0, 0.0, 0.0, 1.0, rng.random()], size=8)
             env.bank.add(
@@ -216,7 +216,7 @@ def test_a_policy_that_names_no_primitive() -> None:
 
 def test_dict_observations() -> None:
     env = OptionsWrapper(DictEnv(), gamma=0.5, feature_map=place_of)
-    env.report_availability(True)
+    env.set_slots(report_availability=True)
     policy = TabularPolicy(np.full((1, 4), 4.0), np.array([[0.0, 1.0]]))
     env.bank.add(SubgoalOption(ball(6.0), Region(np.arange(6.0)[:, None], np.ones(1), 0.0), policy))
     observation, _ = env.reset(seed=0)

@@ -24,7 +24,7 @@ def states_of(segment: Trajectory) -> Any:
 
 def test_dict_observations_by_way_of_the_wrapper() -> None:
     env = OptionsWrapper(DictEnv(), feature_map=place_of)
-    env.record_trajectories(True)
+    env.set_slots(record=True)
     env.reset(seed=0)
     first = int(env.unwrapped.place)  # type: ignore[attr-defined]  # of DictEnv
     over, n_steps, info = False, 0, dict[str, Any]()
@@ -40,7 +40,7 @@ def test_dict_observations_by_way_of_the_wrapper() -> None:
 def test_the_wrapper_records_primitive_steps_inside_options() -> None:
     env = OptionsWrapper(CountingEnv(terminate_at=5), max_options=2)
     env.bank.add(steady_option(1, max_duration=3), 0)
-    env.record_trajectories(True)
+    env.set_slots(record=True)
     env.reset(seed=0)
     env.step(2)
     env.step(0)
@@ -56,21 +56,21 @@ def test_recording_can_begin_and_end_at_any_time() -> None:
     env = OptionsWrapper(CountingEnv(truncate_at=4))
     env.reset(seed=0)
     env.step(0)
-    env.record_trajectories(True)
-    env.record_trajectories(True)
+    env.set_slots(record=True)
+    env.set_slots(record=True)
     for _ in range(2):
         env.step(1)
     trajectory = env.step(0)[4]["trajectory"]
     assert np.asarray(trajectory.states).ravel().tolist() == [1, 2, 3, 4]
     assert (trajectory.actions.tolist(), trajectory.truncated) == ([1, 1, 0], True)
-    env.record_trajectories(False)
+    env.set_slots(record=False)
     env.reset()
     assert all("trajectory" not in env.step(0)[4] for _ in range(4))
 
 
 def test_is_success_of_the_last_step() -> None:
     env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0", map="SG", success_probability=1.0))
-    env.record_trajectories(True)
+    env.set_slots(record=True)
     env.reset(seed=0)
     assert env.step(3)[4]["trajectory"].is_success is True
 
@@ -80,7 +80,7 @@ def test_an_info_dictionary_used_again_does_not_bring_the_trajectory_back() -> N
     env = OptionsWrapper(
         CountingEnv(step=lambda env, _: (np.array([float(env.time)]), 0.0, env.time == 2, False, shared))
     )
-    env.record_trajectories(True)
+    env.set_slots(record=True)
     env.reset(seed=0)
     env.step(0)
     assert "trajectory" in env.step(0)[4]
@@ -92,7 +92,7 @@ def test_an_info_dictionary_used_again_does_not_bring_the_trajectory_back() -> N
 def test_what_never_ends_is_forgotten(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recording, "LONGEST_EPISODE", 50)
     env = OptionsWrapper(CountingEnv(truncate_at=120))
-    env.record_trajectories(True)
+    env.set_slots(record=True)
     env.reset(seed=0)
     assert env._recording is not None
     recorder = env._recording.recorder
@@ -115,7 +115,7 @@ def cut_at_peaks(peaks: RewardPeaks | None = None, **kwargs: Any) -> OptionsWrap
         return np.array([float(env.time)]), float(env.time % 3 == 0), False, env.time == 12, {}
 
     env = OptionsWrapper(CountingEnv(step=step), **kwargs)
-    env.record_trajectories(True, peaks or RewardPeaks())
+    env.set_slots(record=peaks or RewardPeaks())
     env.reset(seed=0)
     return env
 
@@ -154,10 +154,10 @@ def test_the_end_of_an_episode_inside_an_option() -> None:
 def test_another_way_to_cut_replaces_the_first() -> None:
     env = cut_at_peaks()
     env.step(0)
-    env.record_trajectories(True, RewardPeaks())  # the same again changes nothing
+    env.set_slots(record=RewardPeaks())  # the same again changes nothing
     assert env._recording is not None
     assert len(env._recording.recorder or ()) == 1
-    env.record_trajectories(True)
+    env.set_slots(record=True)
     infos = [env.step(0)[4] for _ in range(11)]
     assert not any("segments" in info for info in infos)
     assert states_of(infos[-1]["trajectory"]).tolist() == list(range(1, 13))
@@ -166,11 +166,11 @@ def test_another_way_to_cut_replaces_the_first() -> None:
 def test_it_stands_beneath_a_monitor_and_is_no_part_of_the_spec() -> None:
     env = OptionsWrapper(Monitor(gym.make("sb3_options/TwoRooms-v0")))
     spec = env.spec
-    env.record_trajectories(True)
+    env.set_slots(record=True)
     assert isinstance(env.env, Monitor)
     assert isinstance(env.env.env, RecordTrajectories)
     again = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0"))
-    again.record_trajectories(True)
+    again.set_slots(record=True)
     assert isinstance(again.env, RecordTrajectories)
     assert spec is not None
     assert again.spec == OptionsWrapper(gym.make("sb3_options/TwoRooms-v0")).spec
@@ -192,6 +192,6 @@ def test_an_environment_that_uses_the_names_itself_is_refused_while_recording(na
     env = OptionsWrapper(CountingEnv(step=step))
     env.reset(seed=0)
     assert env.step(0)[4][name] == [1, 2]
-    env.record_trajectories(True)
+    env.set_slots(record=True)
     with pytest.raises(ValueError, match=rf'^The environment has an info.+"{name}"\].* of its own.+another name there'):
         env.step(0)

@@ -47,7 +47,7 @@ def test_an_option_that_has_run_so_often_counts_as_empty_until_the_next_episode(
 
 def test_what_may_start_next_keeps_to_it() -> None:
     env = make(1)
-    env.report_availability(True)
+    env.set_slots(report_availability=True)
     env.reset(seed=0, options={"start": (5, 5)})
     available = env.step(4)[4]["option"]["available"]
     assert available[:, :2].tolist() == [[True, True], [True, True], [False, False]]  # on the way; at the subgoal

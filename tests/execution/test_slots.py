@@ -54,7 +54,7 @@ def test_info_has_what_is_available_for_who_asks_once_there_are_options() -> Non
     env = with_two_options()
     env.reset(seed=0)
     assert "available" not in env.step(0)[4]["option"]
-    env.report_availability(True)
+    env.set_slots(report_availability=True)
     env.reset(seed=0)
     assert env.step(0)[4]["option"]["available"].tolist() == [[False, False, False]]
     empty_slot = env.step(3)[4]["option"]
@@ -166,7 +166,7 @@ def test_concept_features() -> None:
     env = OptionsWrapper(DictEnv(), feature_map=place_of)
     assert env.concept_features({"place": np.array([[3.0]])}).tolist() == [[3.0]]
     without = OptionsWrapper(DictEnv())
-    assert without.feature_kind() is None
+    assert without.traits.feature_kind is None
     with pytest.raises(ValueError, match=r"^There is no default feature map for Dict\(.+pass OptionsWrapper\(env, f"):
         without.concept_features({"place": np.array([[3.0]])})
 
@@ -200,6 +200,6 @@ def test_masks_of_an_environment_without_options_warn_once(caplog: pytest.LogCap
     assert caplog.text.count("No slot holds an option") == 1
     for quiet in (OptionsWrapper(CountingEnv(), max_options=0), with_two_options(), OptionsWrapper(CountingEnv())):
         quiet.reset(seed=0)
-        quiet.expect_empty(quiet.bank.max_options > 3)
+        quiet.set_slots(expect_empty=quiet.bank.max_options > 3)
         quiet.action_masks()
     assert caplog.text.count("No slot holds an option") == 1

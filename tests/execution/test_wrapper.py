@@ -128,7 +128,7 @@ def test_spec_makes_the_wrapper_again(env_id: str, kwargs: dict[str, Any]) -> No
     again = gym.make(env.spec)
     assert isinstance(again, OptionsWrapper)
     assert (again.action_space, again.gamma, again.bank.max_options) == (env.action_space, 0.5, 3)
-    assert again.feature_kind() == "given"
+    assert again.traits.feature_kind == "given"
     assert equal(again.reset(seed=1)[0], env.reset(seed=1)[0])
 
 

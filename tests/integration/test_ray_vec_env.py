@@ -55,8 +55,8 @@ def test_the_same_trajectories_as_in_worker_processes(
     assert venv.observation_space == other.observation_space
     for each in both:
         each.seed(3)
-        each.env_method("expect_empty", True)
-        each.env_method("report_availability", True, indices=[2, 0])
+        each.env_method("set_slots", expect_empty=True)
+        each.env_method("set_slots", report_availability=True, indices=[2, 0])
     assert same(venv.reset(), other.reset())
     random = np.random.default_rng(0)
     for _ in range(60):

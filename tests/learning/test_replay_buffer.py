@@ -44,7 +44,7 @@ def option() -> Option:
 def optioned(kind: str, *, limit: int = 25) -> ActionLog:
     """A corridor whose slot 0 is `RIGHT` and whose slot 1 is empty."""
     wrapped = OptionsWrapper(StepLog(Corridor(kind, limit)), 2, gamma=GAMMA, feature_map=places)
-    wrapped.report_availability(True)
+    wrapped.set_slots(report_availability=True)
     wrapped.bank.add(option(), 0)
     return ActionLog(wrapped)
 

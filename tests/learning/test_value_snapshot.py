@@ -57,7 +57,7 @@ def test_a_model_without_an_environment_takes_the_wrappers_of_the_one_it_is_aske
     with torch.no_grad():
         expected = model.q_net(model.policy.obs_to_tensor(venv.normalize_obs(place[None]))[0])[0].numpy()
     assert interrupt_options(alone, venv)
-    for snapshot in (ValueSnapshot(alone, venv), venv.get_attr("_interruption")[0].values):
+    for snapshot in (ValueSnapshot(alone, venv), venv.get_attr("slot_state")[0].interruption.values):
         np.testing.assert_allclose(snapshot(place), expected, atol=1e-5)
 
     pictures = DummyVecEnv([lambda: make("image")])

@@ -54,7 +54,7 @@ def test_minigrid_is_ready_for_training_and_its_workers_know_it() -> None:
         config = MaskablePPOConfig(env=env_id, device="cpu")
         env = runs.make_env(config, 1, 0, vec_env="subproc" if env_id.startswith("minigrid:") else "dummy")
         runs.check_observations(env, env_id)
-        assert env.env_method("feature_kind") == ["environment"]
+        assert env.get_attr("traits")[0].feature_kind == "environment"
         env.close()
 
 

@@ -111,7 +111,7 @@ def test_it_is_ready_for_training_with_options(workers: bool) -> None:
         make, n_envs=2, env_kwargs={"env_id": "MiniGrid-DoorKey-5x5-v0"}, wrapper_class=OptionsWrapper,
         vec_env_cls=SubprocVecEnv if workers else None,
     )  # fmt: skip
-    assert venv.env_method("feature_kind") == ["environment"] * 2
+    assert venv.get_attr("traits")[1].feature_kind == "environment"
     PPO("MlpPolicy", venv, n_steps=16, batch_size=16, n_epochs=1, device="cpu").learn(32)
     venv.close()
 

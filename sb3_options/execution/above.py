@@ -1,0 +1,155 @@
+"""Gymnasium's wrappers above `OptionsWrapper`: which may stand there, and what a ``Monitor`` among them counts.
+
+What options do inside `OptionsWrapper` passes no wrapper above it. One that changes rewards, observations or the ends
+of episodes would change decisions and leave the primitive steps inside options as they are: an algorithm would learn
+from two environments at once.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+from gymnasium import wrappers
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor, is_vecenv_wrapped
+
+logger = logging.getLogger("sb3_options")
+
+UNCHANGED = (
+    Monitor,
+    wrappers.HumanRendering,
+    wrappers.OrderEnforcing,
+    wrappers.PassiveEnvChecker,
+    wrappers.RecordEpisodeStatistics,
+    wrappers.RecordVideo,
+    wrappers.RenderCollection,
+)
+"""Wrappers with a ``step`` of their own that returns what the environment's returned, but for additions to ``info``."""
+
+
+class PrimitiveMonitor(Monitor[Any, Any]):
+    """Counts the primitive steps inside options, and sums their undiscounted rewards.
+
+    SB3 puts a ``Monitor`` around an environment that has none. Above the options it would count decisions, and sum the
+    discounted rewards of their runs. `monitor_primitive_steps` makes one of these of it where it stands.
+    """
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """As the environment's step."""
+        if self.needs_reset:
+            return super().step(action)  # which refuses
+        result = self.env.step(action)
+        rewards = result[-1]["option"].get("rewards", [result[1]])
+        self.rewards.extend(float(reward) for reward in rewards[:-1])
+        self.total_steps += len(rewards) - 1
+        environment = self.env
+        self.env = _Answer((result[0], rewards[-1], *result[2:]))
+        try:
+            super().step(action)  # which counts the last one, and adds to the info when the episode ends
+        finally:
+            self.env = environment
+        return result
+
+
+class _Answer(gym.Env[Any, Any]):
+    """Gives what was answered already."""
+
+    def __init__(self, result: tuple[Any, ...]) -> None:
+        self._result = result
+
+    def step(self, action: Any) -> Any:
+        """Give it."""
+        del action
+        return self._result
+
+
+def count_primitive_steps(outermost: gym.Env[Any, Any], options: gym.Env[Any, Any]) -> None:
+    """Let every ``Monitor`` above the options count primitive steps; those of a user's own class are let be.
+
+    Args:
+        outermost: Wrapper around the options, or these.
+        options: The `OptionsWrapper`.
+    """
+    for env in _above(outermost, options):
+        if type(env) is Monitor:
+            env.__class__ = PrimitiveMonitor
+
+
+class Above(NamedTuple):
+    """A wrapper above `OptionsWrapper`.
+
+    Attributes:
+        name: Of its class.
+        may_change_steps: Whether its ``step`` may return something else than `OptionsWrapper` returned. A class with a
+            ``step`` of its own may, unless it is among `UNCHANGED` or has ``returns_steps_unchanged = True``.
+        records_decisions: Whether it is a ``RecordEpisodeStatistics``.
+    """
+
+    name: str
+    may_change_steps: bool
+    records_decisions: bool
+
+
+def described(outermost: gym.Env[Any, Any], options: gym.Env[Any, Any]) -> tuple[Above, ...]:
+    """The wrappers above the options, the outermost first."""
+    return tuple(
+        Above(
+            type(env).__name__,
+            type(env).step is not gym.Wrapper.step
+            and not (isinstance(env, UNCHANGED) or getattr(env, "returns_steps_unchanged", False)),
+            isinstance(env, wrappers.RecordEpisodeStatistics),
+        )
+        for env in _above(outermost, options)
+    )
+
+
+def wrappers_above(venv: VecEnv) -> list[tuple[Above, ...]]:
+    """Of each environment, all in `OptionsWrapper`, the wrappers above it."""
+    venv.env_is_wrapped(Outermost)  # type: ignore[arg-type]  # asked of the outermost wrapper first
+    return venv.get_attr("above")
+
+
+def monitor_primitive_steps(venv: VecEnv) -> None:
+    """Let each ``Monitor`` above the `OptionsWrapper` count primitive steps, wherever it stands.
+
+    SB3 puts one around an environment that has none. ``VecMonitor`` and ``RecordEpisodeStatistics`` cannot do so, and
+    there is a warning. Environments without `OptionsWrapper` are let be.
+    """
+    if not all(venv.env_is_wrapped(Outermost)):  # type: ignore[arg-type]  # as above
+        return
+    # A VecMonitor records an episode before a callback could correct the last step.
+    records = {
+        "VecMonitor": is_vecenv_wrapped(venv, VecMonitor),
+        "RecordEpisodeStatistics": any(each.records_decisions for env in wrappers_above(venv) for each in env),
+    }
+    for name in (name for name, present in records.items() if present):
+        logger.warning(
+            "%s above OptionsWrapper counts decisions and sums discounted rewards: leave it out and put a Monitor "
+            "beneath, as make_vec_env(..., wrapper_class=OptionsWrapper) does.",
+            name,
+        )
+    venv.env_method("set_slots", primitive_monitor=True)
+
+
+def _above(outermost: Any, options: Any) -> Iterator[Any]:
+    while outermost is not options:
+        yield outermost
+        outermost = outermost.env
+
+
+class _Kind(type):
+    def __instancecheck__(cls, env: Any) -> bool:
+        inner = env
+        while "slot_state" not in vars(inner):
+            if not isinstance(inner, gym.Wrapper):
+                return False
+            inner = inner.env
+        inner.outermost = env
+        return True
+
+
+class Outermost(metaclass=_Kind):
+    """For ``VecEnv.env_is_wrapped``, which asks the outermost wrapper first: `OptionsWrapper` knows it then."""
