@@ -14,6 +14,7 @@ from sb3_options.checkpoints.tree import State
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.embedding.settings import EmbeddingSettings
 from sb3_options.options.settings import OptionLearningSettings
+from sb3_options.state import own_state, set_own_state
 
 KNOWN: dict[type[BaseCallback], tuple[str, ...]] = {
     sb3.CheckpointCallback: (),
@@ -51,7 +52,7 @@ def get_states(root: BaseCallback | None) -> list[State]:
             "counters": {name: getattr(each, name) for name in COUNTERS},
             "known": {name: getattr(each, name) for name in _names(each)},
             "settings": _settings(each),
-            "own": each.get_state() if _tells(each) else None,  # type: ignore[attr-defined]  # it tells
+            "own": own_state(each) if _tells(each) else None,
         }
         for each in _callbacks(root)
     ]
@@ -86,7 +87,7 @@ def set_states(root: BaseCallback | None, states: list[State]) -> None:
         for name in _names(callback):  # and no others that a stranger's file may name, as a path to write to
             setattr(callback, name, state["known"][name])
         if _tells(callback):
-            callback.set_state(state["own"])  # type: ignore[attr-defined]  # it tells
+            set_own_state(callback, state["own"])
 
 
 def _settings(callback: BaseCallback) -> State:
@@ -136,7 +137,7 @@ def _callbacks(root: BaseCallback | None) -> list[BaseCallback]:
 
 
 def _tells(callback: Any) -> bool:
-    return hasattr(callback, "get_state") and hasattr(callback, "set_state")
+    return hasattr(callback, "STATE") or (hasattr(callback, "get_state") and hasattr(callback, "set_state"))
 
 
 def _names(callback: BaseCallback) -> tuple[str, ...]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -47,6 +46,8 @@ class CheckpointCallback(BaseCallback):
         ValueError: ``freq`` < 1; or, when training starts, something cannot be in a checkpoint, or the folder has those
             of another training.
     """
+
+    STATE = ("_last", "_best")
 
     def __init__(
         self,
@@ -159,14 +160,6 @@ class CheckpointCallback(BaseCallback):
 
     def _on_step(self) -> bool:
         return True
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        return {"last": self._last, "best": self._best}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        self._last, self._best = state["last"], state["best"]
 
     def state(self) -> State:
         """Everything that training is, at the start of a rollout."""

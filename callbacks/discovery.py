@@ -38,6 +38,7 @@ from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import PolicyInput
 from sb3_options.options.proposals import Proposal
 from sb3_options.options.settings import OptionLearningSettings
+from sb3_options.state import restore, state_of
 
 SEGMENTS_PER_LOG = 4
 """Segments between two dumps of the log; SB3's default is as many episodes."""
@@ -344,8 +345,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             "generator": self._generator.get_state(),
             "search": self._search.get_state(),
             "statistics": self._statistics.get_state(),
-            "growth": self._growth.get_state(),
-            "features": self._features.get_state(),
+            "growth": state_of(self._growth),
+            "features": state_of(self._features),
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -359,8 +360,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._search.set_state(state["search"])
         self._clock = DiscoveryClock(self._search.seconds)
         self._statistics.set_state(state["statistics"])
-        self._growth.set_state(state["growth"])
-        self._features.set_state(state.get("features"), self._options)  # those of before have none
+        restore(self._growth, state["growth"])
+        restore(self._features, state["features"])
+        self._features.resume(self._options)
         super().set_state(state)  # last: its options may need the feature map
 
     def _on_training_end(self) -> None:

@@ -45,6 +45,7 @@ from sb3_options.learning.novelty import (
 )
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.learning.rollout_buffer import add_bonuses
+from sb3_options.state import restore
 
 
 class IntrinsicRewardCallback(BaseCallback):
@@ -84,6 +85,8 @@ class IntrinsicRewardCallback(BaseCallback):
         TypeError: ``feature_map`` is no function, or ``rnd`` is no settings or has an unknown field; or, when training
             starts, the algorithm has no buffer that a bonus could be added to, or one of a class that is not known.
     """
+
+    STATE = ("novelty", "scale", "_bonus_weight")
 
     def __init__(
         self,
@@ -135,23 +138,11 @@ class IntrinsicRewardCallback(BaseCallback):
                     "others out."
                 )
 
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint, at the start of a rollout."""
-        return {
-            "novelty": None if self.novelty is None else self.novelty.get_state(),
-            "scale": None if self.scale is None else self.scale.get_state(),
-            "bonus_weight": self._bonus_weight,
-        }
-
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave, once training has started."""
-        if state["novelty"] is not None:
-            if self.novelty is None:
-                self.novelty = self._networks(state["novelty"]["size"])
-            self.novelty.set_state(state["novelty"])
-        if self.scale is not None:
-            self.scale.set_state(state["scale"])
-        self._bonus_weight = state["bonus_weight"]
+        """Continue from a checkpoint, once training has started."""
+        if self.novelty is None and state["novelty"] is not None:  # networks are made at the first step
+            self.novelty = self._networks(len(state["novelty"].state["statistics"].state["mean"]))
+        restore(self, state)
 
     def _networks(self, size: int) -> RandomNetworkDistillation:
         return RandomNetworkDistillation(size, self.feature_map or flatten, self.rnd, self.seed)

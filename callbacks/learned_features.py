@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import time
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -25,6 +25,7 @@ from sb3_options.options.settings import OptionLearningSettings
 class GivenFeatures:
     """A feature map that is as it is: nothing is to be done."""
 
+    STATE: ClassVar[tuple[str, ...]] = ()
     ready = True
 
     def begin(self, options: OptionInstaller) -> None:
@@ -50,12 +51,8 @@ class GivenFeatures:
     def forget(self, slot: int) -> None:
         """An option is closed."""
 
-    def get_state(self) -> dict[str, Any] | None:
-        """For a checkpoint."""
-        return None
-
-    def set_state(self, state: Any, options: OptionInstaller) -> None:
-        """Go on with what `get_state` gave."""
+    def resume(self, options: OptionInstaller) -> None:
+        """Its state was restored."""
 
 
 class LearnedFeatures(GivenFeatures):
@@ -71,6 +68,8 @@ class LearnedFeatures(GivenFeatures):
         settings: How it is learned.
         seed: Of the learner.
     """
+
+    STATE = ("learner", "_anchors")
 
     def __init__(self, feature_map: LearnedMap, settings: EmbeddingSettings, seed: int) -> None:
         self.map = feature_map
@@ -153,14 +152,8 @@ class LearnedFeatures(GivenFeatures):
         """An option is closed."""
         self._anchors.pop(slot, None)
 
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        return {"learner": self.learner.get_state(), "anchors": dict(self._anchors), "fixed": self.map.fixed}
-
-    def set_state(self, state: Any, options: OptionInstaller) -> None:
-        """Go on with what `get_state` gave: every environment has the map then."""
-        self.learner.set_state(state["learner"])
-        self._anchors, self.map.fixed = state["anchors"], state["fixed"]
+    def resume(self, options: OptionInstaller) -> None:
+        """Its state was restored: every environment gets the map."""
         options.send_learned_map()
 
 

@@ -37,6 +37,9 @@ TRANSIENT: Final = {"transient": True}
 VALUES: dict[str, type[Any]] = {}
 """Classes whose objects a checkpoint may contain, by name; `storable` adds to them."""
 
+FOREIGN: dict[type[Any], tuple[str, ...]] = {}
+"""Attributes that are the state of a class of another library; `declare` adds to them."""
+
 PLAIN = (type(None), bool, int, float, str, bytes, np.ndarray, np.generic)
 
 
@@ -53,6 +56,11 @@ def storable(cls: type[T]) -> type[T]:
         raise ValueError(f"There are two storable classes of the name {cls.__name__}: {other} and {cls}.")
     VALUES[cls.__name__] = cls
     return cls
+
+
+def declare(cls: type[Any], *names: str) -> None:
+    """Say which attributes are the state of a class of another library."""
+    FOREIGN[cls] = names
 
 
 @storable
@@ -76,6 +84,8 @@ def names_of(cls: type[Any]) -> tuple[str, ...]:
     """
     if "__dataclass_fields__" in vars(cls):
         return tuple(each.name for each in dataclasses.fields(cls) if not each.metadata.get("transient"))
+    if cls in FOREIGN:
+        return FOREIGN[cls]
     declared = [vars(base)["STATE"] for base in reversed(cls.__mro__) if "STATE" in vars(base)]
     if not declared and issubclass(cls, tuple) and hasattr(cls, "_fields"):
         declared = [cls._fields]
@@ -154,10 +164,11 @@ def _kept(item: Any, where: str, seen: dict[int, object], *, direct: bool = Fals
     if id(item) in seen:
         return Part(kind.__name__, None)
     seen[id(item)] = item
-    return Part(kind.__name__, _own(item, where, seen))
+    return Part(kind.__name__, own_state(item, where, seen))
 
 
-def _own(item: Any, where: str, seen: dict[int, object]) -> Any:
+def own_state(item: Any, where: str = "", seen: dict[int, object] | None = None) -> Any:
+    """The state of a mutable object by its own ``get_state``, and otherwise by its fields."""
     if isinstance(item, np.random.Generator):
         return item.bit_generator.state
     if hasattr(item, "get_state"):  # torch's generators have it
@@ -165,9 +176,9 @@ def _own(item: Any, where: str, seen: dict[int, object]) -> Any:
     if hasattr(item, "state_dict"):
         return dict(item.state_dict())
     try:
-        return _fields(item, where, seen)
+        return _fields(item, where or type(item).__name__, {} if seen is None else seen)
     except TypeError as error:
-        raise error if where in str(error) else TypeError(f"{error}, at {where}") from None
+        raise error if where and where in str(error) else TypeError(f"{error}, at {where}") from None
 
 
 def _restored(present: Any, item: Any, where: str) -> Any:
@@ -176,7 +187,7 @@ def _restored(present: Any, item: Any, where: str) -> Any:
         if type(present).__name__ != item.of:
             raise ValueError(f"{where} is a {type(present).__name__}, and was a {item.of}")
         if item.state is not None:
-            _set_own(present, item.state)
+            set_own_state(present, item.state)
         return present
     if type(item).__name__ in VALUES:
         return item
@@ -201,7 +212,8 @@ def _restored(present: Any, item: Any, where: str) -> Any:
     return item.to(present.device) if _is_tensor(item) and _is_tensor(present) else item
 
 
-def _set_own(present: Any, state: Any) -> None:
+def set_own_state(present: Any, state: Any) -> None:
+    """Write what `own_state` returned into an object."""
     if isinstance(present, np.random.Generator):
         present.bit_generator.state = state
     elif hasattr(present, "set_state"):

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from sb3_options.checkpoints.tree import Arrays, State, encode
+from sb3_options.state import Part
 
 OF_THE_CLOCK = frozenset(
     (
@@ -39,6 +40,8 @@ def differing(one: State, other: State) -> list[str]:
 def _without_clock(value: Any) -> Any:
     if type(value) is dict:
         return {key: _without_clock(each) for key, each in value.items() if key not in OF_THE_CLOCK}
+    if isinstance(value, Part):
+        return Part(value.of, _without_clock(value.state))
     return [_without_clock(each) for each in value] if type(value) is list else value
 
 

@@ -25,7 +25,7 @@ from sb3_options.execution import layers
 from sb3_options.execution.above import Outermost
 from sb3_options.execution.ray_vec_env import RayVecEnv
 from sb3_options.execution.wrapper import OptionsWrapper
-from sb3_options.learning.novelty import set_statistics, statistics_of
+from sb3_options.state import restore, state_of
 
 REMEMBER_NOTHING = (VecTransposeImage, VecCheckNan, VecExtractDictObs)
 
@@ -122,8 +122,8 @@ def set_state(venv: VecEnv, state: State) -> list[str]:
 def _wrapper_state(venv: VecEnvWrapper) -> State:
     if isinstance(venv, VecNormalize):
         return {
-            "observations": {key: statistics_of(each) for key, each in _running(venv).items()},
-            "rewards": statistics_of(venv.ret_rms),
+            "observations": {key: state_of(each) for key, each in _running(venv).items()},
+            "rewards": state_of(venv.ret_rms),
             "returns": venv.returns,
             "old": (venv.old_obs, venv.old_reward),
         }
@@ -140,8 +140,8 @@ def _set_wrapper_state(venv: VecEnvWrapper, state: State) -> None:
     if isinstance(venv, VecNormalize):
         running = _running(venv)
         for key, statistics in state["observations"].items():
-            set_statistics(running[key], statistics)
-        set_statistics(venv.ret_rms, state["rewards"])
+            restore(running[key], statistics)
+        restore(venv.ret_rms, state["rewards"])
         venv.returns = state["returns"]
         venv.old_obs, venv.old_reward = state["old"]
     if isinstance(venv, VecFrameStack):

@@ -31,6 +31,9 @@ KINDS = "biuf"
 
 
 MAPS: dict[str, type[dict[Any, Any]]] = {"map": dict, "ordered": OrderedDict, "counter": Counter}
+MANY = 10
+"""So many records of numbers are stored by column."""
+
 ITEMS: dict[str, type[Any]] = {"tuple": tuple, "set": set, "frozenset": frozenset}
 
 
@@ -70,6 +73,8 @@ class _Encoder:
         if kind in MAPS.values():
             return self._dictionary(value, where)
         if kind is list:
+            if (columns := _columns(value)) is not None:
+                return {MARK: "rows", "name": type(value[0]).__name__, "columns": self.encoded(columns, where)}
             return [self.encoded(each, f"{where}[{i}]") for i, each in enumerate(value)]
         if VALUES.get(kind.__name__) is kind:
             return self._value(value, where)
@@ -95,9 +100,22 @@ class _Encoder:
     def _dictionary(self, value: dict[Any, Any], where: str) -> Any:
         if type(value) is dict and all(type(key) is str for key in value) and MARK not in value:
             return {key: self.encoded(each, f"{where}.{key}") for key, each in value.items()}
+        if all(type(key) is bytes for key in value) and set(map(type, value.values())) == {int}:
+            return self._counts(value, where)
         mark = next(name for name, kind in MAPS.items() if kind is type(value))
         items = [[self.encoded(k, where), self.encoded(each, f"{where}[{k!r}]")] for k, each in value.items()]
         return {MARK: mark, "items": items}
+
+    def _counts(self, value: dict[bytes, int], where: str) -> Any:
+        """Numbers by key, such as visits of states: one array instead of one for every key."""
+        lengths = np.array([len(key) for key in value], dtype=np.int64)
+        mark = next(name for name, kind in MAPS.items() if kind is type(value))
+        content = {
+            "keys": b"".join(value),
+            "lengths": lengths,
+            "counts": np.array(list(value.values()), dtype=np.int64),
+        }
+        return {MARK: "counts", "as": mark, "of": self.encoded(content, where)}
 
     def _array(self, value: Any, array: npt.NDArray[Any], where: str) -> State:
         if array.dtype.kind not in KINDS or not array.dtype.isnative:
@@ -147,6 +165,15 @@ class _Decoder:
             return self._array(content, mark)
         if mark == "dtype":
             return {"float32": torch.float32, "float64": torch.float64}[content["name"]]
+        if mark == "counts":
+            of = self.decoded(content["of"])
+            ends = np.cumsum(of["lengths"]).tolist()
+            keys = [of["keys"][end - n : end] for end, n in zip(ends, of["lengths"].tolist(), strict=True)]
+            return MAPS[content["as"]](dict(zip(keys, of["counts"].tolist(), strict=True)))
+        if mark == "rows":
+            names, columns = zip(*self.decoded(content["columns"]).items(), strict=True)
+            rows = zip(*(column.tolist() for column in columns), strict=True)
+            return [made(content["name"], dict(zip(names, row, strict=True))) for row in rows]
         if mark in MAPS:
             return MAPS[mark]({self.decoded(key): self.decoded(each) for key, each in content["items"]})
         if "items" in content:
@@ -174,3 +201,17 @@ def _ordered(value: Any) -> list[Any]:
         return sorted(value)
     except TypeError:
         return list(value)
+
+
+def _columns(values: list[Any]) -> dict[str, npt.NDArray[Any]] | None:
+    """The fields of records of numbers as arrays, such as the returns of all episodes; None where they are others."""
+    kinds = {type(each) for each in values}
+    if len(values) < MANY or len(kinds) > 1 or VALUES.get(kinds.pop().__name__) is not type(values[0]):
+        return None
+    columns = {}
+    for name in names_of(type(values[0])):
+        column = [getattr(each, name) for each in values]
+        if set(map(type, column)) not in ({int}, {float}, {bool}):
+            return None
+        columns[name] = np.array(column)
+    return columns if all(each.dtype.kind in "bif" for each in columns.values()) else None

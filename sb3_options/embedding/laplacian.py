@@ -34,6 +34,8 @@ class AugmentedLagrangian:
         duals: β, lower triangular, (d, d + 1); column 0 is that of the constant eigenvector.
     """
 
+    STATE = ("duals",)
+
     def __init__(self, size: int) -> None:
         self.duals = torch.zeros(size, size + 1)
 

@@ -36,6 +36,8 @@ class LearnedMap:
         fixed: Whether it stays as it is, because options came with it that live in its space.
     """
 
+    STATE = ("encoder", "scale", "learned", "fixed")
+
     def __init__(self, name: MapName, form: ObservationForm, seed: int = 0) -> None:
         self.name, self.size = name, SIZES[name]
         with torch.random.fork_rng(devices=[]):  # whatever else is drawn stays as it is without a learned map

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 import torch
@@ -43,6 +42,8 @@ class FeatureLearner:
         loss: Of the last gradient steps, the mean; NaN before the first.
         n_trajectories: How many there had been when the map was last learned; 0 before.
     """
+
+    STATE = ("map", "_optimizer", "_lagrangian", "_generator", "loss", "n_trajectories")
 
     def __init__(self, feature_map: LearnedMap, settings: EmbeddingSettings, seed: int = 0) -> None:
         self.map, self.settings = feature_map, settings
@@ -132,22 +133,3 @@ class FeatureLearner:
         one, other = np.split(self.map.of_tensor(replay.observations[rows])[which.numpy()], 2)
         median = float(np.median(np.linalg.norm(one - other, axis=1)))
         return median if median > 0.0 else 1.0
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint: the map, optimizer, dual variables and generator. The data are in discovery's state."""
-        return {
-            "map": self.map.arrays(),
-            "optimizer": copy.deepcopy(self._optimizer.state_dict()),
-            "duals": self._lagrangian.duals.clone(),
-            "generator": self._generator.get_state(),
-            "loss": self.loss,
-            "n_trajectories": self.n_trajectories,
-        }
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        self.map.load(state["map"])
-        self._optimizer.load_state_dict(copy.deepcopy(state["optimizer"]))  # torch takes the arrays themselves
-        self._lagrangian.duals = state["duals"]
-        self._generator.set_state(state["generator"])
-        self.loss, self.n_trajectories = state["loss"], state["n_trajectories"]

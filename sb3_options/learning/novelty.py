@@ -17,6 +17,9 @@ from torch.nn import functional
 from sb3_options.checked import Field, settings
 from sb3_options.density.arrays import short_key
 from sb3_options.experience.observations import FeatureMap, FloatArray, Observations, batch_size, flatten
+from sb3_options.state import declare
+
+declare(RunningMeanStd, "mean", "var", "count")
 
 Keys: TypeAlias = Callable[[Observations], list[bytes]]
 """A batch of observations → what each of them is counted as."""
@@ -43,12 +46,6 @@ class Novelty(Protocol):
     def records(self) -> dict[str, float]:
         """What is logged of it, by name."""
 
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-
 
 class StateCounts:
     """1 / √N(s) of the number of visits N(s), those of all environments together (Strehl & Littman 2008; MBIE-EB).
@@ -56,6 +53,8 @@ class StateCounts:
     Args:
         keys: What is counted.
     """
+
+    STATE = ("visits",)
 
     def __init__(self, keys: Keys) -> None:
         self.keys = keys
@@ -76,17 +75,6 @@ class StateCounts:
     def records(self) -> dict[str, float]:
         """How many different states were visited."""
         return {"states": float(len(self.visits))}
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        lengths = np.array([len(key) for key in self.visits], dtype=np.int64)
-        return {"keys": b"".join(self.visits), "lengths": lengths, "counts": np.array(list(self.visits.values()))}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        ends = np.cumsum(state["lengths"]).tolist()
-        keys = [state["keys"][end - n : end] for end, n in zip(ends, state["lengths"].tolist(), strict=True)]
-        self.visits = dict(zip(keys, state["counts"].tolist(), strict=True))
 
 
 def is_table_like(space: spaces.Space[Any]) -> bool:
@@ -189,6 +177,8 @@ class RandomNetworkDistillation:
         seed: Of their weights.
     """
 
+    STATE = ("statistics", "loss", "target", "predictor", "_optimizer", "_visited")
+
     def __init__(
         self, size: int, features: FeatureMap = flatten, settings: RNDSettings | None = None, seed: int = 0
     ) -> None:
@@ -222,26 +212,6 @@ class RandomNetworkDistillation:
         """The predictor's last loss; nothing before the first."""
         return {} if math.isnan(self.loss) else {"loss": self.loss}
 
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        return {
-            "size": len(self.statistics.mean),
-            "statistics": statistics_of(self.statistics),
-            "loss": self.loss,
-            "target": dict(self.target.state_dict()),
-            "predictor": dict(self.predictor.state_dict()),
-            "optimizer": self._optimizer.state_dict(),
-            "visited": list(self._visited),
-        }
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        set_statistics(self.statistics, state["statistics"])
-        self.loss, self._visited = state["loss"], state["visited"]
-        self.target.load_state_dict(state["target"])
-        self.predictor.load_state_dict(state["predictor"])
-        self._optimizer.load_state_dict(state["optimizer"])
-
     def _normalized(self, rows: FloatArray) -> torch.Tensor:
         scaled = (rows - self.statistics.mean) / np.sqrt(self.statistics.var + SMALLEST)
         return torch.as_tensor(np.clip(scaled, -CLIP, CLIP), dtype=torch.float32)
@@ -273,16 +243,6 @@ def _network(size: int, settings: RNDSettings, *, n_hidden: int) -> nn.Sequentia
     return made
 
 
-def statistics_of(running: RunningMeanStd) -> dict[str, Any]:
-    """What a running mean and variance hold, for a checkpoint."""
-    return {"mean": running.mean, "var": running.var, "count": running.count}
-
-
-def set_statistics(running: RunningMeanStd, state: dict[str, Any]) -> None:
-    """Go on with what `statistics_of` gave."""
-    running.mean, running.var, running.count = state["mean"], state["var"], state["count"]
-
-
 class ReturnScale:
     """The running standard deviation of the intrinsic return, by which bonuses are divided (Burda et al. 2018, §2.4).
 
@@ -292,6 +252,8 @@ class ReturnScale:
         gamma: γ, below 1.
         n_envs: Parallel environments.
     """
+
+    STATE = ("returns", "statistics")
 
     def __init__(self, gamma: float, n_envs: int) -> None:
         self.gamma = gamma
@@ -310,15 +272,6 @@ class ReturnScale:
                 self.returns[env] = self.gamma * self.returns[env] + bonus
                 passed.append(self.returns[env])
         self.statistics.update(np.array(passed))
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        return {"returns": self.returns, "statistics": statistics_of(self.statistics)}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        self.returns = state["returns"]
-        set_statistics(self.statistics, state["statistics"])
 
     @property
     def std(self) -> float:

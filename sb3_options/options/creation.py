@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -265,6 +264,8 @@ class OptionGrowth:
     Learning it anew at every doubling costs at most as much as learning two options from all trajectories.
     """
 
+    STATE = ("_reached", "_learned_from")
+
     def __init__(self) -> None:
         self._reached: dict[int, int] = {}
         self._learned_from: dict[int, int] = {}
@@ -301,14 +302,6 @@ class OptionGrowth:
             return False
         self._learned_from[slot] = self._reached[slot]
         return True
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        return {"reached": dict(self._reached), "learned_from": dict(self._learned_from)}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        self._reached, self._learned_from = state["reached"], state["learned_from"]
 
 
 def _reaches(subgoal: Region, trajectory: LabelledTrajectory) -> bool:

@@ -1,6 +1,7 @@
 import json
 import math
 from collections import Counter, OrderedDict, deque
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -11,6 +12,14 @@ from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import HalfSpace, Region
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
+from sb3_options.state import storable
+
+
+@storable
+class Number(NamedTuple):
+    n: int
+    x: float
+    done: bool
 
 
 def there_and_back(state: object) -> object:
@@ -39,6 +48,9 @@ def there_and_back(state: object) -> object:
         deque([1, (2,)], 5),
         OrderedDict(b=1, a=2),
         Counter("aab"),
+        {b"a": 1, b"": 2, b"abc": -3},
+        Counter([b"a", b"a"]),
+        [Number(i, i / 3, done=i > 5) for i in range(20)],
     ],
     ids=repr,
 )

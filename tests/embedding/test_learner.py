@@ -1,5 +1,6 @@
 """Learned spaces against the truth: shortest paths, and the eigenvectors of the Laplacian."""
 
+import copy
 import dataclasses
 import functools
 from typing import Any
@@ -14,6 +15,7 @@ from sb3_options.embedding.learner import FeatureLearner
 from sb3_options.embedding.settings import EmbeddingSettings, MapName
 from sb3_options.envs.gridworld.maps import FOUR_ROOMS, TWO_ROOMS
 from sb3_options.experience.trajectories import Trajectory
+from sb3_options.state import restore, state_of
 from tests.embedding.truth import cosines, distances, learned, path_graph, path_through, rank_correlation, rooms
 from tests.support.helpers import equal
 
@@ -98,7 +100,7 @@ def test_a_state_goes_on(name: MapName) -> None:
 
     one, other = new(0), new(1)
     one.learn(LINE.trajectories, 8)
-    other.set_state(one.get_state())
+    restore(other, copy.deepcopy(state_of(one)))
     for each in (one, other):
         each.learn(LINE.trajectories, 16)
     assert equal(one.map.arrays(), other.map.arrays())
