@@ -28,16 +28,6 @@ Chooser = Callable[[Any, BoolArray], npt.NDArray[Any]]
 """Observations and masks (n_envs, n_actions) → actions (n_envs,)."""
 
 
-class WithheldOptions(OptionsWrapper):
-    """Options that are discovered and cannot be chosen."""
-
-    def action_masks(self) -> BoolArray:
-        """Primitive actions only."""
-        mask = super().action_masks()
-        mask[self.n_primitive :] = False
-        return mask
-
-
 def venv_of(
     env_id: str,
     seed: int,
@@ -47,7 +37,6 @@ def venv_of(
     slots: int = 0,
     options: Path | None = None,
     by_hand: MadeBy | None = None,
-    withheld: bool = False,
 ) -> VecEnv:
     """Parallel environments of one task.
 
@@ -59,14 +48,12 @@ def venv_of(
         slots: For options.
         options: File of the options they begin with.
         by_hand: Makes options, as many as there are slots, from φ.
-        withheld: Whether options cannot be chosen.
     """
 
     def wrapped(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
         if not slots:
             return env
-        wrapper = WithheldOptions if withheld else OptionsWrapper
-        optioned = wrapper(env, slots, gamma=settings.GAMMA, options_file=options)
+        optioned = OptionsWrapper(env, slots, gamma=settings.GAMMA, options_file=options)
         for option in by_hand(optioned.concept_features)[:slots] if by_hand else ():
             optioned.bank.add(option)
         return optioned

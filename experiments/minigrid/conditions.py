@@ -18,11 +18,9 @@ from experiments.minigrid import settings
 from experiments.minigrid.agents import Chooser, Notes, learned, model_of, normalised, success_rate, uniform, venv_of
 from experiments.minigrid.contrasting import ContrastingSubgoalsCallback
 from experiments.minigrid.hand_made import MadeBy, options_on, to_subgoals_on
-from experiments.minigrid.settings import FAMILIES, LATER_ARM, WITH_OPTIONS, ZOO_ARM, Arm, Stage, zoo_settings
+from experiments.minigrid.settings import FAMILIES, WITH_OPTIONS, ZOO_ARM, Arm, Stage, zoo_settings
 from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.callbacks.records import DiscoveredOption
-from sb3_options.envs.minigrid import concept_groups
-from sb3_options.learning import heads
 
 Judged = Literal["sampled", "greedy", "uniform"]
 JUDGED: tuple[Judged, ...] = get_args(Judged)
@@ -90,7 +88,6 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
                 stage.env_id,
                 env_seed,
                 rehearsed=(stages[number - 1].env_id if n_rehearsed else "", n_rehearsed),
-                withheld=arm == LATER_ARM and number == 0,
                 **how,
             )
             if arm == ZOO_ARM:
@@ -102,7 +99,7 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
             longest = n_envs * venv.get_attr("unwrapped", [0])[0].max_steps
             learned_at, least = (protocol.until, longest) if is_last else (protocol.learned, 0)
             notes = Notes(n_envs - n_rehearsed, learned_at, least)
-            rollouts = settings.primitive_rollouts(arm, stage)
+            rollouts = settings.primitive_rollouts(stage)
             callbacks = _callbacks(arm, seed, number, is_last=is_last, primitive_rollouts=rollouts)
             began, worked = time.perf_counter(), time.process_time()
             model.learn(stage.frames, callback=[*callbacks, notes])
@@ -117,9 +114,6 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
                     how["options"] = Path(folder) / "options"
                     found.bank.save(how["options"])
             venv.close()
-            if arm == LATER_ARM and number == 0:
-                for slot in range(slots):  # they open with their share where they are offered first
-                    heads.close_head(model.policy, model.action_space.n - slots + slot)
         fresh = env_seed + FRESH
         venv = venv_of(stages[-1].env_id, fresh, **how)
         if arm == ZOO_ARM:
@@ -136,20 +130,14 @@ def _by_hand(arm: Arm) -> MadeBy | None:
     return options_on if arm == "hand-made" else None
 
 
-def _blinkered() -> list[dict[str, Any]]:
-    """The groups of MiniGrid, whose options see no more than their subgoals say."""
-    return [{name: of for name, of in group.items() if name != "seen"} for group in concept_groups()]
-
-
 def _callbacks(arm: Arm, seed: int, stage: int, *, is_last: bool, primitive_rollouts: bool) -> list[BaseCallback]:
     callbacks: list[BaseCallback] = []
     if arm in settings.DISCOVERING:
         kind = ContrastingSubgoalsCallback if arm in settings.CONTRASTING else SubgoalDiscoveryCallback
         discovery = kind(
             settings.DISCOVERY,
-            settings.options_of(arm, stage),
+            settings.options_of(stage),
             method="random" if arm in settings.RANDOM else None,
-            groups=_blinkered() if arm in (settings.OWN_ARM, settings.FORMER_ARM) else None,
             max_new_options=0 if is_last and stage else None,
             opening_share=settings.OPENING_SHARE,
             min_reached=settings.MIN_REACHED,

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any, Literal, NamedTuple, get_args
 
 Arm = Literal[
-    "discovered", "discovered, own features", "discovered, former settings", "discovered, offered later",
-    "discovered, RND", "discovered, RND at first", "discovered, RND before the last",
+    "discovered", "discovered, RND", "discovered, RND at first", "discovered, RND before the last",
     "random subgoals", "random subgoals, RND at first", "random subgoals, RND before the last",
     "contrasting subgoals", "contrasting subgoals, RND at first", "contrasting subgoals, RND before the last",
     "hand-made", "hand-made subgoals", "hand-made subgoals, 3 cells", "hand-made subgoals, 2 cells",
@@ -18,16 +17,11 @@ ARMS: tuple[Arm, ...] = get_args(Arm)
 weights along. ``stock, curriculum``: PPO; ``stock, rl-zoo3's settings``: with these; ``stock, RND``: with a bonus for
 what is new in each task. ``discovered``: with options that are discovered in the stages before the last, and kept;
 ``discovered, RND``: with the bonus. ``RND at first``: with the bonus in the first task alone; ``RND before the last``:
-in all but the last. ``discovered, own features``: options see no more than their subgoal says, and are not learned
-anew. ``discovered, former settings``: likewise, rollouts count decisions, and options begin in all of I; ``discovered,
-offered later``: options may be chosen from the second stage on. ``random subgoals``: as ``discovered``, but subgoals
+in all but the last. ``random subgoals``: as ``discovered``, but subgoals
 are drawn, not found; ``contrasting subgoals``: drawn from what successes visit oftener than failures. ``hand-made``:
 options by hand from the first step on, the bound. ``hand-made subgoals``: by hand, to the subgoals that discovery finds
 in rooms, from wherever they are in view, or from so many cells away."""
 
-OWN_ARM: Arm = "discovered, own features"
-FORMER_ARM: Arm = "discovered, former settings"
-LATER_ARM: Arm = "discovered, offered later"
 RANDOM: tuple[Arm, ...] = tuple(arm for arm in ARMS if arm.startswith("random"))
 CONTRASTING: tuple[Arm, ...] = tuple(arm for arm in ARMS if arm.startswith("contrasting"))
 DISCOVERING: tuple[Arm, ...] = (*(arm for arm in ARMS if arm.startswith("discovered")), *RANDOM, *CONTRASTING)
@@ -169,16 +163,14 @@ REACHED = (0.5, 0.8, 0.9)
 """Success rates whose frames are reported."""
 
 
-def options_of(arm: Arm, stage: int = 0) -> dict[str, Any]:
-    """How an arm learns options in a stage, counted from 0."""
-    if arm == FORMER_ARM:
-        return {"min_reach": 0.0}
-    return {} if arm == OWN_ARM or stage >= GROWING_STAGES else OPTIONS
+def options_of(stage: int) -> dict[str, Any]:
+    """How options are learned in a stage, counted from 0."""
+    return {} if stage >= GROWING_STAGES else OPTIONS
 
 
-def primitive_rollouts(arm: Arm, stage: Stage) -> bool:
-    """Whether rollouts of an arm with options count primitive steps in a stage."""
-    return arm != FORMER_ARM and not stage.counts_decisions
+def primitive_rollouts(stage: Stage) -> bool:
+    """Whether rollouts of agents with options count primitive steps in a stage."""
+    return not stage.counts_decisions
 
 
 def zoo_settings(family: str) -> dict[str, Any]:
@@ -190,11 +182,10 @@ def of(arm: Arm, family: str) -> dict[str, Any]:
     """What one arm alone has in a family."""
     special: dict[str, Any] = {}
     if arm in WITH_OPTIONS:
-        special |= {"primitive_rollouts": arm != FORMER_ARM}
+        special |= {"primitive_rollouts": True}
     if arm in DISCOVERING:
         special |= {"discovery": DISCOVERY, "opening_share": OPENING_SHARE}
-        special |= {"options": options_of(arm), "own_features_only": arm in (OWN_ARM, FORMER_ARM)}
-        special |= {"growing_stages": GROWING_STAGES} if options_of(arm) == OPTIONS else {}
+        special |= {"options": OPTIONS, "growing_stages": GROWING_STAGES}
         special |= {"min_reached": MIN_REACHED, "discovers_in": "all stages but the last"}
     if arm in (*RANDOM, *CONTRASTING):
         special |= {"subgoals": "drawn" if arm in RANDOM else "drawn from what contrasts"}
