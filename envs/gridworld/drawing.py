@@ -5,8 +5,6 @@ from numpy.typing import NDArray
 
 from sb3_options.envs.gridworld.grid_map import Cell, GridMap
 
-__all__ = ["AGENT", "GOAL", "KEY", "RENDER_CELL_PX", "draw_agent", "fill_cell", "flat_picture", "scene"]
-
 RENDER_CELL_PX = 32
 """Side of a cell in a rendered picture, px; a multiple of 16, because video encoders pad other sizes."""
 
@@ -33,16 +31,7 @@ _V, _U = (np.mgrid[:RENDER_CELL_PX, :RENDER_CELL_PX] + 0.5) / RENDER_CELL_PX - 0
 
 
 def flat_picture(grid: GridMap, has_key: bool, cell_px: int) -> Picture:
-    """Draws each cell as a square of one colour, without the agent and the starts.
-
-    Args:
-        grid: The map.
-        has_key: Whether the agent holds the key: keys are then gone and doors are open.
-        cell_px: Side of a cell in px.
-
-    Returns:
-        RGB picture of shape (height * cell_px, width * cell_px, 3).
-    """
+    """Draws each cell as a square of one colour, without the agent and the starts; with the key doors are open."""
     colours = np.full((grid.height, grid.width, 3), _FLOOR, dtype=np.uint8)
     colours[grid.walls] = _WALL
     for x, y in grid.doors:
@@ -61,15 +50,7 @@ def fill_cell(picture: Picture, cell: Cell, cell_px: int, colour: Colour) -> Non
 
 
 def scene(grid: GridMap, has_key: bool) -> Picture:
-    """Draws a map for people, without the agent.
-
-    Args:
-        grid: The map.
-        has_key: Whether the agent holds the key: keys are then gone and doors are open.
-
-    Returns:
-        RGB picture of shape (height * RENDER_CELL_PX, width * RENDER_CELL_PX, 3).
-    """
+    """Draws a map for people, without the agent; with the key doors are open."""
     picture = np.full((grid.height * RENDER_CELL_PX, grid.width * RENDER_CELL_PX, 3), _FLOOR, dtype=np.uint8)
     everywhere = np.ones_like(_U)
     grid_line = _box(0, 0, 0.5, 0.5) - _box(0, 0, 0.5 - 1 / RENDER_CELL_PX, 0.5 - 1 / RENDER_CELL_PX)

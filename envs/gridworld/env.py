@@ -10,14 +10,12 @@ from gymnasium import spaces
 from gymnasium.core import RenderFrame
 from numpy.typing import NDArray
 
-from sb3_options.envs.checks import flag, number, one_of, step_limit
+from sb3_options.envs.checks import number, one_of, step_limit
 from sb3_options.envs.gridworld import drawing
 from sb3_options.envs.gridworld.grid_map import Cell, Direction, GridMap
 from sb3_options.envs.gridworld.maps import TWO_ROOMS, TWO_ROOMS_MAX_STEPS
 from sb3_options.envs.gridworld.observations import ImageView, OneHotView, View, XYView
 from sb3_options.envs.gridworld.window import Window
-
-__all__ = ["KEY_FEATURE_SCALE", "GridWorld", "ObservationKind", "RenderMode"]
 
 ObservationKind = Literal["onehot", "xy", "image"]
 RenderMode = Literal["human", "rgb_array", "ansi"]
@@ -106,7 +104,7 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         self._goal_reward = number(goal_reward, "goal_reward")
         self._step_reward = number(step_reward, "step_reward")
         self._max_steps = step_limit(max_steps)
-        self._continuing = flag(continuing, "continuing")
+        self._continuing = continuing
         self._view = _VIEWS[one_of(observation, get_args(ObservationKind), "observation")](self._grid)
         self.render_mode = None if render_mode is None else one_of(render_mode, get_args(RenderMode), "render_mode")
 
@@ -146,10 +144,6 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
 
         Returns:
             The first observation, and an empty info.
-
-        Raises:
-            TypeError: If ``options["start"]`` is not a pair of integers.
-            ValueError: If ``options`` has another key, or no episode can start in ``options["start"]``.
         """
         super().reset(seed=seed)
         options = options or {}
@@ -177,10 +171,6 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         Returns:
             Observation, reward, terminated, truncated, and an info with ``is_success``. A step that reaches
             the goal is never truncated.
-
-        Raises:
-            gymnasium.error.ResetNeeded: Before the first reset, and after the end of an episode.
-            gymnasium.error.InvalidAction: If the action is not an integer 0..3.
         """
         state = self._state
         if state is None or self._over:
@@ -230,9 +220,6 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         Returns:
             Column and row in cells, of shape (batch, 2). With a key on the map the shape is (batch, 3), and the last is
             `KEY_FEATURE_SCALE` where the agent has the key and 0 where it has not.
-
-        Raises:
-            ValueError: If the shape is wrong, or no agent is to be seen in an image.
         """
         observations = np.asarray(observations)
         expected = self._view.space.shape
@@ -250,9 +237,6 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         Returns:
             For ``"rgb_array"`` a uint8 picture of shape (32 * height, 32 * width, 3), for ``"ansi"`` the
             map's rows as one string, else None.
-
-        Raises:
-            gymnasium.error.ResetNeeded: Before the first reset.
         """
         if self.render_mode is None:
             gymnasium.logger.warn("render() does nothing without a render mode: pass render_mode='rgb_array'")

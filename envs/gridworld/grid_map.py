@@ -11,8 +11,6 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Cell", "Direction", "GridMap"]
-
 Cell = tuple[int, int]
 """A cell (x, y) = (column, row), counted from the top left corner."""
 
@@ -60,21 +58,7 @@ class GridMap:
 
     @classmethod
     def parse(cls, text: str, goal: Cell | None = None, starts: Sequence[Cell] | None = None) -> Self:
-        """Reads a map.
-
-        Args:
-            text: One line a row of ``#`` wall, ``.`` floor, ``S`` start, ``G`` goal, ``K`` key, ``D`` door.
-                Blank lines around it and white space around its rows are dropped.
-            goal: A goal to use instead of the map's own, which becomes floor.
-            starts: Start cells to use instead of the map's own.
-
-        Returns:
-            The map, with a goal that every start can reach.
-
-        Raises:
-            TypeError: If an argument has the wrong type.
-            ValueError: If the map is malformed, lacks a goal or a start, or a start cannot reach the goal.
-        """
+        """Reads a map."""
         rows = _rows(text)
         cells = {mark: _cells_of(rows, mark) for mark in _CHARACTERS}
         if bool(cells[KEY]) != bool(cells[DOOR]):
@@ -188,16 +172,7 @@ class GridMap:
         return x, y
 
     def start_state(self, cell: Cell, argument: str) -> int:
-        """Checks a start cell and says which state an episode begins in there.
-
-        Args:
-            cell: The cell.
-            argument: What the user calls the cell, for the error's text.
-
-        Raises:
-            TypeError: If ``cell`` is not a pair of integers.
-            ValueError: If it is outside the map, a wall, a door, the goal, or cut off from the goal.
-        """
+        """Checks a start cell and says which state an episode begins in there."""
         cell = _as_cell(cell, argument)
         self._check_free(cell, argument, self.doors)
         if cell == self.goal:

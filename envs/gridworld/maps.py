@@ -6,15 +6,6 @@ off. The figures beside the limits are exact (powers of the random walk's transi
 recomputes them.
 """
 
-__all__ = [
-    "FOUR_ROOMS",
-    "FOUR_ROOMS_MAX_STEPS",
-    "KEY_DOOR",
-    "KEY_DOOR_MAX_STEPS",
-    "TWO_ROOMS",
-    "TWO_ROOMS_MAX_STEPS",
-]
-
 TWO_ROOMS = """
 SSSSSSSSSS#..........
 SSSSSSSSSS#..........

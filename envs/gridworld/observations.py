@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from sb3_options.envs.gridworld import drawing
 from sb3_options.envs.gridworld.grid_map import GridMap
 
-__all__ = ["ImageView", "OneHotView", "View", "XYView"]
-
 MIN_IMAGE_PX = 36
 """Least side of an image, px: the smallest that the convolutions of SB3's NatureCNN accept."""
 
@@ -101,11 +99,7 @@ class ImageView(View):
         return picture
 
     def positions(self, observations: NDArray[Any]) -> NDArray[np.float64]:
-        """See `View.positions`.
-
-        Raises:
-            ValueError: If no cell of a picture has the agent's colour.
-        """
+        """See `View.positions`."""
         # A cell has one colour, so one of its pixels says it all.
         cells = observations[:, :: self._cell_px, :: self._cell_px]
         is_agent = (cells == drawing.AGENT).all(axis=3)

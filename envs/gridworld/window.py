@@ -9,7 +9,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
-__all__ = ["Window"]
 
 _PX_PER_INCH = 100
 
@@ -19,9 +18,6 @@ class Window:
 
     With a matplotlib backend that has no windows nothing is seen, and where there is a display matplotlib
     warns.
-
-    Args:
-        title: The window's title.
     """
 
     def __init__(self, title: str) -> None:
@@ -30,12 +26,7 @@ class Window:
         self._image: AxesImage | None = None
 
     def show(self, picture: NDArray[np.uint8], seconds: float) -> None:
-        """Shows a picture and lets the window live for a while.
-
-        Args:
-            picture: RGB picture of shape (height, width, 3).
-            seconds: How long to wait, s.
-        """
+        """Shows a picture and lets the window live for a while."""
         # Imported late: pyplot chooses a GUI toolkit, which training without a window should never load.
         from matplotlib import pyplot as plt
 

@@ -25,9 +25,6 @@ class MiniGridCNN(BaseFeaturesExtractor):
     Args:
         observation_space: Of the wrapper, (v·v·21 + words,).
         view: v, cells across the view: odd, at least 7. Another than 7 goes into ``features_extractor_kwargs``.
-
-    Raises:
-        ValueError: Observations are no single vector of such a view.
     """
 
     def __init__(self, observation_space: gym.Space[Any], view: int = 7) -> None:

@@ -43,11 +43,7 @@ def qualified(env_id: str) -> str:
 
 
 def require() -> None:
-    """Import ``minigrid``, which registers its environments.
-
-    Raises:
-        ModuleNotFoundError: It is not installed; the text names the extra.
-    """
+    """Import ``minigrid``, which registers its environments."""
     try:
         import minigrid  # noqa: F401  # registers them
     except ModuleNotFoundError as error:

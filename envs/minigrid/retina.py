@@ -76,9 +76,6 @@ def retina(
     Returns:
         Features in the order of ``FEATURES``, and of each thing that is asked for whether the nearest is visible, and
         where, (batch, 27 + 3k).
-
-    Raises:
-        ValueError: The images have another shape.
     """
     images = np.asarray(images)
     if images.ndim != 4 or images.shape[1] != images.shape[2] or images.shape[3] != 3:

@@ -97,10 +97,7 @@ def _visible(transparent: list[bool], view: int) -> list[bool]:
 def _spread(lit: int, clear: int, view: int) -> tuple[int, int]:
     """What is lit in a row, and by it in the row beyond: to the right, then to the left, as long as cells are clear.
 
-    Args:
-        lit: Bit i is set where column i is lit.
-        clear: Likewise where one can see through.
-        view: Columns.
+    Bit i of ``lit`` and ``clear`` is column i.
     """
     beyond = 0
     for columns, step in ((range(view - 1), 1), (range(view - 1, 0, -1), -1)):

@@ -84,11 +84,7 @@ class MiniGridWrapper(
         return np.concatenate([cells, words])
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Vector, dict[str, Any]]:
-        """As the environment's.
-
-        Raises:
-            FileNotFoundError: MiniGrid lacks a file that its ``WFC`` tasks are made from.
-        """
+        """As the environment's."""
         try:
             return super().reset(seed=seed, options=options)
         except FileNotFoundError as error:
@@ -130,11 +126,7 @@ _EYES = tuple(np.eye(n, dtype=np.uint8) for n in (OBJECTS, COLOURS, STATES))
 
 
 def _view_of(env: gym.Env[Any, Any]) -> int:
-    """How many cells wide the agent's view is.
-
-    Raises:
-        TypeError: Observations are others than what the agent sees.
-    """
+    """How many cells wide the agent's view is."""
     space = env.observation_space
     shape = space["image"].shape if isinstance(space, gym.spaces.Dict) and "image" in space.spaces else None
     own = shape is not None and len(shape) == 3 and shape[0] == shape[1] and shape[0] % 2 == 1 and shape[2] == 3
@@ -150,11 +142,7 @@ def _view_of(env: gym.Env[Any, Any]) -> int:
 
 
 def _check_rewards(env: gym.Env[Any, Any]) -> None:
-    """Refuse rewards that are not the environment's own, by which success is told.
-
-    Raises:
-        TypeError: A wrapper changes them.
-    """
+    """Refuse rewards that are not the environment's own, by which success is told."""
     for each in _wrappers(env):
         name = type(each).__name__
         if isinstance(each, gym.RewardWrapper) or name in OTHER_REWARDS:

@@ -10,8 +10,6 @@ import numpy as np
 
 from sb3_options.envs.pioneer.body import BALL_RADIUS, BODY_RADIUS
 
-__all__ = ["CORNER_SIZE", "OBSTACLE_RADIUS", "Arena", "Box", "Cylinder", "Placement", "Pose", "Position"]
-
 WALL_HEIGHT = 0.4
 """m; higher than the sonar ring."""
 
@@ -80,16 +78,7 @@ class Placement(NamedTuple):
 
 
 class Arena:
-    """A square floor with walls around; the origin is in its middle, +x to the right and +y up.
-
-    Args:
-        size: Inner side, m.
-        n_obstacles: Number of round obstacles.
-        n_balls: Number of balls.
-
-    Raises:
-        ValueError: There is no room for robot, balls and obstacles.
-    """
+    """A square floor with walls around; the origin is in its middle, +x to the right and +y up."""
 
     def __init__(self, size: float, n_obstacles: int, n_balls: int) -> None:
         self.size = size
@@ -116,11 +105,7 @@ class Arena:
         ]
 
     def given(self, options: dict[str, Any]) -> dict[str, Any]:
-        """What the options of an environment's reset say of a `Placement`.
-
-        Raises:
-            ValueError: There is another key, or the numbers do not have the right shape.
-        """
+        """What the options of an environment's reset say of a `Placement`."""
         shapes = {"robot": (3,), "balls": (self._n_balls, 2), "obstacles": (self._n_obstacles, 2)}
         fields: dict[str, Any] = {}
         for key, value in options.items():
@@ -152,15 +137,7 @@ class Arena:
         return x >= edge and y >= edge
 
     def sample(self, rng: np.random.Generator, **given: Any) -> Placement:
-        """Draws a random placement.
-
-        Args:
-            rng: Source of randomness.
-            given: Fields of the `Placement` that are not to be drawn.
-
-        Raises:
-            ValueError: What was given overlaps, is outside, or leaves no room for the rest.
-        """
+        """Draws a random placement."""
         refusal = f"found no placement in {N_PROBES} tries: enlarge arena_size, {self.size:g} m"
         for _ in range(N_PROBES):
             placement = self._draw(rng)

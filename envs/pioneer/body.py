@@ -7,43 +7,6 @@ on the floor below the middle of the axle.
 
 from __future__ import annotations
 
-__all__ = [
-    "ASIDE",
-    "AXLE_TRACK",
-    "BALL_DAMPING",
-    "BALL_FRICTION",
-    "BALL_MASS",
-    "BALL_RADIUS",
-    "BALL_ROLLING_FRICTION",
-    "BALL_SPINNING_FRICTION",
-    "BODY_BOTTOM",
-    "BODY_DAMPING",
-    "BODY_FRICTION",
-    "BODY_MASS",
-    "BODY_RADIUS",
-    "BODY_TOP",
-    "CASTER_BEHIND",
-    "CASTER_FRICTION",
-    "CASTER_RADIUS",
-    "CONTACT_GAP",
-    "CONTROL_RATE",
-    "GRAVITY",
-    "GRIP_AHEAD",
-    "GRIP_FORCE",
-    "MIDDLE_HEIGHT",
-    "MOTOR_TORQUE",
-    "PADDLE_HALF_SIDES",
-    "PADDLE_HEIGHT",
-    "PADDLE_OPENING",
-    "PADDLE_TIP",
-    "PHYSICS_RATE",
-    "REAR_MASS",
-    "SOLID_FRICTION",
-    "TYRE_FRICTION",
-    "WHEEL_MASS",
-    "WHEEL_RADIUS",
-]
-
 BODY_RADIUS = 0.22
 """m: half of the body's 44 cm length. The body, 44 cm by 38 cm with rounded ends, is simulated as the cylinder that
 it turns in, so that turning on the spot brings nothing but the gripper nearer to a wall."""

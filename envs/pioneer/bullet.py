@@ -15,17 +15,11 @@ from sb3_options.envs.pioneer.arena import Box, Cylinder
 from sb3_options.envs.pioneer.body import GRAVITY
 from sb3_options.extras import how_to_install
 
-__all__ = ["Bullet", "load_pybullet"]
-
 Point = Sequence[float]
 
 
 def load_pybullet() -> ModuleType:
-    """Imports PyBullet, which is needed only by those who simulate.
-
-    Raises:
-        gymnasium.error.DependencyNotInstalled: PyBullet is not installed.
-    """
+    """Imports PyBullet, which is needed only by those who simulate."""
     try:
         import pybullet
     except ImportError as error:
@@ -57,9 +51,6 @@ class Bullet:
         client: The number of the physics client; -1 while there is none.
         looks: Number of the visual shape that bodies are to have. Without a window that is a speck: meshes like the
             bodies themselves, which nobody sees, would take most of the time of building a scene.
-
-    Raises:
-        gymnasium.error.DependencyNotInstalled: PyBullet is not installed.
     """
 
     def __init__(self, tick: float, substeps: int, solver_iterations: int, *, gui: bool = False) -> None:
@@ -72,11 +63,7 @@ class Bullet:
         self._gui = gui
 
     def clear(self) -> None:
-        """Removes all bodies; connects first if need be.
-
-        Raises:
-            gymnasium.error.Error: Bullet's window cannot be opened, or there are too many physics clients.
-        """
+        """Removes all bodies; connects first if need be."""
         if self.client < 0:
             self._connect()
         p, client = self.p, self.client
@@ -114,15 +101,7 @@ class Bullet:
         return floor
 
     def add_ball(self, mass: float, radius: float, x: float, y: float, **dynamics: float) -> int:
-        """Adds a ball that lies on the floor, and returns its number.
-
-        Args:
-            mass: kg.
-            radius: m.
-            x: m.
-            y: m.
-            dynamics: Friction and damping, as PyBullet's ``changeDynamics`` calls them.
-        """
+        """Adds a ball that lies on the floor, and returns its number."""
         p, client = self.p, self.client
         shape = p.createCollisionShape(p.GEOM_SPHERE, radius=radius, physicsClientId=client)
         ball = int(p.createMultiBody(mass, shape, self.looks, basePosition=(x, y, radius), physicsClientId=client))

@@ -5,55 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from sb3_options.envs.pioneer import body
 from sb3_options.envs.pioneer.arena import Box, Cylinder, Placement, Pose, Position
-from sb3_options.envs.pioneer.body import (
-    ASIDE,
-    AXLE_TRACK,
-    BALL_DAMPING,
-    BALL_FRICTION,
-    BALL_MASS,
-    BALL_RADIUS,
-    BALL_ROLLING_FRICTION,
-    BALL_SPINNING_FRICTION,
-    BODY_BOTTOM,
-    BODY_FRICTION,
-    BODY_MASS,
-    BODY_RADIUS,
-    BODY_TOP,
-    CASTER_BEHIND,
-    CASTER_FRICTION,
-    CASTER_RADIUS,
-    CONTACT_GAP,
-    CONTROL_RATE,
-    GRIP_AHEAD,
-    GRIP_FORCE,
-    MIDDLE_HEIGHT,
-    MOTOR_TORQUE,
-    PADDLE_HALF_SIDES,
-    PADDLE_HEIGHT,
-    PADDLE_OPENING,
-    PADDLE_TIP,
-    PHYSICS_RATE,
-    REAR_MASS,
-    TYRE_FRICTION,
-    WHEEL_MASS,
-    WHEEL_RADIUS,
-)
 from sb3_options.envs.pioneer.bullet import Bullet
 from sb3_options.envs.pioneer.simulator import Point, Simulator
-
-__all__ = ["SOLVER_ITERATIONS", "BulletSimulator"]
 
 SOLVER_ITERATIONS = 10
 """Of Bullet's default 50: a robot on three wheels needs few."""
 
 BALL_DYNAMICS = {
-    "lateralFriction": BALL_FRICTION,
-    "rollingFriction": BALL_ROLLING_FRICTION,
-    "spinningFriction": BALL_SPINNING_FRICTION,
+    "lateralFriction": body.BALL_FRICTION,
+    "rollingFriction": body.BALL_ROLLING_FRICTION,
+    "spinningFriction": body.BALL_SPINNING_FRICTION,
     "restitution": 0.1,
-    "linearDamping": BALL_DAMPING,
-    "angularDamping": BALL_DAMPING,
+    "linearDamping": body.BALL_DAMPING,
+    "angularDamping": body.BALL_DAMPING,
 }
 
 RAY, FLOOR, SOLID, BALL, BODY, WHEEL = 1, 2, 4, 8, 16, 32
@@ -68,33 +34,34 @@ each, and no scrubbing), which stick out of the body.
 def add_body(bullet: Bullet, x: float, y: float, heading: float) -> int:
     """Builds the robot at a pose (m, rad), and returns its number; its joints 0 and 1 are the left and right wheel."""
     p, client = bullet.p, bullet.client
-    paddle_x, paddle_y = PADDLE_TIP - PADDLE_HALF_SIDES[0], PADDLE_OPENING / 2 + PADDLE_HALF_SIDES[1]
-    paddle_z = PADDLE_HEIGHT - MIDDLE_HEIGHT
-    body = p.createCollisionShapeArray(
+    paddle_x = body.PADDLE_TIP - body.PADDLE_HALF_SIDES[0]
+    paddle_y = body.PADDLE_OPENING / 2 + body.PADDLE_HALF_SIDES[1]
+    paddle_z = body.PADDLE_HEIGHT - body.MIDDLE_HEIGHT
+    shape = p.createCollisionShapeArray(
         shapeTypes=[p.GEOM_CYLINDER, p.GEOM_BOX, p.GEOM_BOX],
-        radii=[BODY_RADIUS, 0, 0],
-        lengths=[BODY_TOP - BODY_BOTTOM, 0, 0],
-        halfExtents=[(0, 0, 0), PADDLE_HALF_SIDES, PADDLE_HALF_SIDES],
+        radii=[body.BODY_RADIUS, 0, 0],
+        lengths=[body.BODY_TOP - body.BODY_BOTTOM, 0, 0],
+        halfExtents=[(0, 0, 0), body.PADDLE_HALF_SIDES, body.PADDLE_HALF_SIDES],
         collisionFramePositions=[(0, 0, 0), (paddle_x, paddle_y, paddle_z), (paddle_x, -paddle_y, paddle_z)],
         physicsClientId=client,
     )
-    wheel = p.createCollisionShape(p.GEOM_SPHERE, radius=WHEEL_RADIUS, physicsClientId=client)
-    caster = p.createCollisionShape(p.GEOM_SPHERE, radius=CASTER_RADIUS, physicsClientId=client)
+    wheel = p.createCollisionShape(p.GEOM_SPHERE, radius=body.WHEEL_RADIUS, physicsClientId=client)
+    caster = p.createCollisionShape(p.GEOM_SPHERE, radius=body.CASTER_RADIUS, physicsClientId=client)
     still = (0, 0, 0, 1)
     robot = int(
         p.createMultiBody(
-            BODY_MASS,
-            body,
+            body.BODY_MASS,
+            shape,
             bullet.looks,
-            basePosition=(x, y, MIDDLE_HEIGHT),
+            basePosition=(x, y, body.MIDDLE_HEIGHT),
             baseOrientation=(0, 0, math.sin(heading / 2), math.cos(heading / 2)),
-            linkMasses=[WHEEL_MASS, WHEEL_MASS, REAR_MASS],
+            linkMasses=[body.WHEEL_MASS, body.WHEEL_MASS, body.REAR_MASS],
             linkCollisionShapeIndices=[wheel, wheel, caster],
             linkVisualShapeIndices=[bullet.looks] * 3,
             linkPositions=[
-                (0, AXLE_TRACK / 2, WHEEL_RADIUS - MIDDLE_HEIGHT),
-                (0, -AXLE_TRACK / 2, WHEEL_RADIUS - MIDDLE_HEIGHT),
-                (-CASTER_BEHIND, 0, CASTER_RADIUS - MIDDLE_HEIGHT),
+                (0, body.AXLE_TRACK / 2, body.WHEEL_RADIUS - body.MIDDLE_HEIGHT),
+                (0, -body.AXLE_TRACK / 2, body.WHEEL_RADIUS - body.MIDDLE_HEIGHT),
+                (-body.CASTER_BEHIND, 0, body.CASTER_RADIUS - body.MIDDLE_HEIGHT),
             ],
             linkOrientations=[still] * 3,
             linkInertialFramePositions=[(0, 0, 0)] * 3,
@@ -105,50 +72,38 @@ def add_body(bullet: Bullet, x: float, y: float, heading: float) -> int:
             physicsClientId=client,
         )
     )
-    for link, friction in ((0, TYRE_FRICTION), (1, TYRE_FRICTION), (2, CASTER_FRICTION)):
+    for link, friction in ((0, body.TYRE_FRICTION), (1, body.TYRE_FRICTION), (2, body.CASTER_FRICTION)):
         p.changeDynamics(robot, link, lateralFriction=friction, physicsClientId=client)
         bullet.set_filter(robot, link, WHEEL, FLOOR)
-    p.changeDynamics(robot, -1, lateralFriction=BODY_FRICTION, physicsClientId=client)
+    p.changeDynamics(robot, -1, lateralFriction=body.BODY_FRICTION, physicsClientId=client)
     bullet.set_filter(robot, -1, BODY, SOLID | BALL)
     return robot
 
 
 WHEELS = (0, 1)
-TORQUES = (MOTOR_TORQUE, MOTOR_TORQUE)
+TORQUES = (body.MOTOR_TORQUE, body.MOTOR_TORQUE)
 
 
 class BulletSimulator(Simulator):
-    """A scene of its own in PyBullet.
-
-    Args:
-        gui: Whether to open Bullet's own window.
-
-    Attributes:
-        bullet: The physics client.
-
-    Raises:
-        gymnasium.error.DependencyNotInstalled: PyBullet is not installed.
-    """
+    """A scene of its own in PyBullet."""
 
     def __init__(self, *, gui: bool = False) -> None:
-        self.bullet = Bullet(1 / CONTROL_RATE, PHYSICS_RATE // CONTROL_RATE, SOLVER_ITERATIONS, gui=gui)
+        self.bullet = Bullet(1 / body.CONTROL_RATE, body.PHYSICS_RATE // body.CONTROL_RATE, SOLVER_ITERATIONS, gui=gui)
         self._grips: list[int] = []
         self._balls: list[int] = []
         self._robot = self._solid = -1
 
     def build(self, placement: Placement, walls: Sequence[Box], obstacles: Sequence[Cylinder]) -> None:
-        """As `Simulator.build`.
-
-        Raises:
-            gymnasium.error.Error: Bullet's window cannot be opened, or there are too many physics clients.
-        """
+        """As `Simulator.build`."""
         bullet = self.bullet
         bullet.clear()
         floor = bullet.add_floor()
         bullet.set_filter(floor, -1, FLOOR, BALL | WHEEL)
         self._solid = bullet.add_static(walls, obstacles)
         bullet.set_filter(self._solid, -1, SOLID, BALL | BODY | RAY)
-        self._balls = [bullet.add_ball(BALL_MASS, BALL_RADIUS, x, y, **BALL_DYNAMICS) for x, y in placement.balls]
+        self._balls = [
+            bullet.add_ball(body.BALL_MASS, body.BALL_RADIUS, x, y, **BALL_DYNAMICS) for x, y in placement.balls
+        ]
         for ball in self._balls:
             bullet.set_filter(ball, -1, BALL, FLOOR | SOLID | BALL | BODY)
         self._robot = add_body(bullet, *placement.robot)
@@ -170,12 +125,12 @@ class BulletSimulator(Simulator):
 
     def hold(self, ball: int) -> None:
         """As `Simulator.hold`."""
-        self._set_grip(ball, GRIP_FORCE)
+        self._set_grip(ball, body.GRIP_FORCE)
 
     def take_away(self, ball: int) -> None:
         """As `Simulator.take_away`."""
         self._set_grip(ball, 0.0)
-        self.bullet.place(self._balls[ball], ASIDE + ball, ASIDE, BALL_RADIUS)
+        self.bullet.place(self._balls[ball], body.ASIDE + ball, body.ASIDE, body.BALL_RADIUS)
 
     def is_touching(self, held: int | None) -> bool:
         """As `Simulator.is_touching`."""
@@ -185,7 +140,7 @@ class BulletSimulator(Simulator):
         mine = {self._robot} if held is None else {self._robot, self._balls[held]}
         # Of a contact, 2 is the other body's number and 8 the distance between the surfaces, m: Bullet also reports
         # neighbours that do not touch.
-        return any(contact[2] in mine and contact[8] < CONTACT_GAP for contact in contacts)
+        return any(contact[2] in mine and contact[8] < body.CONTACT_GAP for contact in contacts)
 
     def ray_fractions(self, starts: Sequence[Point], ends: Sequence[Point]) -> list[float]:
         """As `Simulator.ray_fractions`."""
@@ -208,7 +163,7 @@ class BulletSimulator(Simulator):
             -1,
             p.JOINT_POINT2POINT,
             (0, 0, 0),
-            (GRIP_AHEAD, 0, BALL_RADIUS - MIDDLE_HEIGHT),
+            (body.GRIP_AHEAD, 0, body.BALL_RADIUS - body.MIDDLE_HEIGHT),
             (0, 0, 0),
             physicsClientId=client,
         )

@@ -10,19 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from sb3_options.envs.pioneer import body
 from sb3_options.envs.pioneer.arena import CORNER_SIZE, OBSTACLE_RADIUS, Placement, Pose, Position
-from sb3_options.envs.pioneer.body import (
-    AXLE_TRACK,
-    BALL_RADIUS,
-    BODY_RADIUS,
-    PADDLE_HALF_SIDES,
-    PADDLE_OPENING,
-    PADDLE_TIP,
-    WHEEL_RADIUS,
-)
 from sb3_options.envs.pioneer.senses import CAMERA_AHEAD, FIELD_OF_VIEW, SONARS, Sensed
-
-__all__ = ["BALL", "BODY", "PICTURE_HEIGHT", "PICTURE_WIDTH", "Renderer", "Scene"]
 
 PICTURE_WIDTH, PICTURE_HEIGHT = 480, 544
 """px; multiples of 16, because video encoders pad other sizes."""
@@ -59,15 +49,7 @@ _TICK: Colour = (150, 156, 168)
 
 
 class Scene(NamedTuple):
-    """What there is to draw.
-
-    Attributes:
-        pose: The robot's: x and y, m, and heading, rad.
-        balls: x, y of the balls' centres, m.
-        deposited: Where balls have been deposited, m.
-        holds: Whether the gripper is closed.
-        sensed: What the robot senses.
-    """
+    """What there is to draw; places are x, y in m."""
 
     pose: Pose
     balls: Iterable[Position]
@@ -93,11 +75,7 @@ class Renderer:
         self._backgrounds: dict[tuple[Position, ...], Image.Image] = {}
 
     def draw(self, placement: Placement, scene: Scene) -> NDArray[np.uint8]:
-        """Draws a scene.
-
-        Returns:
-            RGB picture of shape (PICTURE_HEIGHT, PICTURE_WIDTH, 3).
-        """
+        """Draws a scene, (PICTURE_HEIGHT, PICTURE_WIDTH, 3)."""
         if placement.obstacles not in self._backgrounds:
             self._backgrounds = {placement.obstacles: self._background(placement.obstacles)}
         image = self._backgrounds[placement.obstacles].copy()
@@ -105,7 +83,9 @@ class Renderer:
         self._draw_cone(pen, scene.pose)
         self._draw_beams(pen, scene.pose, scene.sensed.ranges)
         for place in scene.deposited:
-            pen.circle(self._px(place), BALL_RADIUS * self._scale, fill=None, outline=_BALL_EDGE, width=2 * _SMOOTH)
+            pen.circle(
+                self._px(place), body.BALL_RADIUS * self._scale, fill=None, outline=_BALL_EDGE, width=2 * _SMOOTH
+            )
         self._draw_robot(pen, scene.pose, holds=scene.holds)
         for place in scene.balls:
             self._draw_ball(pen, place)
@@ -176,18 +156,18 @@ class Renderer:
             pen.circle(self._px(end), 2.5 * _SMOOTH, fill=_BEAM)
 
     def _draw_robot(self, pen: ImageDraw.ImageDraw, pose: Pose, *, holds: bool) -> None:
-        half_opening = BALL_RADIUS if holds else PADDLE_OPENING / 2
-        rear = BODY_RADIUS - 0.06
+        half_opening = body.BALL_RADIUS if holds else body.PADDLE_OPENING / 2
+        rear = body.BODY_RADIUS - 0.06
         for side in (-1, 1):
-            along, across, _ = PADDLE_HALF_SIDES
-            self._box(pen, pose, PADDLE_TIP - along, side * (half_opening + across), along, across, _PADDLE)
-            self._box(pen, pose, 0, side * AXLE_TRACK / 2, WHEEL_RADIUS, 0.03, _TYRE)
-        self._box(pen, pose, BODY_RADIUS - 0.03, 0, 0.03, half_opening + 0.02, _PADDLE)
+            along, across, _ = body.PADDLE_HALF_SIDES
+            self._box(pen, pose, body.PADDLE_TIP - along, side * (half_opening + across), along, across, _PADDLE)
+            self._box(pen, pose, 0, side * body.AXLE_TRACK / 2, body.WHEEL_RADIUS, 0.03, _TYRE)
+        self._box(pen, pose, body.BODY_RADIUS - 0.03, 0, 0.03, half_opening + 0.02, _PADDLE)
         # Rounded front, straight sides, rounded rear.
         outline = []
         for i in range(40):
             angle = math.tau * i / 40
-            ahead, left = BODY_RADIUS * math.cos(angle), BODY_RADIUS * math.sin(angle)
+            ahead, left = body.BODY_RADIUS * math.cos(angle), body.BODY_RADIUS * math.sin(angle)
             outline.append(_ahead(pose, ahead, min(max(left, -0.15), 0.15)))
         pen.polygon([self._px(point) for point in outline], fill=BODY, outline=_BODY_EDGE, width=2 * _SMOOTH)
         deck = [(0.14, 0.09), (0.18, 0.0), (0.14, -0.09), (-rear + 0.02, -0.1), (-rear + 0.02, 0.1)]
@@ -209,7 +189,7 @@ class Renderer:
         pen.polygon([self._px(point) for point in points], fill=colour)
 
     def _draw_ball(self, pen: ImageDraw.ImageDraw, place: Position) -> None:
-        radius = BALL_RADIUS * self._scale
+        radius = body.BALL_RADIUS * self._scale
         x, y = self._px(place)
         pen.circle((x, y), radius, fill=BALL, outline=_BALL_EDGE, width=_SMOOTH)
         pen.circle((x - 0.3 * radius, y - 0.3 * radius), 0.25 * radius, fill=_SHINE)

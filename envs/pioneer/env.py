@@ -36,7 +36,6 @@ from sb3_options.envs.pioneer.simulator import Simulator
 if TYPE_CHECKING:
     from sb3_options.envs.pioneer.drawing import Renderer
 
-__all__ = ["ACTIONS", "Deposit", "Motion", "ObservationKind", "Pioneer", "PioneerTask", "RenderMode"]
 
 Deposit = Literal["wall", "corner"]
 ObservationKind = Literal["sensors", "retina"]
@@ -133,11 +132,6 @@ class PioneerTask(gymnasium.Env[NDArray[np.float32], np.int64], ABC):
 
     Attributes:
         simulator: In which the robot moves.
-
-    Raises:
-        TypeError: If an argument has the wrong type.
-        ValueError: If an argument is out of its range, or the arena has no room for robot, balls and obstacles.
-        gymnasium.error.DependencyNotInstalled: If the simulator is not installed.
     """
 
     # Gymnasium declares it as an instance attribute, so it cannot be a ClassVar.
@@ -199,11 +193,6 @@ class PioneerTask(gymnasium.Env[NDArray[np.float32], np.int64], ABC):
 
         Returns:
             The first observation, and an empty info.
-
-        Raises:
-            ValueError: If ``options`` has another key, has the wrong shape, or puts things into each other.
-            gymnasium.error.ClosedEnvironmentError: After `close`.
-            gymnasium.error.Error: If the simulator cannot start, or has no window.
         """
         self._refuse_if_closed("reset")
         super().reset(seed=seed)
@@ -226,11 +215,6 @@ class PioneerTask(gymnasium.Env[NDArray[np.float32], np.int64], ABC):
         Returns:
             Observation, reward, terminated, truncated, and the info. A step that deposits the last ball is never
             truncated.
-
-        Raises:
-            gymnasium.error.ResetNeeded: Before the first reset, and after the end of an episode.
-            gymnasium.error.InvalidAction: If the action is not an integer 0..6.
-            gymnasium.error.ClosedEnvironmentError: After `close`.
         """
         self._refuse_if_closed("step")
         if self._placement is None or self._over:
@@ -285,9 +269,6 @@ class PioneerTask(gymnasium.Env[NDArray[np.float32], np.int64], ABC):
 
         Returns:
             Displacement and width, rad, shape (batch, 2); both are 0 where no ball is to be seen.
-
-        Raises:
-            ValueError: If the shape is wrong.
         """
         observations = np.asarray(observations)
         expected = self.observation_space.shape
@@ -303,10 +284,6 @@ class PioneerTask(gymnasium.Env[NDArray[np.float32], np.int64], ABC):
         Returns:
             For ``"rgb_array"`` a uint8 picture of shape (544, 480, 3), for ``"rgb_array_list"`` a list of them, else
             None.
-
-        Raises:
-            gymnasium.error.ResetNeeded: Before the first reset.
-            gymnasium.error.ClosedEnvironmentError: After `close`.
         """
         if self.render_mode is None:
             gymnasium.logger.warn("render() does nothing without a render mode: pass render_mode='rgb_array'")

@@ -11,39 +11,8 @@ from collections.abc import Sequence
 from itertools import combinations, product
 from xml.etree.ElementTree import Element, SubElement, tostring
 
+from sb3_options.envs.pioneer import body
 from sb3_options.envs.pioneer.arena import Box, Cylinder, Placement
-from sb3_options.envs.pioneer.body import (
-    AXLE_TRACK,
-    BALL_FRICTION,
-    BALL_MASS,
-    BALL_RADIUS,
-    BALL_ROLLING_FRICTION,
-    BALL_SPINNING_FRICTION,
-    BODY_BOTTOM,
-    BODY_FRICTION,
-    BODY_MASS,
-    BODY_RADIUS,
-    BODY_TOP,
-    CASTER_BEHIND,
-    CASTER_FRICTION,
-    CASTER_RADIUS,
-    GRAVITY,
-    GRIP_AHEAD,
-    MIDDLE_HEIGHT,
-    MOTOR_TORQUE,
-    PADDLE_HALF_SIDES,
-    PADDLE_HEIGHT,
-    PADDLE_OPENING,
-    PADDLE_TIP,
-    PHYSICS_RATE,
-    REAR_MASS,
-    SOLID_FRICTION,
-    TYRE_FRICTION,
-    WHEEL_MASS,
-    WHEEL_RADIUS,
-)
-
-__all__ = ["BODY_GEOMS", "MOTOR_GAIN", "SOLID_GROUP", "ball_name", "grip_name", "mjcf", "solid_name"]
 
 BODY_GEOMS = ("body", "left paddle", "right paddle")
 """What of the robot touches walls and balls; its wheels are balls, which stick out of the body."""
@@ -56,7 +25,7 @@ MOTOR_GAIN = 0.95
 ends within 4 mm and 0.2 degrees of where it ends there: measured, with gains from 0.3 to 1.8. Bullet's motors are
 constraints without a gain, but ten iterations of its solver bring a wheel only part of the way to its velocity."""
 
-HARDNESS = {"solref": f"{2 / PHYSICS_RATE:g} 1", "solimp": "0.9 0.95 0.001"}
+HARDNESS = {"solref": f"{2 / body.PHYSICS_RATE:g} 1", "solimp": "0.9 0.95 0.001"}
 """As hard as MuJoCo makes contacts by default and the time step allows. Harder ones let the wheels hop when the gripper
 closes on a ball, and wheels in the air spin up: actions then take up to twice as long as in PyBullet."""
 
@@ -65,20 +34,14 @@ SINK = 6e-4
 
 
 def mjcf(placement: Placement, walls: Sequence[Box], obstacles: Sequence[Cylinder]) -> str:
-    """The scene as MJCF.
-
-    Args:
-        placement: Where robot and balls are at the start.
-        walls: In the order of `solid_name`.
-        obstacles: Likewise, after the walls.
-    """
+    """The scene as MJCF."""
     root = Element("mujoco", model="Pioneer 2-DX")
     _add(root, "compiler", angle="radian", autolimits="true")
     _add(
         root,
         "option",
-        timestep=repr(1 / PHYSICS_RATE),
-        gravity=_numbers(0, 0, -GRAVITY),
+        timestep=repr(1 / body.PHYSICS_RATE),
+        gravity=_numbers(0, 0, -body.GRAVITY),
         integrator="Euler",
         cone="elliptic",
         impratio="10",
@@ -103,7 +66,7 @@ def mjcf(placement: Placement, walls: Sequence[Box], obstacles: Sequence[Cylinde
         _add(equality, "connect", name=grip_name(i), active="false", **sites, **HARDNESS)
     actuator = _add(root, "actuator")
     for side in ("left", "right"):
-        limits = _numbers(-MOTOR_TORQUE, MOTOR_TORQUE)
+        limits = _numbers(-body.MOTOR_TORQUE, body.MOTOR_TORQUE)
         _add(actuator, "velocity", name=side, joint=f"{side} wheel", kv=repr(MOTOR_GAIN), forcerange=limits)
     return tostring(root, encoding="unicode")
 
@@ -130,41 +93,47 @@ _UNPAIRED = {"contype": "0", "conaffinity": "0"}
 def _add_robot(world: Element, placement: Placement) -> None:
     x, y, heading = placement.robot
     turned = _numbers(math.cos(heading / 2), 0, 0, math.sin(heading / 2))
-    robot = _add(world, "body", name="robot", pos=_numbers(x, y, MIDDLE_HEIGHT - SINK), quat=turned)
+    robot = _add(world, "body", name="robot", pos=_numbers(x, y, body.MIDDLE_HEIGHT - SINK), quat=turned)
     _add(robot, "freejoint", name="robot")
     # Bullet takes the inertia of the box around body and paddles; so does this.
-    bottom = PADDLE_HEIGHT - PADDLE_HALF_SIDES[2]
-    sides = (BODY_RADIUS + PADDLE_TIP, 2 * BODY_RADIUS, BODY_TOP - min(BODY_BOTTOM, bottom))
-    _inertial(robot, BODY_MASS, *(BODY_MASS / 12 * (sum(s * s for s in sides) - side * side) for side in sides))
-    half_height = (BODY_TOP - BODY_BOTTOM) / 2
-    _add(robot, "geom", name=BODY_GEOMS[0], type="cylinder", size=_numbers(BODY_RADIUS, half_height), **_UNPAIRED)
-    paddle_x, paddle_y = PADDLE_TIP - PADDLE_HALF_SIDES[0], PADDLE_OPENING / 2 + PADDLE_HALF_SIDES[1]
+    bottom = body.PADDLE_HEIGHT - body.PADDLE_HALF_SIDES[2]
+    sides = (body.BODY_RADIUS + body.PADDLE_TIP, 2 * body.BODY_RADIUS, body.BODY_TOP - min(body.BODY_BOTTOM, bottom))
+    _inertial(
+        robot, body.BODY_MASS, *(body.BODY_MASS / 12 * (sum(s * s for s in sides) - side * side) for side in sides)
+    )
+    half_height = (body.BODY_TOP - body.BODY_BOTTOM) / 2
+    _add(robot, "geom", name=BODY_GEOMS[0], type="cylinder", size=_numbers(body.BODY_RADIUS, half_height), **_UNPAIRED)
+    paddle_x = body.PADDLE_TIP - body.PADDLE_HALF_SIDES[0]
+    paddle_y = body.PADDLE_OPENING / 2 + body.PADDLE_HALF_SIDES[1]
     for name, side in zip(BODY_GEOMS[1:], (1, -1), strict=True):
-        middle = _numbers(paddle_x, side * paddle_y, PADDLE_HEIGHT - MIDDLE_HEIGHT)
-        _add(robot, "geom", name=name, type="box", pos=middle, size=_numbers(*PADDLE_HALF_SIDES), **_UNPAIRED)
-    _add(robot, "site", name="grip", pos=_numbers(GRIP_AHEAD, 0, BALL_RADIUS - MIDDLE_HEIGHT))
+        middle = _numbers(paddle_x, side * paddle_y, body.PADDLE_HEIGHT - body.MIDDLE_HEIGHT)
+        _add(robot, "geom", name=name, type="box", pos=middle, size=_numbers(*body.PADDLE_HALF_SIDES), **_UNPAIRED)
+    _add(robot, "site", name="grip", pos=_numbers(body.GRIP_AHEAD, 0, body.BALL_RADIUS - body.MIDDLE_HEIGHT))
+    radius = body.WHEEL_RADIUS
     for name, side in (("left wheel", 1), ("right wheel", -1)):
-        wheel = _sphere(robot, name, (0, side * AXLE_TRACK / 2, WHEEL_RADIUS - MIDDLE_HEIGHT), WHEEL_RADIUS, WHEEL_MASS)
+        place = (0, side * body.AXLE_TRACK / 2, radius - body.MIDDLE_HEIGHT)
+        wheel = _sphere(robot, name, place, radius, body.WHEEL_MASS)
         wheel.insert(0, Element("joint", name=name, type="hinge", axis="0 1 0"))
-    _sphere(robot, "caster", (-CASTER_BEHIND, 0, CASTER_RADIUS - MIDDLE_HEIGHT), CASTER_RADIUS, REAR_MASS)
+    radius = body.CASTER_RADIUS
+    _sphere(robot, "caster", (-body.CASTER_BEHIND, 0, radius - body.MIDDLE_HEIGHT), radius, body.REAR_MASS)
 
 
 def _add_ball(world: Element, name: str, x: float, y: float) -> None:
-    ball = _sphere(world, name, (x, y, BALL_RADIUS - SINK), BALL_RADIUS, BALL_MASS)
+    ball = _sphere(world, name, (x, y, body.BALL_RADIUS - SINK), body.BALL_RADIUS, body.BALL_MASS)
     ball.insert(0, Element("freejoint", name=name))
     _add(ball, "site", name=name)
 
 
 def _sphere(parent: Element, name: str, middle: tuple[float, float, float], radius: float, mass: float) -> Element:
     """A body that is a solid sphere."""
-    body = _add(parent, "body", name=name, pos=_numbers(*middle))
-    _inertial(body, mass, *[0.4 * mass * radius * radius] * 3)
-    _add(body, "geom", name=name, type="sphere", size=_numbers(radius), **_UNPAIRED)
-    return body
+    built = _add(parent, "body", name=name, pos=_numbers(*middle))
+    _inertial(built, mass, *[0.4 * mass * radius * radius] * 3)
+    _add(built, "geom", name=name, type="sphere", size=_numbers(radius), **_UNPAIRED)
+    return built
 
 
-def _inertial(body: Element, mass: float, *inertia: float) -> None:
-    _add(body, "inertial", pos="0 0 0", mass=repr(mass), diaginertia=_numbers(*inertia))
+def _inertial(parent: Element, mass: float, *inertia: float) -> None:
+    _add(parent, "inertial", pos="0 0 0", mass=repr(mass), diaginertia=_numbers(*inertia))
 
 
 def _add_contacts(root: Element, n_solids: int, n_balls: int) -> None:
@@ -181,20 +150,20 @@ def _add_contacts(root: Element, n_solids: int, n_balls: int) -> None:
             **HARDNESS,
         )
 
-    pair("left wheel", "floor", TYRE_FRICTION)
-    pair("right wheel", "floor", TYRE_FRICTION)
-    pair("caster", "floor", CASTER_FRICTION)
+    pair("left wheel", "floor", body.TYRE_FRICTION)
+    pair("right wheel", "floor", body.TYRE_FRICTION)
+    pair("caster", "floor", body.CASTER_FRICTION)
     solids, balls = [solid_name(i) for i in range(n_solids)], [ball_name(i) for i in range(n_balls)]
     for one, other in product(BODY_GEOMS, solids):
-        pair(one, other, BODY_FRICTION * SOLID_FRICTION)
+        pair(one, other, body.BODY_FRICTION * body.SOLID_FRICTION)
     for ball in balls:
-        pair(ball, "floor", BALL_FRICTION, BALL_SPINNING_FRICTION, BALL_ROLLING_FRICTION)
+        pair(ball, "floor", body.BALL_FRICTION, body.BALL_SPINNING_FRICTION, body.BALL_ROLLING_FRICTION)
     for one, other in product(balls, BODY_GEOMS):
-        pair(one, other, BALL_FRICTION * BODY_FRICTION)
+        pair(one, other, body.BALL_FRICTION * body.BODY_FRICTION)
     for one, other in product(balls, solids):
-        pair(one, other, BALL_FRICTION * SOLID_FRICTION)
+        pair(one, other, body.BALL_FRICTION * body.SOLID_FRICTION)
     for one, other in combinations(balls, 2):
-        pair(one, other, BALL_FRICTION * BALL_FRICTION)
+        pair(one, other, body.BALL_FRICTION * body.BALL_FRICTION)
 
 
 def _numbers(*values: float) -> str:

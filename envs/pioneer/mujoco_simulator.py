@@ -11,40 +11,25 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from sb3_options.envs.pioneer import body
 from sb3_options.envs.pioneer.arena import Box, Cylinder, Placement, Pose, Position
-from sb3_options.envs.pioneer.body import (
-    ASIDE,
-    BALL_DAMPING,
-    BALL_MASS,
-    BALL_RADIUS,
-    BODY_DAMPING,
-    BODY_MASS,
-    CONTROL_RATE,
-    PHYSICS_RATE,
-)
 from sb3_options.envs.pioneer.mjcf import BODY_GEOMS, SOLID_GROUP, ball_name, grip_name, mjcf, solid_name
 from sb3_options.envs.pioneer.simulator import Point, Simulator
 from sb3_options.extras import how_to_install
 
-__all__ = ["MuJoCoSimulator", "load_mujoco"]
-
-TICK = PHYSICS_RATE // CONTROL_RATE
+TICK = body.PHYSICS_RATE // body.CONTROL_RATE
 """Physics steps in a tick of the controllers."""
 
 N_GROUPS = 6
 """Groups of geoms that MuJoCo has."""
 
 
-BALL_INERTIA = 0.4 * BALL_MASS * BALL_RADIUS**2
+BALL_INERTIA = 0.4 * body.BALL_MASS * body.BALL_RADIUS**2
 """kg m²."""
 
 
 def load_mujoco() -> ModuleType:
-    """Imports MuJoCo, which is needed only by those who simulate.
-
-    Raises:
-        gymnasium.error.DependencyNotInstalled: MuJoCo is not installed.
-    """
+    """Imports MuJoCo, which is needed only by those who simulate."""
     try:
         import mujoco
     except ImportError as error:
@@ -62,9 +47,6 @@ class MuJoCoSimulator(Simulator):
     Attributes:
         model: MuJoCo's ``MjModel``; None before the first `build`.
         data: MuJoCo's ``MjData``; None before the first `build`.
-
-    Raises:
-        gymnasium.error.DependencyNotInstalled: MuJoCo is not installed.
     """
 
     def __init__(self) -> None:
@@ -88,9 +70,9 @@ class MuJoCoSimulator(Simulator):
         self._solids = np.array([model.geom(solid_name(i)).id for i in range(n_solids)])
         self._ball_geoms = [model.geom(ball_name(i)).id for i in range(n_balls)]
         self._body_geoms = [model.geom(name).id for name in BODY_GEOMS]
-        self._damp(0, BODY_DAMPING, BODY_MASS, model.body("robot").inertia)
+        self._damp(0, body.BODY_DAMPING, body.BODY_MASS, model.body("robot").inertia)
         for i, first in enumerate(self._ball_velocities):
-            self._damp(first, BALL_DAMPING, BALL_MASS, model.body(ball_name(i)).inertia)
+            self._damp(first, body.BALL_DAMPING, body.BALL_MASS, model.body(ball_name(i)).inertia)
         self._pose, self._wheels = data.qpos, data.ctrl
         mujoco.mj_forward(model, data)  # rays need to know where things are
 
@@ -117,7 +99,7 @@ class MuJoCoSimulator(Simulator):
         """As `Simulator.take_away`."""
         self.data.eq_active[self._grips[ball]] = 0
         pose, velocity = self._ball_poses[ball], self._ball_velocities[ball]
-        self.data.qpos[pose : pose + 7] = (ASIDE + ball, ASIDE, BALL_RADIUS, 1, 0, 0, 0)
+        self.data.qpos[pose : pose + 7] = (body.ASIDE + ball, body.ASIDE, body.BALL_RADIUS, 1, 0, 0, 0)
         self.data.qvel[velocity : velocity + 6] = 0
 
     def is_touching(self, held: int | None) -> bool:
@@ -151,11 +133,7 @@ class MuJoCoSimulator(Simulator):
         return state
 
     def set_state(self, state: NDArray[np.float64]) -> None:
-        """Goes on where `get_state` was called, in the same scene, which has been built.
-
-        Raises:
-            ValueError: The state is of another scene.
-        """
+        """Goes on where `get_state` was called, in the same scene, which has been built."""
         expected = self._mujoco.mj_stateSize(self.model, self._kind)
         if np.shape(state) != (expected,):
             raise ValueError(
@@ -174,8 +152,8 @@ class MuJoCoSimulator(Simulator):
         Bullet's multibodies are damped by k (1 + |v|) v, and likewise in rotation; MuJoCo's damping is linear.
         """
         vx, vy, vz, wx, wy, wz = self.data.qvel[first : first + 6].tolist()
-        push = -BALL_DAMPING * BALL_MASS * math.sqrt(vx * vx + vy * vy + vz * vz)
-        twist = -BALL_DAMPING * BALL_INERTIA * math.sqrt(wx * wx + wy * wy + wz * wz)
+        push = -body.BALL_DAMPING * body.BALL_MASS * math.sqrt(vx * vx + vy * vy + vz * vz)
+        twist = -body.BALL_DAMPING * BALL_INERTIA * math.sqrt(wx * wx + wy * wy + wz * wz)
         self.data.qfrc_applied[first : first + 6] = push * vx, push * vy, push * vz, twist * wx, twist * wy, twist * wz
 
     def _damp(self, first: int, rate: float, mass: float, inertia: Sequence[float]) -> None:

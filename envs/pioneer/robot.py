@@ -10,8 +10,6 @@ from sb3_options.envs.pioneer.arena import Box, Cylinder, Placement, Pose, Posit
 from sb3_options.envs.pioneer.body import AXLE_TRACK, BALL_RADIUS, CONTROL_RATE, PADDLE_OPENING, WHEEL_RADIUS
 from sb3_options.envs.pioneer.simulator import Simulator
 
-__all__ = ["PioneerRobot"]
-
 BEAM_AHEAD = 0.30
 """Where the break-beam crosses between the paddles, m ahead of the axle."""
 
@@ -76,14 +74,10 @@ BACK_OFF = 0.05
 class PioneerRobot:
     """The robot in its scene.
 
-    Args:
-        simulator: In which it moves.
-
     Attributes:
         pose: x, y of the axle's middle, m, and heading, rad, of the last tick.
         balls: x, y of each ball's centre that is still in the arena, m, after the last action.
         held: Index of the ball in the gripper, or None.
-        on_tick: Called after each control tick, or None.
     """
 
     def __init__(self, simulator: Simulator) -> None:
@@ -151,11 +145,7 @@ class PioneerRobot:
         return touched
 
     def release(self) -> Position:
-        """Opens the gripper, has the ball taken away, and says where it was.
-
-        Raises:
-            RuntimeError: The gripper is open.
-        """
+        """Opens the gripper, has the ball taken away, and says where it was."""
         ball = self.held
         if ball is None:
             raise RuntimeError("release() was called with no ball in the gripper")

@@ -16,8 +16,6 @@ from sb3_options.envs.pioneer.arena import Pose
 from sb3_options.envs.pioneer.body import BALL_RADIUS, BODY_RADIUS
 from sb3_options.envs.pioneer.simulator import Simulator
 
-__all__ = ["CAMERA_AHEAD", "FIELD_OF_VIEW", "MAX_WIDTH", "N_PIXELS", "SONARS", "Sensed", "Senses", "Sighting"]
-
 SONARS = tuple(
     (x / 1000, y / 1000, math.radians(heading))
     for x, y, heading in (
@@ -60,12 +58,7 @@ N_RAYS = 16
 
 
 class Sighting(NamedTuple):
-    """The part of a ball that the retina sees.
-
-    Attributes:
-        left: Its left edge, rad.
-        right: Its right edge, rad.
-    """
+    """The part of a ball that the retina sees: its left and its right edge, rad."""
 
     left: float
     right: float
@@ -82,36 +75,21 @@ class Sighting(NamedTuple):
 
 
 class Sensed(NamedTuple):
-    """All that the robot senses at a time.
-
-    Attributes:
-        ranges: Of the sonars, m.
-        sightings: The balls that are to be seen, widest first.
-    """
+    """All that the robot senses at a time: the sonars' ranges, m, and the balls in view, widest first."""
 
     ranges: list[float]
     sightings: list[Sighting]
 
 
 class Senses:
-    """Looks into a scene, with one batch of rays.
-
-    Args:
-        simulator: It casts the rays.
-        can_hide: Whether there is anything behind which a ball can be: in a bare arena, which is convex, there is not.
-    """
+    """Looks into a scene, with one batch of rays."""
 
     def __init__(self, simulator: Simulator, *, can_hide: bool) -> None:
         self._simulator = simulator
-        self._can_hide = can_hide
+        self._can_hide = can_hide  # in a bare arena, which is convex, nothing hides a ball
 
     def look(self, pose: Pose, balls: Iterable[tuple[float, float]]) -> Sensed:
-        """Senses from a pose.
-
-        Args:
-            pose: The robot's: x and y, m, and heading, rad.
-            balls: x, y of the balls' centres, m.
-        """
+        """Senses from a pose (m, m, rad) among balls with these centres, m."""
         x, y, heading = pose
         cos, sin = math.cos(heading), math.sin(heading)
         starts, ends = [], []

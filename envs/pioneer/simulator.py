@@ -7,8 +7,6 @@ from collections.abc import Sequence
 
 from sb3_options.envs.pioneer.arena import Box, Cylinder, Placement, Pose, Position
 
-__all__ = ["Point", "Simulator"]
-
 Point = Sequence[float]
 
 

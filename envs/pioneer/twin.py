@@ -11,8 +11,6 @@ from sb3_options.envs.pioneer.env import PioneerTask
 from sb3_options.envs.pioneer.mujoco_simulator import MuJoCoSimulator
 from sb3_options.envs.pioneer.senses import Sensed, Sighting
 
-__all__ = ["PioneerMuJoCo"]
-
 
 class PioneerMuJoCo(PioneerTask):
     """The robot in MuJoCo, which has wheels for every Python; arguments are those of `PioneerTask`.
@@ -45,12 +43,7 @@ class PioneerMuJoCo(PioneerTask):
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Goes on where `get_state` was called, in an environment that was made with the same arguments.
-
-        Raises:
-            ValueError: The state is of an environment with other arguments.
-            gymnasium.error.ClosedEnvironmentError: After `close`.
-        """
+        """Goes on where `get_state` was called, in an environment that was made with the same arguments."""
         self._refuse_if_closed("set_state")
         if state["placement"] is None:
             self._placement = None

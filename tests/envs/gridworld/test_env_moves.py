@@ -8,7 +8,6 @@ from scipy.stats import binom
 
 from sb3_options.envs import FOUR_ROOMS, KEY_DOOR, TWO_ROOMS, Direction, GridWorld
 from sb3_options.envs.gridworld.grid_map import Cell
-from sb3_options.envs.gridworld.maps import TWO_ROOMS_MAX_STEPS
 from tests.envs.gridworld.cells import cell_of, no_display, without_windows
 
 __all__ = ["no_display"]
@@ -89,12 +88,6 @@ def test_a_continuing_task_goes_on_from_a_start() -> None:
         assert [info["is_success"] for *_, info in steps] == [False] + [True] * 5
 
 
-def test_never_truncates_without_limit() -> None:
-    env = GridWorld("S.G", success_probability=1, max_steps=None)
-    env.reset()
-    assert not any(env.step(Direction.LEFT)[3] for _ in range(2 * TWO_ROOMS_MAX_STEPS))
-
-
 @pytest.mark.parametrize("success_probability", [0.0, 0.3, 0.9, 1.0])
 def test_success_probability(success_probability: float) -> None:
     """Each direction's count lies within its exact binomial range, false alarms below 1e-6 each."""
@@ -131,12 +124,6 @@ def test_one_seed_one_trajectory(map: str) -> None:
     assert trajectory(GridWorld(map, max_steps=100), seed=5) == first
 
 
-def test_start_option() -> None:
-    env = GridWorld(observation="xy")
-    for cell in [(13, 2), [0, 9], np.array([10, 5])]:
-        assert env.reset(options={"start": cell})[0].tolist() == list(cell)
-
-
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_never_stands_on_a_wall(data: st.DataObject) -> None:
@@ -168,8 +155,3 @@ def test_door_opens_with_the_key_only() -> None:
     assert walk(env, (2, 0), [Direction.RIGHT] * 2) == [(2, 0)] * 3
     cells = walk(env, (2, 0), [Direction.LEFT] * 2 + [Direction.RIGHT] * 4)
     assert cells == [(2, 0), (1, 0), (0, 0), (1, 0), (2, 0), (3, 0), (4, 0)]
-
-
-def test_start_on_the_key_picks_it_up() -> None:
-    env = GridWorld("KS.DG", observation="xy")
-    assert env.reset(options={"start": (0, 0)})[0].tolist() == [0, 0, 1]

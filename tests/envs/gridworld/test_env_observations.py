@@ -76,14 +76,6 @@ def test_is_the_cell_for_all_cells(map: str, kind: Kind, dtype: type[np.generic]
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_is_the_cell_of_the_goal(kind: Kind) -> None:
-    env = GridWorld("S.\n.G", observation=kind, success_probability=1)
-    env.reset()
-    observation = [env.step(action)[0] for action in (Direction.RIGHT, Direction.DOWN)][-1]
-    assert cell_of(env, observation) == (1, 1)
-
-
-@pytest.mark.parametrize("kind", KINDS)
 def test_is_the_cell_with_the_key(kind: Kind) -> None:
     """A tour with the key through every cell of a room, the door and the room behind it."""
     env = GridWorld("K..S#G\n....D.", observation=kind, success_probability=1)
@@ -108,30 +100,6 @@ def test_is_the_cell_with_the_key(kind: Kind) -> None:
     cells.append((5, 0))
     expected = [[x, y, KEY_FEATURE_SCALE] for x, y in cells]
     assert env.concept_features(observations).tolist() == expected
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_empty_batch(kind: Kind) -> None:
-    env = GridWorld(observation=kind)
-    shape = env.observation_space.shape
-    assert shape is not None
-    assert env.concept_features(np.empty((0, *shape))).shape == (0, 2)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_leaves_the_observations_alone(kind: Kind) -> None:
-    env = GridWorld("KS.DG", observation=kind)
-    observations = env.reset(options={"start": (0, 0)})[0][None]
-    kept = observations.copy()
-    env.concept_features(observations)
-    env.concept_features(observations)
-    np.testing.assert_array_equal(observations, kept)
-
-
-def test_unbatched_observation_is_refused() -> None:
-    env = GridWorld()
-    with pytest.raises(ValueError, match=r"observations of shape \(210,\) each, got shape \(210,\)"):
-        env.concept_features(env.reset()[0])
 
 
 def test_image_without_agent_is_refused() -> None:

@@ -6,15 +6,6 @@ from sb3_options.envs import FOUR_ROOMS, KEY_DOOR, TWO_ROOMS, Direction
 from sb3_options.envs.gridworld.grid_map import Cell, GridMap
 
 
-def test_directions_are_the_actions_in_order() -> None:
-    assert [(direction.name, int(direction)) for direction in Direction] == [
-        ("UP", 0),
-        ("DOWN", 1),
-        ("LEFT", 2),
-        ("RIGHT", 3),
-    ]
-
-
 @pytest.mark.parametrize(
     ("text", "direction", "expected"),
     [
@@ -49,15 +40,6 @@ def test_parse_reads_the_marks() -> None:
 def test_arguments_replace_the_marks() -> None:
     grid = GridMap.parse("SG.", goal=(2, 0), starts=[(1, 0)])
     assert (grid.goal, grid.starts, grid.rows()) == ((2, 0), ((1, 0),), ["..G"])
-
-
-def test_goal_argument_takes_a_start_of_the_map() -> None:
-    assert GridMap.parse("SSS", goal=(1, 0)).starts == ((0, 0), (2, 0))
-
-
-def test_walls_are_read_only() -> None:
-    with pytest.raises(ValueError, match="read-only"):
-        GridMap.parse(TWO_ROOMS).walls[0, 0] = True
 
 
 @pytest.mark.parametrize(

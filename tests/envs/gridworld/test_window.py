@@ -24,20 +24,3 @@ def test_shows_the_last_picture_in_one_figure() -> None:
     assert len(plt.get_fignums()) == 1
     (image,) = plt.gcf().axes[0].images
     np.testing.assert_array_equal(np.asarray(image.get_array()), white)
-
-
-def test_close_can_be_called_at_any_time() -> None:
-    window = Window("title")
-    window.close()
-    window.show(np.zeros((8, 16, 3), np.uint8), seconds=0.001)
-    window.close()
-    window.close()
-    assert plt.get_fignums() == []
-
-
-def test_opens_again_after_the_user_closed_it() -> None:
-    window = Window("title")
-    window.show(np.zeros((8, 16, 3), np.uint8), seconds=0.001)
-    plt.close("all")
-    window.show(np.zeros((8, 16, 3), np.uint8), seconds=0.001)
-    assert len(plt.get_fignums()) == 1

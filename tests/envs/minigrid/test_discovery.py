@@ -76,16 +76,6 @@ def runs(env: OptionsWrapper, slot: int, n_episodes: int) -> list[bool]:
 
 
 @pytest.mark.slow
-def test_one_seed_one_result() -> None:
-    first, second = (discover(max_new_options=1) for _ in range(2))
-    assert [d.timestep for d in first.discoveries] == [d.timestep for d in second.discoveries]
-    one, other = first.bank[0], second.bank[0]
-    assert isinstance(one, SubgoalOption)
-    assert isinstance(other, SubgoalOption)
-    np.testing.assert_array_equal(one.initiation_set.points, other.initiation_set.points)
-
-
-@pytest.mark.slow
 def test_groups_can_be_given_or_left_out() -> None:
     first = FEATURES.index("goal_visible")
     group = {"name": "mine", "features": range(first, first + 3), "present": [[first]], "scale": [10, 1, 1]}

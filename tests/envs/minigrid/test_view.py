@@ -14,7 +14,7 @@ import pytest
 minigrid_env: Any = pytest.importorskip("minigrid.minigrid_env")
 
 from sb3_options.envs.minigrid import make, require  # noqa: E402
-from sb3_options.envs.minigrid.view import image_of, see_quickly  # noqa: E402
+from sb3_options.envs.minigrid.view import image_of  # noqa: E402
 
 TASKS = [
     "MiniGrid-DoorKey-8x8-v0",
@@ -47,16 +47,6 @@ def test_images_are_those_of_minigrid(env_id: str) -> None:
             env.reset()
 
 
-def test_other_views_and_through_walls() -> None:
-    require()
-    env = gym.make("MiniGrid-FourRooms-v0", agent_view_size=5, see_through_walls=True)
-    env.reset(seed=1)
-    for action in (2, 1, 2, 2, 0, 2, 2, 1):
-        env.step(action)
-        expected = minigrid_env.MiniGridEnv.gen_obs(env.unwrapped)["image"]
-        np.testing.assert_array_equal(image_of(env.unwrapped), expected)
-
-
 def test_make_sees_quickly_and_equally() -> None:
     quick: Any = make("MiniGrid-DoorKey-5x5-v0")
     slow = gym.make("MiniGrid-DoorKey-5x5-v0")
@@ -64,13 +54,6 @@ def test_make_sees_quickly_and_equally() -> None:
     ours, theirs = quick.env.reset(seed=3)[0], slow.reset(seed=3)[0]
     np.testing.assert_array_equal(ours["image"], theirs["image"])
     assert (ours["direction"], ours["mission"]) == (theirs["direction"], theirs["mission"])
-
-
-def test_a_view_of_its_own_is_left_alone() -> None:
-    own: dict[str, Any] = {"gen_obs": lambda self: {}}
-    env: Any = object.__new__(type("Blind", (minigrid_env.MiniGridEnv,), own))
-    see_quickly(env)
-    assert env.gen_obs() == {}
 
 
 @pytest.mark.parametrize("again", [lambda env: pickle.loads(pickle.dumps(env)), copy.deepcopy], ids=["pickle", "copy"])

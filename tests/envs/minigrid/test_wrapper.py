@@ -11,8 +11,6 @@ from minigrid.core.constants import COLOR_TO_IDX, OBJECT_TO_IDX
 from minigrid.core.world_object import Lava
 from minigrid.wrappers import ViewSizeWrapper
 from stable_baselines3 import PPO
-from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.vec_env import SubprocVecEnv
 
 from sb3_options import OptionsWrapper
 from sb3_options.envs.minigrid import FEATURES, MiniGridWrapper, make, retina
@@ -105,22 +103,6 @@ def test_it_passes_the_checks_of_gymnasium() -> None:
     check_env(make("MiniGrid-DoorKey-5x5-v0"), skip_render_check=True, skip_close_check=True)
 
 
-@pytest.mark.parametrize("workers", [False, True])
-def test_it_is_ready_for_training_with_options(workers: bool) -> None:
-    venv = make_vec_env(
-        make, n_envs=2, env_kwargs={"env_id": "MiniGrid-DoorKey-5x5-v0"}, wrapper_class=OptionsWrapper,
-        vec_env_cls=SubprocVecEnv if workers else None,
-    )  # fmt: skip
-    assert venv.get_attr("traits")[1].feature_kind == "environment"
-    PPO("MlpPolicy", venv, n_steps=16, batch_size=16, n_epochs=1, device="cpu").learn(32)
-    venv.close()
-
-
-def test_other_observations_are_refused() -> None:
-    with pytest.raises(TypeError, match=r"needs observations of MiniGrid.*Put it right around gymnasium.make"):
-        MiniGridWrapper(gym.make("CartPole-v1"))
-
-
 @pytest.mark.parametrize("name", OTHER_IMAGES)
 def test_other_views_than_the_agent_s_are_refused(name: str) -> None:
     env = getattr(minigrid.wrappers, name)(gym.make("MiniGrid-LavaGapS7-v0"))  # 7 by 7 cells, as the agent's view
@@ -204,19 +186,6 @@ def test_things_that_missions_name(env_id: str, mission: str | None, things: lis
     assert missions.things_of(code[None]).tolist() == [list(map(list, things))]
     if mission is not None:
         assert missions.things_of(np.ones_like(code)[None]).tolist() == [[[0, -1]] * len(things)]
-
-
-def test_missions_that_cannot_be_listed_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"^The missions of BabyAIMissionSpace cannot be listed.*mission=False"):
-        make("BabyAI-GoToObj-v0")
-    env = make("BabyAI-GoToObj-v0", mission=False)
-    assert env.observation_space.contains(env.reset(seed=0)[0])
-
-
-def test_a_task_whose_files_are_missing_is_named() -> None:
-    env = make("MiniGrid-WFC-MazeSimple-v0")
-    with pytest.raises(FileNotFoundError, match=r"^MiniGrid-WFC-MazeSimple-v0 cannot be made: .+SimpleMaze\.png"):
-        env.reset()
 
 
 def test_convolutions_read_the_cells_as_a_picture() -> None:

@@ -38,22 +38,6 @@ def test_placements_keep_their_distances(rng: np.random.Generator) -> None:
                 assert math.dist(obstacle, other) >= 2 * OBSTACLE_RADIUS + PASSAGE
 
 
-def test_placements_fill_the_arena(rng: np.random.Generator) -> None:
-    arena = Arena(4.0, n_obstacles=0, n_balls=1)
-    robots = np.array([arena.sample(rng).robot for _ in range(500)])
-    reach = 2 - ROBOT_CLEARANCE
-    assert (np.abs(robots[:, :2]).max(axis=0) > 0.95 * reach).all()
-    assert np.abs(robots[:, :2].mean(axis=0)).max() < 0.15
-    assert np.histogram(robots[:, 2], bins=4, range=(-math.pi, math.pi))[0].min() > 80
-
-
-def test_what_is_given_stays(rng: np.random.Generator) -> None:
-    arena = Arena(4.0, n_obstacles=1, n_balls=1)
-    placement = arena.sample(rng, robot=(0.1, 0.2, 0.3))
-    assert placement.robot == (0.1, 0.2, 0.3)
-    assert arena.sample(rng, robot=(0.1, 0.2, 0.3)).balls != placement.balls
-
-
 def test_places() -> None:
     arena = Arena(4.0, n_obstacles=0, n_balls=1)
     assert arena.wall_gap(0, 0) == 2

@@ -32,19 +32,6 @@ def test_a_forgotten_one_disconnects() -> None:
     assert not p.isConnected(client)
 
 
-def test_clients_are_separate() -> None:
-    """Clearing one scene leaves the others alone."""
-    bullets = [Bullet(1 / 30, 2, 10) for _ in range(3)]
-    for bullet in bullets:
-        bullet.clear()
-        bullet.add_floor()
-    bullets[2].clear()
-    counts = [bullet.p.getNumBodies(physicsClientId=bullet.client) for bullet in bullets]
-    assert counts == [1, 1, 0]
-    for bullet in bullets:
-        bullet.close()
-
-
 def test_rays_hit_what_their_group_may() -> None:
     bullet = Bullet(1 / 30, 2, 10)
     bullet.clear()
@@ -53,14 +40,4 @@ def test_rays_hit_what_their_group_may() -> None:
     bullet.set_filter(solid, -1, 4, 1)
     assert bullet.ray_fractions(starts, ends, 4) == pytest.approx([1.5 / 4, 1.75 / 4, 1], abs=1e-3)
     assert bullet.ray_fractions(starts, ends, 8) == [1, 1, 1]
-    bullet.close()
-
-
-def test_balls_can_be_placed() -> None:
-    bullet = Bullet(1 / 30, 2, 10)
-    bullet.clear()
-    falls = bullet.add_ball(1.0, 0.1, 0.5, 0.25)
-    assert bullet.position(falls) == pytest.approx((0.5, 0.25, 0.1))
-    bullet.place(falls, 3.0, 4.0, 1.0)
-    assert bullet.position(falls) == pytest.approx((3, 4, 1))
     bullet.close()

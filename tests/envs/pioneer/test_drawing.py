@@ -10,7 +10,7 @@ pytest.importorskip("pybullet")
 
 from numpy.typing import NDArray
 
-from sb3_options.envs.pioneer.drawing import BALL, BODY, PICTURE_HEIGHT, PICTURE_WIDTH, Renderer
+from sb3_options.envs.pioneer.drawing import BALL, BODY, PICTURE_HEIGHT, PICTURE_WIDTH
 from sb3_options.envs.pioneer.env import Pioneer
 from sb3_options.envs.pioneer.senses import SONARS
 
@@ -80,28 +80,6 @@ def test_beams_end_at_the_walls_and_the_cone_is_where_the_robot_looks() -> None:
     env.close()
 
 
-def test_tasks_look_different() -> None:
-    images = []
-    for kwargs in ({}, {"deposit": "corner"}, {"n_obstacles": 2}, {"n_balls": 2}):
-        env = Pioneer(render_mode="rgb_array", **kwargs)
-        more = {"obstacles": [(1, 1), (-1, -1)]} if "n_obstacles" in kwargs else {}
-        balls = [(1, -1), (-1, 1)] if "n_balls" in kwargs else [(1, -1)]
-        images.append(picture(env, robot=(0, 0, 0), balls=balls, **more))
-        env.close()
-    assert len({image.tobytes() for image in images}) == 4
-
-
-def test_pictures_may_be_kept_and_follow_the_robot() -> None:
-    env = Pioneer(render_mode="rgb_array")
-    first = picture(env, robot=(0, 0, 0), balls=[(1.5, 1.5)])
-    kept = first.copy()
-    env.step(2)
-    second = env.render()
-    np.testing.assert_array_equal(first, kept)
-    np.testing.assert_allclose(where(np.asarray(second), BODY) - where(first, BODY), (0.6, 0), atol=0.03)
-    env.close()
-
-
 def test_a_list_of_pictures_shows_the_way() -> None:
     env = Pioneer(render_mode="rgb_array_list")
     env.reset(seed=0, options={"robot": (0, 0, 0), "balls": [(1.5, 1.5)]})
@@ -122,33 +100,3 @@ def test_a_list_of_pictures_shows_the_way() -> None:
     np.testing.assert_array_equal(twin.step(2)[0], observation)  # looking changes nothing
     env.close()
     twin.close()
-
-
-def test_the_pictures_of_an_episode_share_their_background(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drawing it anew would make a video slow."""
-    drawn: list[Any] = []
-    background = Renderer._background
-
-    def counted(renderer: Renderer, obstacles: Any) -> Any:
-        drawn.append(obstacles)
-        return background(renderer, obstacles)
-
-    monkeypatch.setattr(Renderer, "_background", counted)
-    env = Pioneer(render_mode="rgb_array")
-    env.reset(seed=0)
-    for _ in range(3):
-        env.render()
-        env.step(0)
-    assert len(drawn) == 1
-    env.close()
-
-
-def test_render_without_mode_and_before_reset() -> None:
-    import gymnasium
-
-    env = Pioneer()
-    with pytest.warns(UserWarning, match=r"render\(\) does nothing without a render mode"):
-        assert env.render() is None
-    env = Pioneer(render_mode="rgb_array")
-    with pytest.raises(gymnasium.error.ResetNeeded, match=r"render\(\) was called before the first reset"):
-        env.render()

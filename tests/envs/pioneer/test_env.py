@@ -13,8 +13,7 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import sb3_options.envs
-from sb3_options import OptionsWrapper
-from sb3_options.envs.pioneer.env import ACTIONS, GRIPPING, VISIBLE, Pioneer, PioneerTask
+from sb3_options.envs.pioneer.env import GRIPPING, VISIBLE, Pioneer, PioneerTask
 from sb3_options.envs.pioneer.senses import MAX_WIDTH, N_PIXELS
 from tests.envs.pioneer.expert import Expert, play
 from tests.envs.pioneer.simulators import CLASSES, SIMULATORS, needs_pybullet
@@ -59,24 +58,6 @@ def test_all_tasks_have_the_same_spaces() -> None:
         assert all(pair == spaces[0] for pair in spaces)
 
 
-def test_actions_are_three_distances_and_two_angles_each_way() -> None:
-    assert [(m.distance, round(math.degrees(m.turn))) for m in ACTIONS] == [
-        (0.1, 0),
-        (0.25, 0),
-        (0.6, 0),
-        (0, 10),
-        (0, 45),
-        (0, -10),
-        (0, -45),
-    ]
-
-
-def test_reload_registers_nothing_twice() -> None:
-    before = gymnasium.spec("sb3_options/Pioneer-v0")
-    importlib.reload(sb3_options.envs)
-    assert gymnasium.spec("sb3_options/Pioneer-v0") is before
-
-
 @pytest.mark.parametrize(("module", "name"), [("pybullet", "PioneerCorner"), ("mujoco", "PioneerMuJoCo")])
 def test_environments_are_registered_without_their_simulator(module: str, name: str) -> None:
     code = (
@@ -108,13 +89,6 @@ def test_the_step_that_deposits_still_shows_the_ball() -> None:
     assert observation[GRIPPING] == 0
     assert env.step(LEFT_10)[0][VISIBLE] == 0
     env.close()
-
-
-def test_options_wrapper_finds_the_concept_features(env: PioneerTask) -> None:
-    wrapped = OptionsWrapper(env, max_options=2, gamma=0.99)
-    observation, _ = wrapped.reset(seed=0)
-    features = wrapped.get_wrapper_attr("concept_features")(observation[None])
-    assert features.tolist() == [[observation[8], observation[9]]]
 
 
 def test_rewards_from_start_to_success(env: PioneerTask) -> None:
@@ -157,15 +131,6 @@ def test_touching_with_the_ball_costs_and_still_deposits(env: PioneerTask) -> No
     assert info["touched_wall"]
     assert terminated
     assert reward == pytest.approx(10 - 1 - 0.1)
-
-
-def test_a_ball_without_grip_at_the_wall_is_nothing(env: PioneerTask) -> None:
-    env.reset(options={"robot": (0, 0, 0), "balls": [(1.9, 1.9)]})
-    assert env.step(LEFT_45)[2:] == (
-        False,
-        False,
-        {"is_success": False, "deposited": False, "gripping": False, "touched_wall": False, "cause": ""},
-    )
 
 
 def test_only_the_marked_corner_counts() -> None:
@@ -227,14 +192,6 @@ def test_an_expert_solves_95_percent(name: str) -> None:
     env.close()
 
 
-def test_truncates_by_itself() -> None:
-    env = make("Pioneer", max_steps=3)
-    for _ in range(2):
-        env.reset(seed=0)
-        assert [env.step(LEFT_10)[2:4] for _ in range(3)] == [(False, False), (False, False), (False, True)]
-    env.close()
-
-
 def test_success_on_the_last_step_is_no_truncation() -> None:
     env = make("Pioneer", max_steps=2)
     env.reset(options={"robot": (1.2, 0, 0), "balls": [(1.75, 0)]})
@@ -254,19 +211,6 @@ def test_displacement_and_width(env: PioneerTask) -> None:
     assert (features[:, 1] <= np.float32(MAX_WIDTH)).all()
 
 
-def test_retina_observations_have_them_too() -> None:
-    env = make("Pioneer", observation="retina")
-    batch = np.stack([env.reset(seed=seed)[0] for seed in range(3)])
-    np.testing.assert_array_equal(env.concept_features(batch), batch[:, 8:10])
-    assert env.concept_features(np.empty((0, 11 + N_PIXELS))).shape == (0, 2)
-    env.close()
-
-
-def test_unbatched_observation_is_refused(env: PioneerTask) -> None:
-    with pytest.raises(ValueError, match=r"observations of shape \(11,\) each, got shape \(11,\)"):
-        env.concept_features(env.reset(seed=0)[0])
-
-
 @needs_pybullet
 @pytest.mark.parametrize(
     ("kwargs", "error", "message"),
@@ -280,7 +224,7 @@ def test_unbatched_observation_is_refused(env: PioneerTask) -> None:
         ({"n_obstacles": 1.5}, TypeError, r"n_obstacles must be an integer, got 1\.5"),
         ({"deposit": "door"}, ValueError, r"deposit must be one of 'wall', 'corner', got 'door'"),
         ({"observation": "rgb"}, ValueError, r"observation must be one of 'sensors', 'retina', got 'rgb'"),
-        ({"max_steps": 0}, ValueError, r"max_steps must be at least 1, or None for no limit, got 0"),
+        ({"max_steps": 0}, ValueError, r"max_steps must be at least 1, got 0"),
         (
             {"render_mode": "ansi"},
             ValueError,
@@ -321,12 +265,6 @@ def test_bad_actions(env: PioneerTask, action: Any) -> None:
         env.step(action)
 
 
-@pytest.mark.parametrize("action", [3, np.int64(3), np.array(3), np.array([3])[0]])
-def test_integers_of_all_kinds_are_actions(env: PioneerTask, action: Any) -> None:
-    env.reset(seed=0)
-    env.step(action)
-
-
 def test_step_before_reset_and_after_the_end() -> None:
     env = make("Pioneer", max_steps=1)
     with pytest.raises(gymnasium.error.ResetNeeded, match=r"step\(\) was called before the first reset\(\)"):
@@ -346,10 +284,6 @@ def test_closed() -> None:
     for call in (env.reset, lambda: env.step(0), env.render):
         with pytest.raises(gymnasium.error.ClosedEnvironmentError, match=r"\(\) was called after close\(\): make"):
             call()
-
-
-def test_close_before_reset() -> None:
-    make("Pioneer").close()
 
 
 def test_without_pybullet(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -71,21 +71,6 @@ def test_a_pose_looks_the_same_in_both(name: str) -> None:
     env.close()
 
 
-@needs_pybullet
-@pytest.mark.parametrize(("left", "right"), [(1.2, 1.2), (-1.2, -1.2), (-1.0, 1.0), (0.6, 1.2)])
-def test_a_turn_of_the_wheels_moves_the_body_as_far(left: float, right: float) -> None:
-    """Half a second at commanded velocities: to 5 mm and 1 degree as in PyBullet."""
-    poses = []
-    for env in both():
-        env.reset(options={"robot": (0, 0, 0), "balls": [(-1.5, -1.5)]})
-        poses.append([env.simulator.drive(left, right) for _ in range(CONTROL_RATE // 2)][-1])
-        env.close()
-    (x, y, heading), (twin_x, twin_y, twin_heading) = poses
-    assert math.hypot(x - twin_x, y - twin_y) < 0.005
-    assert abs(heading - twin_heading) < math.radians(1)
-    assert abs(x) + abs(heading) > 0.03
-
-
 def test_the_body_goes_as_far_as_the_wheels_roll(env: PioneerMuJoCo) -> None:
     for left, right in ((3.0, 3.0), (-3.0, 3.0)):
         env.reset(options={"robot": (0, 0, 0), "balls": [(-1.5, -1.5)]})
@@ -139,15 +124,6 @@ def test_an_expert_solves_it(name: str) -> None:
     env = PioneerMuJoCo(**TASKS[name])
     expert = Expert(corner=name == "PioneerCorner")
     assert sum(play(env, expert, seed)[0] for seed in range(10)) >= 8
-
-
-def test_the_robot_stands_still_by_itself(env: PioneerMuJoCo) -> None:
-    env.reset(options={"robot": (0, 0, 0), "balls": [(1.5, 1.5)]})
-    for _ in range(2 * CONTROL_RATE):
-        x, y, _ = env.simulator.drive(0, 0)
-    assert math.hypot(x, y) < 0.003
-    assert env.simulator.data.qpos[2] == pytest.approx(MIDDLE_HEIGHT, abs=0.002)
-    assert env.simulator.ball(0) == pytest.approx((1.5, 1.5), abs=0.001)
 
 
 @pytest.mark.parametrize("kwargs", [{}, {"n_obstacles": 4, "n_balls": 2}])
@@ -219,27 +195,8 @@ def test_goes_on_from_a_state_bit_for_bit(steps: int) -> None:
     assert onward(copy, observation) == there
 
 
-def test_some_of_these_moments_have_a_ball_in_the_gripper_or_one_deposited() -> None:
-    gripping, left = set(), set()
-    for steps in (0, 3, 8, 14, 20):
-        core = moment(steps)[0].unwrapped
-        assert isinstance(core, PioneerMuJoCo)
-        gripping.add(core._robot.held is not None)
-        left.add(len(core.ball_positions))
-    assert gripping == {True, False}
-    assert left == {1, 2}
-
-
 def test_checkpoints_hold_its_state_instead_of_its_actions() -> None:
     assert not any(isinstance(layer, RecordActions) for layer in layers._layers(moment(0)[0]))
-
-
-def test_a_state_before_the_first_reset() -> None:
-    env, other = PioneerMuJoCo(), PioneerMuJoCo()
-    other.reset(seed=0)
-    other.set_state(env.get_state())
-    with pytest.raises(gymnasium.error.ResetNeeded):
-        other.step(0)
 
 
 def test_a_state_of_another_scene_is_refused(env: PioneerMuJoCo) -> None:
@@ -251,15 +208,3 @@ def test_a_state_of_another_scene_is_refused(env: PioneerMuJoCo) -> None:
     env.close()
     with pytest.raises(gymnasium.error.ClosedEnvironmentError, match=r"set_state\(\) was called after close"):
         env.set_state(two.get_state())
-
-
-@needs_pybullet
-def test_it_is_drawn_as_the_other() -> None:
-    pictures = []
-    for env in both(render_mode="rgb_array"):
-        env.reset(options={"robot": (-0.5, 1.0, 1.5), "balls": [(1.2, -0.8)]})
-        pictures.append(np.asarray(env.render()).astype(int))
-        env.close()
-    assert np.abs(pictures[0] - pictures[1]).mean() < 0.1
-    with pytest.raises(ValueError, match="render_mode must be one of 'rgb_array', 'rgb_array_list', got 'human'"):
-        PioneerMuJoCo(render_mode="human")

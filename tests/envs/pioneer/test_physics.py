@@ -5,19 +5,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 
 from sb3_options.envs.pioneer.body import (
     BALL_RADIUS,
     BODY_RADIUS,
-    CONTROL_RATE,
     GRAVITY,
     GRIP_AHEAD,
     MIDDLE_HEIGHT,
     PADDLE_TIP,
-    WHEEL_RADIUS,
 )
 from sb3_options.envs.pioneer.env import ACTIONS, Pioneer, PioneerTask
 from tests.envs.pioneer.simulators import CLASSES, SIMULATORS, needs_pybullet
@@ -125,21 +122,6 @@ def test_a_turn_into_a_wall_is_undone(env: PioneerTask) -> None:
     assert not env.step(RIGHT_45)[4]["touched_wall"]
 
 
-def test_no_pose_is_a_trap(env: PioneerTask) -> None:
-    """Wherever the robot is driven into a wall or a corner, a few turns and one action ahead get it away."""
-    for heading in np.linspace(0, math.pi / 2, 10):
-        start(env, 1.2, 1.2, heading)
-        for action in (LONG, LONG, LONG, 1, 0, 0):
-            env.step(action)
-        for action in (LEFT_45, LEFT_45, LEFT_45, LEFT_45, LONG, LONG):
-            env.step(action)
-        if env.step(LONG)[4]["touched_wall"]:
-            for action in (LEFT_45, LEFT_45, LONG):
-                env.step(action)
-        x, y, _ = env.robot_pose
-        assert math.hypot(x - 2, y - 2) > 1.0
-
-
 def test_an_obstacle_stops_the_robot_like_a_wall(cls: type[PioneerTask]) -> None:
     env = cls(n_obstacles=1)
     options = {"robot": (-1, 0, 0), "balls": [(-1.5, -1.5)], "obstacles": [(0.2, 0)]}
@@ -164,19 +146,6 @@ def test_paddles_take_a_ball_or_push_it_aside(env: PioneerTask, off: float, grip
             assert side * y > off + 0.02
         else:
             assert (x, y) == pytest.approx((-0.5, side * off), abs=0.002)
-
-
-@needs_pybullet
-def test_a_rolling_ball_comes_to_rest(bullet_env: Pioneer) -> None:
-    env = bullet_env
-    start(env, -1, 0, math.pi, ball=(-0.5, 0))
-    ball = list(bodies(env))[1]
-    p, client = env.bullet.p, env.bullet.client
-    p.resetBaseVelocity(ball, (1, 0, 0), (0, 1 / BALL_RADIUS, 0), physicsClientId=client)
-    for _ in range(3 * CONTROL_RATE):
-        p.stepSimulation(client)
-    assert 0.2 < env.bullet.position(ball)[0] + 0.5 < 0.8
-    assert np.linalg.norm(p.getBaseVelocity(ball, physicsClientId=client)[0]) < 0.001
 
 
 def random_walk(n: int, seed: int, **kwargs: Any) -> None:
@@ -226,32 +195,3 @@ def test_resets_do_not_grow_memory(env: PioneerTask, n: int) -> None:
     for seed in range(n):
         env.reset(seed=seed)
     assert resident() - before < 5
-
-
-@needs_pybullet
-def test_make_and_close_leak_no_client() -> None:
-    numbers = set()
-    for seed in range(50):
-        env = gymnasium.make("sb3_options/Pioneer-v0").unwrapped
-        assert isinstance(env, Pioneer)
-        env.reset(seed=seed)
-        numbers.add(env.bullet.client)
-        env.close()
-        env.close()
-    assert len(numbers) == 1
-
-
-@needs_pybullet
-def test_the_robot_stands_still_by_itself() -> None:
-    """At rest the robot rests: it neither creeps nor sinks."""
-    env = Pioneer()
-    env.reset(seed=0, options={"robot": (0, 0, 0), "balls": [(1.5, 1.5)]})
-    body = next(iter(bodies(env)))
-    for _ in range(2 * CONTROL_RATE):
-        env.bullet.p.stepSimulation(physicsClientId=env.bullet.client)
-    (x, y, z), _ = env.bullet.p.getBasePositionAndOrientation(body, physicsClientId=env.bullet.client)
-    assert math.hypot(x, y) < 0.003
-    assert z == pytest.approx(MIDDLE_HEIGHT, abs=0.002)
-    wheel = env.bullet.p.getLinkState(body, 0, physicsClientId=env.bullet.client)[0]
-    assert wheel[2] == pytest.approx(WHEEL_RADIUS, abs=0.002)
-    env.close()
