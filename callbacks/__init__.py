@@ -6,6 +6,7 @@ from sb3_options.callbacks.intrinsic import IntrinsicRewardCallback
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
 from sb3_options.callbacks.records import ClosedOption, DiscoveredOption
 from sb3_options.callbacks.zoo import ZooDiscoveryCallback
+from sb3_options.options.settings import UsefulnessSettings
 
 __all__ = [
     "CheckpointCallback",
@@ -15,6 +16,7 @@ __all__ = [
     "IntrinsicRewardCallback",
     "PrimitiveStepsCallback",
     "SubgoalDiscoveryCallback",
+    "UsefulnessSettings",
     "ZooDiscoveryCallback",
     "load_checkpoint",
 ]

@@ -22,7 +22,7 @@ from stable_baselines3.common.vec_env import (
 )
 
 from sb3_options.callbacks.counting import all_callbacks
-from sb3_options.checked import given_as, is_number, whole
+from sb3_options.checked import given_as, whole
 from sb3_options.density.groups import FeatureGroup, checked_groups
 from sb3_options.execution.above import wrappers_above
 from sb3_options.execution.slots import Traits
@@ -41,7 +41,6 @@ def check_arguments(
     success: object,
     static_filter: object,
     max_new_options: int | None,
-    min_reached: float,
     save_path: object,
     hparams: object,
     seed: int,
@@ -68,8 +67,6 @@ def check_arguments(
         raise TypeError(f"hparams must be a mapping from names to settings, or None, got {hparams!r}.")
     if max_new_options is not None and not whole(max_new_options, 0):
         raise ValueError(f"max_new_options must be at least 0, got {max_new_options!r}.")
-    if not (is_number(min_reached) and 0.0 <= min_reached <= 1.0):
-        raise ValueError(f"min_reached must be a share, in [0, 1], got {min_reached!r}.")
     if not whole(seed, 0):
         raise ValueError(f"seed must be at least 0, a whole number, got {seed!r}.")
 

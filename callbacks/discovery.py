@@ -18,6 +18,7 @@ from sb3_options.callbacks.learned_features import GivenFeatures, check_learned,
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
 from sb3_options.callbacks.records import ClosedOption, Complaints, DiscoveredOption, OptionStatistics, saved_for
 from sb3_options.callbacks.summaries import describe_options, log_results, save_or_warn, settings_of, why_no_option
+from sb3_options.callbacks.usefulness import Usefulness, Verdict
 from sb3_options.checked import given_as
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
@@ -37,7 +38,7 @@ from sb3_options.options.creation import OptionGrowth, joined, learn_further, le
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import PolicyInput
 from sb3_options.options.proposals import Proposal
-from sb3_options.options.settings import OptionLearningSettings
+from sb3_options.options.settings import OptionLearningSettings, UsefulnessSettings
 from sb3_options.state import restore, state_of
 
 SEGMENTS_PER_LOG = 4
@@ -78,9 +79,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             ``OptionsWrapper(feature_map="temporal-distance")`` or ``"laplacian"``.
         interruption: Whether options of DQN, QRDQN and OptionDQN end where going on is worth less than the best
             alternative (`execution.interruption`).
-        min_reached: Where less than this share of an option's last runs reached its subgoal, in [0, 1], it is offered
-            no longer; it is closed if less than this share even ended before `max_duration`. 0: it stays as it is.
-            Runs that the end of the episode cut off do not count.
+        usefulness: How options are judged by their use, and closed where they are of none: a `UsefulnessSettings`, or a
+            mapping of its fields.
         primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps, not decisions.
         save_path: File for the options, written each time one is made; None writes nothing.
         hparams: Settings for TensorBoard's HParams tab; by default those of the algorithm and of discovery.
@@ -106,7 +106,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         opening_share: float | None = None,
         embedding: EmbeddingSettings | Mapping[str, Any] | None = None,
         interruption: bool = True,
-        min_reached: float = 0.0,
+        usefulness: UsefulnessSettings | Mapping[str, Any] | None = None,
         primitive_rollouts: bool = False,
         save_path: str | os.PathLike[str] | None = None,
         hparams: Mapping[str, Any] | None = None,
@@ -119,8 +119,10 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             self.settings = dataclasses.replace(self.settings, method=method)
         self.method = checked_method(method)
         self.option_settings = given_as(OptionLearningSettings, {} if option_settings is None else option_settings)
-        check_arguments(success, static_filter, max_new_options, min_reached, save_path, hparams, seed)
-        self.success, self.static_filter, self.min_reached = success_rule(success), static_filter, min_reached
+        check_arguments(success, static_filter, max_new_options, save_path, hparams, seed)
+        self.success = success_rule(success)
+        self.static_filter = static_filter
+        self.usefulness = given_as(UsefulnessSettings, {} if usefulness is None else usefulness)
         self.groups = groups_given(groups)
         self.max_new_options, self.interruption, self.save_path = max_new_options, interruption, save_path
         self.hparams = hparams
@@ -133,7 +135,10 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.closed: list[ClosedOption] = []
         self._made_here: set[int] = set()
         self._generator = torch.Generator().manual_seed(seed)
-        self._statistics, self._growth, self._features = OptionStatistics(min_reached), OptionGrowth(), GivenFeatures()
+        self._statistics = OptionStatistics()
+        self._useful = Usefulness(self.usefulness)
+        self._growth = OptionGrowth()
+        self._features = GivenFeatures()
         self.embedding = given_as(EmbeddingSettings, {} if embedding is None else embedding)
         self._clock: DiscoveryClock | None = None
 
@@ -198,11 +203,13 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         infos: list[dict[str, Any]] = self.locals["infos"]
         runs = list(map(OptionRun.from_info, infos))
         goes_on = self._count(runs)
-        for info, run in zip(infos, runs, strict=True):
+        for env, (info, run) in enumerate(zip(infos, runs, strict=True)):
             if run.index >= 0:
                 self._statistics.add(run)
             if "trajectory" in info:
-                self._episode_ended(info.pop("trajectory"), info)
+                self._episode_ended(info.pop("trajectory"), info, env, run)
+            elif run.inside:
+                self._useful.add(run, env, success=None)
             for segment in info.pop("segments", ()):
                 self._episode_ended(segment, {})
                 # An algorithm without rollouts dumps its log when episodes end, and there may be no end.
@@ -210,14 +217,20 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                     self.logger.dump(self.num_timesteps)
         return goes_on
 
-    def _episode_ended(self, trajectory: Trajectory, info: dict[str, Any]) -> None:
+    def _episode_ended(
+        self, trajectory: Trajectory, info: dict[str, Any], env: int = 0, run: OptionRun | None = None
+    ) -> None:
         self.episodes += 1
         try:
             success, total = judged(self.success, trajectory), float(trajectory.rewards.sum())
             before = (each.success for each in islice(self.history, self._began, None))
             tell_success(info, success, trajectory, self.success, self.model.ep_success_buffer, before)
             self.history.append(EpisodeRecord(self.num_timesteps, total, success, len(trajectory)))
-            self._close_unreliable()
+            if run is not None:
+                if run.inside:
+                    self._useful.add(run, env, success=success)
+                self._useful.episode_ended(env, self._options.installed(), success=success)
+            self._judge()
             self._learn_from(trajectory, success)
         except ValueError as error:  # one episode that cannot be used is no reason to end training
             self._complaints.say(self.episodes, error)
@@ -225,11 +238,13 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     def _learn_from(self, trajectory: Trajectory, success: bool) -> None:
         discovers = self._may_discover()
+        if success and self._wants_slot() and self._useful.counts_needs(self._options):
+            self._useful.succeeded(self._options, self._options.features_of(trajectory.states))
         if not (discovers or (self.option_settings.goes_on and len(self._options.bank))):
             return
         labelled = self._search.add(trajectory, self._options.features_of(trajectory.states), success=success)
         if self._features.learn_if_due(self._search, self._options):
-            self._statistics.reliability.forget_places()
+            self._useful.forget_places()
             *_, labelled = self._search.database
         if self.option_settings.goes_on:
             self._learn_further(labelled)
@@ -247,7 +262,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                 later = self._learn(option.subgoal, option.name, option.policy_input)
                 if later is not None and slot not in self._made_here:
                     later = joined(option, later)
-                later = later and self._statistics.reliability.learned_anew(slot, later)
+                later = later and self._useful.learned_anew(slot, later)
             elif self.option_settings.keep_learning:
                 later = learn_further(option, labelled, self.option_settings)
             if later is not None and later is not option:
@@ -267,6 +282,11 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         most = self._options.bank.max_options if self.max_new_options is None else self.max_new_options
         return len(self._made_here) < most and len(self._options.bank) < self._options.bank.max_options
 
+    def _wants_slot(self) -> bool:
+        """Whether discovery would go on if a slot were free."""
+        full = len(self._options.installed()) == self._options.bank.max_options
+        return full and (self.max_new_options is None or len(self._made_here) < self.max_new_options)
+
     def _make_option(self, subgoal: Region) -> None:
         found = self._search.found[-1]
         where = found.where(self._search.kind)
@@ -282,6 +302,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._options.install(slot, option)
         self._features.remember(slot, option, self._search)
         self._statistics.forget(slot)  # a closed option went on to the end of its rollout, after it was forgotten
+        self._useful.forget(slot)
         self._made_here.add(slot)
         if not option.fixed:
             self._growth.made(slot, subgoal, self._search.database)
@@ -293,25 +314,28 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         save_or_warn(self._options.bank, self.save_path)
         self.draw()
 
-    def _close_unreliable(self) -> None:
-        """Narrow, or close, options whose runs too often go on for ever."""
-        for slot, later in self._statistics.reliability.judged(self._options):
-            if later is None:
-                self._close_option(slot)
-            else:
+    def _judge(self) -> None:
+        """Narrow, or close, options that are of no use."""
+        for slot, later in self._useful.judged(self._options):
+            if isinstance(later, SubgoalOption):
                 self._replace(slot, later)
+            else:
+                self._close_option(slot, later)
+        if self._wants_slot() and (unneeded := self._useful.unneeded(self._options)) is not None:
+            self._close_option(unneeded, "is not needed")
 
     def _replace(self, slot: int, later: SubgoalOption) -> None:
         self._options.replace(slot, later)
         self._features.remember(slot, later, self._search)
 
-    def _close_option(self, slot: int) -> None:
+    def _close_option(self, slot: int, why: Verdict) -> None:
         self._options.uninstall(slot)
         self._features.forget(slot)
         self._made_here.discard(slot)
         self._statistics.forget(slot)
+        self._useful.forget(slot)
         self._growth.forget(slot)
-        self.closed.append(ClosedOption(slot, self.episodes, self.num_timesteps, "unreliable"))
+        self.closed.append(ClosedOption(slot, self.episodes, self.num_timesteps, why))
         self.closed[-1].tell(printed=self.verbose > 0)
 
     def _log(self) -> None:
@@ -345,6 +369,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             "generator": self._generator.get_state(),
             "search": self._search.get_state(),
             "statistics": self._statistics.get_state(),
+            "usefulness": state_of(self._useful),
             "growth": state_of(self._growth),
             "features": state_of(self._features),
         }
@@ -360,6 +385,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._search.set_state(state["search"])
         self._clock = DiscoveryClock(self._search.seconds)
         self._statistics.set_state(state["statistics"])
+        restore(self._useful, state["usefulness"])
         restore(self._growth, state["growth"])
         restore(self._features, state["features"])
         self._features.resume(self._options)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sb3_options.callbacks.reliability import WINDOW, Reliability
+from sb3_options.callbacks.usefulness import WINDOW, Verdict
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.option_run import OptionRun
@@ -110,17 +110,17 @@ class ClosedOption:
         slot: Its slot, which another may fill.
         episode: Number of episodes that had ended.
         timestep: Primitive steps taken.
-        why: "unreliable": its runs go on for ever.
+        why: What it does.
     """
 
     slot: int
     episode: int
     timestep: int
-    why: str
+    why: Verdict
 
     def tell(self, *, printed: bool) -> None:
         """Log it, and print it if asked."""
-        text = f"Option {self.slot} proved {self.why} and is closed, after {self.episode} episodes"
+        text = f"Option {self.slot} {self.why} and is closed, after {self.episode} episodes"
         logger.info("%s.", text)
         if printed:
             print(text)
@@ -131,13 +131,9 @@ class OptionStatistics:
 
     A run begins in the option's initiation set. A slot that is chosen outside it takes a single step, which says
     nothing of where the option leads, and is counted apart.
-
-    Args:
-        min_reached: Share of the runs that have to reach the subgoal, for `reliability`; 0 for none.
     """
 
-    def __init__(self, min_reached: float = 0.0) -> None:
-        self.reliability = Reliability(min_reached)
+    def __init__(self) -> None:
         self._uses: Counter[int] = Counter()
         self._outside: Counter[int] = Counter()
         self._last: dict[int, deque[tuple[int, str]]] = {}
@@ -151,12 +147,10 @@ class OptionStatistics:
             return
         self._last.setdefault(run.index, deque(maxlen=WINDOW)).append((run.duration, run.termination))
         self._endings.setdefault(run.index, set()).add(run.termination)
-        self.reliability.add(run)
 
     def forget(self, slot: int) -> None:
         """Forget the last runs of an option that is closed."""
         self._last.pop(slot, None)
-        self.reliability.forget(slot)
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint."""
@@ -165,7 +159,6 @@ class OptionStatistics:
             "outside": dict(self._outside),
             "last": {slot: list(last) for slot, last in self._last.items()},
             "endings": {slot: sorted(endings) for slot, endings in self._endings.items()},
-            "reliability": self.reliability.get_state(),
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -173,7 +166,6 @@ class OptionStatistics:
         self._uses, self._outside = Counter(state["uses"]), Counter(state["outside"])
         self._last = {slot: deque(last, maxlen=WINDOW) for slot, last in state["last"].items()}
         self._endings = {slot: set(endings) for slot, endings in state["endings"].items()}
-        self.reliability.set_state(state["reliability"])
 
     def values(self) -> dict[str, float]:
         """By tag: choices, runs and single steps outside; mean duration and the share of each end of the last runs."""

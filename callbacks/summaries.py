@@ -16,7 +16,7 @@ from stable_baselines3.common.type_aliases import TrainFreq
 
 from sb3_options.callbacks.counting import SCHEDULES
 from sb3_options.callbacks.records import DiscoveredOption
-from sb3_options.callbacks.reliability import WINDOW
+from sb3_options.callbacks.usefulness import WINDOW
 from sb3_options.discovery.methods import DiscoveryMethod
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.trajectories import EpisodeRecord

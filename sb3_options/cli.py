@@ -186,7 +186,7 @@ def _discovery(config: TrainConfig, resumed: Path | None = None) -> SubgoalDisco
         config.option,
         max_new_options=config.max_new_options if config.discover else 0,
         success=config.success,
-        min_reached=config.min_reached,
+        usefulness=config.usefulness,
         hparams=hparams_of(config, options),
         seed=config.seed,
         verbose=1,

@@ -15,12 +15,10 @@ DISCOVERY: dict[str, Any] = {
         "decay": 0.8,
     },
     "option_settings": {"grow": True},
-    "min_reached": 0.5,
 }
 """Arguments of `SubgoalDiscoveryCallback` that suit MiniGrid; ``train.py`` has them, too.
 
 Successes are rare at first, so discovery keeps many trajectories, and what is rarely come upon stands for them. On the
 few features of a group, near the start is nearly everywhere, and what stands out there need not persist for long.
-Searches have no limit: on seed 0 of two rooms they take 3 % of training. Options are learned anew as more is seen, and
-are offered no longer where their runs do not reach the subgoal.
+Searches have no limit: on seed 0 of two rooms they take 3 % of training. Options are learned anew as more is seen.
 """

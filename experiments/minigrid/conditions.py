@@ -140,7 +140,6 @@ def _callbacks(arm: Arm, seed: int, stage: int, *, is_last: bool, primitive_roll
             method="random" if arm in settings.RANDOM else None,
             max_new_options=0 if is_last and stage else None,
             opening_share=settings.OPENING_SHARE,
-            min_reached=settings.MIN_REACHED,
             primitive_rollouts=primitive_rollouts,
             seed=seed,
         )

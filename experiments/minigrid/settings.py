@@ -153,9 +153,6 @@ GROWING_STAGES = 2
 what the agent learned of the former is wrong."""
 
 OPENING_SHARE = 0.5
-MIN_REACHED = 0.5
-"""Options are offered no longer where fewer of their runs reach the subgoal."""
-
 EPISODES = 100
 """Of an evaluation, and of the training success that is reported."""
 
@@ -186,7 +183,7 @@ def of(arm: Arm, family: str) -> dict[str, Any]:
     if arm in DISCOVERING:
         special |= {"discovery": DISCOVERY, "opening_share": OPENING_SHARE}
         special |= {"options": OPTIONS, "growing_stages": GROWING_STAGES}
-        special |= {"min_reached": MIN_REACHED, "discovers_in": "all stages but the last"}
+        special |= {"discovers_in": "all stages but the last"}
     if arm in (*RANDOM, *CONTRASTING):
         special |= {"subgoals": "drawn" if arm in RANDOM else "drawn from what contrasts"}
     if arm in WITH_BONUS:

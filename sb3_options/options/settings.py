@@ -1,4 +1,4 @@
-"""How options are learned: the settings of `creation`."""
+"""How options are learned, and judged by their use."""
 
 from __future__ import annotations
 
@@ -69,3 +69,17 @@ class OptionLearningSettings:
     def goes_on(self) -> bool:
         """Whether options change after they were made."""
         return self.keep_learning or self.grow
+
+
+@settings
+class UsefulnessSettings:
+    """How options are judged by their use.
+
+    Attributes:
+        judge: Whether they are. Otherwise every option stays as it is.
+        min_reached: Share of an option's runs that must reach its subgoal from a state of I, which leaves I otherwise,
+            and that must end before `max_duration` and without failure, in [0, 1].
+    """
+
+    judge: bool = True
+    min_reached: Annotated[float, Field(ge=0, le=1)] = 0.5

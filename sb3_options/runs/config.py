@@ -15,7 +15,7 @@ from pydantic import AfterValidator, BeforeValidator, TypeAdapter, ValidationErr
 from sb3_options.atomic import atomic_write
 from sb3_options.checked import Field, readable, settings, truth_values
 from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.options.settings import OptionLearningSettings
+from sb3_options.options.settings import OptionLearningSettings, UsefulnessSettings
 from sb3_options.runs import yaml_file
 from sb3_options.runs.keywords import PAIRS, algo_keywords_of, keywords_of, rule_of
 from sb3_options.runs.shipped import shipped
@@ -31,7 +31,7 @@ MAX_THREADS = 1024
 """More than any machine has cores for; torch would take memory for each."""
 
 NAME, KIND = tyro.conf.arg(metavar="NAME"), tyro.conf.arg(metavar="KIND")  # of something in a module; of a choice
-NUMBER, SHARE, REAL = (tyro.conf.arg(metavar=name) for name in "NPX")  # short, so that the help fits a line
+NUMBER, REAL = (tyro.conf.arg(metavar=name) for name in "NX")  # short, so that the help fits a line
 Count: TypeAlias = Annotated[int, Field(ge=1)]
 Natural: TypeAlias = Annotated[int, Field(ge=0)]
 Share: TypeAlias = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -70,10 +70,10 @@ class TrainConfig:
         net_arch: Hidden layers of the network.
         algo_kwargs: Keyword arguments of SB3's class besides.
         bonus: "counts" or "rnd": an intrinsic reward.
-        min_reached: Least share of runs to reach; 0: any.
         success: terminated, return:30, steps:500.
         discovery: How subgoals are found.
         option: How options are learned.
+        usefulness: How options are judged by their use.
     """
 
     algo: Annotated[str, tyro.conf.Suppress]
@@ -103,13 +103,10 @@ class TrainConfig:
     net_arch: Annotated[tuple[Count, ...], tyro.conf.arg(metavar="N ...")] = (64, 64)
     algo_kwargs: Annotated[dict[str, Any], BeforeValidator(algo_keywords_of), PAIRS] = field(default_factory=dict)
     bonus: Annotated[Literal["none", "counts", "rnd"], KIND] = "none"
-    min_reached: Annotated[Share, SHARE] = 0.0
     success: Annotated[str, AfterValidator(rule_of), tyro.conf.arg(metavar="RULE")] = "reported"
     discovery: DiscoverySettings = field(default_factory=DiscoverySettings)
     option: OptionLearningSettings = field(default_factory=OptionLearningSettings)
-
-    def __post_init__(self) -> None:
-        """Refuse what does not go together."""
+    usefulness: UsefulnessSettings = field(default_factory=UsefulnessSettings)
 
 
 @settings
@@ -185,7 +182,6 @@ class TRPOConfig(OnPolicyConfig):
 
     def __post_init__(self) -> None:
         """Refuse what does not go together."""
-        super().__post_init__()
         if self.n_steps * self.n_envs < 2 or self.batch_size < 2:
             raise ValueError(
                 f"{self.algo} normalises advantages, which takes two: --n-steps times --n-envs and --batch-size must "
@@ -244,7 +240,7 @@ CLASSES: dict[str, type[TrainConfig]] = {
 }
 """The class of settings of every algorithm."""
 
-GROUPS = {"discovery": DiscoverySettings, "option": OptionLearningSettings}
+GROUPS = {"discovery": DiscoverySettings, "option": OptionLearningSettings, "usefulness": UsefulnessSettings}
 """The settings that are classes of settings themselves."""
 
 COMMON = frozenset(f.name for f in dataclasses.fields(TrainConfig))

@@ -41,7 +41,6 @@ LAST = (
     "env_wrapper",
     "feature_map",
     "bonus",
-    "min_reached",
     "success",
     "checkpoint_freq",
     "eval_episodes",

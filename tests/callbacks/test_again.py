@@ -69,7 +69,7 @@ def test_a_closed_option_makes_room_for_another() -> None:
     model_of(optioned_rooms(2)).learn(5000, callback=callback)
     assert len(callback.discoveries) == 1
     assert not callback._may_discover()
-    callback._close_option(callback.discoveries[0].slot)
+    callback._close_option(callback.discoveries[0].slot, "is not needed")
     assert callback._may_discover()
 
 

@@ -126,11 +126,14 @@ def test_rollouts_in_primitive_steps(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("keep_all")
 def test_runs_that_say_where_options_work(tmp_path: Path) -> None:
     callbacks, _ = check_resumes(
-        lambda: model_of("PPO", venv_of()), lambda: [discovering(min_reached=0.9)], tmp_path, cuts=(0.7, 0.95)
+        lambda: model_of("PPO", venv_of()),
+        lambda: [discovering(usefulness={"min_reached": 0.9})],
+        tmp_path,
+        cuts=(0.7, 0.95),
     )
     discovery = callbacks[0]
     assert isinstance(discovery, SubgoalDiscoveryCallback)
-    assert discovery._statistics.reliability.get_state()["runs"]
+    assert discovery._useful._slots
 
 
 @pytest.mark.usefixtures("keep_all")

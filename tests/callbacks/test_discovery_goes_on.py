@@ -13,8 +13,8 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options import OptionsWrapper
-from sb3_options.callbacks import SubgoalDiscoveryCallback, reliability
-from sb3_options.callbacks.reliability import MIN_RUNS
+from sb3_options.callbacks import SubgoalDiscoveryCallback, usefulness
+from sb3_options.callbacks.usefulness import MIN_RUNS
 from sb3_options.envs import Direction
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning import heads
@@ -117,15 +117,15 @@ class TestGoesOn:
 
 
 def test_an_option_whose_runs_go_on_for_ever_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reliability, "MIN_RUNS", 10)
-    monkeypatch.setattr(reliability, "RUNS_BETWEEN", 5)
+    monkeypatch.setattr(usefulness, "MIN_RUNS", 10)
+    monkeypatch.setattr(usefulness, "RUNS_BETWEEN", 5)
     env = optioned_rooms()
     right, left = Direction.RIGHT, Direction.LEFT
     env.bank.add(to_the_doorway(right, (3, 2)))
     env.bank.add(to_the_doorway(left, (0, 2)))
-    callback = SubgoalDiscoveryCallback(max_new_options=0, min_reached=0.5, interruption=False)
+    callback = SubgoalDiscoveryCallback(max_new_options=0, interruption=False)
     model_of(env, seed=0).learn(6000, callback=callback)
-    assert [(closed.slot, closed.why) for closed in callback.closed] == [(1, "unreliable")]
+    assert [(closed.slot, closed.why) for closed in callback.closed] == [(1, "goes in circles")]
     assert callback.bank.filled == env.bank.filled == (0,)
 
 
@@ -133,7 +133,7 @@ def test_an_option_is_no_longer_offered_where_it_goes_on_for_ever() -> None:
     """To the right of (3, 0) is a wall."""
     env = optioned_rooms()
     env.bank.add(to_the_doorway(Direction.RIGHT, (3, 2), (3, 0)))
-    callback = SubgoalDiscoveryCallback(max_new_options=0, min_reached=0.5, interruption=False)
+    callback = SubgoalDiscoveryCallback(max_new_options=0, interruption=False)
     model_of(env, seed=0).learn(6000, callback=callback)
     assert not callback.closed
     for bank in (callback.bank, env.bank):
@@ -144,9 +144,10 @@ def test_an_option_is_no_longer_offered_where_it_goes_on_for_ever() -> None:
 
 def test_runs_of_a_closed_option_do_not_count_for_the_next_one_in_its_slot() -> None:
     """With a rollout buffer a closed option goes on until the rollout ends, after its statistics were forgotten."""
-    callback = fast_callback(max_new_options=1, min_reached=0.5)
+    callback = fast_callback(max_new_options=1)
     for _ in range(MIN_RUNS):
-        callback._statistics.add(OptionRun(0, 1, 0.9, 0.9, "max_duration", np.eye(45)[:1], inside=True))
+        run = OptionRun(0, 1, 0.9, 0.9, "max_duration", np.eye(45)[:1], inside=True)
+        callback._useful.add(run, 0, success=None)
     model_of(seed=0).learn(2 * STEPS, callback=callback)
     assert [found.slot for found in callback.discoveries] == [0]
     assert not callback.closed

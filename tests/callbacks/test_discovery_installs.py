@@ -239,8 +239,8 @@ def test_groups_that_do_not_fit_are_refused_before_the_first_step(groups: list[A
 
 
 def test_a_share_is_refused_out_of_range() -> None:
-    with pytest.raises(ValueError, match=r"min_reached must be a share, in \[0, 1\], got 2"):
-        SubgoalDiscoveryCallback(min_reached=2)
+    with pytest.raises(ValueError, match=r"min_reached should be less than or equal to 1, got 2"):
+        SubgoalDiscoveryCallback(usefulness={"min_reached": 2})
 
 
 @pytest.mark.parametrize("name", ["success", "static_filter", "save_path", "hparams"])

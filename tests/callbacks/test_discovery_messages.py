@@ -16,7 +16,7 @@ from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 from sb3_options import OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.callbacks.records import OptionStatistics
-from sb3_options.callbacks.reliability import WINDOW
+from sb3_options.callbacks.usefulness import WINDOW
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.options.option import SubgoalOption
 from tests.callbacks.doorway import STEPS, model_of, same_options

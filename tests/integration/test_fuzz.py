@@ -32,6 +32,7 @@ ALIASES = {
     "settings": "DiscoverySettings",
     "option_settings": "OptionLearningSettings",
     "embedding": "EmbeddingSettings",
+    "usefulness": "UsefulnessSettings",
     "rnd": "RNDSettings",
     "max_option_exploration": "opening_share",
 }

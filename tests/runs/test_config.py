@@ -8,7 +8,7 @@ import pytest
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.envs.minigrid import DISCOVERY
-from sb3_options.options.settings import OptionLearningSettings
+from sb3_options.options.settings import OptionLearningSettings, UsefulnessSettings
 from sb3_options.runs import config as configs
 from sb3_options.runs import shipped
 from sb3_options.runs.config import (
@@ -27,7 +27,7 @@ COMMON: dict[str, Any] = {
     "seed": 9, "tensorboard_log": Path("else/where"), "n_envs": 3, "eval_freq": 50, "eval_episodes": 4,
     "progress": False, "device": "cpu", "num_threads": 2, "vec_env": "subproc", "options": Path("a/run"),
     "max_options": 2, "max_new_options": None, "discover": False, "compare": True, "gamma": 0.5,
-    "learning_rate": 3e-05, "net_arch": (3,), "min_reached": 0.3, "bonus": "rnd",
+    "learning_rate": 3e-05, "net_arch": (3,), "bonus": "rnd",
     "success": "return:3",
     "algo_kwargs": {"max_grad_norm": 0.25},
     "discovery": DiscoverySettings(
@@ -44,6 +44,7 @@ COMMON: dict[str, Any] = {
         subgoal_reward=3.0, leave_reward=-7.0, gamma=0.25, value_function="network", sweeps=3, network_updates=4,
         keep_learning=True, step_size=0.5, grow=True, min_reach=0.25, imagine=False,
     ),
+    "usefulness": UsefulnessSettings(judge=False, min_reached=0.25),
 }  # fmt: skip
 
 EVERY_FIELD_CHANGED: list[TrainConfig] = [
@@ -130,8 +131,7 @@ def test_an_environment_brings_its_own_defaults() -> None:
             assert (grid.env, grid.gamma, grid.max_new_options, grid.discovery.capacity) == (name, 0.99, None, 500)
             assert grid.discovery == DiscoverySettings(**DISCOVERY["settings"])
             assert grid.option == OptionLearningSettings(**DISCOVERY["option_settings"])
-            assert {"settings", "option_settings", "min_reached"} == set(DISCOVERY)
-            assert grid.min_reached == DISCOVERY["min_reached"]
+            assert {"settings", "option_settings"} == set(DISCOVERY)
             assert grid.discovery.max_share is None
     assert configs.tuned("CartPole-v1") == DQNConfig(env="CartPole-v1")
 

@@ -7,7 +7,7 @@ import pytest
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options.runs import config as configs
 from sb3_options.runs import shipped
-from sb3_options.runs.config import CLASSES, A2CConfig, DQNConfig, MaskablePPOConfig, PPOConfig, TrainConfig
+from sb3_options.runs.config import CLASSES, GROUPS, A2CConfig, DQNConfig, MaskablePPOConfig, PPOConfig, TrainConfig
 from sb3_options.runs.flags import parse
 
 
@@ -120,7 +120,7 @@ def refusal(capsys: pytest.CaptureFixture[str], args: list[str]) -> str:
         (["--n-timesteps", "1.5"], "a whole number is expected, such as 5000 or 5e3, not '1.5'"),
         (["--n-timesteps", "inf"], "a whole number is expected, such as 5000 or 5e3, not 'inf'"),
         (["--config"], "argument --config: expected one argument"),
-        (["--help", "bags"], "invalid choice: 'bags' (choose from 'discovery', 'option', 'all')"),
+        (["--help", "bags"], "invalid choice: 'bags' (choose from 'discovery', 'option', 'usefulness', 'all')"),
     ],
 )
 def test_what_makes_no_sense_is_refused(args: list[str], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -298,7 +298,7 @@ class TestHelp:
         everything = self.flags(self.text(capsys, "--help", "all", "--algo", algo))
         for field in dataclasses.fields(default):
             flag = f"--{field.name.replace('_', '-')}"
-            if field.name in ("discovery", "option"):
+            if field.name in GROUPS:
                 group = {f"{flag}.{f.name.replace('_', '-')}" for f in dataclasses.fields(getattr(default, field.name))}
                 assert not group & shown
                 assert group <= everything
