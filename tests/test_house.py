@@ -1,6 +1,8 @@
 """What CONTRIBUTING promises of the files themselves: packaged folders, short paragraphs, a picture that is current."""
 
 import re
+import subprocess
+import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -103,3 +105,10 @@ def test_every_promise_has_its_test() -> None:
         or not re.search(rf"^ *def {name}\(", (ROOT / "tests" / path).read_text(encoding="utf-8"), re.MULTILINE)
     ]
     assert not missing, "docs/promises.md names these tests: name another one there, or withdraw the promise"
+
+
+def test_public_names_import_nothing_slow() -> None:
+    """Beside Stable-Baselines3, which imports matplotlib and pandas itself."""
+    code = "from sb3_options import *; import sys; print(*{'scipy', 'rustworkx', 'optuna', 'tyro'} & set(sys.modules))"
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert process.stdout.split() == []

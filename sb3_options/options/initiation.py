@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import breadth_first_order
 
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import FloatArray
@@ -61,6 +59,9 @@ def leading(passage: Passage, trajectories: Iterable[LabelledTrajectory], settin
     Returns:
         A region with one centre for every distinct state; empty if there is none.
     """
+    from scipy.sparse import csr_array  # here, because they take a third of a second to import
+    from scipy.sparse.csgraph import breadth_first_order
+
     trajectories = list(trajectories)
     features = np.concatenate([t.features for t in trajectories])
     states, which = np.unique(features, axis=0, return_inverse=True)

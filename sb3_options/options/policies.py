@@ -6,7 +6,6 @@ from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.distance import cdist
 
 from sb3_options.experience.observations import FloatArray, IntArray, Observations, flatten
 from sb3_options.state import storable
@@ -87,6 +86,8 @@ class TabularPolicy:
         return rows, np.concatenate([self.states, flat[new]]), np.concatenate([self.values, empty])
 
     def _nearest(self, row: FloatArray) -> int:
+        from scipy.spatial.distance import cdist  # here, because it takes a third of a second to import
+
         return int(cdist(row[None], self.states).argmin())
 
     def arrays(self) -> dict[str, npt.NDArray[np.float64]]:
