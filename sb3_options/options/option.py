@@ -10,7 +10,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from sb3_options.density.regions import HalfSpace, Region  # noqa: F401  # models of 0.1 name HalfSpace here
+from sb3_options.density.regions import Region
 from sb3_options.experience.observations import (
     BoolArray,
     FeatureMap,
