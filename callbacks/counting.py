@@ -29,7 +29,7 @@ SCHEDULES = ("lr_schedule", "clip_range", "clip_range_vf")
 
 def count_inner_steps(callback: BaseCallback, runs: Sequence[OptionRun]) -> None:
     """Add the primitive steps that SB3 did not count in one call of ``step`` to the model's ``num_timesteps``."""
-    extra = sum([run.duration for run in runs]) - len(runs)
+    extra = math.ceil(sum([run.duration for run in runs])) - len(runs)  # a user's durations may be fractions
     if extra == 0:
         return
     callback.model.num_timesteps += extra

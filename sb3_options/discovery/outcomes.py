@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -77,6 +78,11 @@ class Outcomes:
                 "of DiscoverySettings for this task."
             )
         low, high = self._returns
+        if not (math.isfinite(low) and math.isfinite(high)):
+            return (
+                f"rewards in the {self.n} episodes seen are NaN or infinite. OptionsWrapper(..., check_finite=True), "
+                "which train.py passes, shows where."
+            )
         seen = (
             f"none of the {self.n} episodes seen counts as a success. {self._terminated} ended in a terminal state, "
             f"{self.n - self._terminated} were cut off, with returns from {low:g} to {high:g}; "

@@ -27,8 +27,11 @@ def run_option(
     n_primitive: int,
     gamma: float,
     random: np.random.Generator,
+    legal: Callable[[], BoolArray | None],
 ) -> tuple[StepReturn, OptionRun]:
     """Run an option until the episode, β, I, its longest duration or an interruption ends it, asked in this order.
+
+    It also ends, as if it had left I, where the environment masks the primitive action that it would take next.
 
     Args:
         option: At least one step of it is run.
@@ -41,6 +44,7 @@ def run_option(
         n_primitive: Number of primitive actions.
         gamma: γ per primitive step.
         random: Draws whether an option with 0 < β < 1 ends.
+        legal: Which primitive actions may be taken now, (n_primitive,); None where the environment masks none.
 
     Returns:
         What the last step returned, with Σ γⁱ rᵢ in the place of its reward, and the record of the run.
@@ -53,8 +57,8 @@ def run_option(
     actions: list[int] = []
     rewards: list[float] = []
     termination: Termination | None = None
+    action = primitive_of(option, observations[-1], n_primitive)
     while termination is None:
-        action = primitive_of(option, observations[-1], n_primitive)
         observation, reward, terminated, truncated, info = step(action)
         observations.append(copy_of(observation))
         actions.append(action)
@@ -69,6 +73,11 @@ def run_option(
             termination = _why_ended(option, observation, len(actions), random, inside=inside)
             if termination is None and interrupted is not None and interrupted(observation):
                 termination = "interrupted"
+        if termination is None:
+            action = primitive_of(option, observations[-1], n_primitive)
+            mask = legal()
+            if mask is not None and not mask[action]:
+                termination = "left_initiation"
     run = OptionRun(
         slot,
         len(actions),

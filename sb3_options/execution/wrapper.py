@@ -20,7 +20,7 @@ from sb3_options.execution import features as feature_maps
 from sb3_options.execution import layers
 from sb3_options.execution.above import Above, count_primitive_steps, described
 from sb3_options.execution.finite import check_finite
-from sb3_options.execution.option_step import StepReturn, run_option
+from sb3_options.execution.option_step import StepReturn, primitive_of, run_option
 from sb3_options.execution.recording import RecordTrajectories
 from sb3_options.execution.slots import SlotState, Traits
 from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, Observations, batch_of_one
@@ -50,6 +50,10 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
     initiation set runs one step of its own policy. So an algorithm that cannot mask still faces a semi-Markov decision
     process; ``action_masks()`` gives the initiation sets to one that can. Without options it is the environment itself,
     bit for bit.
+
+    Where the environment has an ``action_masks()`` of its own, what a slot runs keeps to it. An option ends where its
+    next primitive is masked, and may not start where its first one is. Chosen all the same it runs a legal primitive,
+    as an empty slot does: the first one from its number on.
 
     With ``max_runs`` no option begins more often than that in an episode; then its slot counts as empty until the
     next one. Without a limit an option whose subgoal is a dead end leads an untrained agent there again and again. It
@@ -89,8 +93,9 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
     ) -> None:
         if not isinstance(env, gym.Env):
             raise TypeError(
-                f"OptionsWrapper needs one environment, as gymnasium.make(...) gives it, got {env!r}. For several: "
-                "make_vec_env(..., wrapper_class=OptionsWrapper, wrapper_kwargs={...})."
+                f"OptionsWrapper needs one gymnasium.Env, as gymnasium.make(...) gives it, got {env!r}. For several: "
+                "make_vec_env(..., wrapper_class=OptionsWrapper, wrapper_kwargs={...}). One of the old gym API is "
+                'converted by shimmy: gymnasium.make("GymV21Environment-v0", env=env), or "GymV26Environment-v0".'
             )
         # Not copied: a feature map may be a method of the environment, which would be copied with it.
         RecordConstructorArgs.__init__(
@@ -111,7 +116,11 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
                 "primitive actions. Discretise the actions first."
             )
         if primitive.start != 0:
-            raise ValueError(f"OptionsWrapper needs actions that start at 0, got {primitive}.")
+            raise ValueError(
+                f"OptionsWrapper needs actions that start at 0, got {primitive}: wrap the environment in "
+                f"gymnasium.wrappers.TransformAction(env, lambda action: action + {primitive.start}, "
+                f"gymnasium.spaces.Discrete({primitive.n}))."
+            )
         if not (is_number(gamma) and 0.0 < gamma <= 1.0):
             raise ValueError(f"gamma must be in (0, 1], got {gamma!r}.")
         if not isinstance(options_file, str | bytes | os.PathLike | None):
@@ -136,6 +145,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         self.action_space: Any = spaces.Discrete(self.n_primitive + max_options)
         self.slot_state = SlotState()
         self.outermost: gym.Env[Any, Any] = self
+        self._has_masks = env.has_wrapper_attr("action_masks")
         self._primitive = OptionRun(-1, 1, self.gamma, self.gamma, "primitive").as_info()
         self._observation: Any = None
         self._random = np.random.default_rng(TERMINATION_SEED)  # until a reset is given a seed
@@ -153,7 +163,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self.bank.max_options,
             self.gamma,
             self.max_runs,
-            self.env.has_wrapper_attr("action_masks"),
+            self._has_masks,
             self.observation_space,
             features.kind if features else None,
             features.groups if features else (),
@@ -241,8 +251,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
     def action_masks(self) -> BoolArray:
         """Which augmented actions may start now, shape (n_primitive + max_options,).
 
-        An environment that masks its own actions goes on doing so; what an option does inside is not masked. An option
-        that has run ``max_runs`` times in this episode may not start.
+        An environment that masks its own actions goes on doing so. An option whose first primitive it masks, or that
+        has run ``max_runs`` times in this episode, may not start.
 
         Raises:
             gymnasium.error.ResetNeeded: Before the first ``reset``.
@@ -255,17 +265,38 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
                 "PrimitiveStepsCallback. This is said once."
             )
         mask: BoolArray = self.bank.available(batch_of_one(self._current_observation("action_masks()")))[0]
-        primitives, slots = mask[: self.n_primitive], mask[self.n_primitive :]
-        if self.env.has_wrapper_attr("action_masks"):
-            own = np.asarray(self.env.get_wrapper_attr("action_masks")(), dtype=bool)
-            if own.shape != primitives.shape:
-                raise ValueError(
-                    f"action_masks() of the environment must have an entry for each of its {self.n_primitive} actions, "
-                    f"got shape {own.shape}."
-                )
-            primitives &= own
-        self._forbid_further_runs(slots)
+        legal = self._legal()
+        if legal is not None:
+            mask[: self.n_primitive] &= legal
+        self._forbid_now(mask[self.n_primitive :])
         return mask
+
+    def _legal(self) -> BoolArray | None:
+        """Which primitives the environment allows now, (n_primitive,); None where it masks none."""
+        if not self._has_masks:
+            return None
+        own = self.env.get_wrapper_attr("action_masks")
+        mask: BoolArray = np.asarray(own() if callable(own) else own, dtype=bool)
+        if mask.shape != (self.n_primitive,):
+            raise ValueError(
+                f"action_masks() of the environment must have an entry for each of its {self.n_primitive} actions, "
+                f"got shape {mask.shape}."
+            )
+        return mask
+
+    def _forbid_now(self, slots: BoolArray) -> None:
+        """Clear, in place, the slots that have run ``max_runs`` times, or whose first primitive is masked now."""
+        if self.max_runs is not None:
+            slots[self._runs >= self.max_runs] = False
+        legal = self._legal()
+        if legal is not None:
+            for slot in np.flatnonzero(slots).tolist():
+                slots[slot] = legal[self._first_primitive(slot)]
+
+    def _first_primitive(self, slot: int) -> int:
+        option = self.bank[slot]
+        assert option is not None  # an empty slot may not start
+        return primitive_of(option, self._observation, self.n_primitive)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment; ``seed`` also seeds whether options with 0 < β < 1 end."""
@@ -312,9 +343,18 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
                 'sb3_options.load_options("model.zip", env). This is said once.'
             )
         if option is None or (self.max_runs is not None and self._runs[slot] >= self.max_runs):
-            return self._run_primitive(slot % self.n_primitive, instead=True)
+            return self._run_primitive(self._instead_of(slot), instead=True)
         observation = self._current_observation("step()")
+        legal = self._legal()
+        if legal is not None and not legal[self._first_primitive(slot)]:
+            return self._run_primitive(self._instead_of(slot), instead=True)
         return self._run_option(option, slot, observation)
+
+    def _instead_of(self, slot: int) -> int:
+        """The first legal primitive from slot mod n_primitive on; that one where none is legal."""
+        candidates = (slot + np.arange(self.n_primitive)) % self.n_primitive
+        legal = self._legal()
+        return int(candidates[0 if legal is None else legal[candidates].argmax()])
 
     def running_option(self) -> str:
         """What runs at this moment, for people: an option and its slot, or "primitive action"."""
@@ -361,6 +401,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             n_primitive=self.n_primitive,
             gamma=self.gamma,
             random=self._random,
+            legal=self._legal,
         )
         self._running = None
         return self._reported(result, run.as_info())
@@ -387,15 +428,10 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         return observation, reward, terminated, truncated, info
 
     def _available_slots(self, arrived_in: Observations) -> BoolArray:
-        """Which slots may start in each observation; in the last, where the agent is, ``max_runs`` counts."""
+        """Which slots may start in each observation; in the last, where the agent is, runs and masks count."""
         available: BoolArray = self.bank.available_slots(arrived_in)
-        self._forbid_further_runs(available[-1])
+        self._forbid_now(available[-1])
         return available
-
-    def _forbid_further_runs(self, slots: BoolArray) -> None:
-        """Clear, in place, the slots that have run ``max_runs`` times in this episode."""
-        if self.max_runs is not None:
-            slots[self._runs >= self.max_runs] = False
 
     def _current_observation(self, needed_by: str) -> Any:
         if self._observation is None:

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from numbers import Real
 from typing import Any, Literal, NamedTuple, TypeAlias
 
+import numpy as np
+
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray, Observations
 
 Termination: TypeAlias = Literal[
@@ -93,8 +95,8 @@ def _completed(option: Any) -> OptionRun:
             'info["option"] must be a dict with "duration" and "discount", as OptionsWrapper leaves it, got '
             f"{option!r}: if it means something else in this environment, give it another name there."
         )
-    k: Any = option.get("duration")
-    discount: Any = option.get("discount")
+    k = _number(option.get("duration"))
+    discount = _number(option.get("discount"))
     numbers = isinstance(k, Real) and isinstance(discount, Real)
     if not (numbers and float(k) > 0 and 0 <= float(discount) <= 1):
         raise ValueError(
@@ -103,5 +105,11 @@ def _completed(option: Any) -> OptionRun:
             '{"index": -1, "duration": k, "discount": gamma**k}.'
         )
     known = {name: option[name] for name in OptionRun._fields if name in option}
+    known |= {"duration": k, "discount": discount}
     usual = {"index": -1, "gamma": float(discount) ** (1.0 / float(k)), "termination": "primitive"}
     return OptionRun(**{**usual, **known})
+
+
+def _number(value: Any) -> Any:
+    """The number in an array of one."""
+    return value.item() if isinstance(value, np.ndarray) and value.size == 1 else value

@@ -45,7 +45,9 @@ def reported_success(trajectory: Trajectory) -> bool:
     if trajectory.is_success is not None:
         return trajectory.is_success
     rewards = trajectory.rewards
-    return trajectory.terminated and len(rewards) > 0 and float(rewards[-1]) > float(rewards[:-1].max(initial=0.0))
+    if not (trajectory.terminated and len(rewards)):
+        return False
+    return math.inf > float(rewards[-1]) > float(rewards[:-1].max(initial=0.0))
 
 
 def judged(rule: SuccessRule, trajectory: Trajectory) -> bool:
@@ -61,14 +63,14 @@ def judged(rule: SuccessRule, trajectory: Trajectory) -> bool:
 
 
 def success_by_return(threshold: float) -> SuccessRule:
-    """Success is an undiscounted return of at least ``threshold``.
+    """Success is an undiscounted return of at least ``threshold``; one that is infinite is an error, and no success.
 
     Raises:
         ValueError: ``threshold`` is NaN.
     """
     if math.isnan(threshold):
         raise ValueError("threshold must be a number, got nan.")
-    return lambda trajectory: float(trajectory.rewards.sum()) >= threshold
+    return lambda trajectory: threshold <= float(trajectory.rewards.sum()) < math.inf
 
 
 def success_by_steps(limit: int) -> SuccessRule:

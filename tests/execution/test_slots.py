@@ -173,7 +173,7 @@ def test_concept_features() -> None:
 
 @pytest.mark.parametrize("env", ["CartPole-v1", DummyVecEnv([CountingEnv])])
 def test_what_is_no_environment_is_refused(env: Any) -> None:
-    with pytest.raises(TypeError, match=r"^OptionsWrapper needs one environment, .*wrapper_class=OptionsWrapper"):
+    with pytest.raises(TypeError, match=r"^OptionsWrapper needs one gymnasium.Env, .*wrapper_class=OptionsWrapper"):
         OptionsWrapper(env)
 
 

@@ -174,7 +174,7 @@ def test_an_environment_that_masks_its_own_actions_goes_on_doing_so() -> None:
     env.reset()
     assert env.action_masks().tolist() == [True, True, True, False]
     env.step(1)
-    assert env.action_masks().tolist() == [False, True, True, False]
+    assert env.action_masks().tolist() == [False, True, False, False]
     env.step(1)
     assert env.action_masks().tolist() == [True, True, True, False]
 

@@ -1,0 +1,135 @@
+"""Options keep to the masks of the environment that they run in."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import spaces
+from sb3_contrib import MaskablePPO
+from stable_baselines3 import DQN, PPO
+
+from sb3_options import MacroQ, Option, OptionDQN, OptionReplayBuffer, OptionsWrapper
+from sb3_options.callbacks import PrimitiveStepsCallback
+from tests.support.helpers import steady_option
+
+LEFT, STAY, RIGHT = 0, 1, 2
+GATE = 3
+
+
+class Gate(gym.Env[Any, int]):
+    """A corridor 0 … 6 with a gate at x = 3 that opens on even steps; the clock is no part of the observation."""
+
+    def __init__(self) -> None:
+        self.action_space: Any = spaces.Discrete(3)
+        self.observation_space: Any = spaces.Box(0.0, 6.0, (1,), np.float32)
+        self.x, self.time = 0, 0
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.x, self.time = 0, 0
+        return self._seen(), {}
+
+    def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        if not self.action_masks()[action]:
+            raise ValueError(f"action {action} is illegal at x = {self.x}, step {self.time}")
+        self.x = min(max(self.x + action - 1, 0), 6)
+        self.time += 1
+        return self._seen(), float(self.x == 6), self.x == 6, self.time >= 40, {}
+
+    def action_masks(self) -> list[bool]:
+        return [True, True, self.x != GATE or self.time % 2 == 0]
+
+    def _seen(self) -> Any:
+        return np.array([self.x], dtype=np.float32)
+
+
+class GateProperty(Gate):
+    """Its masks are a property."""
+
+    @property
+    def action_masks(self) -> Any:
+        return Gate.action_masks(self)
+
+    def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        assert self.action_masks[action]
+        self.time += 1
+        self.x = min(max(self.x + action - 1, 0), 6)
+        return self._seen(), 0.0, False, False, {}
+
+
+def right() -> Option:
+    return steady_option(RIGHT, max_duration=10)
+
+
+def wrapped(env: gym.Env[Any, Any], max_options: int = 4) -> OptionsWrapper:
+    env = OptionsWrapper(env, max_options, gamma=0.9)
+    env.set_slots(options={0: right()}, expect_empty=True, report_availability=True)
+    env.reset(seed=0)
+    return env
+
+
+@pytest.mark.parametrize("make", [Gate, GateProperty])
+def test_an_option_ends_before_what_is_masked_and_does_not_start_there(make: type[Gate]) -> None:
+    env = wrapped(make())
+    assert env.action_masks().tolist() == [True, True, True, True, False, False, False]
+    _, _, _, _, info = env.step(3)  # to the gate, which is closed on step 3
+    assert (info["option"]["duration"], info["option"]["termination"]) == (3, "left_initiation")
+    assert info["option"]["available"][:, 0].tolist() == [True, True, False]
+    assert env.action_masks().tolist() == [True, True, False, False, False, False, False]
+    _, _, _, _, info = env.step(STAY)
+    assert info["option"]["available"][:, 0].tolist() == [True]
+    assert env.action_masks().tolist() == [True, True, True, True, False, False, False]
+    assert env.step(3)[4]["option"]["duration"] >= 3
+
+
+def test_a_slot_that_is_chosen_all_the_same_runs_a_legal_primitive() -> None:
+    env = wrapped(Gate(), 6)
+    env.step(3)
+    unwrapped = env.unwrapped
+    assert isinstance(unwrapped, Gate)
+    for slot, ran in [(0, LEFT), (1, STAY), (2, LEFT), (5, LEFT)]:
+        unwrapped.x, unwrapped.time = GATE, 3
+        _, _, _, _, info = env.step(3 + slot)
+        assert (info["option"]["index"], info["option"]["actions"].tolist()) == (-1, [ran])
+
+
+@pytest.mark.parametrize("algorithm", ["dqn", "ppo", "option-dqn", "macro-q", "maskable-ppo"])
+def test_no_algorithm_meets_an_illegal_move_through_a_slot(algorithm: str) -> None:
+    """Stock algorithms choose primitives without masks; here these are let be, and slots are checked."""
+
+    class Lenient(Gate):
+        def step(self, action: int) -> Any:
+            if not self.action_masks()[action] and self.chosen >= 3:
+                raise ValueError("a slot ran an illegal move")
+            self.time += not self.action_masks()[action]
+            return super().step(action if self.action_masks()[action] else STAY)
+
+        chosen = 0
+
+    class Chosen(OptionsWrapper):
+        def step(self, action: int) -> Any:
+            self.unwrapped.chosen = int(action)  # type: ignore[attr-defined]  # a `Lenient`
+            return super().step(action)
+
+    env = Chosen(Lenient(), 2, gamma=0.9)
+    env.set_option(0, right())
+    deep: dict[str, Any] = {"gamma": 0.9, "seed": 0}
+    replay = {**deep, "replay_buffer_class": OptionReplayBuffer, "learning_starts": 100, "buffer_size": 500}
+    model: Any = {
+        "dqn": lambda: DQN("MlpPolicy", env, **replay),
+        "ppo": lambda: PPO("MlpPolicy", env, n_steps=64, **deep),
+        "option-dqn": lambda: OptionDQN("MlpPolicy", env, **replay),
+        "macro-q": lambda: MacroQ(env, features=_Tiles(), gamma=0.9, seed=0),
+        "maskable-ppo": lambda: MaskablePPO("MlpPolicy", env, n_steps=64, **deep),
+    }[algorithm]()  # type: ignore[no-untyped-call]  # lambdas
+    model.learn(600, callback=PrimitiveStepsCallback())
+    assert model.num_timesteps >= 600
+
+
+class _Tiles:
+    n_features = 7
+    n_active = 1
+
+    def active(self, observations: Any) -> Any:
+        return np.asarray(observations, dtype=np.int64).reshape(-1, 1)
