@@ -15,7 +15,7 @@ from sklearn.utils.validation import check_is_fitted
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
 from sb3_options.density.concepts import Concept, Point
-from sb3_options.density.search import ConceptSearch, instance_probabilities
+from sb3_options.density.diverse_density import DiverseDensity
 
 CHUNK = 1 << 20
 """(instances × concepts) whose probabilities are held at once in prediction."""
@@ -95,8 +95,9 @@ class DiverseDensityClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[
         if not len(varies):
             raise ValueError("no feature varies: there is nothing to learn from")
         self._concept: Concept = self.concept or Point(scale_bounds=(0, math.inf), prior="small", prior_width=0.5)
-        search = ConceptSearch(
+        search = DiverseDensity(
             concept=self._concept,
+            method="thorough",
             scale=1 / np.where(deviation > 0, deviation, 1),
             features=varies.tolist(),
             start_scales=[scale * math.sqrt(REFERENCE_FEATURES / len(varies)) for scale in self.start_scales],
@@ -108,7 +109,9 @@ class DiverseDensityClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[
         )
         evidence = search.evidence(packed)
         self._frame, self._threshold = evidence.frame, self.threshold
-        self._theta = search.climb(evidence, self.steps)
+        descent = search.descent(search.starts(evidence).float(), evidence)
+        descent.run(self.steps)  # no start is dropped, and none merged
+        self._theta = self._concept.canonical(descent.theta.double()).numpy()
         return self
 
     def predict_proba(self, bags: Sequence[ArrayLike]) -> FloatArray:
@@ -131,10 +134,10 @@ class DiverseDensityClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[
         return np.asarray(self.classes_[positive.astype(int)])
 
     def _positive(self, bag: FloatArray) -> float:
-        scaled = (bag[:, self._frame.features] - self._frame.origin) * self._frame.scale
+        scaled = self._frame.scaled(bag)
         none = np.ones(self._theta.shape[1])
         for part in np.array_split(scaled, -(-scaled.size // CHUNK)):
-            none *= (1 - instance_probabilities(self._concept, self._theta, part)).prod(0)
+            none *= (1 - self._concept.probabilities(self._theta, part)).prod(0)
         return float(1 - none.mean())
 
 

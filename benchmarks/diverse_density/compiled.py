@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from benchmarks.diverse_density.references import MERGE_RADIUS
 from sb3_options.density.arrays import FloatArray
+from sb3_options.density.diverse_density import SURVIVORS
 from sb3_options.density.lbfgs import CURVED, FINEST, SHORTEN, SHORTEST, SUFFICIENT
 from sb3_options.density.peaks import best_apart
-from sb3_options.density.search import SURVIVORS
 
 MEMORY = int(__import__("os").environ.get("MEM", "10"))
 APART = 0.5
@@ -58,7 +58,7 @@ class Compiled:
         Args:
             points: (S, d) starts, all of scale ``scale``.
             scale: One over their width.
-            finalists: As in `ConceptSearch`, like all that follow.
+            finalists: As in `DiverseDensity`, like all that follow.
             first_steps: Evaluations before each cut.
             final_steps: Most evaluations afterwards.
             tolerance: Relative, of two decreases running.

@@ -17,8 +17,8 @@ from benchmarks.diverse_density.references import BagByBag, Vectorised, descend,
 from sb3_options.density.arrays import BoolArray, FloatArray
 from sb3_options.density.bags import Bags
 from sb3_options.density.concepts import Point
-from sb3_options.density.diverse_density import log_diverse_density
-from sb3_options.density.search import ConceptSearch
+from sb3_options.density.diverse_density import FINAL_STEPS, FIRST_STEPS, DiverseDensity
+from sb3_options.density.log_density import log_diverse_density
 from sb3_options.runs.intervals import mean_interval
 
 UNBOUNDED = Point(scale_bounds=(0, math.inf), prior=None)
@@ -76,11 +76,11 @@ def against_references(data: LabelledBags, rounds: int, loop_starts: int) -> dic
     data = data.standardised()
     starts = np.concatenate(data.positive)
     bags = Bags.pack(data.positive, data.negative)
-    quick = ConceptSearch(concept=UNBOUNDED, start_scales=(START_SCALE,), max_starts=None, tolerance=TOLERANCE)
+    quick = DiverseDensity(concept=UNBOUNDED, start_scales=(START_SCALE,), max_starts=None, tolerance=TOLERANCE)
     vectorised, loop = Vectorised(data.positive, data.negative), BagByBag(data.positive, data.negative)
     check = _agreement(starts[0], bags, vectorised, loop)
     rival = Compiled(data.positive, data.negative)
-    settings = {"first_steps": quick.first_steps, "final_steps": quick.final_steps, "tolerance": TOLERANCE}
+    settings = {"first_steps": FIRST_STEPS, "final_steps": FINAL_STEPS, "tolerance": TOLERANCE}
 
     def compiled() -> None:
         found = rival.search(starts, START_SCALE, finalists=COMPILED_FINALISTS, **settings)  # type: ignore[arg-type]
@@ -88,7 +88,7 @@ def against_references(data: LabelledBags, rounds: int, loop_starts: int) -> dic
         best["compiled"] = min(best["compiled"], vectorised(np.concatenate([a / s, s]))[0])
 
     def pruned() -> None:
-        found = descend_pruned(vectorised, starts, START_SCALE, quick.finalists, quick.first_steps)
+        found = descend_pruned(vectorised, starts, START_SCALE, quick.finalists, FIRST_STEPS)
         best["pruned"] = min(best["pruned"], found.value)
 
     best = dict.fromkeys(("ours", "compiled", "pruned", "vectorised", "bag_by_bag"), math.inf)
@@ -113,8 +113,8 @@ def against_references(data: LabelledBags, rounds: int, loop_starts: int) -> dic
         times["vectorised"][turn] *= len(starts) / len(share)
         times["bag_by_bag"].append(seconds(lambda s=few: reference("bag_by_bag", loop, s)))  # type: ignore[misc]
         times["bag_by_bag"][turn] *= len(starts) / len(few)
-    exact = ConceptSearch(concept=UNBOUNDED, start_scales=(START_SCALE,), max_starts=None).search(bags)
-    several = ConceptSearch(concept=UNBOUNDED, start_scales=MORE_START_SCALES, max_starts=None).search(bags)
+    exact = DiverseDensity(concept=UNBOUNDED, start_scales=(START_SCALE,), max_starts=None).search(bags)
+    several = DiverseDensity(concept=UNBOUNDED, start_scales=MORE_START_SCALES, max_starts=None).search(bags)
     result: dict[str, Any] = {
         "n_starts": len(starts),
         "rounds": rounds,
@@ -140,14 +140,19 @@ def quality(data: LabelledBags, runs: int) -> dict[str, Any]:
     rival, objective = Compiled(data.positive, data.negative), Vectorised(data.positive, data.negative)
 
     def ours(points: FloatArray, finalists: int) -> float:
-        search = ConceptSearch(
+        search = DiverseDensity(
             concept=UNBOUNDED, start_scales=(START_SCALE,), max_starts=None, tolerance=TOLERANCE, finalists=finalists
         )
         return -search.search(bags, starts=points)[0].log_density
 
     def compiled(points: FloatArray, finalists: int) -> float:
         found = rival.search(
-            points, START_SCALE, finalists=finalists, first_steps=20, final_steps=500, tolerance=TOLERANCE
+            points,
+            START_SCALE,
+            finalists=finalists,
+            first_steps=FIRST_STEPS,
+            final_steps=FINAL_STEPS,
+            tolerance=TOLERANCE,
         )
         a, s = np.split(found, 2)
         return objective(np.concatenate([a / s, s]))[0]
@@ -193,7 +198,7 @@ def kernel(rounds: int, seed: int) -> dict[str, Any]:
     work: dict[int, tuple[Callable[[], Any], int]] = {}
     for d in DIMENSIONS:
         data = uneven(rng, d)
-        search = ConceptSearch(concept=Point(prior=None))
+        search = DiverseDensity(concept=Point(prior=None))
         evidence = search.evidence(Bags.pack(data.positive, data.negative))
         points = np.concatenate(data.positive)[rng.permutation(sum(map(len, data.positive)))[:N_STARTS]]
         theta = search.concept.start(torch.from_numpy(evidence.scaled(points)), 0.7 / math.sqrt(d)).float()

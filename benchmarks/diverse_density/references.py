@@ -13,11 +13,11 @@ import numpy as np
 from scipy.optimize import minimize
 
 from sb3_options.density.arrays import FloatArray
+from sb3_options.density.diverse_density import SURVIVORS
 from sb3_options.density.peaks import best_apart
-from sb3_options.density.search import SURVIVORS
 
 MERGE_RADIUS = 0.5
-"""As in `ConceptSearch`."""
+"""As in `DiverseDensity`."""
 
 LARGEST_P = 1 - 1e-16
 SMALLEST_HIT = 1e-300
@@ -43,7 +43,7 @@ def descend(objective: Objective, point: FloatArray, scale: float) -> Descended:
 def descend_pruned(
     objective: Objective, points: FloatArray, scale: float, finalists: int, first_steps: int
 ) -> Descended:
-    """From all starts, pruned as by `ConceptSearch`: every ``first_steps`` evaluations the best quarter goes on."""
+    """From all starts, pruned as by `DiverseDensity`: every ``first_steps`` evaluations the best quarter goes on."""
     theta = np.concatenate([points, np.full_like(points, scale)], axis=1)
     d, n, evaluations = points.shape[1], len(theta), 0
 

@@ -15,15 +15,15 @@ import torch
 from torch import Tensor
 
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Concept
+from sb3_options.density.concepts import Concept, Point
+from sb3_options.density.diverse_density import DiverseDensity, Peak
 from sb3_options.density.evidence import Evidence
 from sb3_options.density.lbfgs import BatchedLBFGS
-from sb3_options.density.search import ConceptSearch, Solution
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExpectationMaximisation:
-    """EM-DD from the starts of a `ConceptSearch`.
+    """EM-DD from the starts of a thorough `DiverseDensity`.
 
     Attributes:
         search: Gives the concept, which must be gaussian, scaled features, starts, and the radius within which peaks
@@ -35,7 +35,7 @@ class ExpectationMaximisation:
         ValueError: An argument out of its range.
     """
 
-    search: ConceptSearch = field(default_factory=ConceptSearch)
+    search: DiverseDensity = field(default_factory=lambda: DiverseDensity(concept=Point()))
     rounds: int = 20
     steps: int = 50
 
@@ -47,13 +47,13 @@ class ExpectationMaximisation:
         if self.search.concept.link != "gaussian":
             raise ValueError(f"search must be for a gaussian concept, got {self.search.concept}")
 
-    def fit(self, bags: Bags) -> list[Solution]:
+    def fit(self, bags: Bags) -> list[Peak]:
         """Peaks of the likelihood of the most likely instances, most probable first.
 
-        ``Solution.log_density`` is that likelihood in logarithm; `converged` says whether the selection came to rest.
+        ``Peak.log_density`` is that likelihood in logarithm; `converged` says whether the selection came to rest.
 
         Raises:
-            ValueError: As `ConceptSearch.search`.
+            ValueError: As `DiverseDensity.search`.
         """
         evidence = self.search.evidence(bags)
         theta = self.search.starts(evidence)
@@ -79,14 +79,14 @@ class ExpectationMaximisation:
             if bool(rested.all()):
                 break
         loss, _ = likelihood.loss(theta, selected)
-        return self.search.solutions(theta, loss, rested, evidence)
+        return self.search.peaks(theta, loss, rested, evidence)
 
 
 class MostLikely:
     """log Π_i p(most likely of B_i⁺) Π_i (1 − η p(most likely of B_i⁻)), with the bags' weights as exponents."""
 
     def __init__(self, bags: Bags, evidence: Evidence, concept: Concept, strength: float) -> None:
-        x = torch.from_numpy(evidence.scaled(bags.instances.cpu().numpy())).to(evidence.device)
+        x = torch.from_numpy(evidence.scaled(bags.instances.numpy()))
         self._powers = torch.cat([torch.ones_like(x[:, :1]), x, x * x], dim=1)
         self._bags = torch.split(torch.arange(len(x), device=x.device), list(bags.lengths))
         self._n_positive = bags.n_positive

@@ -34,9 +34,9 @@ class MostLikelyDiscovery(SubgoalDiscovery):
         return engine.certain(evidence.positive, evidence.positive[0])
 
     def _peaks(self, evidence: FilteredBags, engine: DiverseDensity) -> list[Peak]:
-        search = replace(engine.concepts, max_starts=STARTS)
+        search = replace(engine, method="thorough", max_starts=STARTS)
         if self.kind != "categorical":
-            return engine.peaks(ExpectationMaximisation(search=search, rounds=ROUNDS, steps=STEPS).fit(evidence.bags))
+            return ExpectationMaximisation(search=search, rounds=ROUNDS, steps=STEPS).fit(evidence.bags)
         scaled = search.evidence(evidence.bags)
         likelihood = MostLikely(evidence.bags, scaled, search.concept, search.negative_strength)
         points = distinct(evidence.bags.smallest_positive(evidence.bags.n_positive))

@@ -32,8 +32,7 @@ from experiments.common.em_dd import ExpectationMaximisation
 from experiments.common.seeds import write_json
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Point
-from sb3_options.density.search import ConceptSearch
+from sb3_options.density.diverse_density import DiverseDensity
 
 PLACE = np.array([3.0, -2.0])
 REACH = 10.0
@@ -93,8 +92,8 @@ def found(way: str, task: Task) -> float:
     """Distance of the best peak from the place, in widths."""
     weights = np.concatenate([np.ones(len(task.positive)), 1 - task.success]) if way == "weighted" else None
     bags = Bags.pack(task.positive, task.negative, weights=weights)
-    search = ConceptSearch(
-        concept=Point("fixed"),
+    search = DiverseDensity(
+        method="thorough",
         max_starts=48,
         finalists=2,
         negative_strength=WEAK if way == "weak" else 1.0,

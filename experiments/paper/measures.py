@@ -8,7 +8,7 @@ import numpy as np
 
 from experiments.common.gridworlds import Cell, cell_of
 from experiments.paper.settings import PaperSettings
-from sb3_options.density.diverse_density import log_diverse_density
+from sb3_options.density.log_density import log_diverse_density
 from sb3_options.discovery.static_filter import near_start_and_goal
 from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.envs import GridWorld

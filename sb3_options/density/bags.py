@@ -14,7 +14,7 @@ from torch import Tensor
 
 from sb3_options.density.arrays import BoolArray, FloatArray, IntArray, row_keys
 from sb3_options.density.checks import LARGEST_FEATURE, check_finite, real_array
-from sb3_options.density.layout import SEGMENT_INSTANCES, BagArrays, Segment, segment_of
+from sb3_options.density.layout import BagArrays, Segment, segments_of
 from sb3_options.state import storable
 
 
@@ -27,7 +27,6 @@ class Bags:
         instances: (N, d) in float64, bag after bag, the positive bags first.
         lengths: Number of instances in each bag.
         n_positive: Number of positive bags.
-        dtype: Precision of the densities that `log_diverse_density` returns; it computes in double precision.
         weights: Of every bag, a relative measure of how far it can be trusted (the paper's §8): its log probability
             is multiplied by it. None for 1.
     """
@@ -35,7 +34,6 @@ class Bags:
     instances: Tensor
     lengths: tuple[int, ...]
     n_positive: int
-    dtype: torch.dtype
     weights: tuple[float, ...] | None = None
 
     @classmethod
@@ -45,8 +43,6 @@ class Bags:
         negative: Sequence[ArrayLike] = (),
         *,
         weights: ArrayLike | None = None,
-        dtype: torch.dtype = torch.float64,
-        device: torch.device | str = "cpu",
     ) -> Self:
         """Pack bags of shape (n_i, d). An instance given twice counts twice: pass first visits only.
 
@@ -54,8 +50,6 @@ class Bags:
             positive: Bags that hold an instance of the concept.
             negative: Bags that hold none.
             weights: One for each bag, the positive ones first; 1 by default.
-            dtype: Precision of the densities that `log_diverse_density` returns.
-            device: Where they are computed.
 
         Raises:
             ValueError: No bag at all, an empty bag, bags that disagree about d, features that are NaN, infinite, too
@@ -84,7 +78,7 @@ class Bags:
                     f"weights must be {len(arrays)} finite numbers of at least 0, one a bag, got {weights}"
                 )
             weights = tuple(weights.tolist())
-        return cls(torch.from_numpy(instances).to(device), tuple(map(len, arrays)), len(positive), dtype, weights)
+        return cls(torch.from_numpy(instances), tuple(map(len, arrays)), len(positive), weights)
 
     @property
     def bag_weights(self) -> tuple[float, ...]:
@@ -100,20 +94,12 @@ class Bags:
         """Distinct instances (m, d) of the `n` positive bags with the fewest, in the order packed."""
         positive = torch.split(self.instances, list(self.lengths))[: self.n_positive]
         smallest = sorted(sorted(range(len(positive)), key=lambda i: self.lengths[i])[:n])
-        return distinct(torch.cat([self.instances[:0], *(positive[i] for i in smallest)]).cpu().numpy())
-
-    def positive(self) -> Bags:
-        """The positive bags alone."""
-        if self.n_positive == len(self.lengths):
-            return self
-        n_instances = sum(self.lengths[: self.n_positive])
-        weights = None if self.weights is None else self.weights[: self.n_positive]
-        return Bags(self.instances[:n_instances], self.lengths[: self.n_positive], self.n_positive, self.dtype, weights)
+        return distinct(torch.cat([self.instances[:0], *(positive[i] for i in smallest)]).numpy())
 
     def arrays(self, transform: Callable[[FloatArray], FloatArray]) -> BagArrays:
         """The bags as arrays, with their instances transformed."""
         positive = np.arange(len(self.lengths)) < self.n_positive
-        instances = transform(self.instances.cpu().numpy())
+        instances = transform(self.instances.numpy())
         return BagArrays(instances, np.array(self.lengths), positive, np.array(self.bag_weights))
 
     @cached_property
@@ -130,10 +116,9 @@ class Bags:
     @cached_property
     def segments(self) -> list[Segment]:
         """The bags in double precision as the kernels read them, relative to the `origin`; packed once."""
-        origin = self.origin.cpu().numpy()
-        parts = self.arrays(lambda instances: instances - origin).split(SEGMENT_INSTANCES)
-        device = self.instances.device
-        return [segment_of(part, n_powers=2, width=1.0, dtype=torch.float64, device=device) for part in parts]
+        origin = self.origin.numpy()
+        arrays = self.arrays(lambda instances: instances - origin)
+        return segments_of(arrays, n_powers=2, width=1.0, dtype=torch.float64)
 
 
 def distinct(points: FloatArray) -> FloatArray:

@@ -21,6 +21,7 @@ from sb3_options.checked import is_number
 from sb3_options.density.arrays import FloatArray, IntArray
 from sb3_options.density.energies import Link
 from sb3_options.density.regions import HalfSpace, Region
+from sb3_options.state import storable
 
 SCALE_BOUNDS = (0.1, 10.0)
 """Default smallest and largest learned scale, as factors of the scale given.
@@ -30,6 +31,7 @@ without an upper bound it may shrink onto one instance.
 """
 
 
+@storable
 class Frame(NamedTuple):
     """How scaled features come from features: (x[features] − origin) · scale.
 
@@ -44,6 +46,10 @@ class Frame(NamedTuple):
     origin: FloatArray
     scale: FloatArray
     n_features: int
+
+    def scaled(self, instances: FloatArray) -> FloatArray:
+        """Features (n, d) in scaled features (n, m)."""
+        return (instances[:, self.features] - self.origin) * self.scale
 
     def spread(self, values: FloatArray) -> FloatArray:
         """Values of the features that count (m,) among zeros for the others (d,)."""
@@ -96,7 +102,17 @@ class Concept(ABC):
         """Logarithm of the prior (S,), up to a constant, and its gradient in θ; flat by default."""
         return theta.new_zeros(theta.shape[1]), torch.zeros_like(theta)
 
+    def probabilities(self, theta: FloatArray, scaled: FloatArray) -> FloatArray:
+        """Pr(x ∈ concept) of scaled instances (n, m) under every column of θ (P, S): (n, S)."""
+        powers = np.concatenate([np.ones((len(scaled), 1)), scaled, scaled**2], axis=1)
+        coefficients = self.coefficients(torch.from_numpy(np.ascontiguousarray(theta))).numpy()
+        energy = powers[:, : len(coefficients)] @ coefficients
+        if self.link == "gaussian":
+            return np.asarray(np.exp(-np.maximum(energy, 0)))
+        return np.asarray(torch.from_numpy(-energy).sigmoid().numpy())
 
+
+@storable
 @dataclass(frozen=True)
 class Point(Concept):
     """A point t with scales s: z = Σ_k (s_k (x_k − t_k))² (Maron & Lozano-Pérez 1998).
@@ -227,6 +243,7 @@ class Point(Concept):
         return theta[:m], theta[m:]
 
 
+@storable
 @dataclass(frozen=True)
 class Plane(Concept):
     """A half-space: Pr(x ∈ c) = 1 / (1 + exp(b − v·x)), the paper's "linearly discriminable surfaces" (§8).

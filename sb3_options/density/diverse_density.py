@@ -1,17 +1,17 @@
-"""Diverse density of a point over bags of instances, and the search for its peaks.
+"""The search for concepts of highest diverse density.
 
-A concept is a point t with a scale s (one over its width) per feature, in the feature space of the instances.
-Its diverse density is high where many positive bags, and no negative bag, have an instance nearby.
+A concept is a point t with a scale s (one over its width) per feature, or a half-space, in the feature space of the
+instances. Its diverse density is high where many positive bags, and no negative bag, have an instance nearby.
 Sources: Maron and Lozano-Pérez, "A framework for multiple-instance learning" (1998); McGovern and Barto,
 "Accelerating reinforcement learning through the discovery of useful subgoals" (2001), section 4.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -21,105 +21,46 @@ from torch import Tensor
 from sb3_options.checked import is_number, whole
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags, distinct, held_by_all
-from sb3_options.density.checks import check_finite, positive_scale, real_array, refuse
-from sb3_options.density.concepts import Point
-from sb3_options.density.energies import Columns, Likelihood
-from sb3_options.density.layout import Workspace
-from sb3_options.density.objective import evaluate
+from sb3_options.density.checks import positive_scale, real_array, refuse
+from sb3_options.density.concepts import Concept, Frame, Point
+from sb3_options.density.energies import Likelihood
+from sb3_options.density.evidence import Evidence, evenly
+from sb3_options.density.lbfgs import BatchedLBFGS
+from sb3_options.density.log_density import log_diverse_density
 from sb3_options.density.one_hot import is_one_hot, one_hot_log_density
-from sb3_options.density.peaks import best_apart
-from sb3_options.density.search import ConceptSearch, Solution
+from sb3_options.density.peaks import best_apart, ties_in_order
+from sb3_options.density.regions import Region
 from sb3_options.state import storable
 
-ARRIVED = 1e-5
-"""An ascent has arrived when two steps running raise the log density by less than this share of it, or of 1 nat."""
+POINT = Point("fixed")
 
 APART = 0.9
 """Where instances that were visited one after the other lie so many widths apart, no other point ties with them."""
 
-TRIED_PAIRS = 1 << 20
-"""(Instances × points) that a search evaluates at once where there is little evidence."""
+TIED = 1e-9
+"""Points whose log densities differ by less than this, in nats, tie."""
 
-SHORTLIST = 4
-"""Times the number of starts: how many points are evaluated on all bags, or more where there is little evidence."""
+SMALLEST_BAGS = 3
+"""A gradient search tries the instances of so many positive bags: more than one, because a filter may have removed the
+concept's own instance from a bag."""
 
+ASCENDING, ASCENT_STEPS, SORTING_STEPS = 8, 12, 3
+"""Points that ascend in a gradient search, most evaluations, and after which of them points that lie close merge."""
 
-def _columns(t: Tensor, s: Tensor) -> Columns:
-    """Points relative to the origin of the bags, and scales, (S, d), as the kernels read them."""
-    t, squares = t.T, s.T.square()
-    return Columns(torch.cat([(squares * t * t).sum(0, keepdim=True), -2 * squares * t, squares]), t, exact=True)
+ARRIVED = 1e-5
+"""A gradient search ends when two steps running raise the log density by less than this share of it, or of 1 nat."""
 
+SHORTLIST, SHORTLIST_PAIRS = 32, 1 << 20
+"""Points that are evaluated on all bags, or as many as make so many (instances × points) where those are more."""
 
-class _LogDiverseDensity(torch.autograd.Function):
-    """The objective's value and closed-form gradient as a function of points and scales, for autograd."""
+SAMPLED_BAGS, PROMISING = 3, 8
+"""The shortlist is chosen by so many positive and negative bags, and one point in so many by so many times more."""
 
-    @staticmethod
-    def forward(ctx: Any, points: Tensor, scales: Tensor, bags: Bags, likelihood: Likelihood) -> Tensor:
-        at = evaluate(_columns(points, scales), bags.segments, likelihood, Workspace())
-        constant, first, second = (part.T for part in torch.split(at.gradient, [1, points.shape[1], points.shape[1]]))
-        near_first, near_second = (part.T for part in at.near.chunk(2))
-        # Sums of the weights times x − t and (x − t)².
-        pull = first - points * constant + near_first
-        spread = second - points * (2 * first - points * constant) + near_second
-        ctx.save_for_backward(-2 * scales.square() * pull, 2 * scales * spread)
-        return at.log_density
+FIRST_STEPS, SURVIVORS = 20, 4
+"""In a thorough search one start in `SURVIVORS` goes on after every `FIRST_STEPS` evaluations."""
 
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, Tensor, None, None]:
-        by_point, by_scale = ctx.saved_tensors
-        return grads[0][:, None] * by_point, grads[0][:, None] * by_scale, None, None
-
-
-def log_diverse_density(
-    points: ArrayLike | Tensor,
-    scales: ArrayLike | Tensor,
-    bags: Bags,
-    *,
-    negative_strength: float = 1.0,
-    leak: float = 0.0,
-) -> Tensor:
-    """Log diverse density log DD(t, s) = Σ_i log Pr(t | B_i⁺) + Σ_i log Pr(t | B_i⁻), at most 0 (`objective`).
-
-    Differentiable once in points and scales. Finite at any distance, and −inf just where a point hits an
-    instance of a negative bag at full strength. An instance that is hit adds nothing to the gradient. The error is
-    below 1e-9 of the value, plus the rounding of the sum.
-
-    Args:
-        points: (S, d) concepts t, in the units of the features.
-        scales: (S, d), (d,) or a number: one over the width of the concept.
-        bags: The evidence.
-        negative_strength: η in (0, 1]: below 1 a negative instance does not rule a point out.
-        leak: λ in [0, 1): the probability that a bag is positive for a reason other than the concept, as in a leaky
-            noisy-or (Henrion 1989): Pr(t | B⁺) = λ + (1 − λ) (1 − Π_j (1 − p_j)). Above 0, a bag without the concept
-            costs no more than log λ, however far it is.
-
-    Returns:
-        Shape (S,), in nats and in the precision of the bags.
-
-    Raises:
-        ValueError: Shapes that do not fit the bags, values not finite, scales, strength or leak out of range.
-    """
-    if not (is_number(negative_strength) and 0 < negative_strength <= 1):
-        raise ValueError(f"negative_strength must lie in (0, 1], got {negative_strength}")
-    if not (is_number(leak) and 0 <= leak < 1):
-        raise ValueError(f"leak must lie in [0, 1), got {leak}")
-    t, s = (
-        (x if isinstance(x, Tensor) else torch.from_numpy(real_array(name, x))).to(bags.instances)
-        for name, x in (("points", points), ("scales", scales))
-    )
-    if t.ndim != 2 or t.shape[1] != bags.n_features:
-        raise ValueError(f"points must have shape (S, {bags.n_features}) as in the bags, got {tuple(t.shape)}")
-    if s.shape not in (t.shape, t.shape[1:], ()):
-        raise ValueError(f"scales must be a number, (d,) or (S, d) = {tuple(t.shape)}, got {tuple(s.shape)}")
-    check_finite("one of the points", t.detach().cpu().numpy())
-    if not positive_scale(s.detach().flatten().cpu()):
-        raise ValueError("scales must be positive and finite: a scale is one over a width")
-    t, s, likelihood = t - bags.origin, s.expand_as(t), Likelihood("gaussian", negative_strength, leak)
-    if torch.is_grad_enabled() and (t.requires_grad or s.requires_grad):
-        value: Tensor = _LogDiverseDensity.apply(t, s, bags, likelihood)  # type: ignore[no-untyped-call]  # torch's
-    else:
-        value = evaluate(_columns(t, s), bags.segments, likelihood, Workspace(), gradient=False).log_density
-    return value.to(bags.dtype)
+FINAL_STEPS = 500
+"""Most evaluations of the finalists, in each precision."""
 
 
 @storable
@@ -127,134 +68,164 @@ class Peak(NamedTuple):
     """A concept of high diverse density.
 
     Attributes:
-        point: (d,) in the units of the features.
-        scale: (d,) one over the width.
-        log_density: Log diverse density there, in nats.
+        point: (d,) in the units of the features: the centre of the concept, or a point on the plane.
+        scale: (d,) one over the width; 0 for a feature that does not count.
+        log_density: Log diverse density there, in nats, without the prior.
         converged: Whether the ascent had come to rest.
+        concept: Its class; None for a point of known scale.
+        theta: Its parameters (P,), in scaled features.
+        frame: What scaled features are.
     """
 
     point: FloatArray
     scale: FloatArray
     log_density: float
     converged: bool
+    concept: Concept | None = None
+    theta: FloatArray | None = None
+    frame: Frame | None = None
+
+    def region(self, level: float = 0.5) -> Region:
+        """Where Pr(x ∈ concept) ≥ level, in (0, 1): a subgoal that β can test."""
+        if not 0 < level < 1:
+            raise ValueError(f"level must lie between 0 and 1, got {level}")
+        if self.concept is None or self.theta is None or self.frame is None:
+            return Region(self.point[None], self.scale, math.sqrt(-math.log(level)))
+        return self.concept.region(self.theta, self.frame, level)
+
+    def probability(self, instances: ArrayLike) -> FloatArray:
+        """Pr(x ∈ concept) of instances (n, d), shape (n,)."""
+        x = np.asarray(instances, dtype=np.float64)
+        if x.ndim != 2 or x.shape[1] != len(self.point):
+            raise ValueError(f"instances must have shape (n, {len(self.point)}), got {x.shape}")
+        if self.concept is None or self.theta is None or self.frame is None:
+            return np.asarray(np.exp(-np.square((x - self.point) * self.scale).sum(axis=1)))
+        return self.concept.probabilities(self.theta[:, None], self.frame.scaled(x))[:, 0]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DiverseDensity:
-    """Search for the points of highest diverse density, of a known scale.
-
-    "exhaustive" evaluates a finite set of candidates, by default all instances of positive bags. "gradient" evaluates
-    the instances of the smallest positive bags, and the best of them ascend (`ConceptSearch.ascend`): every positive
-    bag holds an instance of the concept, so the smallest are the cheapest complete set of starts. No peak is worse
-    than its start.
+    """Search for the concepts of highest diverse density.
 
     Attributes:
-        scale: Scale s of the concept, a number or (d,): one over its width.
-        method: "gradient" or "exhaustive".
-        n_starts: Number of points that ascend.
-        n_smallest: Number of positive bags whose instances are tried; above 1, so that a bag whose instance of
-            the concept was filtered away does no harm.
-        steps: Largest number of steps.
-        merge_radius: A point this close to a better one is merged into it, in widths of the concept.
-        tolerance: Candidates this close to the maximum tie with it, in nats.
-        negative_strength: η of :func:`log_diverse_density`.
-        leak: λ of :func:`log_diverse_density`.
-
-    Raises:
-        ValueError: An argument out of its range.
+        concept: What is searched for; by default points of the given scale.
+        scale: Factor for every feature, a number or (d,): one over the width of the concept, or of one of scale 1 where
+            scales are learned.
+        method: "gradient": the instances of the smallest positive bags are evaluated, and the best of them ascend a few
+            steps; for points of known scale, and the default for these. "thorough": all distinct instances of positive
+            bags ascend in single precision, the best go on, and the finalists climb to rest in double precision;
+            for any concept. "exhaustive": a finite set of candidates is evaluated, by default all instances of
+            positive bags; for points of known scale.
+        features: Numbers of the features that count; by default all. For a thorough search.
+        start_scales: Scales of the starts of a thorough search, as factors of `scale`.
+        max_starts: Most instances that a thorough search starts from, evenly spaced among all; None for all.
+        finalists: Most starts that a thorough search climbs to the end.
+        tolerance: Of a thorough search, in nats relative to the value.
+        merge_radius: A peak this close to a better one is merged into it, in parameters: for points, in widths.
+        negative_strength: η in (0, 1]: log(1 − η p) of every negative instance. For a half-space η multiplies the odds
+            of p.
+        negative_width: Of a thorough search. Energies of negative instances are divided by its square: below 1 they
+            reach less far (McGovern & Barto 2001, §8).
+        leak: λ in [0, 1): the probability that a bag is positive for a reason other than the concept.
     """
 
+    concept: Concept = POINT
     scale: ArrayLike = 1.0
-    method: Literal["gradient", "exhaustive"] = "gradient"
-    n_starts: int = 8
-    n_smallest: int = 3
-    steps: int = 12
+    method: Literal["gradient", "thorough", "exhaustive"] | None = None
+    features: Sequence[int] | None = None
+    start_scales: Sequence[float] = (1.0,)
+    max_starts: int | None = 256
+    finalists: int = 32
+    tolerance: float = 1e-8
     merge_radius: float = 0.5
-    tolerance: float = 1e-9
     negative_strength: float = 1.0
+    negative_width: float = 1.0
     leak: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse arguments out of range, by name."""
+        known_scale = self.concept == POINT
+        if self.method is None:
+            object.__setattr__(self, "method", "gradient" if known_scale else "thorough")
+        features = self.features
+        numbered = features is None or (
+            isinstance(features, Collection)
+            and all(whole(number, 0) for number in features)
+            and len(features) == len(set(features)) > 0
+        )
+        several = isinstance(self.start_scales, Collection) and len(self.start_scales) > 0
         refuse(
             self,
+            concept=("a Concept", isinstance(self.concept, Concept)),
             scale=("positive, finite, a number or (d,)", positive_scale(self.scale)),
             method=(
-                '"gradient" or "exhaustive"',
-                isinstance(self.method, str) and self.method in ("gradient", "exhaustive"),
+                '"gradient", "thorough" or "exhaustive"',
+                isinstance(self.method, str) and self.method in ("gradient", "thorough", "exhaustive"),
             ),
-            n_starts=("a whole number of at least 1", whole(self.n_starts, 1)),
-            n_smallest=("a whole number of at least 1", whole(self.n_smallest, 1)),
-            steps=("a whole number of at least 1", whole(self.steps, 1)),
+            features=("distinct whole numbers of features, from 0, at least one", numbered),
+            start_scales=(
+                "positive and finite, at least one",
+                several and all(map(positive_scale, self.start_scales)),
+            ),
+            max_starts=("a whole number of at least 1, or None", self.max_starts is None or whole(self.max_starts, 1)),
+            finalists=("a whole number of at least 1", whole(self.finalists, 1)),
+            tolerance=("above 0", is_number(self.tolerance) and self.tolerance > 0),
             merge_radius=("at least 0", is_number(self.merge_radius) and self.merge_radius >= 0),
-            tolerance=("at least 0", is_number(self.tolerance) and self.tolerance >= 0),
             negative_strength=("in (0, 1]", is_number(self.negative_strength) and 0 < self.negative_strength <= 1),
+            negative_width=(
+                "positive and finite",
+                is_number(self.negative_width) and 0 < self.negative_width < math.inf,
+            ),
             leak=("in [0, 1)", is_number(self.leak) and 0 <= self.leak < 1),
         )
-
-    @cached_property
-    def concepts(self) -> ConceptSearch:
-        """The search for concepts that this one is a face of."""
-        return ConceptSearch(
-            concept=Point("fixed"),
-            scale=self.scale,
-            tolerance=ARRIVED,
-            merge_radius=self.merge_radius,
-            negative_strength=self.negative_strength,
-            leak=self.leak,
-        )
+        if self.method != "thorough" and not (known_scale and self.features is None and self.negative_width == 1):
+            raise ValueError(f'{self.concept}, features and negative_width need method="thorough", got {self.method!r}')
 
     def log_density(self, points: ArrayLike, bags: Bags) -> FloatArray:
-        """Log diverse density, shape (S,), of points (S, d) at the constructor's scale.
-
-        Raises:
-            ValueError: As :func:`log_diverse_density`.
-        """
+        """Log diverse density, shape (S,), of points (S, d) at the given scale, as `log_diverse_density`."""
         with torch.no_grad():
             value = log_diverse_density(
                 points, self.scale, bags, negative_strength=self.negative_strength, leak=self.leak
             )
-        return value.double().cpu().numpy()
+        return value.double().numpy()
 
     def search(self, bags: Bags, *, starts: ArrayLike | None = None, candidates: ArrayLike | None = None) -> list[Peak]:
         """Search for peaks, best first.
 
         Args:
             bags: The evidence.
-            starts: (m, d) more points to try in a gradient search, such as the peaks of the last search; an
-                exhaustive search needs none and ignores them.
+            starts: (m, d) more points to try in a gradient search, such as the peaks of the last search; what a
+                thorough search starts from, instead of instances. An exhaustive search ignores them.
             candidates: (m, d) what an exhaustive search evaluates, by default every distinct positive instance.
 
         Returns:
-            The peaks of the gradient search, no two within `merge_radius`; or the candidates that tie for the
-            maximum, in their order.
+            The peaks, prior included, no two within `merge_radius`; of an exhaustive search the candidates that tie for
+            the maximum, in their order.
 
         Raises:
-            ValueError: No point to search from, points or a scale that do not fit the bags, or candidates given
-                to a gradient search.
+            ValueError: No point to search from, points, features or a scale that do not fit the bags, or candidates
+                for a search that has none.
         """
         exhaustive = self.method == "exhaustive"
         if candidates is not None and not exhaustive:
-            raise ValueError('candidates need method="exhaustive": pass starts to a gradient search')
-        name, given = ("candidates", candidates) if exhaustive else ("starts", starts)
-        points = np.empty((0, bags.n_features)) if given is None else real_array(name, given)
+            raise ValueError('candidates need method="exhaustive": pass starts to another search')
+        name, values = ("candidates", candidates) if exhaustive else ("starts", starts)
+        points = np.empty((0, bags.n_features)) if values is None else real_array(name, values)
         if points.ndim != 2 or points.shape[1] != bags.n_features or not np.isfinite(points).all():
             raise ValueError(f"{name} must be finite, of shape (m, {bags.n_features}), got {points.shape}")
-        if not exhaustive:
-            points = np.concatenate([points, bags.smallest_positive(self.n_smallest)])
-        elif given is None:
-            points = bags.smallest_positive(bags.n_positive)
-        if not len(points):
+        if not (len(points) or bags.n_positive):
             raise ValueError(f"there is nothing to search from: without positive bags pass {name}")
-        points = distinct(points)
-        if not exhaustive:
-            return self._ascend(points, bags)
-        return self.best(points, self._exhaustive_values(points, bags))
+        if self.method == "thorough":
+            return self._thorough(points, bags)
+        if exhaustive:
+            points = distinct(points) if len(points) else bags.smallest_positive(bags.n_positive)
+            return self.best(points, self._exhaustive_values(points, bags))
+        return self._quick(distinct(np.concatenate([points, bags.smallest_positive(SMALLEST_BAGS)])), bags)
 
     def best(self, points: FloatArray, values: FloatArray) -> list[Peak]:
         """The points (m, d) that tie for the largest of their values (m,), in their order, as peaks."""
         scale = self._scale(points.shape[1])
-        ties = np.flatnonzero(values >= values.max() - self.tolerance)
+        ties = np.flatnonzero(values >= values.max() - TIED)
         return [Peak(points[i].copy(), scale, float(values[i]), True) for i in ties]
 
     def certain(self, positive: Sequence[FloatArray], starts: FloatArray | None = None) -> list[Peak]:
@@ -268,12 +239,13 @@ class DiverseDensity:
             Those points in the order of `search`, which would find no better ones; none where none is in every bag, or
             where instances lie closer than `APART`, so that points between them have density 1 as well.
         """
-        scale, longest = self._scale(positive[0].shape[1]), max(positive, key=len)
+        scale = self._scale(positive[0].shape[1])
+        longest = max(positive, key=len)
         if (np.linalg.norm(np.diff(longest, axis=0) * scale, axis=1) < APART).any():
             return []
         exhaustive, points = self.method == "exhaustive", positive[0]
         if not exhaustive:
-            smallest = sorted(range(len(positive)), key=lambda i: len(positive[i]))[: self.n_smallest]
+            smallest = sorted(range(len(positive)), key=lambda i: len(positive[i]))[:SMALLEST_BAGS]
             points = positive[min(smallest)]
             points = points if starts is None else np.concatenate([starts, points])
         points = distinct(points)
@@ -282,31 +254,122 @@ class DiverseDensity:
             points = points[best_apart(points * scale, np.zeros(len(points)), self.merge_radius, len(points))]
         return [Peak(point.copy(), scale, 0.0, True) for point in points]
 
+    def evidence(self, bags: Bags) -> Evidence:
+        """The bags in scaled features, as the searches see them."""
+        d = bags.n_features
+        if self.features is not None and max(self.features) >= d:
+            raise ValueError(f"features names feature {max(self.features)}, the bags have {d} features")
+        if np.ndim(self.scale) and np.shape(self.scale) != (d,):
+            raise ValueError(f"scale has shape {np.shape(self.scale)}, the bags have {d} features")
+        features = np.arange(d) if self.features is None else np.array(self.features, dtype=np.int64)
+        # In the middle of the data, where products of features are smallest and lose the fewest digits.
+        origin = bags.instances.mean(0).numpy()[features]
+        frame = Frame(features, origin, self._scale(d)[features], d)
+        likelihood = Likelihood(self.concept.link, self.negative_strength, self.leak)
+        return Evidence(bags, self.concept, frame, likelihood=likelihood, negative_width=self.negative_width)
+
+    def starts(self, evidence: Evidence, points: FloatArray | None = None) -> Tensor:
+        """θ (P, S) of every start of a thorough search: at scaled points (m, k), by default the instances."""
+        if points is None:
+            instances = evidence.positive_instances()
+            points = instances[np.sort(np.unique(instances, axis=0, return_index=True)[1])]
+            points = points if self.max_starts is None else evenly(points, self.max_starts)
+        at = torch.from_numpy(points)
+        scales = self.start_scales if self.concept.learns_scale else self.start_scales[:1]
+        return torch.cat([self.concept.start(at, scale) for scale in scales], dim=1)
+
+    def descent(self, theta: Tensor, evidence: Evidence) -> BatchedLBFGS:
+        """The ascent of log density plus log prior from θ (P, S)."""
+        bounds = self.concept.bounds(len(evidence.frame.features))
+        return BatchedLBFGS(evidence.loss, theta, bounds, tolerance=self.tolerance)
+
+    def peaks(
+        self, theta: Tensor, loss: Tensor, converged: Tensor, evidence: Evidence, *, rounded: bool = False
+    ) -> list[Peak]:
+        """Peaks at θ (P, S), smallest loss first, merged; the loss is −log density − log prior, (S,).
+
+        Those that tie, ``rounded`` by a climb, come in the order of their parameters: no rounding decides.
+        """
+        theta = self.concept.canonical(theta)
+        density = (-loss - self.concept.log_prior(theta)[0]).tolist()
+        columns, rested, losses = theta.T.numpy(), converged.tolist(), loss.tolist()
+        best = self._best_apart(theta, loss, len(columns))
+        if rounded:
+            best = ties_in_order(best, columns, losses)
+        found = []
+        for i in best:
+            region = self.concept.region(columns[i], evidence.frame, 0.5)
+            how = (self.concept, columns[i].copy(), evidence.frame)
+            found.append(Peak(region.points[0], region.scale, density[i], rested[i], *how))
+        return found
+
+    def _thorough(self, points: FloatArray, bags: Bags) -> list[Peak]:
+        evidence = self.evidence(bags)
+        theta = self.starts(evidence, distinct(evidence.scaled(points)) if len(points) else None)
+        descent = self.descent(theta.float(), evidence)
+        n = theta.shape[1]
+        while n > self.finalists:
+            descent.run(FIRST_STEPS)
+            n = max(self.finalists, n // SURVIVORS)
+            descent.keep(self._best_apart(descent.theta, descent.value, n), torch.float32)
+        descent.run(FINAL_STEPS)
+        descent.keep(self._best_apart(descent.theta, descent.value, n), torch.float64)
+        descent.run(FINAL_STEPS)
+        theta = descent.theta.double()
+        return self.peaks(theta, evidence.value(theta), descent.converged, evidence, rounded=True)
+
+    def _quick(self, points: FloatArray, bags: Bags) -> list[Peak]:
+        """Evaluate points (m, d), and let the best ascend a few steps. No peak is worse than its start."""
+        evidence = self.evidence(bags)
+        theta = torch.from_numpy(evidence.scaled(points).T.copy())
+        known = {column.tobytes(): point for column, point in zip(theta.T.numpy(), points, strict=True)}
+        theta = _shortlist(evidence, theta, max(SHORTLIST, SHORTLIST_PAIRS // evidence.n_instances))
+        loss = evidence.value(theta)
+        tied = loss <= loss.min() + TIED
+        best = self._best_apart(theta, torch.where(tied, loss.min(), loss), max(ASCENDING, int(tied.sum())))
+        theta, loss = theta[:, best], loss[best]
+        converged = loss <= 0  # nothing is denser than 1
+        if loss[0] > 0:
+            # Of a point whose every bag pulls with all its weight: a step is then never much too long.
+            curvature = 2 * max(1.0, evidence.positive_weight)
+            bounds = self.concept.bounds(bags.n_features)
+            descent = BatchedLBFGS(evidence.loss, theta, bounds, tolerance=ARRIVED, curvature=curvature)
+            descent.run(SORTING_STEPS)
+            kept = self._best_apart(descent.theta, descent.value, ASCENDING)
+            descent.keep(kept, theta.dtype)
+            descent.run(ASCENT_STEPS - SORTING_STEPS, contest=True)
+            better = descent.value < loss[kept]
+            theta = torch.where(better, descent.theta, theta[:, kept])
+            loss = torch.where(better, descent.value, loss[kept])
+            converged = descent.converged
+        order = self._best_apart(theta, loss, len(loss))
+        scale, frame = self._scale(bags.n_features), evidence.frame
+        found = []
+        for i, column in zip(order, theta.T.numpy()[order], strict=True):
+            # A start that was not left is itself, to the last bit.
+            point = known.get(column.tobytes(), column / frame.scale + frame.origin)
+            found.append(Peak(point, scale, -float(loss[i]), bool(converged[i])))
+        return found
+
     def _exhaustive_values(self, points: FloatArray, bags: Bags) -> FloatArray:
-        """`log_density` of points, (m,); where all are one-hot codes, and weigh alike, without comparing features."""
+        """`log_density` of points, (m,); of one-hot codes that weigh alike, without comparing features."""
         scale, alike = self._scale(bags.n_features), bags.weights is None
-        if alike and (scale == scale[0]).all() and is_one_hot(points) and is_one_hot(bags.instances.cpu().numpy()):
+        if alike and (scale == scale[0]).all() and is_one_hot(points) and is_one_hot(bags.instances.numpy()):
             return one_hot_log_density(points, float(scale[0]), bags, self.negative_strength, self.leak)
         return self.log_density(points, bags)
 
-    def _ascend(self, points: FloatArray, bags: Bags) -> list[Peak]:
-        evidence = self.concepts.evidence(bags)
-        theta = torch.from_numpy(evidence.scaled(points).T.copy()).to(evidence.device)
-        known = {column.tobytes(): point for column, point in zip(theta.T.cpu().numpy(), points, strict=True)}
-        theta = self.concepts.shortlist(
-            evidence, theta, max(SHORTLIST * self.n_starts, TRIED_PAIRS // evidence.n_instances)
-        )
-        found = self.concepts.ascend(evidence, theta, self.n_starts, steps=self.steps, ties=self.tolerance, least=0.0)
-        # A start that was not left is itself, to the last bit.
-        return [
-            peak._replace(point=known.get(solution.theta.tobytes(), peak.point))
-            for peak, solution in zip(self.peaks(found), found, strict=True)
-        ]
-
-    def peaks(self, solutions: Sequence[Solution]) -> list[Peak]:
-        """Solutions of `concepts` as peaks."""
-        scale = self._scale(len(solutions[0].theta))
-        return [Peak(s.theta / s.frame.scale + s.frame.origin, scale, s.log_density, s.converged) for s in solutions]
+    def _best_apart(self, theta: Tensor, loss: Tensor, n: int) -> list[int]:
+        points = self.concept.canonical(theta).T.contiguous().numpy()
+        return best_apart(points, loss.numpy(), self.merge_radius, n)
 
     def _scale(self, n_features: int) -> FloatArray:
         return np.broadcast_to(np.asarray(self.scale, dtype=np.float64), (n_features,)).copy()
+
+
+def _shortlist(evidence: Evidence, theta: Tensor, n: int) -> Tensor:
+    """Up to ``n`` columns of θ (P, S): the best by a few of the bags, of which the best by more of them."""
+    for n_bags in (SAMPLED_BAGS, SAMPLED_BAGS * PROMISING):
+        if theta.shape[1] > n:
+            loss = evidence.sample(n_bags).value(theta.float())
+            theta = theta[:, loss.argsort()[: max(n, len(loss) // PROMISING)]]
+    return theta[:, :n]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import functools
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
 from sb3_options.density.concepts import Concept, Frame
 from sb3_options.density.energies import Columns, Likelihood
-from sb3_options.density.layout import SEGMENT_INSTANCES, BagArrays, Segment, Workspace, segment_of
+from sb3_options.density.layout import Segment, Workspace, segments_of
 from sb3_options.density.objective import evaluate
 
 FARTHEST = 1e15
@@ -25,12 +24,12 @@ class Evidence:
     """Bags in scaled features, in as many precisions as are asked for.
 
     Args:
-        bags: What there is at first.
+        bags: What there is.
         concept: The class of concepts they are evidence for.
         frame: Scaled features.
         likelihood: What they say.
-        negative_width: Width of negative instances of `ConceptSearch`.
-        max_pairs: (instances × starts) held at once.
+        negative_width: Width of negative instances of `DiverseDensity`.
+        max_pairs: (instances × starts) held at once; by default `objective.MAX_PAIRS`.
     """
 
     def __init__(
@@ -41,37 +40,35 @@ class Evidence:
         *,
         likelihood: Likelihood,
         negative_width: float,
-        max_pairs: int,
+        max_pairs: int | None = None,
     ) -> None:
-        self.concept, self.frame = concept, frame
-        self.device = bags.instances.device
-        self._likelihood, self._width, self._max_pairs = likelihood, negative_width, max_pairs
+        self.concept = concept
+        self.frame = frame
+        self._likelihood = likelihood
+        self._width = negative_width
+        self._max_pairs = max_pairs
+        self._arrays = bags.arrays(self.scaled)
         self._workspace = Workspace()
-        self._parts = bags.arrays(self.scaled).split(SEGMENT_INSTANCES)
         self._segments: dict[torch.dtype, list[Segment]] = {}
 
     @property
     def n_instances(self) -> int:
         """How many instances they hold."""
-        return sum(len(part.instances) for part in self._parts)
+        return len(self._arrays.instances)
 
     @property
     def positive_weight(self) -> float:
         """Sum of the weights of the positive bags."""
-        return float(sum(part.weights[part.positive].sum() for part in self._parts))
+        return float(self._arrays.weights[self._arrays.positive].sum())
 
     def sample(self, n: int) -> Evidence:
         """Evidence of up to ``n`` positive and ``n`` negative bags, evenly spaced."""
-        positive = np.concatenate([part.positive for part in self._parts])
+        positive = self._arrays.positive
         chosen = np.concatenate([evenly(np.flatnonzero(positive == sign), n) for sign in (True, False)])
-        ends = np.cumsum([len(part.lengths) for part in self._parts])
-        some = [
-            part.take(inside)
-            for part, end in zip(self._parts, ends, strict=True)
-            if len(inside := chosen[(chosen >= end - len(part.lengths)) & (chosen < end)] - end + len(part.lengths))
-        ]
         sample = copy.copy(self)
-        sample._parts, sample._segments, sample._workspace = [functools.reduce(BagArrays.joined, some)], {}, Workspace()
+        sample._arrays = self._arrays.take(chosen)
+        sample._workspace = Workspace()
+        sample._segments = {}
         return sample
 
     @torch.inference_mode()
@@ -100,37 +97,25 @@ class Evidence:
 
     def positive_instances(self) -> FloatArray:
         """Scaled instances of all positive bags, (n, m)."""
-        return np.concatenate([part.instances[np.repeat(part.positive, part.lengths)] for part in self._parts])
+        return self._arrays.instances[np.repeat(self._arrays.positive, self._arrays.lengths)]
 
     def segments(self, dtype: torch.dtype) -> list[Segment]:
         """The bags in this precision; packed once."""
         if dtype not in self._segments:
-            self._segments[dtype] = [self._packed(part, dtype) for part in self._parts]
+            n_powers = self.concept.n_powers
+            self._segments[dtype] = segments_of(self._arrays, n_powers=n_powers, width=self._width, dtype=dtype)
         return self._segments[dtype]
 
-    def _packed(self, part: BagArrays, dtype: torch.dtype) -> Segment:
-        return segment_of(
-            part,
-            n_powers=self.concept.n_powers,
-            width=self._width,
-            dtype=dtype,
-            device=self.device,
-        )
-
     def scaled(self, instances: FloatArray) -> FloatArray:
-        """Features (n, d) in scaled features (n, m).
-
-        Raises:
-            ValueError: They lie further from the origin than single precision can square.
-        """
-        scaled = (instances[:, self.frame.features] - self.frame.origin) * self.frame.scale
+        """Features (n, d) in scaled features (n, m)."""
+        scaled = self.frame.scaled(instances)
         reach = np.abs(scaled).max(initial=0)
         if reach > FARTHEST:
             raise ValueError(
                 f"features reach {reach:.1g} widths from their middle, at most {FARTHEST:g} can be searched: "
                 "pass a smaller scale, or leave out what lies so far"
             )
-        return np.asarray(scaled)
+        return scaled
 
 
 def evenly(rows: Any, n: int) -> Any:

@@ -13,11 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from sb3_options.density.arrays import BoolArray, FloatArray, IntArray
-from sb3_options.state import storable
 
 SEGMENT_INSTANCES = 1 << 17
 """Instances a segment holds, unless one bag alone has more: 8 starts at once then fill `MAX_PAIRS`."""
@@ -62,7 +60,6 @@ class Segment(NamedTuple):
     rows_of_bags: tuple[Tensor, ...]
 
 
-@storable
 class BagArrays(NamedTuple):
     """Bags as arrays: instances (N, m) bag after bag, lengths (n,), which are positive (n,), and weights (n,)."""
 
@@ -70,10 +67,6 @@ class BagArrays(NamedTuple):
     lengths: IntArray
     positive: BoolArray
     weights: FloatArray
-
-    def joined(self, other: BagArrays) -> BagArrays:
-        """These bags and then those."""
-        return BagArrays(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
     def take(self, numbers: IntArray) -> BagArrays:
         """Some of these bags, at least one."""
@@ -95,20 +88,19 @@ class BagArrays(NamedTuple):
         return parts
 
 
-def segment_of(bags: BagArrays, *, n_powers: int, width: float, dtype: torch.dtype, device: torch.device) -> Segment:
-    """Lay out bags that fit one segment.
+def segments_of(bags: BagArrays, *, n_powers: int, width: float, dtype: torch.dtype) -> list[Segment]:
+    """Lay out bags in segments.
 
     Args:
         bags: In the units the concept is searched in, near the origin.
         n_powers: 1 for coefficients of 1 and x_k, 2 for those of x_k² too.
         width: Of negative instances: their powers, and so their energies, are divided by its square.
         dtype: Precision of the powers.
-        device: Where they lie.
     """
+    return [_segment_of(part, n_powers, width, dtype) for part in bags.split(SEGMENT_INSTANCES)]
 
-    def tensor(array: NDArray[np.generic]) -> Tensor:
-        return torch.from_numpy(array).to(device)
 
+def _segment_of(bags: BagArrays, n_powers: int, width: float, dtype: torch.dtype) -> Segment:
     longest = max(SHORTEST_WIDTH, math.isqrt(int(bags.lengths.max()) - 1) + 1)
     rows = -(-bags.lengths // longest)
     bag = np.repeat(np.arange(len(rows)), rows)
@@ -128,7 +120,8 @@ def segment_of(bags: BagArrays, *, n_powers: int, width: float, dtype: torch.dty
     row_at = np.zeros((len(rows), int(rows.max())), dtype=np.int64)
     row_at[bag, row_in_bag] = np.arange(len(bag))
     row_counts = [int((rows[positive] > k).sum()) for k in range(int(rows[positive].max(initial=0)))]
-    rows_by_bag = tensor(np.concatenate([row_at[:0, 0], *(row_at[positive[:n], k] for k, n in enumerate(row_counts))]))
+    rows_of_bags = [row_at[positive[:n], k] for k, n in enumerate(row_counts)]
+    rows_by_bag = torch.from_numpy(np.concatenate([row_at[:0, 0], *rows_of_bags]))
 
     negative_rows = np.flatnonzero(~bags.positive[bag])
     x = bags.instances[index]
@@ -139,16 +132,16 @@ def segment_of(bags: BagArrays, *, n_powers: int, width: float, dtype: torch.dty
         powers = np.concatenate([powers, negative], axis=1)
 
     return Segment(
-        powers=tensor(powers).to(dtype),
-        powers_by_power=tensor(powers.T.copy()).to(dtype),
-        reach=tensor(np.abs(powers).max(axis=0)).to(dtype),
+        powers=torch.from_numpy(powers).to(dtype),
+        powers_by_power=torch.from_numpy(powers.T.copy()).to(dtype),
+        reach=torch.from_numpy(np.abs(powers).max(axis=0)).to(dtype),
         counts=tuple(counts),
-        negative_rows=tensor(negative_rows),
-        negative_weight=tensor(bags.weights[bag][negative_rows]).to(dtype),
-        row_weight=tensor(bags.weights[bag][:, None]).to(dtype),
+        negative_rows=torch.from_numpy(negative_rows),
+        negative_weight=torch.from_numpy(bags.weights[bag][negative_rows]).to(dtype),
+        row_weight=torch.from_numpy(bags.weights[bag][:, None]).to(dtype),
         weighted=bool((bags.weights != 1).any()),
-        bag_weight=tensor(bags.weights[positive]).to(dtype),
-        bag_of_row=tensor(number[bag]),
+        bag_weight=torch.from_numpy(bags.weights[positive]).to(dtype),
+        bag_of_row=torch.from_numpy(number[bag]),
         rows_by_bag=rows_by_bag,
         rows_of_bags=torch.split(rows_by_bag, row_counts) if row_counts else (),
     )
@@ -184,7 +177,7 @@ class Workspace:
         self._views: dict[int, tuple[Segment, dict[tuple[int, torch.dtype], Arrays]]] = {}
 
     def take(self, segment: Segment, n_starts: int, like: Tensor) -> Arrays:
-        """Uninitialised arrays with the precision and the device of ``like``."""
+        """Uninitialised arrays with the precision of ``like``."""
         key, (of, views) = (n_starts, like.dtype), self._views.setdefault(id(segment), (segment, {}))
         if of is not segment:  # a copied workspace, whose keys are ids of the originals
             self._views.clear()
@@ -193,7 +186,7 @@ class Workspace:
             return views[key]
         n = len(segment.powers) * n_starts
         flat = self._flat
-        if len(flat) < n or flat.dtype != like.dtype or flat.device != like.device:
+        if len(flat) < n or flat.dtype != like.dtype:
             self._flat = like.new_empty(n)
             for _, others in self._views.values():
                 others.clear()

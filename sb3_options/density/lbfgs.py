@@ -171,9 +171,9 @@ class BatchedLBFGS:
 
 
 @functools.cache
-def _ring_orders(device: torch.device) -> tuple[list[Tensor], list[Tensor]]:
+def _ring_orders() -> tuple[list[Tensor], list[Tensor]]:
     """For every place of the oldest pair in the rings: the order of s and then y by age, and the way back."""
-    place = torch.arange(PAIRS, device=device)
+    place = torch.arange(PAIRS)
     rings = [(place + i) % PAIRS for i in range(PAIRS)]
     by_age = [torch.cat([ring, ring + PAIRS]) for ring in rings]
     return by_age, [order.argsort() for order in by_age]
@@ -191,12 +191,12 @@ class CurvaturePairs:
     def __init__(self, theta: Tensor, size: float = 0.0) -> None:
         n, (n_parameters, n_starts) = PAIRS, theta.shape
         self._both = theta.new_zeros(n_starts, 2 * n, n_parameters)  # the last n of s and then of y, each a ring
-        self._sy = torch.eye(n, dtype=theta.dtype, device=theta.device).repeat(n_starts, 1, 1)  # (S, n, n), R is upper
+        self._sy = torch.eye(n, dtype=theta.dtype).repeat(n_starts, 1, 1)  # (S, n, n), R is upper
         self._yy = torch.zeros_like(self._sy)
         self._good = torch.zeros_like(self._sy[:, :, :1])  # (S, n, 1): 1 for a pair that says something, else 0
         self._size = theta.new_full((n_starts,), size)  # γ = s·y / y·y of the last good pair; 0 if none is known
         self._n = 0
-        self._oldest_first, self._as_stored = _ring_orders(theta.device)
+        self._oldest_first, self._as_stored = _ring_orders()
 
     def keep(self, columns: list[int], dtype: torch.dtype) -> None:
         """These starts only, in this precision."""

@@ -39,7 +39,7 @@ def one_hot_log_density(
     lengths = np.array(bags.lengths)
     bag_of = np.repeat(np.arange(len(lengths)), lengths)
     counts: IntArray = np.zeros((len(lengths), bags.n_features), dtype=np.int64)
-    np.add.at(counts, (bag_of, bags.instances.cpu().numpy().argmax(axis=1)), 1)
+    np.add.at(counts, (bag_of, bags.instances.numpy().argmax(axis=1)), 1)
     counts = counts[:, points.argmax(axis=1)]
     positive, negative = counts[: bags.n_positive] > 0, counts[bags.n_positive :]
     n = lengths[: bags.n_positive]

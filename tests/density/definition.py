@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
-from sb3_options.density.diverse_density import log_diverse_density
+from sb3_options.density.log_density import log_diverse_density
 
 # A bag's probability of a miss is rounded once, so a log density near 0 carries the rounding of 1.
 ROUNDING = 1e-14

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from sb3_options.density.bags import Bags
-from sb3_options.density.diverse_density import DiverseDensity, log_diverse_density
+from sb3_options.density.diverse_density import DiverseDensity
+from sb3_options.density.log_density import log_diverse_density
 
 MASKED = np.ma.array([[1.0], [2.0]], mask=[[False], [True]])
 

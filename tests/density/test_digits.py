@@ -12,8 +12,8 @@ import torch
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
 from sb3_options.density.concepts import Point
-from sb3_options.density.diverse_density import DiverseDensity, log_diverse_density
-from sb3_options.density.search import ConceptSearch
+from sb3_options.density.diverse_density import DiverseDensity
+from sb3_options.density.log_density import log_diverse_density
 from tests.density.test_objective import evidence_of
 
 mpf = mpmath.mpf
@@ -129,12 +129,10 @@ def test_what_single_precision_is_worth(scale: float) -> None:
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
 def test_units_of_the_features_change_nothing(scale: float) -> None:
     positive, negative = bags_of(1, scale)
-    for search in (ConceptSearch(scale=scale), ConceptSearch(concept=Point("fixed"), scale=scale)):
+    for search in (DiverseDensity(concept=Point(), scale=scale), DiverseDensity(method="thorough", scale=scale)):
         best = search.search(Bags.pack(positive, negative))[0]
-        assert isinstance(best.concept, Point)
-        point, factor = best.concept.point_and_scale(best.theta)
-        t, s = point / best.frame.scale + best.frame.origin, factor * best.frame.scale
-        assert best.log_density == pytest.approx(exactly(s * t, s, positive, negative)[0], rel=1e-9)
+        expected = exactly(best.scale * best.point, best.scale, positive, negative)[0]
+        assert best.log_density == pytest.approx(expected, rel=1e-9)
     peak = DiverseDensity(scale=scale).search(Bags.pack(positive, negative))[0]
     expected = exactly(peak.scale * peak.point, peak.scale, positive, negative)[0]
     assert peak.log_density == pytest.approx(expected, rel=1e-9)

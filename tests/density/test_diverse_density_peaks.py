@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from sb3_options.density.bags import Bags
-from sb3_options.density.diverse_density import DiverseDensity, Peak, log_diverse_density
+from sb3_options.density.diverse_density import DiverseDensity, Peak
+from sb3_options.density.log_density import log_diverse_density
 from tests.density.planted import DOOR, planted, two_rooms
 
 
@@ -37,7 +38,7 @@ def test_gradient_search_is_as_good_as_exhaustive(drift: float) -> None:
 @pytest.mark.parametrize("n_negative", [0, 3])
 def test_peaks(n_negative: int) -> None:
     bags = planted(0, n_negative)
-    search = DiverseDensity(steps=100, merge_radius=0.7)
+    search = DiverseDensity(merge_radius=0.7)
     peaks = search.search(bags)
     values = [peak.log_density for peak in peaks]
     assert values == sorted(values, reverse=True)
@@ -56,8 +57,7 @@ def test_no_peak_is_worse_than_the_best_start() -> None:
     for seed in range(5):
         bags = planted(seed, 2)
         best = DiverseDensity().log_density(bags.smallest_positive(3), bags).max()
-        for steps in (1, 12):
-            assert DiverseDensity(steps=steps).search(bags)[0].log_density >= best
+        assert DiverseDensity().search(bags)[0].log_density >= best
 
 
 @pytest.mark.parametrize("method", ["gradient", "exhaustive"])
@@ -79,11 +79,12 @@ def test_search_is_deterministic() -> None:
         assert a.log_density == b.log_density
 
 
-def test_warm_start_reaches_what_the_smallest_bag_misses() -> None:
+def test_warm_start_reaches_what_the_smallest_bag_misses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sb3_options.density.diverse_density.SMALLEST_BAGS", 1)
     rng = np.random.default_rng(13)
     positive = [np.vstack([rng.uniform(-10, 10, size=(20, 2)), rng.normal([3, -2], 0.3)]) for _ in range(15)]
     bags = Bags.pack([np.array([[3.0, 3.0]]), *positive])
-    search = DiverseDensity(n_smallest=1)
+    search = DiverseDensity()
     cold, warm = search.search(bags), search.search(bags, starts=[[2.5, -1.5]])
     assert warm[0].log_density > cold[0].log_density + 1
     assert np.linalg.norm(warm[0].point - [3, -2]) < 1

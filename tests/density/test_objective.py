@@ -13,9 +13,9 @@ from torch import Tensor
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
 from sb3_options.density.concepts import Concept, Frame, Plane, Point
-from sb3_options.density.diverse_density import log_diverse_density
 from sb3_options.density.energies import Likelihood
 from sb3_options.density.evidence import Evidence
+from sb3_options.density.log_density import log_diverse_density
 from sb3_options.density.objective import MAX_PAIRS
 from tests.density.definition import oracle, random_bags
 
@@ -270,15 +270,3 @@ def test_chunks_change_nothing(max_pairs: int) -> None:
     whole, parts = evidence_of(bags).loss(theta), evidence_of(bags, max_pairs=max_pairs).loss(theta)
     for one, other in zip(whole, parts, strict=True):
         torch.testing.assert_close(one, other, rtol=1e-12, atol=1e-12)
-
-
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
-def test_cuda_agrees(dtype: torch.dtype) -> None:
-    rng = np.random.default_rng(11)
-    positive, negative = random_bags(rng, 6, 4, 1.0), random_bags(rng, 3, 4, 1.0)
-    theta = theta_of(rng.normal(size=(30, 4)), np.ones(4)).to(dtype)
-    here = evidence_of(Bags.pack(positive, negative)).loss(theta)
-    there = evidence_of(Bags.pack(positive, negative, device="cuda")).loss(theta.cuda())
-    for one, other in zip(here, there, strict=True):
-        torch.testing.assert_close(one, other.cpu(), rtol=1e-3 if dtype == torch.float32 else 1e-9, atol=1e-4)

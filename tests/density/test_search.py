@@ -10,10 +10,10 @@ import torch
 
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Concept, Plane, Point
+from sb3_options.density.concepts import Plane, Point
+from sb3_options.density.diverse_density import DiverseDensity
 from sb3_options.density.lbfgs import BatchedLBFGS
 from sb3_options.density.regions import HalfSpace, Region
-from sb3_options.density.search import ConceptSearch
 from sb3_options.experience.observations import flatten
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import SubgoalOption
@@ -83,18 +83,18 @@ def slab(seed: int, n_negative: int = 0) -> Bags:
 
 def test_a_planted_point_with_its_scale() -> None:
     for concept in (Point("fixed"), Point("one"), Point("each")):
-        peaks = ConceptSearch(concept=concept).search(planted(0, 5))
-        values = [
-            peak.log_density + concept.log_prior(torch.from_numpy(peak.theta[:, None]))[0].item() for peak in peaks
-        ]
+        peaks = DiverseDensity(concept=concept, method="thorough").search(planted(0, 5))
+        thetas = [peak.theta for peak in peaks if peak.theta is not None]
+        priors = [concept.log_prior(torch.from_numpy(theta[:, None]))[0].item() for theta in thetas]
+        values = [peak.log_density + prior for peak, prior in zip(peaks, priors, strict=True)]
         assert values == sorted(values, reverse=True)
         assert all(peak.converged for peak in peaks)
         region = peaks[0].region()
         assert np.linalg.norm(region.points[0] - [3, -2]) < 0.5
         assert region.contains(np.array([[3.0, -2.0], [9.0, 9.0]])).tolist() == [True, False]
         np.testing.assert_allclose(peaks[0].probability([[3.0, -2.0]]), 1, atol=0.3)
-        for i, peak in enumerate(peaks):
-            assert all(np.linalg.norm(peak.theta - other.theta) > 0.5 for other in peaks[:i])
+        for i, theta in enumerate(thetas):
+            assert all(np.linalg.norm(theta - other) > 0.5 for other in thetas[:i])
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -107,7 +107,7 @@ def test_the_first_example_of_the_documents_finds_the_place(seed: int) -> None:
 
 
 def test_a_learned_scale_finds_the_feature_that_matters() -> None:
-    best = ConceptSearch(concept=Point(prior=None), start_scales=(0.3, 1.0)).search(slab(0, 4))[0]
+    best = DiverseDensity(concept=Point(prior=None), start_scales=(0.3, 1.0)).search(slab(0, 4))[0]
     region = best.region()
     assert region.scale[0] > 5 * region.scale[1]
     inside = region.contains(np.array([[0.0, -4.0], [0.0, 4.0], [4.0, 0.0]]))
@@ -117,7 +117,7 @@ def test_a_learned_scale_finds_the_feature_that_matters() -> None:
 @pytest.mark.parametrize("scales", ["one", "each"])
 def test_without_negative_bags_the_widest_concept_explains_everything(scales: Literal["one", "each"]) -> None:
     free, bounded, default = (
-        ConceptSearch(concept=concept).search(slab(1))[0]
+        DiverseDensity(concept=concept, method="thorough").search(slab(1))[0]
         for concept in (
             Point(scales, scale_bounds=(0, np.inf), prior=None),
             Point(scales, scale_bounds=(0.5, 2.0), prior=None),
@@ -132,11 +132,11 @@ def test_without_negative_bags_the_widest_concept_explains_everything(scales: Li
 
 def test_two_rooms_do_not_become_a_slab() -> None:
     # Every crossing passes every column, so that a slab, narrow along x and endless along y, explains all bags.
-    unbounded = ConceptSearch(concept=Point(scale_bounds=(0, np.inf), prior=None)).search(two_rooms(0))
+    unbounded = DiverseDensity(concept=Point(scale_bounds=(0, np.inf), prior=None)).search(two_rooms(0))
     assert unbounded[0].log_density == pytest.approx(0, abs=1e-6)
     assert unbounded[0].region().scale.min() < 0.3
     for seed in range(5):
-        best = ConceptSearch().search(two_rooms(seed))[0].region()
+        best = DiverseDensity(concept=Point()).search(two_rooms(seed))[0].region()
         assert np.abs(best.points[0] - [10, 5]).max() <= 1.5
         assert np.all(best.scale > 0.3)
         assert np.all(best.scale < 3)
@@ -144,14 +144,14 @@ def test_two_rooms_do_not_become_a_slab() -> None:
 
 def test_two_rooms_with_a_fixed_scale_is_the_doorway() -> None:
     for seed in range(5):
-        best = ConceptSearch(concept=Point("fixed")).search(two_rooms(seed))[0]
+        best = DiverseDensity(method="thorough").search(two_rooms(seed))[0]
         assert np.abs(best.region().points[0] - [10, 5]).max() <= 1.5
 
 
 def test_given_features() -> None:
     rng = np.random.default_rng(1)
     positive = [np.column_stack([rng.uniform(-9, 9, (6, 2)), np.append(rng.uniform(-9, 9, 5), 4.0)]) for _ in range(12)]
-    best = ConceptSearch(concept=Point("fixed"), features=[2]).search(Bags.pack(positive))[0]
+    best = DiverseDensity(method="thorough", features=[2]).search(Bags.pack(positive))[0]
     region = best.region()
     assert region.scale.tolist() == [0, 0, 1]
     assert region.points[0, 2] == pytest.approx(4, abs=0.3)
@@ -169,7 +169,7 @@ def test_a_half_space() -> None:
 
     positive = [np.vstack([side(4, -4, 1), side(1, 2.5, 5)]) for _ in range(20)]
     negative = [side(5, -4, 1) for _ in range(20)]
-    best = ConceptSearch(concept=Plane(), scale=scale).search(Bags.pack(positive, negative))[0]
+    best = DiverseDensity(concept=Plane(), scale=scale).search(Bags.pack(positive, negative))[0]
     region = best.region()
     assert isinstance(region, HalfSpace)
     assert best.converged
@@ -183,7 +183,7 @@ def test_a_half_space() -> None:
 
 
 def test_regions_are_level_sets() -> None:
-    best = ConceptSearch().search(planted(1, 5))[0]
+    best = DiverseDensity(concept=Point()).search(planted(1, 5))[0]
     points = np.random.default_rng(0).uniform(-10, 10, size=(2000, 2))
     for level in (0.2, 0.8):
         np.testing.assert_array_equal(best.region(level).contains(points), best.probability(points) >= level)
@@ -194,13 +194,13 @@ def test_regions_are_level_sets() -> None:
 @pytest.mark.parametrize(
     "search",
     [
-        ConceptSearch(concept=Point("one")),
-        ConceptSearch(concept=Point("each")),
-        ConceptSearch(concept=Point("fixed"), features=[1]),
-        ConceptSearch(concept=Plane()),
+        DiverseDensity(concept=Point("one")),
+        DiverseDensity(concept=Point("each")),
+        DiverseDensity(method="thorough", features=[1]),
+        DiverseDensity(concept=Plane()),
     ],
 )
-def test_beta_tests_every_concept_before_and_after_a_file(search: ConceptSearch, tmp_path: Path) -> None:
+def test_beta_tests_every_concept_before_and_after_a_file(search: DiverseDensity, tmp_path: Path) -> None:
     best = search.search(planted(2, 5))[0]
     nothing = TabularPolicy(np.zeros((1, 2)), np.zeros((1, 4)))
     everywhere = Region(np.zeros((1, 2)), np.zeros(2), 1.0)
@@ -221,7 +221,7 @@ def test_weak_and_narrow_negatives_tolerate_a_visit() -> None:
     positive = [np.vstack([rng.uniform(-10, 10, (10, 2)), [[3.0, -2.0]]]) for _ in range(15)]
     bags = Bags.pack(positive, [np.vstack([rng.uniform(-10, 10, (10, 2)), [[3.05, -2.0]]])])
     strict, weak, narrow = (
-        ConceptSearch(concept=Point("fixed"), **how).search(bags)[0]  # type: ignore[arg-type]
+        DiverseDensity(method="thorough", **how).search(bags)[0]  # type: ignore[arg-type]
         for how in ({}, {"negative_strength": 0.1}, {"negative_width": 0.1})
     )
     assert np.linalg.norm(weak.region().points[0] - [3, -2]) < 0.05
@@ -233,7 +233,7 @@ def test_with_a_leak_a_bag_without_the_concept_hardly_counts() -> None:
     rng = np.random.default_rng(9)
     most = [np.vstack([rng.uniform(-10, 10, (5, 2)), rng.normal([3, -2], 0.1)]) for _ in range(9)]
     few = [rng.normal([-7, 7], 0.1, size=(5, 2)) for _ in range(4)]
-    best = ConceptSearch(concept=Point("fixed"), leak=0.2).search(Bags.pack([*most, *few]))[0]
+    best = DiverseDensity(method="thorough", leak=0.2).search(Bags.pack([*most, *few]))[0]
     assert np.linalg.norm(best.region().points[0] - [3, -2]) < 0.3
     assert best.log_density > 4 * np.log(0.2) - 1
 
@@ -249,7 +249,7 @@ def test_no_rounding_decides_between_peaks_that_tie(scales: Literal["fixed", "on
         found = []
         for one, other in ((first, second), (second, first)):
             bags = Bags.pack([np.stack(pair) for pair in zip(one, other, strict=True)])
-            best, next_best = ConceptSearch(concept=Point(scales)).search(bags)[:2]
+            best, next_best = DiverseDensity(concept=Point(scales), method="thorough").search(bags)[:2]
             assert best.log_density == pytest.approx(next_best.log_density, abs=0.01)
             found.append(best.region().points[0])
         np.testing.assert_allclose(found[0], found[1], atol=0.01)
@@ -257,30 +257,13 @@ def test_no_rounding_decides_between_peaks_that_tie(scales: Literal["fixed", "on
 
 def test_several_start_scales_are_no_worse() -> None:
     bags = planted(5, 5)
-    one = ConceptSearch(start_scales=(1.0,)).search(bags)[0].log_density
-    assert ConceptSearch(start_scales=(1.0, 0.3, 3.0)).search(bags)[0].log_density >= one - 1e-3
-
-
-def test_too_few_steps_are_reported() -> None:
-    search = ConceptSearch(first_steps=1, final_steps=1)
-    assert not search.search(planted(0, 5))[0].converged
+    one = DiverseDensity(concept=Point(), start_scales=(1.0,)).search(bags)[0].log_density
+    assert DiverseDensity(concept=Point(), start_scales=(1.0, 0.3, 3.0)).search(bags)[0].log_density >= one - 1e-3
 
 
 def test_search_is_deterministic() -> None:
-    first, second = (ConceptSearch().search(planted(1, 2)) for _ in range(2))
-    assert [p.theta.tobytes() for p in first] == [p.theta.tobytes() for p in second]
-
-
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
-@pytest.mark.parametrize("concept", [Point(), Plane()])
-def test_cuda_finds_the_same(concept: Concept) -> None:
-    bags = planted(0, 5)
-    n = bags.n_positive
-    parts = [part.numpy() for part in torch.split(bags.instances, list(bags.lengths))]
-    there = Bags.pack(parts[:n], parts[n:], device="cuda")
-    search = ConceptSearch(concept=concept)
-    best, other = search.search(bags)[0], search.search(there)[0]
-    assert other.log_density == pytest.approx(best.log_density, abs=1e-4)
+    first, second = (DiverseDensity(concept=Point()).search(planted(1, 2)) for _ in range(2))
+    assert [p.point.tobytes() for p in first] == [p.point.tobytes() for p in second]
 
 
 @pytest.mark.parametrize(
@@ -293,7 +276,12 @@ def test_cuda_finds_the_same(concept: Concept) -> None:
         ({"finalists": 0}, "finalists must be a whole number of at least 1, got 0"),
         ({"finalists": 2.5}, "finalists must be a whole number of at least 1, got 2.5"),
         ({"max_starts": 0.5}, "max_starts must be a whole number of at least 1, or None, got 0.5"),
-        ({"final_steps": -1}, "final_steps must be a whole number of at least 1, got -1"),
+        ({"method": "newton"}, 'method must be "gradient", "thorough" or "exhaustive"'),
+        ({"merge_radius": -1.0}, "merge_radius must be at least 0, got -1.0"),
+        ({"negative_strength": 2.0}, "negative_strength must be in (0, 1], got 2.0"),
+        ({"scale": [[1.0]]}, "scale must be positive, finite, a number or (d,)"),
+        ({"features": [0]}, "features and negative_width need method=\"thorough\", got 'gradient'"),
+        ({"concept": Plane(), "method": "exhaustive"}, "need method=\"thorough\", got 'exhaustive'"),
         ({"negative_width": 0.0}, "negative_width must be positive and finite, got 0.0"),
         ({"tolerance": 0.0}, "tolerance must be above 0, got 0.0"),
         ({"leak": 1.0}, "leak must be in [0, 1), got 1.0"),
@@ -301,29 +289,22 @@ def test_cuda_finds_the_same(concept: Concept) -> None:
 )
 def test_bad_settings(arguments: dict[str, object], text: str) -> None:
     with pytest.raises(ValueError, match=re.escape(text)):
-        ConceptSearch(**arguments)  # type: ignore[arg-type]  # wrong on purpose
+        DiverseDensity(**arguments)  # type: ignore[arg-type]  # wrong on purpose
 
 
 def test_bad_searches() -> None:
     bags = planted(0)
-    search = ConceptSearch()
-    with pytest.raises(ValueError, match="nothing to search from: without positive bags pass starts or warm"):
+    search = DiverseDensity(concept=Point())
+    with pytest.raises(ValueError, match="nothing to search from: without positive bags pass starts"):
         search.search(Bags.pack([], [np.zeros((1, 2))]))
     with pytest.raises(ValueError, match=re.escape("starts must be finite, of shape (m, 2), got (1, 3)")):
         search.search(bags, starts=np.zeros((1, 3)))
     with pytest.raises(ValueError, match="features names feature 2, the bags have 2 features"):
-        ConceptSearch(features=[2]).search(bags)
+        DiverseDensity(method="thorough", features=[2]).search(bags)
     with pytest.raises(ValueError, match=re.escape("scale has shape (3,), the bags have 2 features")):
-        ConceptSearch(scale=[1.0, 1.0, 1.0]).search(bags)
-    with pytest.raises(ValueError, match=r"steps must be a whole number of at least 0, got 2\.5"):
-        search.climb(search.evidence(bags), 2.5)  # type: ignore[arg-type]  # wrong on purpose
-    warm = search.search(bags)
+        DiverseDensity(scale=[1.0, 1.0, 1.0]).search(bags)
     with pytest.raises(ValueError, match=re.escape("instances must have shape (n, 2), got (1, 3)")):
-        warm[0].probability(np.zeros((1, 3)))
-    with pytest.raises(ValueError, match="keep the evidence of the first search"):
-        search.search(planted(1), warm=warm)
-    with pytest.raises(ValueError, match="this search is for a Point"):
-        ConceptSearch(concept=Point("one")).search(bags, warm=warm)
+        search.search(bags)[0].probability(np.zeros((1, 3)))
 
 
 @pytest.mark.parametrize(

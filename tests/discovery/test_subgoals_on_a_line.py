@@ -204,7 +204,7 @@ class TestWithoutDistances:
 
     def left(self, discovery: SubgoalDiscovery) -> list[int]:
         bags = discovery.bags()
-        return [] if bags is None else np.unique(bags.positive().instances.numpy().argmax(axis=1)).tolist()
+        return [] if bags is None else np.unique(bags.smallest_positive(bags.n_positive).argmax(axis=1)).tolist()
 
     @pytest.mark.parametrize("kind", ["categorical", "identity"])
     def test_start_and_goal(self, kind: str) -> None:

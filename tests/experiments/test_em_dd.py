@@ -6,11 +6,10 @@ import torch
 
 from experiments.common.em_dd import ExpectationMaximisation, MostLikely
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Point
-from sb3_options.density.search import ConceptSearch
+from sb3_options.density.diverse_density import DiverseDensity
 from tests.density.planted import planted
 
-FIXED = ConceptSearch(concept=Point("fixed"), max_starts=64)
+FIXED = DiverseDensity(method="thorough", max_starts=64)
 
 
 def test_the_objective_by_hand() -> None:
