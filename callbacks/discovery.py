@@ -34,7 +34,7 @@ from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.success import SuccessRule, judged, reported_success, success_rule, tell_success
 from sb3_options.experience.trajectories import EpisodeRecord, LabelledTrajectory, Trajectory
 from sb3_options.options.bank import OptionBank, PresentOptions
-from sb3_options.options.creation import OptionGrowth, joined, learn_further, learn_option
+from sb3_options.options.creation import OptionGrowth, joined, learn_option
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import PolicyInput
 from sb3_options.options.proposals import Proposal
@@ -240,13 +240,13 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         discovers = self._may_discover()
         if success and self._wants_slot() and self._useful.counts_needs(self._options):
             self._useful.succeeded(self._options, self._options.features_of(trajectory.states))
-        if not (discovers or (self.option_settings.goes_on and len(self._options.bank))):
+        if not (discovers or (self.option_settings.grow and len(self._options.bank))):
             return
         labelled = self._search.add(trajectory, self._options.features_of(trajectory.states), success=success)
         if self._features.learn_if_due(self._search, self._options):
             self._useful.forget_places()
             *_, labelled = self._search.database
-        if self.option_settings.goes_on:
+        if self.option_settings.grow:
             self._learn_further(labelled)
         may_tell = labelled.success or self._search.learns_from_failures
         if discovers and self._features.ready and may_tell and (subgoal := self._search.search()) is not None:
@@ -257,14 +257,12 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             option = self._options.bank[slot]
             if not isinstance(option, SubgoalOption) or option.fixed:
                 continue
-            later: SubgoalOption | None = option
-            if self.option_settings.grow and self._growth.is_due(slot, option.subgoal, labelled):
-                later = self._learn(option.subgoal, option.name, option.policy_input)
-                if later is not None and slot not in self._made_here:
-                    later = joined(option, later)
-                later = later and self._useful.learned_anew(slot, later)
-            elif self.option_settings.keep_learning:
-                later = learn_further(option, labelled, self.option_settings)
+            if not self._growth.is_due(slot, option.subgoal, labelled):
+                continue
+            later = self._learn(option.subgoal, option.name, option.policy_input)
+            if later is not None and slot not in self._made_here:
+                later = joined(option, later)
+            later = later and self._useful.learned_anew(slot, later)
             if later is not None and later is not option:
                 self._replace(slot, later)
 

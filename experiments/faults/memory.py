@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, SupportsFloat
 
 import gymnasium as gym
-import numpy as np
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
@@ -30,32 +29,8 @@ MAX_STEPS = 200
 LONG = 500
 """Steps of an episode where a success comes by chance often enough for an option."""
 
-CELLS = 10
-"""Cells for which an observation of `NeverAgain` counts 1."""
-
 N_KEPT = 20
 """Trajectories that discovery keeps, so that it keeps as many as it may when the warm-up is over."""
-
-
-class NeverAgain(gym.ObservationWrapper[Any, Any, Any]):
-    """A random number beside x and y, so that no observation comes twice.
-
-    Both lie near 1, which networks need: with cells PPO soon takes one action only, and nothing succeeds.
-    """
-
-    def __init__(self, env: gym.Env[Any, Any]) -> None:
-        super().__init__(env)
-        low, high = np.zeros(3, np.float32), np.full(3, 10, np.float32)
-        self.observation_space = gym.spaces.Box(low, high)
-
-    def observation(self, observation: Any) -> Any:
-        """X / `CELLS`, y / `CELLS` and a number in [0, 1)."""
-        x_y = self.env.get_wrapper_attr("concept_features")(np.asarray(observation)[None])[0]
-        return np.append(x_y / CELLS, self.np_random.random()).astype(np.float32)
-
-    def concept_features(self, observations: Any) -> Any:
-        """X and y, cells."""
-        return np.asarray(observations)[:, :2] * CELLS
 
 
 class Endless(gym.Wrapper[Any, Any, Any, Any]):
@@ -75,11 +50,6 @@ def _endless() -> gym.Env[Any, Any]:
 
 def _room() -> gym.Env[Any, Any]:
     return OptionsWrapper(Monitor(gym.make("sb3_options/TwoRooms-v0", max_steps=MAX_STEPS)), 4, gamma=GAMMA)
-
-
-def _never_again() -> gym.Env[Any, Any]:
-    inner = NeverAgain(gym.make("sb3_options/TwoRooms-v0", max_steps=LONG))
-    return OptionsWrapper(Monitor(inner), 4, gamma=GAMMA, feature_map=inner.concept_features)
 
 
 def _callback(**more: Any) -> SubgoalDiscoveryCallback:
@@ -118,11 +88,6 @@ CASES: dict[str, tuple[Make, Callable[[], gym.Env[Any, Any]], Callable[[], Subgo
     "DQN, discovering": (_dqn, _room, _callback),
     "endless failures": (_ppo, _room, partial(_callback, success=_fail)),
     "one endless episode": (_one_epoch, _endless, partial(_callback, success=_fail)),
-    "options that go on learning, observations that never repeat": (
-        _one_epoch,
-        _never_again,
-        partial(_callback, option_settings={"keep_learning": True, "value_function": "table"}),
-    ),
 }
 
 

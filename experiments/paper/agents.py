@@ -12,6 +12,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from experiments.common.agents import wrapper_of
+from experiments.paper.learning_on import LearningOn
 from experiments.paper.settings import PaperSettings
 from sb3_options import MacroQ, OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
@@ -93,7 +94,9 @@ def fork(agent: MacroQ) -> MacroQ:
 
 def discoverer(settings: PaperSettings, seed: int, *, max_new_options: int = 1) -> SubgoalDiscoveryCallback:
     """The library's callback with the paper's settings; with no new options it lets those there are go on learning."""
-    return SubgoalDiscoveryCallback(settings.discovery(), settings.option(), max_new_options=max_new_options, seed=seed)
+    callback = LearningOn(settings.discovery(), settings.option(), max_new_options=max_new_options, seed=seed)
+    callback.step_size = settings.option_step_size if settings.keep_learning else 0.0
+    return callback
 
 
 class Replay(BaseCallback):

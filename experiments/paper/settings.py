@@ -91,7 +91,7 @@ class PaperSettings:
         )
 
     def option(self) -> OptionLearningSettings:
-        """How options are made and go on learning."""
+        """How options are made."""
         return OptionLearningSettings(
             initiation_steps=self.initiation_steps,
             initiation_visits=self.initiation_visits,
@@ -100,8 +100,6 @@ class PaperSettings:
             gamma=self.option_gamma,
             value_function="table",
             sweeps=self.replay_sweeps,
-            keep_learning=self.keep_learning,
-            step_size=self.option_step_size,
         )
 
     def described(self) -> dict[str, dict[str, Any]]:

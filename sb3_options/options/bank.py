@@ -13,12 +13,8 @@ from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.experience.observations import BoolArray, FeatureMap, Observations, batch_size
 from sb3_options.options import file as option_file
 from sb3_options.options.archive import Source, name_of
-from sb3_options.options.file import SpaceSignature
+from sb3_options.options.file import MAX_SLOTS, SpaceSignature
 from sb3_options.options.option import LastFeatures, Option, SingleCache, SubgoalOption
-
-MAX_SLOTS = 1_000_000
-"""Each slot is an action, for which a network has an output."""
-
 
 THOSE_OF_A_TRAINING = (
     "callback.bank tells which options a training has, and changes none of them. Between two trainings change those of "

@@ -1,4 +1,4 @@
-"""From a proposal to an option, learned from saved trajectories, and learned further or anew from later ones."""
+"""From a proposal to an option, learned from saved trajectories, and learned anew from later ones."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from sb3_options.density.regions import Region
-from sb3_options.experience.observations import BoolArray, FloatArray
+from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.options.imagined import imagined_farther
 from sb3_options.options.initiation import initiation_set, leading
@@ -20,12 +20,6 @@ from sb3_options.options.reach import reliable_part
 from sb3_options.options.replay import replay_into_network, replay_into_table
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.options.tasks import Climbing, OwnTask, Reaching, Transitions, transitions_of
-
-LARGEST_TABLE = 4 << 20
-"""Bytes up to which a table grows by learning further: some 14,000 rows of four features and four actions."""
-
-ROW_BYTES = 200
-"""Memory of a row of a table besides its numbers, approximately."""
 
 NO_GAIN = 1e-9
 """Values below this share of the range of f are rounding."""
@@ -84,9 +78,8 @@ def learn_option(
             policy,
             least=settings.min_reach,
             steps=settings.max_duration,
-            subgoal_reward=settings.subgoal_reward,
         )
-    if settings.imagine and isinstance(policy, TabularPolicy):
+    if isinstance(policy, TabularPolicy):
         initiation, policy = imagined_farther(initiation, transitions, policy, settings)
     if not len(initiation.points):
         return None
@@ -177,53 +170,6 @@ def _learn_policy(
     return replay_into_network(
         transitions, n_primitive, gamma=settings.gamma, updates=settings.network_updates, generator=generator
     )
-
-
-def learn_further(
-    option: SubgoalOption, trajectory: LabelledTrajectory, settings: OptionLearningSettings
-) -> SubgoalOption:
-    """The option after Q-learning, with step size α, on the steps of one more trajectory that began in I.
-
-    The steps are replayed backwards, so that the value of a successor is updated before it is used (Lin 1992). A step
-    into a state in which no trajectory acted is left out, because the value of that state is unknown. So is a step that
-    begins in a new state once the table takes `LARGEST_TABLE` bytes: where observations never repeat, it would grow for
-    ever.
-
-    Args:
-        option: Stays unchanged.
-        trajectory: The new one.
-        settings: ``step_size``, ``gamma`` and the rewards are used.
-
-    Returns:
-        A new option; ``option`` itself if no step began in I, if its policy is not a table, or if it is fixed.
-    """
-    policy = option.option_policy
-    if option.fixed or not isinstance(policy, TabularPolicy):
-        return option
-    settings = replace(settings, policy_input=option.policy_input)
-    task = Reaching(option.subgoal, option.initiation_set, settings)
-    transitions = transitions_of(task, [trajectory], settings)
-    if transitions is None:
-        return option
-    rows, states, values = policy.rows_for(transitions.states)
-    known: BoolArray = np.any(np.isfinite(values), axis=1)
-    row_bytes = 2 * states[:1].nbytes + values[:1].nbytes + ROW_BYTES  # an observation is its own key
-    limit = max(len(policy.states), LARGEST_TABLE // row_bytes)
-    for began, action, reward, led, ends in zip(
-        rows[transitions.began][::-1],
-        transitions.actions[::-1],
-        transitions.rewards[::-1],
-        rows[transitions.led][::-1],
-        transitions.ends[::-1],
-        strict=True,
-    ):
-        if began >= limit or not (ends or known[led]):
-            continue
-        target = reward if ends else reward + settings.gamma * values[led].max()
-        old = values[began, action]
-        values[began, action] = old + settings.step_size * (target - old) if np.isfinite(old) else target
-        known[began] = True
-    return option.with_policy(TabularPolicy(states[known], values[known]))
 
 
 def joined(option: SubgoalOption, later: SubgoalOption) -> SubgoalOption:

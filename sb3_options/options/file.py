@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
@@ -13,6 +14,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as from_safetensors
 from safetensors.numpy import save as to_safetensors
 
+from sb3_options.checked import whole
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import HalfSpace, Region
 from sb3_options.embedding.settings import SIZES
@@ -20,6 +22,9 @@ from sb3_options.options import policies
 from sb3_options.options.archive import Source, content_in, name_of
 from sb3_options.options.option import Option, SubgoalOption
 from sb3_options.options.policies import PolicyInput
+
+MAX_SLOTS = 1_000_000
+"""Each slot is an action, for which a network has an output."""
 
 FILE_FORMAT = "sb3-options 1"
 """Format of a file whose subgoals are all balls. An optional entry such as ``made_for`` needs no new number."""
@@ -129,6 +134,93 @@ def content_of(
     return packed(about, tensors)
 
 
+class OptionsFile(NamedTuple):
+    """What an options file says, checked but for the arrays of its options.
+
+    Attributes:
+        name: What to call it in errors.
+        n_primitive: Actions of the environment.
+        max_options: Slots of the bank.
+        entries: Of discovered options, by slot.
+        hand_made: Names of the others, by slot.
+        made_for: What observations they act on; None for any.
+        tensors: All arrays.
+        digest: SHA-256 of the content.
+    """
+
+    name: str
+    n_primitive: int
+    max_options: int
+    entries: dict[int, dict[str, Any]]
+    hand_made: dict[int, str]
+    made_for: SpaceSignature | None
+    tensors: Arrays
+    digest: str
+
+    def feature_map(self) -> Arrays:
+        """What its learned feature map consists of; nothing if it has none."""
+        return _named(f"{MAP}.", self.tensors)
+
+    def options(
+        self, *, observation_size: int | None = None, feature_size: int | None = None
+    ) -> dict[int, SubgoalOption]:
+        """The discovered options by slot, not bound to a feature map.
+
+        Args:
+            observation_size: Numbers in one flat observation; None for any.
+            feature_size: Dimensions of concept space; None for any.
+
+        Raises:
+            ValueError: They make no sense, or are for others.
+        """
+        options = {}
+        with _errors_of(self.name):
+            for slot, entry in self.entries.items():
+                arrays = {name: np.asarray(a, dtype=np.float64) for name, a in _named(f"{slot}.", self.tensors).items()}
+                try:
+                    options[slot] = _decode(entry, arrays, self.n_primitive, observation_size, feature_size)
+                except ValueError as error:
+                    raise ValueError(f"the option in slot {slot}, {entry['name']!r}: {error}") from error
+        return options
+
+
+def opened(source: Source) -> OptionsFile:
+    """What an options file says.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is damaged, or something else.
+    """
+    content, name = content_in(source), name_of(source)
+    about, tensors = _parts_of(content, name)
+    with _errors_of(name):
+        n_primitive, max_options = about["n_primitive"], about["max_options"]
+        for what, number, least in (("n_primitive", n_primitive, 1), ("max_options", max_options, 0)):
+            if not (whole(number, least) and number <= MAX_SLOTS):  # before anything is made of so many
+                raise TypeError(f"{what} must be a whole number from {least} to {MAX_SLOTS:,}, got {number!r:.50}")
+        slots = {int(slot): entry for slot, entry in about["slots"].items()}
+        if not all(0 <= slot < max_options for slot in slots):
+            raise IndexError(f"an option in slot {max(slots, key=abs)} of {max_options}")
+        hand_made = {slot: str(entry["name"]) for slot, entry in slots.items() if entry.get("hand_made")}
+        entries = {slot: entry for slot, entry in slots.items() if slot not in hand_made}
+        made_for = SpaceSignature(**about["made_for"]) if "made_for" in about else None
+        if made_for is not None and made_for.features not in _OF_KIND:
+            raise KeyError(made_for.features)
+    sha256 = hashlib.sha256(content).hexdigest()
+    return OptionsFile(name, n_primitive, max_options, entries, hand_made, made_for, tensors, sha256)
+
+
+@contextmanager
+def _errors_of(name: str) -> Iterator[None]:
+    """What does not fit, and what makes no sense, as a `ValueError` that says in which file."""
+    try:
+        yield
+    except (KeyError, IndexError, TypeError, AttributeError, OverflowError) as error:
+        raise ValueError(f"{name} is damaged: {error!r}") from error
+    except ValueError as error:
+        raise ValueError(f"{name} does not fit: {error}.") from error
+
+
 def load(
     source: Source,
     slots: Sequence[Option | None],
@@ -152,76 +244,44 @@ def load(
         FileNotFoundError: There is no such file.
         ValueError: The file is damaged, is something else, or does not fit the bank.
     """
-    about, tensors = read(source)
-    try:
-        if about["n_primitive"] != n_primitive:
+    file = opened(source)
+    with _errors_of(file.name):
+        if file.n_primitive != n_primitive:
             raise ValueError(
-                f"its options choose among {about['n_primitive']} primitive actions, this task has {n_primitive}"
+                f"its options choose among {file.n_primitive} primitive actions, this task has {n_primitive}"
             )
-        entries = _discovered(about, slots)
-        if signature is not None and "made_for" in about:
-            inputs = {_policy_input(entry) for entry in entries.values()}
-            check_signature(SpaceSignature(**about["made_for"]), signature, inputs)
-        sizes = n_primitive, observation_size, feature_size
-        return {slot: _decoded(slot, entry, _arrays_of(slot, tensors), *sizes) for slot, entry in entries.items()}
-    except (KeyError, TypeError, AttributeError, OverflowError) as error:
-        raise ValueError(f"{name_of(source)} is damaged: {error!r}") from error
-    except ValueError as error:
-        raise ValueError(f"{name_of(source)} does not fit: {error}.") from error
-
-
-def _discovered(about: dict[str, Any], slots: Sequence[Option | None]) -> dict[int, dict[str, Any]]:
-    """The entries of discovered options by slot, those of hand-made options checked and left out."""
-    entries: dict[int, dict[str, Any]] = {}
-    for key, entry in about["slots"].items():
-        slot = int(key)
-        if not 0 <= slot < len(slots):
-            raise ValueError(
-                f"it has an option in slot {slot}, this bank only has {len(slots)} slots; make the wrapper "
-                f"with max_options={about['max_options']}"
-            )
-        if not entry.get("hand_made"):
-            entries[slot] = entry
-            continue
-        present = slots[slot]
-        if present is None or present.name != entry["name"]:
-            raise ValueError(
-                f"slot {slot} held the hand-made option {entry['name']!r}, which is code and not in the "
-                "file; add it to the bank first"
-            )
-    return entries
-
-
-def _arrays_of(slot: int, tensors: Arrays) -> Arrays:
-    """The arrays of one slot by their names without the slot's number."""
-    first = f"{slot}."
-    return {n.removeprefix(first): np.asarray(t, dtype=np.float64) for n, t in tensors.items() if n.startswith(first)}
+        for slot in (*file.entries, *file.hand_made):
+            if slot >= len(slots):
+                raise ValueError(
+                    f"it has an option in slot {slot}, this bank only has {len(slots)} slots; make the wrapper "
+                    f"with max_options={file.max_options}"
+                )
+        for slot, name in file.hand_made.items():
+            present = slots[slot]
+            if present is None or present.name != name:
+                raise ValueError(
+                    f"slot {slot} held the hand-made option {name!r}, which is code and not in the file; add it to "
+                    "the bank first"
+                )
+        if signature is not None and file.made_for is not None:
+            check_signature(file.made_for, signature, {_policy_input(entry) for entry in file.entries.values()})
+    return file.options(observation_size=observation_size, feature_size=feature_size)
 
 
 def feature_map_of(source: Source) -> Arrays:
-    """What the learned feature map of a file consists of; nothing if it has none.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is damaged, or something else.
-    """
-    _, tensors = read(source)
-    first = f"{MAP}."
-    return {name.removeprefix(first): array for name, array in tensors.items() if name.startswith(first)}
+    """What the learned feature map of a file consists of; nothing if it has none."""
+    return opened(source).feature_map()
 
 
 def slots_of(source: Source) -> list[int]:
-    """The slots that a file has options for.
+    """The slots that a file has options for."""
+    file = opened(source)
+    return [*file.entries, *file.hand_made]
 
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is damaged, or something else.
-    """
-    about, _ = read(source)
-    try:
-        return [int(slot) for slot in about["slots"]]
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{name_of(source)} is damaged: {error!r}") from error
+
+def _named(first: str, tensors: Arrays) -> Arrays:
+    """The arrays whose names begin so, by the rest of the name."""
+    return {name.removeprefix(first): array for name, array in tensors.items() if name.startswith(first)}
 
 
 def packed(about: dict[str, Any], tensors: Arrays) -> bytes:
@@ -247,7 +307,10 @@ def _in_order(content: bytes) -> bytes:
 
 def read(source: Source) -> tuple[dict[str, Any], Arrays]:
     """What `packed` was given. Only the digest is checked, and the errors are those of `load`."""
-    content, name = content_in(source), name_of(source)
+    return _parts_of(content_in(source), name_of(source))
+
+
+def _parts_of(content: bytes, name: str) -> tuple[dict[str, Any], Arrays]:
     try:
         tensors = {key: np.array(array) for key, array in from_safetensors(content).items()}
         header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
@@ -296,14 +359,6 @@ def _encode(option: SubgoalOption) -> tuple[dict[str, Any], Arrays]:
     return entry, {name: np.ascontiguousarray(array, dtype=np.float64) for name, array in arrays.items()}
 
 
-def _decoded(slot: int, entry: dict[str, Any], arrays: Arrays, *sizes: Any) -> SubgoalOption:
-    """The option of a slot, which a `ValueError` names."""
-    try:
-        return _decode(entry, arrays, *sizes)
-    except ValueError as error:
-        raise ValueError(f"the option in slot {slot}, {entry['name']!r}: {error}") from error
-
-
 def _decode(
     entry: dict[str, Any], arrays: Arrays, n_primitive: int, observation_size: int | None, feature_size: int | None
 ) -> SubgoalOption:
@@ -328,9 +383,6 @@ def _decode(
         raise ValueError(f"its initiation set has {n_seen} features, its subgoal {n_features}")
     policy_input = _policy_input(entry)
     size = observation_size if policy_input == "observation" else n_seen
-    if size is None:
-        stored = arrays.get("table_states", arrays.get("network_mean"))
-        size = 0 if stored is None else stored.shape[-1]
     return SubgoalOption(
         subgoal,
         initiation,

@@ -12,7 +12,7 @@ from sb3_options.density.regions import Region
 from sb3_options.experience.observations import BoolArray, FloatArray, flatten
 from sb3_options.options.policies import TabularPolicy
 from sb3_options.options.settings import OptionLearningSettings
-from sb3_options.options.tasks import Transitions
+from sb3_options.options.tasks import STEP_REWARD, Transitions
 
 LEAST_STEPS = 20
 """Saved steps of an action in a context; fewer show no rule."""
@@ -56,7 +56,7 @@ def imagined_farther(
         initiation: I, on a group of features with ``coordinates``; with others nothing is imagined.
         transitions: Of the option's own task.
         policy: A table, learned from them.
-        settings: ``max_duration``, ``step_reward`` and ``gamma`` are used.
+        settings: ``max_duration`` and ``gamma`` are used.
 
     Returns:
         I and the policy; the same ones where nothing is to be imagined.
@@ -78,7 +78,7 @@ def imagined_farther(
                     continue
                 before = led.copy()
                 before[moving] = led[moving] - rule.move + 0.0
-                key, value = before.tobytes(), settings.step_reward + settings.gamma * best
+                key, value = before.tobytes(), STEP_REWARD + settings.gamma * best
                 if key in seen or (key not in imagined and len(imagined) == MOST_POINTS):
                     continue
                 _, values = imagined.setdefault(key, (before, np.full(policy.values.shape[1], -np.inf)))

@@ -7,6 +7,7 @@ from typing import Literal, Protocol, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from sb3_options.density.arrays import row_keys
 from sb3_options.experience.observations import FloatArray, IntArray, Observations, flatten
 from sb3_options.state import storable
 
@@ -44,7 +45,7 @@ class TabularPolicy:
         self.states = states + 0.0  # -0.0 and 0.0 are one state, but not one key
         self.values = values
         self._greedy: IntArray = values.argmax(axis=1)
-        self._row_of = {row.tobytes(): i for i, row in enumerate(self.states)}
+        self._row_of = {key: i for i, key in enumerate(row_keys(self.states))}
 
     def actions(self, observations: Observations) -> IntArray:
         """The greedy primitive action in each observation, shape (batch,)."""
@@ -58,7 +59,7 @@ class TabularPolicy:
     def _rows(self, observations: Observations) -> IntArray:
         """The row of each observation, or of the nearest one in the table, shape (batch,)."""
         rows = flatten(observations) + 0.0
-        known = np.array([self._row_of.get(row.tobytes(), -1) for row in rows], dtype=np.int64)
+        known = np.array([self._row_of.get(key, -1) for key in row_keys(rows)], dtype=np.int64)
         new = np.flatnonzero(known < 0)
         if len(new) == 1:
             known[new] = self._nearest(rows[new[0]])
@@ -79,8 +80,8 @@ class TabularPolicy:
             The row of each observation, shape (n,); states and values with rows of −∞ for new ones, as copies.
         """
         flat = flatten(observations) + 0.0
-        new = np.array([i for i, row in enumerate(flat) if row.tobytes() not in self._row_of], dtype=np.int64)
-        rows = np.array([self._row_of.get(row.tobytes(), -1) for row in flat])
+        rows = np.array([self._row_of.get(key, -1) for key in row_keys(flat)], dtype=np.int64)
+        new = np.flatnonzero(rows < 0)
         rows[new] = len(self.states) + np.arange(len(new))
         empty = np.full((len(new), self.values.shape[1]), -np.inf)
         return rows, np.concatenate([self.states, flat[new]]), np.concatenate([self.values, empty])
@@ -136,24 +137,27 @@ class NetworkPolicy:
         return {"network_mean": self.mean, "network_std": self.std, **layers}
 
 
-def from_arrays(arrays: dict[str, npt.NDArray[np.float64]], observation_size: int, n_primitive: int) -> OptionPolicy:
+def from_arrays(
+    arrays: dict[str, npt.NDArray[np.float64]], observation_size: int | None, n_primitive: int
+) -> OptionPolicy:
     """The inverse of `OptionPolicy.arrays`.
 
     Args:
         arrays: By name.
-        observation_size: Numbers in one flat observation, or features of it.
+        observation_size: Numbers in one flat observation, or features of it; None for any.
         n_primitive: Number of primitive actions.
 
     Raises:
         ValueError: Arrays are missing, or do not fit each other, the observations or the actions.
     """
+    numbers = "some" if observation_size is None else observation_size
+    expected = f"expected {numbers} numbers an observation and {n_primitive} primitive actions"
     if "table_states" in arrays and "table_values" in arrays:
         states, values = arrays["table_states"], arrays["table_values"]
-        expected_states, expected_values = (len(states), observation_size), (len(states), n_primitive)
-        if len(states) == 0 or states.shape != expected_states or values.shape != expected_values:
+        fits = states.ndim == 2 and len(states) > 0 and observation_size in (None, states.shape[1])
+        if not fits or values.shape != (len(states), n_primitive):
             raise ValueError(
-                f"its table has observations of shape {states.shape} and values of shape {values.shape}, "
-                f"expected {observation_size} numbers an observation and {n_primitive} primitive actions"
+                f"its table has observations of shape {states.shape} and values of shape {values.shape}, {expected}"
             )
         if not (np.isfinite(states).all() and np.isfinite(values.max(axis=1)).all()):
             raise ValueError(
@@ -167,12 +171,10 @@ def from_arrays(arrays: dict[str, npt.NDArray[np.float64]], observation_size: in
         mean, std = arrays["network_mean"], arrays["network_std"]
     except KeyError as missing:
         raise ValueError(f"its policy lacks the array {missing}") from None
-    sizes = [observation_size, *(b.shape[0] if b.ndim == 1 else -1 for b in biases)]
-    fits = n_layers > 0 and mean.shape == std.shape == (observation_size,) and sizes[-1] == n_primitive
+    n_inputs = mean.size if observation_size is None else observation_size
+    sizes = [n_inputs, *(b.shape[0] if b.ndim == 1 else -1 for b in biases)]
+    fits = n_layers > 0 and mean.shape == std.shape == (n_inputs,) and sizes[-1] == n_primitive
     fits = fits and all(w.shape == (sizes[i], sizes[i + 1]) for i, w in enumerate(weights))
     if not fits:
-        raise ValueError(
-            f"its network maps {mean.size} numbers to {sizes[-1]} actions with layers {sizes}, "
-            f"expected {observation_size} numbers an observation and {n_primitive} primitive actions"
-        )
+        raise ValueError(f"its network maps {mean.size} numbers to {sizes[-1]} actions with layers {sizes}, {expected}")
     return NetworkPolicy(mean, std, weights, biases)

@@ -9,7 +9,7 @@ import numpy as np
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import BoolArray, FloatArray, flatten
 from sb3_options.options.policies import TabularPolicy
-from sb3_options.options.tasks import Transitions
+from sb3_options.options.tasks import SUBGOAL_REWARD, Transitions
 
 IMAGINED_FAILURES = 1.0
 """Steps that fail, imagined for each state and action beside those that were seen: few seen steps promise little."""
@@ -20,7 +20,6 @@ def reach_probabilities(
     policy: TabularPolicy,
     *,
     steps: int,
-    subgoal_reward: float,
     inside: BoolArray | None = None,
 ) -> FloatArray:
     """The probability of reaching the subgoal within some steps of the policy, as far as was seen.
@@ -33,7 +32,6 @@ def reach_probabilities(
         transitions: Of the option's own task.
         policy: A table.
         steps: At least 1.
-        subgoal_reward: Reward of the steps that reached the subgoal.
         inside: In which of ``transitions.states`` the option goes on, (m,); by default in all.
 
     Returns:
@@ -42,7 +40,7 @@ def reach_probabilities(
     chosen = policy.actions(transitions.states)
     taken = chosen[transitions.began] == transitions.actions
     began, led, ends = transitions.began[taken], transitions.led[taken], transitions.ends[taken]
-    reached = ends & (transitions.rewards[taken] == subgoal_reward)
+    reached = ends & (transitions.rewards[taken] == SUBGOAL_REWARD)
     goes_on = ~ends if inside is None else ~ends & inside[led]
     m = len(chosen)
     seen = np.bincount(began, minlength=m) + IMAGINED_FAILURES
@@ -60,7 +58,6 @@ def reliable_part(
     *,
     least: float,
     steps: int,
-    subgoal_reward: float,
 ) -> Region:
     """The states of an initiation set from where the subgoal is reached often enough without leaving them.
 
@@ -73,7 +70,6 @@ def reliable_part(
         policy: A table.
         least: Probability of `reach_probabilities`, in [0, 1].
         steps: Within which it is to be reached.
-        subgoal_reward: As there.
 
     Returns:
         I with fewer points; possibly none.
@@ -81,9 +77,7 @@ def reliable_part(
     states = flatten(transitions.states) + 0.0  # -0.0 and 0.0 are one state
     inside = np.ones(len(states), dtype=bool)
     while True:
-        probability = reach_probabilities(
-            transitions, policy, steps=steps, subgoal_reward=subgoal_reward, inside=inside
-        )
+        probability = reach_probabilities(transitions, policy, steps=steps, inside=inside)
         still = inside & (probability >= least)
         if still.sum() == inside.sum():
             break

@@ -22,20 +22,14 @@ class OptionLearningSettings:
         min_reach: Of an option on a group of features: I keeps the states from where the saved steps promise to reach
             the subgoal within n steps with at least this probability (`reach.reliable_part`); 0 keeps all. With none
             left there is no option.
-        imagine: Whether an option on a group of features with ``coordinates`` learns from steps near a thing those that
-            lead there from farther away (`imagined.imagined_farther`).
         max_duration: Longest run of the option, primitive steps; on a group of features at most n, too.
-        step_reward: Reward of the option's own task for every step that goes on.
-        subgoal_reward: Reward for the step that reaches the subgoal.
-        leave_reward: Reward for the step that leaves I, or ends the episode elsewhere than at the subgoal. The default
-            is worse than any run of ``max_duration`` steps.
+        leave_reward: Reward for the step that leaves I, or ends the episode elsewhere than at the subgoal, below 0. The
+            default is worse than any run of ``max_duration`` steps (`tasks` has the rewards of other steps).
         gamma: Discount of the option's own task.
         value_function: ``table`` for observations that repeat, ``network`` for those that do not, or ``auto``:
             a table if the transitions of I have at most half as many distinct observations as there are transitions.
         sweeps: Most sweeps through the saved transitions for a table; it stops when nothing changes any more.
         network_updates: Gradient steps for a network.
-        keep_learning: Whether an option with a table goes on learning from every later trajectory.
-        step_size: α of that learning, in (0, 1].
         grow: Whether an option is learned anew, initiation set and policy, from all saved trajectories each time
             twice as many of them have reached its subgoal. An option from a file gains what is learned here.
     """
@@ -45,30 +39,13 @@ class OptionLearningSettings:
     initiation_visits: Literal["first", "every"] = "first"
     initiation_radius: Annotated[float, Field(ge=0)] = 0.5
     min_reach: Annotated[float, Field(ge=0, le=1)] = 0.5
-    imagine: bool = True
     max_duration: Annotated[int, Field(ge=1)] = 100
-    step_reward: Annotated[float, Field(allow_inf_nan=False)] = -1.0
-    subgoal_reward: Annotated[float, Field(allow_inf_nan=False)] = 0.0
-    leave_reward: Annotated[float, Field(allow_inf_nan=False)] = -100.0
+    leave_reward: Annotated[float, Field(lt=0, allow_inf_nan=False)] = -100.0
     gamma: Annotated[float, Field(gt=0, le=1)] = 0.99
     value_function: Literal["auto", "table", "network"] = "auto"
     sweeps: Annotated[int, Field(ge=1)] = 500
     network_updates: Annotated[int, Field(ge=1)] = 2000
-    keep_learning: bool = False
-    step_size: Annotated[float, Field(gt=0, le=1)] = 0.1
     grow: bool = False
-
-    def __post_init__(self) -> None:
-        """Refuse rewards by which to leave I is as good as to arrive."""
-        if self.leave_reward >= self.subgoal_reward:
-            raise ValueError(
-                f"leave_reward must be below subgoal_reward, got {self.leave_reward:g} and {self.subgoal_reward:g}"
-            )
-
-    @property
-    def goes_on(self) -> bool:
-        """Whether options change after they were made."""
-        return self.keep_learning or self.grow
 
 
 @settings

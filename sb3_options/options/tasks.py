@@ -14,6 +14,10 @@ from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.options.proposals import IntrinsicReward
 from sb3_options.options.settings import OptionLearningSettings
 
+STEP_REWARD, SUBGOAL_REWARD = -1.0, 0.0
+"""Rewards of a step that goes on and of one that reaches the subgoal: the value of a state is minus the number of steps
+from there, as in a shortest path (Sutton & Barto 2018, example 4.1)."""
+
 
 class Transitions(NamedTuple):
     """Primitive steps of the option's own task, each distinct observation stored once.
@@ -68,9 +72,9 @@ class Reaching:
     """Reach a region from within I, in as few steps as possible.
 
     Args:
-        subgoal: Reaching it ends the task with ``subgoal_reward``.
+        subgoal: Reaching it ends the task with `SUBGOAL_REWARD`.
         initiation: I. Leaving it ends the task with ``leave_reward``, and so does a terminal state.
-        settings: The rewards are used.
+        settings: ``leave_reward`` is used.
     """
 
     stop = -np.inf
@@ -80,7 +84,7 @@ class Reaching:
 
     def steps(self, labelled: LabelledTrajectory) -> Steps:
         """As `OwnTask.steps`: those that began in I."""
-        s, trajectory = self.settings, labelled.trajectory
+        trajectory = labelled.trajectory
         reached = self.subgoal.contains(labelled.features)
         inside = self.initiation.contains(labelled.features) & ~reached
         began, led = trajectory.visits[:-1], trajectory.visits[1:]
@@ -89,7 +93,8 @@ class Reaching:
         if trajectory.terminated:
             goes_on[-1] = False
         led, goes_on = led[times], goes_on[times]
-        rewards = np.where(reached[led], s.subgoal_reward, np.where(goes_on, s.step_reward, s.leave_reward))
+        otherwise = np.where(goes_on, STEP_REWARD, self.settings.leave_reward)
+        rewards = np.where(reached[led], SUBGOAL_REWARD, otherwise)
         return Steps(times, rewards, ~goes_on)
 
     def own(self, features: FloatArray) -> FloatArray:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, NoReturn
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import tyro
@@ -23,8 +22,8 @@ from sb3_options.discovery.maps import INITIATION_COLOUR, SUBGOAL
 from sb3_options.discovery.settings import described
 from sb3_options.experience.observations import FloatArray
 from sb3_options.options import file as option_file
-from sb3_options.options.archive import NAME, content_in
-from sb3_options.options.option import Option, SubgoalOption
+from sb3_options.options.archive import NAME
+from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from sb3_options.runs.pictures import save_picture
 
@@ -92,37 +91,10 @@ def contents_of(path: Path) -> Contents:
         FileNotFoundError: There is no such file.
         ValueError: It is damaged, or something else.
     """
-    file = path / NAME if path.is_dir() else path
-    content = content_in(file)
-    about, _ = option_file.read(file)
-    try:
-        n_primitive, max_options = int(about["n_primitive"]), int(about["max_options"])
-        by_hand = {int(slot): str(e["name"]) for slot, e in about["slots"].items() if e.get("hand_made")}
-        made_for: dict[str, Any] = about.get("made_for") or {}
-        slots = [_placeholder(by_hand[slot]) if slot in by_hand else None for slot in range(max_options)]
-    except (KeyError, TypeError, ValueError, AttributeError, MemoryError, OverflowError) as error:
-        raise ValueError(f"{path} is damaged: {error!r}") from error
-    learned = option_file.load(
-        content, slots, n_primitive=n_primitive, observation_size=None, feature_size=None, signature=None
-    )
-    options: dict[int, SubgoalOption | str] = {**by_hand, **learned}
-    return Contents(
-        dict(sorted(options.items())),
-        max_options,
-        n_primitive,
-        made_for.get("space"),
-        made_for.get("features"),
-        hashlib.sha256(content).hexdigest(),
-    )
-
-
-def _placeholder(name: str) -> Option:
-    """Stands where a hand-made option must be, of which a file has the name only."""
-
-    def code(observations: Any) -> NoReturn:
-        raise NotImplementedError(f"The option {name!r} is code, which is not in the file.")
-
-    return Option(code, code, code, name=name)
+    file = option_file.opened(path / NAME if path.is_dir() else path)
+    space, features = (file.made_for.space, file.made_for.features) if file.made_for else (None, None)
+    options: dict[int, SubgoalOption | str] = {**file.hand_made, **file.options()}
+    return Contents(dict(sorted(options.items())), file.max_options, file.n_primitive, space, features, file.digest)
 
 
 def subgoal_of(option: SubgoalOption, features: str | None) -> str:

@@ -21,7 +21,7 @@ STEPS = 2600
 
 def eager() -> SubgoalDiscoveryCallback:
     """Tries options from the next episode on, so that every algorithm does in these few steps."""
-    return fast_callback(max_new_options=2, option_settings={"grow": True, "keep_learning": True})
+    return fast_callback(max_new_options=2, option_settings={"grow": True})
 
 
 def first(files: list[Path], holds: Callable[[Path], object]) -> Path:

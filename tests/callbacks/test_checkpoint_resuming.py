@@ -62,7 +62,7 @@ def model_of(name: str, venv: VecEnv, **kwargs: Any) -> Any:
 
 
 def discovering(**kwargs: Any) -> SubgoalDiscoveryCallback:
-    return fast_callback(max_new_options=2, option_settings={"grow": True, "keep_learning": True}, **kwargs)
+    return fast_callback(max_new_options=2, option_settings={"grow": True}, **kwargs)
 
 
 @pytest.fixture

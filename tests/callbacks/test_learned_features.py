@@ -87,7 +87,7 @@ def test_what_a_map_waits_for_is_said_and_its_time_is_logged(tmp_path: Path) -> 
 )
 def test_the_doorway_is_found_without_coordinates(name: MapName, observation: str) -> None:
     env = rooms_with(name, observation=observation)
-    callback = callback_with(max_new_options=1, option_settings={"initiation_steps": 8, "keep_learning": True})
+    callback = callback_with(max_new_options=1, option_settings={"initiation_steps": 8, "grow": True})
     dqn(env, learning_starts=10_000, buffer_size=200).learn(2_500, callback)
     (found,) = callback.discoveries
     search = callback.discovery
@@ -204,7 +204,7 @@ def test_cut_and_resumed_is_never_interrupted(name: MapName, tmp_path: Path) -> 
     discovery = {"min_cut": 0.0} if name == "laplacian" else {}  # after so few updates its peaks are no cuts
     callbacks, _ = check_resumes(
         lambda: dqn(DummyVecEnv([lambda: rooms_with(name)])),
-        lambda: [callback_with(discovery, embedding=brief, option_settings={"keep_learning": True, "grow": True})],
+        lambda: [callback_with(discovery, embedding=brief, option_settings={"grow": True})],
         tmp_path,
         cuts=(0.3, 0.6),
         steps=1_500,

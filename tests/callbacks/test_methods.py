@@ -73,7 +73,7 @@ class FromTheFirstRoom:
 @pytest.mark.parametrize("method", [Eigenoptions(min_trajectories=3), FromTheFirstRoom()], ids=["climbs", "passage"])
 def test_options_of_other_kinds_run_to_their_ends(method: DiscoveryMethod) -> None:
     env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0"), 2, gamma=0.97)
-    settings = {"keep_learning": True, "grow": True}  # of options that reach a region; these stay as they are
+    settings = {"grow": True}  # of options that reach a region; these stay as they are
     callback = SubgoalDiscoveryCallback({"capacity": 20}, settings, method=method, max_new_options=1)
     model = MacroQ(env, gamma=0.97, seed=0)
     model.learn(9_000, callback=callback)

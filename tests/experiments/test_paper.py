@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import shutil
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,17 @@ import numpy as np
 from experiments.common.agents import live
 from experiments.paper import agents, conditions, measures
 from experiments.paper.__main__ import GROUPS, Study, main
+from experiments.paper.learning_on import learn_further
 from experiments.paper.report import Report
 from experiments.paper.report import main as fill_in
 from experiments.paper.settings import PaperSettings
 from sb3_options.experience.trajectories import LabelledTrajectory
-from tests.support.helpers import trajectory_of
+from sb3_options.options.creation import learn_option
+from sb3_options.options.policies import TabularPolicy
+from sb3_options.options.settings import OptionLearningSettings
+from tests.options.corridor import DOOR, LEFT, RIGHT, generator, known_values
+from tests.options.corridor import walk as corridor_walk
+from tests.support.helpers import line, trajectory_of
 
 TINY = PaperSettings(
     trials=6,
@@ -149,6 +156,20 @@ def test_the_doorway_option_walks_a_shortest_path() -> None:
             x, y, taken = x + dx, y + dy, taken + 1
         assert taken == steps
     assert not option.initiation(one_hot(grid, 12, 5))[0]
+
+
+def test_an_option_goes_on_learning_backwards() -> None:
+    settings = OptionLearningSettings(initiation_radius=0.0, value_function="table", gamma=1.0)
+    option = learn_option(DOOR, [corridor_walk([2, 3, 4, 5])], 2, settings, generator())
+    assert option is not None
+    assert isinstance(option.option_policy, TabularPolicy)
+    assert known_values(option.option_policy) == {2: [-math.inf, -2], 3: [-math.inf, -1], 4: [-math.inf, 0]}
+    # Backwards: Q(2, left) = −100 at once, being new; Q(3, left) = −1 − 2; then the slip from 4 is half learned.
+    slip = line([4.0, 3.0, 2.0, 1.0], [RIGHT, LEFT, LEFT])
+    further = learn_further(option, slip, settings, 0.5)
+    assert isinstance(further.option_policy, TabularPolicy)
+    assert known_values(further.option_policy) == {2: [-100, -2], 3: [-3, -1], 4: [-math.inf, -1]}
+    assert learn_further(option, corridor_walk([7, 8, 9]), settings, 0.5) is option
 
 
 def one_hot(grid: Any, x: int, y: int) -> Any:

@@ -119,7 +119,7 @@ def test_same_weights_bit_for_bit(algorithm: Any) -> None:
     for kind in ("dummy", "subproc"):
         with rooms(kind, 2) as venv:
             model = ppo(venv) if algorithm is PPO else dqn(venv, algorithm)
-            callback = fast_callback(option_settings={"keep_learning": True})
+            callback = fast_callback(option_settings={"grow": True})
             model.learn(2000, callback=callback)
             weights.append({name: value.clone() for name, value in model.policy.state_dict().items()})
             discoveries.append([(d.slot, d.episode, d.timestep, d.subgoal.tolist()) for d in callback.discoveries])
@@ -254,7 +254,7 @@ class TestEvaluationEnvironment:
             train_env, eval_env = around(train_rooms), around(eval_rooms)
             model: BaseAlgorithm = ppo(train_env) if algorithm is PPO else dqn(train_env)
             evaluation = EvalCallback(eval_env, n_eval_episodes=1, eval_freq=500, verbose=0)
-            discovery = fast_callback(option_settings={"keep_learning": True})
+            discovery = fast_callback(option_settings={"grow": True})
             versions: set[bytes] = set()
 
             def compare(_: Spy) -> None:

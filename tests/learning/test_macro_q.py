@@ -238,7 +238,7 @@ def test_q_learning_converges_to_the_policy_of_value_iteration(features: TileCod
 
 def test_discovers_an_option_and_goes_on_with_it() -> None:
     settings = {**FAST_DISCOVERY, "min_positive": 8, "decay": 0.9}
-    options = {"keep_learning": True, "gamma": GAMMA}
+    options = {"grow": True, "gamma": GAMMA}
     callback = SubgoalDiscoveryCallback(settings, options, max_new_options=1)
     model = MacroQ(optioned_rooms(max_steps=None), seed=0)
     model.learn(15_000, callback=callback)
@@ -291,7 +291,7 @@ def test_predict_respects_initiation_sets_and_epsilon() -> None:
 
 def curve(seed: int) -> tuple[list[int], list[float]]:
     """Lengths of the trials, and the table, of a run with discovery."""
-    recorder, callback = Recorder(), fast_callback(option_settings={"keep_learning": True, "gamma": GAMMA})
+    recorder, callback = Recorder(), fast_callback(option_settings={"grow": True, "gamma": GAMMA})
     model = MacroQ(optioned_rooms(1, max_steps=None), seed=seed)
     model.learn(3000, callback=[callback, recorder])
     return recorder.lengths, table_of(model).ravel().tolist()

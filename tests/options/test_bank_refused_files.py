@@ -14,7 +14,7 @@ from safetensors.numpy import load as from_safetensors
 from safetensors.numpy import save as to_safetensors
 
 from sb3_options.density.regions import Region
-from sb3_options.options.file import FILE_FORMAT, digest
+from sb3_options.options.file import FILE_FORMAT, digest, opened
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from tests.options.banks import CAPACITY, OBSERVATIONS, behaviour, empty_bank, filled_bank, network
@@ -169,7 +169,7 @@ def resealed(content: bytes, change: Any) -> bytes:
     about = json.loads(json.loads(content[8 : 8 + length])["__metadata__"]["bank"])
     tensors = from_safetensors(content)
     change(about, tensors)
-    text = json.dumps(about)
+    text = json.dumps({**about, "format": FILE_FORMAT})
     return to_safetensors(tensors, {"format": FILE_FORMAT, "bank": text, "digest": digest(text, tensors)})
 
 
@@ -202,7 +202,17 @@ def tensor(name: str, array: Any) -> Any:
         (lambda about, _: about.pop("slots"), "is damaged: KeyError"),
         (lambda about, _: about.update(slots=[1]), "is damaged: AttributeError"),
         (lambda about, _: about.update(slots={"first": {}}), "does not fit: invalid literal for int"),
-        (lambda about, _: about.update(slots={"-1": {}}), "does not fit: it has an option in slot -1"),
+        (
+            lambda about, _: about.update(max_options=10**12),
+            "is damaged: .*max_options must be a whole number from 0 to 1,0",
+        ),
+        (lambda about, _: about.update(max_options=2), "is damaged: .*an option in slot 3 of 2"),
+        (lambda about, _: about.update(n_primitive=10**12), "is damaged: .*n_primitive must be a whole number from 1"),
+        (lambda about, _: about.update(n_primitive=4.5), "is damaged: .*n_primitive must be a whole number from 1"),
+        (tensor("1.table_states", np.zeros(())), r"its table has observations of shape \(\) and values of"),
+        (tensor("1.subgoal", np.zeros(())), r"its subgoal has points of shape \(\) and a scale of"),
+        (tensor("3.network_mean", np.zeros(())), "its network maps 1 numbers to 4 actions"),
+        (lambda about, _: about.update(slots={"-1": {}}), "is damaged: .*an option in slot -1 of 5"),
         (lambda about, _: about.update(slots={"0": 5}), "is damaged: AttributeError"),
         (lambda about, _: about.update(slots={"0": {"hand_made": True}}), "is damaged: KeyError"),
         (tensor("1.subgoal", None), "is damaged: KeyError"),
@@ -227,6 +237,8 @@ def test_a_strangers_file_that_makes_no_sense(content: bytes, folder: Path, chan
     path = folder / "stranger"
     path.write_bytes(resealed(content, change))
     refused(path, "stranger .*" + message)
+    with pytest.raises(ValueError, match="stranger .*" + message):  # the same where there is no bank to fill
+        opened(path).options()
 
 
 def test_resealing_itself_does_no_harm(content: bytes, folder: Path) -> None:

@@ -1,4 +1,3 @@
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -12,13 +11,12 @@ from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.options.creation import (
     OptionGrowth,
     joined,
-    learn_further,
     learn_option,
 )
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
 from sb3_options.options.settings import OptionLearningSettings
-from tests.options.corridor import DOOR, LEFT, RIGHT, generator, known_values, walk
+from tests.options.corridor import DOOR, LEFT, RIGHT, generator, walk
 from tests.support.helpers import ball, line
 
 
@@ -70,9 +68,6 @@ class TestLearnOption:
         assert np.flatnonzero(bound.initiation(seen(places, np.ones(8)))).tolist() == [1, 3, 4]
         assert not bound.initiation(seen(places, np.zeros(8))).any()
         assert bound.policy(seen(places, np.ones(8)))[3:5].tolist() == [RIGHT] * 2
-        further = learn_further(option, known[0], OptionLearningSettings())
-        assert isinstance(further.option_policy, TabularPolicy)
-        assert further.option_policy.states.shape[1] == 2
         surer = learn_option(door, known, 2, replace(all_states, min_reach=0.4), generator())
         assert surer is not None
         np.testing.assert_array_equal(surer.initiation_set.points, [[3, 1], [4, 1]])  # from 1 nobody came
@@ -125,9 +120,6 @@ class TestLearnOption:
         bound = option.bind(lambda observations: np.asarray(observations)[:, :1])
         unseen = np.concatenate([np.arange(2.0, 5.0)[:, None], noise.random((3, 3))], axis=1)
         assert bound.policy(unseen).tolist() == [RIGHT] * 3
-        further = learn_further(option, noisy[0], OptionLearningSettings(value_function="table"))
-        assert further.policy_input == "features"
-        assert (further is option) == (kind == "network")
 
     @pytest.mark.parametrize(
         ("kind", "n_walks", "expected"),
@@ -143,65 +135,6 @@ class TestLearnOption:
         option = self.learn(*walks, value_function=kind, network_updates=1)
         assert option is not None
         assert type(option.option_policy) is expected
-
-
-class TestLearnFurther:
-    settings = OptionLearningSettings(initiation_radius=0.0, value_function="table", gamma=1.0, step_size=0.5)
-
-    def option(self) -> SubgoalOption:
-        option = learn_option(DOOR, [walk([2, 3, 4, 5])], 2, self.settings, generator(), name="door")
-        assert option is not None
-        return option
-
-    def values(self, option: SubgoalOption) -> dict[float, list[float]]:
-        assert isinstance(option.option_policy, TabularPolicy)
-        return known_values(option.option_policy)
-
-    def test_by_hand(self) -> None:
-        option = self.option()
-        assert self.values(option) == {2: [-math.inf, -2], 3: [-math.inf, -1], 4: [-math.inf, 0]}
-        # Backwards: Q(2, left) = −100 at once, being new; Q(3, left) = −1 − 2; then the slip from 4 is half learned.
-        slip = line([4.0, 3.0, 2.0, 1.0], [RIGHT, LEFT, LEFT])
-        further = learn_further(option, slip, self.settings)
-        assert self.values(further) == {2: [-100, -2], 3: [-3, -1], 4: [-math.inf, -1]}
-        assert self.values(option)[4.0] == [-math.inf, 0]  # the option before is untouched
-        assert (further.name, further.max_duration) == ("door", 100)
-
-    def test_nothing_to_teach(self) -> None:
-        option = self.option()
-        assert learn_further(option, walk([7, 8, 9]), self.settings) is option
-
-    def test_new_observations_join_the_table_backwards(self) -> None:
-        option = self.option()
-        wide = SubgoalOption(
-            option.subgoal, Region(option.initiation_set.points, np.ones(1), 0.4), option.option_policy
-        )
-        further = learn_further(wide, walk([2.8, 3.2, 4.0, 5.0]), self.settings)
-        values = self.values(further)
-        assert (values[3.2][RIGHT], values[2.8][RIGHT]) == (-1, -2)
-
-    def test_a_table_does_not_grow_for_ever(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        """Where observations never repeat: of 100 trajectories with three new ones each, a few rows join the table."""
-        rng = np.random.default_rng(0)
-        row_bytes = 4 * 8 + 200  # a feature, its key, two actions
-        monkeypatch.setattr("sb3_options.options.creation.LARGEST_TABLE", 10 * row_bytes)
-        option = self.option()
-        option = SubgoalOption(
-            option.subgoal, Region(option.initiation_set.points, np.ones(1), 0.4), option.option_policy
-        )
-        for _ in range(100):
-            option = learn_further(option, walk([*np.sort(rng.uniform(1.7, 4.4, 3)), 5.0]), self.settings)
-        assert len(self.values(option)) == 10
-        further = learn_further(option, walk([4.0, 5.0]), replace(self.settings, subgoal_reward=7.0))
-        assert self.values(further)[4.0] != self.values(option)[4.0], "what the table holds is still learned"
-
-    def test_a_step_into_the_unknown_teaches_nothing(self) -> None:
-        option = self.option()
-        wide = SubgoalOption(
-            option.subgoal, Region(option.initiation_set.points, np.ones(1), 0.4), option.option_policy
-        )
-        for action in (LEFT, RIGHT):
-            assert self.values(learn_further(wide, line([3.0, 2.8], [action]), self.settings)) == self.values(option)
 
 
 REACHES, MISSES = line([0, 1, 2]), line([0, 1, 0])

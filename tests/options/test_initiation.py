@@ -109,9 +109,9 @@ class TestTransitions:
         assert self.of(walk([4, 3])) == [(4, LEFT, -1.0, 3, False)]  # truncated: nothing ended there
         assert self.of(walk([3, 4, 5], terminated=True))[-1] == (4, RIGHT, 0.0, 5, True)
 
-    def test_rewards_are_those_of_the_settings(self) -> None:
-        settings = OptionLearningSettings(step_reward=-2.0, subgoal_reward=7.0, leave_reward=-9.0)
+    def test_the_reward_of_leaving_is_that_of_the_settings(self) -> None:
+        settings = OptionLearningSettings(leave_reward=-9.0)
         initiation = Region(np.array([[3.0], [4.0]]), np.ones(1), 0.0)
         steps = transitions_of(Reaching(DOOR, initiation, settings), [walk([3, 4, 5]), walk([3, 2])], settings)
         assert steps is not None
-        assert steps.rewards.tolist() == [-2.0, 7.0, -9.0]
+        assert steps.rewards.tolist() == [-1.0, 0.0, -9.0]

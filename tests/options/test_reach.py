@@ -27,7 +27,7 @@ GOES = TabularPolicy(np.arange(4.0)[:, None], np.array([[0.0, 1.0]] * 4))
 
 
 def probabilities(transitions: Transitions, n: int) -> FloatArray:
-    return reach_probabilities(transitions, GOES, steps=n, subgoal_reward=0.0)
+    return reach_probabilities(transitions, GOES, steps=n)
 
 
 def test_a_failure_is_imagined_beside_the_steps_that_were_seen() -> None:
@@ -48,7 +48,7 @@ def test_initiation_keeps_what_leads_there_without_what_is_dropped() -> None:
     initiation = Region(np.array([[FAR], [NEAR]], dtype=float), np.ones(1), 0.5)
 
     def kept(transitions: Transitions, least: float) -> list[float]:
-        part = reliable_part(initiation, transitions, GOES, least=least, steps=15, subgoal_reward=0.0)
+        part = reliable_part(initiation, transitions, GOES, least=least, steps=15)
         return [float(point) for point in part.points.ravel()]
 
     sure = steps((NEAR, GO, THERE, 9), (FAR, GO, NEAR, 9))

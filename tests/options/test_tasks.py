@@ -9,7 +9,7 @@ from sb3_options.density.regions import Region
 from sb3_options.experience.observations import flatten
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.options.bank import OptionBank
-from sb3_options.options.creation import learn_further, learn_option
+from sb3_options.options.creation import learn_option
 from sb3_options.options.initiation import leading
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal, everywhere, goal_of
@@ -138,15 +138,6 @@ def test_goals() -> None:
     assert goal_of(DOOR) is DOOR
     assert goal_of(Passage(DOOR, ball(1.0))) is DOOR
     assert goal_of(hill(0, 3, 1)).points.tolist() == [[1.0]]
-
-
-def test_only_options_that_reach_a_region_learn_further() -> None:
-    settings = OptionLearningSettings()
-    reaching, climbing = option_for(DOOR), option_for(hill(0, 1, 2, 3, 4, 5, 6))
-    assert reaching is not None
-    assert climbing is not None
-    assert learn_further(reaching, BOTH_WAYS[0], settings) is not reaching
-    assert learn_further(climbing, BOTH_WAYS[0], settings) is climbing
 
 
 def test_a_file_says_which_options_stay_as_they_are(tmp_path: object) -> None:

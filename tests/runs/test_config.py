@@ -40,9 +40,8 @@ COMMON: dict[str, Any] = {
     ),
     "option": OptionLearningSettings(
         policy_input="features", initiation_steps=4, initiation_visits="every", initiation_radius=0.75, max_duration=9,
-        step_reward=-2.0,
-        subgoal_reward=3.0, leave_reward=-7.0, gamma=0.25, value_function="network", sweeps=3, network_updates=4,
-        keep_learning=True, step_size=0.5, grow=True, min_reach=0.25, imagine=False,
+        leave_reward=-7.0, gamma=0.25, value_function="network", sweeps=3, network_updates=4,
+        grow=True, min_reach=0.25,
     ),
     "usefulness": UsefulnessSettings(judge=False, min_reached=0.25),
 }  # fmt: skip
