@@ -19,6 +19,7 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Callable
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +63,7 @@ SAMPLED: dict[str, Any] = {**ON_POLICY, "batch_size": 64, "n_epochs": 2}
 RECURRENT: dict[str, Any] = {**SAMPLED, "policy_kwargs": {"net_arch": [16], "lstm_hidden_size": 8}}
 STOCK_Q: dict[str, Any] = {**VALUE_BASED, "replay_buffer_class": OptionReplayBuffer}
 
+# Copied for each model: QRDQN and others write into `policy_kwargs`.
 ALGORITHMS: dict[str, tuple[Any, tuple[str, ...], dict[str, Any]]] = {
     "dqn": (DQN, ("MlpPolicy",), STOCK_Q),
     "qrdqn": (QRDQN, ("MlpPolicy",), STOCK_Q),
@@ -122,7 +124,11 @@ Training = tuple[BaseAlgorithm, SubgoalDiscoveryCallback, int]
 def without_options(name: str) -> Training:
     """Stock learning in a wrapped environment: every slot stays empty."""
     algorithm, policy, kwargs = ALGORITHMS[name]
-    return algorithm(*policy, rooms(), gamma=GAMMA, seed=1, **kwargs), finds_the_doorway(max_new_options=0), 1_000
+    return (
+        algorithm(*policy, rooms(), gamma=GAMMA, seed=1, **deepcopy(kwargs)),
+        finds_the_doorway(max_new_options=0),
+        1_000,
+    )
 
 
 def with_options(
@@ -132,7 +138,7 @@ def with_options(
     algorithm, policy, kwargs = ALGORITHMS[name]
     callback = own.pop("callback", {})
     venv = DummyVecEnv([lambda: rooms(by_hand=True, **(env or {})) for _ in range(n_envs)])
-    model = algorithm(*policy, venv, gamma=GAMMA, seed=1, **{**kwargs, **own})
+    model = algorithm(*policy, venv, gamma=GAMMA, seed=1, **deepcopy({**kwargs, **own}))
     return model, finds_the_doorway(**callback), n_timesteps
 
 
@@ -140,7 +146,7 @@ def in_minigrid() -> Training:
     """Options on concept groups, in an environment that names them."""
     env = gym.Wrapper(make("MiniGrid-MultiRoom-N2-S4-v0"))
     venv = DummyVecEnv([lambda: OptionsWrapper(env, 2, gamma=0.99)])
-    model = MaskablePPO("MlpPolicy", venv, gamma=0.99, seed=1, **SAMPLED)
+    model = MaskablePPO("MlpPolicy", venv, gamma=0.99, seed=1, **deepcopy(SAMPLED))
     callback = SubgoalDiscoveryCallback(**DISCOVERY, max_new_options=1, primitive_rollouts=True)
     return model, callback, 4_000
 
