@@ -16,17 +16,16 @@ from sb3_options.callbacks.discovery_log import DiscoveryClock, draw_discovery, 
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.learned_features import GivenFeatures, check_learned, features_for
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
-from sb3_options.callbacks.records import ClosedOption, Complaints, DiscoveredOption, OptionStatistics, saved_for
-from sb3_options.callbacks.summaries import describe_options, log_results, save_or_warn, settings_of, why_no_option
+from sb3_options.callbacks.records import ClosedOption, DiscoveredOption, OptionStatistics, saved_for
+from sb3_options.callbacks.summaries import describe_options, log_results, save_or_warn, settings_of
 from sb3_options.callbacks.usefulness import Usefulness, Verdict
 from sb3_options.checked import given_as
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
+from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods import DiscoveryMethod, MethodName, checked_method
-from sb3_options.discovery.proposed import discovery_with
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.static_filter import StaticFilter
-from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.embedding.settings import EmbeddingSettings
 from sb3_options.execution.above import monitor_primitive_steps
 from sb3_options.execution.exploration import checked_share
@@ -128,10 +127,10 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.hparams = hparams
         self.max_option_exploration = checked_share(max_option_exploration)
         self.opening_share = checked_share(max_option_exploration if opening_share is None else opening_share)
-        self.episodes, self.seed, self._began, self._complaints, self._ended = 0, seed, 0, Complaints(), True
+        self.episodes, self.seed, self._began, self._ended = 0, seed, 0, True
         self.history: list[EpisodeRecord] = []
         self.discoveries: list[DiscoveredOption] = []
-        self.discovery: SubgoalDiscovery | None = None
+        self.discovery: Discovery | None = None
         self.closed: list[ClosedOption] = []
         self._made_here: set[int] = set()
         self._generator = torch.Generator().manual_seed(seed)
@@ -167,22 +166,22 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         own = self.method is not None or bool(self.groups)
         check_learned(self._features, self.settings, self.option_settings, own=own)
         if self.discovery is None:
-            self.discovery = discovery_with(
+            self.discovery = Discovery(
                 self.settings,
-                groups_here(self.groups, venv),
                 self.method,
+                groups=groups_here(self.groups, venv),
                 seed=self.seed,
                 success=self.success,
                 static_filter=self.static_filter,
                 kind=venv.get_attr("traits", [0])[0].feature_kind,
                 taken=[option.subgoal for option in self._options.bank.slots if isinstance(option, SubgoalOption)],
             )
-        self.discovery.budget.step_seconds = step_seconds_of(self.model)
+        self.discovery.diary.step_seconds = step_seconds_of(self.model)
         for slot, option in enumerate(self._options.bank.slots):
             if isinstance(option, SubgoalOption) and slot not in self._made_here and not option.fixed:
                 self._growth.adopted(slot)
         venv.env_method("set_slots", record=self.settings.reward_peaks() or True)
-        self._clock, self._ended = DiscoveryClock(self._search.seconds), False
+        self._clock, self._ended = DiscoveryClock(self._search.diary.seconds), False
 
     @property
     def _options(self) -> OptionInstaller:
@@ -190,14 +189,14 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         return self._installer
 
     @property
-    def _search(self) -> SubgoalDiscovery:
+    def _search(self) -> Discovery:
         assert self.discovery is not None  # made when training started
         return self.discovery
 
     def _on_rollout_start(self) -> None:
         super()._on_rollout_start()
         if not self.episodes and self.settings.segmentation == "episodes" and self.max_new_options != 0:
-            self._complaints.no_end(self.num_timesteps, self.training_env.num_envs, self.settings.max_segment)
+            self._search.diary.no_end(self.num_timesteps, self.training_env.num_envs, self.settings.max_segment)
 
     def _on_step(self) -> bool:
         infos: list[dict[str, Any]] = self.locals["infos"]
@@ -233,7 +232,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             self._judge()
             self._learn_from(trajectory, success)
         except ValueError as error:  # one episode that cannot be used is no reason to end training
-            self._complaints.say(self.episodes, error)
+            self._search.diary.unusable(self.episodes, error)
         self._log()
 
     def _learn_from(self, trajectory: Trajectory, success: bool) -> None:
@@ -248,7 +247,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             *_, labelled = self._search.database
         if self.option_settings.grow:
             self._learn_further(labelled)
-        may_tell = labelled.success or self._search.learns_from_failures
+        may_tell = labelled.success or self._search.method.learns_from_failures
         if discovers and self._features.ready and may_tell and (subgoal := self._search.search()) is not None:
             self._make_option(subgoal)
 
@@ -294,7 +293,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             self._search.withdraw()
             raise
         if option is None:
-            self._complaints.no_option(where, self._search.LEADS)
+            self._search.diary.no_option(where, self._search.method.leads)
             return self._search.withdraw()
         slot = self._options.bank.slots.index(None)
         self._options.install(slot, option)
@@ -350,10 +349,17 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     def why_nothing(self) -> str | None:
         """Why no option was made since training started; None where one was."""
-        off = self.discovery is None or self.max_new_options == 0
-        waits = None if off else self._features.why_not_ready(self._search.outcomes.n)
-        why = waits or why_no_option(self.discovery, self.bank, self.max_new_options)
-        return None if self.discoveries else self._complaints.told(why, self.episodes)
+        if self.discoveries:
+            return None
+        if self.max_new_options == 0:
+            return "Discovery was switched off."
+        if self.discovery is None:
+            return "No training has started."
+        if (waits := self._features.why_not_ready(self.discovery.diary.n)) is not None:
+            return waits
+        if len(self.bank) == self.bank.max_options:
+            return "There was no free slot for an option."
+        return self.discovery.why_nothing(self.episodes)
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint, at the start of a rollout."""
@@ -365,7 +371,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             "closed": [dataclasses.asdict(each) for each in self.closed],
             "made_here": sorted(self._made_here),
             "generator": self._generator.get_state(),
-            "search": self._search.get_state(),
+            "search": state_of(self._search),
             "statistics": self._statistics.get_state(),
             "usefulness": state_of(self._useful),
             "growth": state_of(self._growth),
@@ -380,8 +386,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.closed[:] = [ClosedOption(**each) for each in state["closed"]]
         self._made_here = set(state["made_here"])
         self._generator.set_state(state["generator"])
-        self._search.set_state(state["search"])
-        self._clock = DiscoveryClock(self._search.seconds)
+        restore(self._search, state["search"])
+        self._clock = DiscoveryClock(self._search.diary.seconds)
         self._statistics.set_state(state["statistics"])
         restore(self._useful, state["usefulness"])
         restore(self._growth, state["growth"])

@@ -12,8 +12,8 @@ from stable_baselines3.common.logger import Figure, Logger
 
 from sb3_options.callbacks.summaries import NUMBERS_ONLY, takes_more_than_numbers
 from sb3_options.discovery.budget import STEP_SECONDS, TABLE_STEP_SECONDS
+from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.figures import discovery_figures, options_figure
-from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.learning.macro_q import MacroQ
 from sb3_options.options.bank import OptionBank
 
@@ -42,11 +42,11 @@ class DiscoveryClock:
     def __init__(self, before: float = 0.0, clock: Callable[[], float] = time.perf_counter) -> None:
         self._clock, self._began, self._before, self._told = clock, clock(), before, False
 
-    def share(self, search: SubgoalDiscovery) -> float:
+    def share(self, search: Discovery) -> float:
         """The share of the time since training started; warns once where it is far beyond what was asked for."""
         trained = self._clock() - self._began
-        share = (search.seconds - self._before) / trained if trained > 0 else 0.0
-        most = search.budget.max_share
+        share = (search.diary.seconds - self._before) / trained if trained > 0 else 0.0
+        most = search.diary.max_share
         if most is not None and not self._told and trained > LONG_ENOUGH and share > FAR_BEYOND * most:
             self._told = True
             logger.warning(
@@ -60,7 +60,7 @@ class DiscoveryClock:
 
 
 def log_discovery(
-    record: Callable[[str, Any], None], search: SubgoalDiscovery, share: float, others: Mapping[str, float]
+    record: Callable[[str, Any], None], search: Discovery, share: float, others: Mapping[str, float]
 ) -> None:
     """Log how discovery goes.
 
@@ -70,17 +70,14 @@ def log_discovery(
         share: Of the time.
         others: By tag.
     """
-    record("discovery/seconds", search.seconds)
+    record("discovery/seconds", search.diary.seconds)
     record("discovery/share", share)
-    record("discovery/searches_left_out", search.budget.skipped)
-    record("discovery/leading_average", search.tracker.leading_average())
-    if search.last.peaks:
-        record("discovery/best_log_density", search.last.peaks[0].log_density)
-    for tag, value in others.items():
+    record("discovery/searches_left_out", search.diary.skipped)
+    for tag, value in {**search.method.values(), **others}.items():
         record(tag, value)
 
 
-def draw_discovery(log: Logger, search: SubgoalDiscovery, bank: OptionBank, newest: int | None) -> None:
+def draw_discovery(log: Logger, search: Discovery, bank: OptionBank, newest: int | None) -> None:
     """Draw the pictures of discovery for TensorBoard, with the next dump of the log; without TensorBoard, none.
 
     Args:

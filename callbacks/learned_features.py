@@ -11,9 +11,8 @@ from scipy.spatial.distance import cdist
 
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.discovery.anchors import moved, nearest_observations
-from sb3_options.discovery.learned import learn_if_due
+from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.embedding.learner import FeatureLearner
 from sb3_options.embedding.settings import EmbeddingSettings
@@ -31,7 +30,7 @@ class GivenFeatures:
     def begin(self, options: OptionInstaller) -> None:
         """Training starts."""
 
-    def learn_if_due(self, search: SubgoalDiscovery, options: OptionInstaller) -> bool:
+    def learn_if_due(self, search: Discovery, options: OptionInstaller) -> bool:
         """Whether the map has changed."""
         del search, options
         return False
@@ -45,7 +44,7 @@ class GivenFeatures:
         """What is logged of it, by tag."""
         return {}
 
-    def remember(self, slot: int, option: SubgoalOption, search: SubgoalDiscovery) -> None:
+    def remember(self, slot: int, option: SubgoalOption, search: Discovery) -> None:
         """An option was made."""
 
     def forget(self, slot: int) -> None:
@@ -105,14 +104,14 @@ class LearnedFeatures(GivenFeatures):
         if self.ready:
             options.send_learned_map()
 
-    def learn_if_due(self, search: SubgoalDiscovery, options: OptionInstaller) -> bool:
+    def learn_if_due(self, search: Discovery, options: OptionInstaller) -> bool:
         """Learn the map when there are enough new trajectories, and move everything along.
 
         Returns:
             Whether the map has changed, and with it the features of all trajectories.
         """
         began = time.perf_counter()
-        changed = learn_if_due(self.learner, search)
+        changed = search.learn_if_due(self.learner)
         self._seconds += time.perf_counter() - began
         if not changed:
             return False
@@ -125,7 +124,7 @@ class LearnedFeatures(GivenFeatures):
                 self._anchors[slot] = subgoal, initiation, region.points
         return True
 
-    def remember(self, slot: int, option: SubgoalOption, search: SubgoalDiscovery) -> None:
+    def remember(self, slot: int, option: SubgoalOption, search: Discovery) -> None:
         """Take note of the observations behind an option's regions.
 
         They were made of features in the database. Where an initiation set has only lost points, its observations are

@@ -50,58 +50,6 @@ def saved_for(subgoal: Region, trajectories: TrajectoryDatabase) -> tuple[int, i
     return len(trajectories), sum(bool(subgoal.contains(each.features).any()) for each in trajectories)
 
 
-class Complaints:
-    """Warns of what ends no training: episodes that cannot be used, the first, the second, the fourth and so on.
-
-    And once of each subgoal that there is no option for. On groups of features it may be found again and again, until a
-    saved trajectory leads to it.
-    """
-
-    def __init__(self) -> None:
-        self._n, self._last = 0, ""
-        self._without_option: set[str] = set()
-        self._began: int | None = None
-        self._no_end_told = False
-
-    def say(self, episode: int, why: Exception) -> None:
-        """Warn, unless it would be too often."""
-        self._n, self._last = self._n + 1, f"{type(why).__name__}: {why}"
-        if self._n & (self._n - 1) == 0:
-            times = "" if self._n == 1 else f" (so far {self._n} times)"
-            logger.warning("No discovery after episode %d%s: %s", episode, times, why)
-
-    def told(self, why: str, episodes: int) -> str:
-        """Why there is no option, with how many episodes could not be used, and the last reason."""
-        if not self._n:
-            return why
-        unusable = f"{self._n} of {episodes} episodes could not be used, the last one because of {self._last}"
-        return f"No subgoal was discovered: {unusable}." if self._n == episodes else f"{why} And {unusable}."
-
-    def no_end(self, steps: int, n_envs: int, longest: int) -> None:
-        """Warn once where no episode has ended yet, after ``longest`` steps of every environment.
-
-        Args:
-            steps: Primitive steps of all environments so far.
-            n_envs: How many these are.
-            longest: Steps of an episode that few tasks exceed.
-        """
-        self._began = steps if self._began is None else self._began
-        if not self._no_end_told and steps - self._began >= longest * n_envs:
-            self._no_end_told = True
-            logger.warning(
-                "Nothing can be discovered so far: no episode has ended in %s primitive steps of each environment. End "
-                "them with gymnasium.wrappers.TimeLimit, or let peaks of reward separate trajectories: "
-                'DiscoverySettings(segmentation="peaks").',
-                f"{longest:,}",
-            )
-
-    def no_option(self, where: str, leads: str) -> None:
-        """Warn that there is no option for a subgoal, the first time; ``leads`` is what no saved trajectory does."""
-        if where not in self._without_option:
-            self._without_option.add(where)
-            logger.warning("No option for %s: no saved trajectory %s to it.", where, leads)
-
-
 @dataclass(frozen=True)
 class ClosedOption:
     """When and why an option was closed.

@@ -18,7 +18,6 @@ from sb3_options.callbacks.counting import SCHEDULES
 from sb3_options.callbacks.records import DiscoveredOption
 from sb3_options.callbacks.usefulness import WINDOW
 from sb3_options.discovery.methods import DiscoveryMethod
-from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.trajectories import EpisodeRecord
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option, SubgoalOption
@@ -168,23 +167,6 @@ def save_or_warn(bank: OptionBank, path: str | os.PathLike[str] | None) -> None:
             bank.save(path)
     except OSError as error:
         logger.warning("The options could not be saved to %s, training goes on: %s", path, error)
-
-
-def why_no_option(search: SubgoalDiscovery | None, bank: OptionBank, most: int | None) -> str:
-    """Why a training has made no option, in a sentence.
-
-    Args:
-        search: Discovery; None before training.
-        bank: The present options.
-        most: Options that it might have made; None for as many as there are slots.
-    """
-    if most == 0:
-        return "Discovery was switched off."
-    if search is None:
-        return "No training has started."
-    if len(bank) == bank.max_options:
-        return "There was no free slot for an option."
-    return search.why_nothing()
 
 
 def describe_options(

@@ -21,8 +21,8 @@ from sb3_options.density.bags import Bags
 from sb3_options.density.concepts import Plane, Point
 from sb3_options.density.diverse_density import DiverseDensity
 from sb3_options.density.log_density import log_diverse_density
+from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.recording import RewardPeaks
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.settings import OptionLearningSettings
@@ -155,7 +155,7 @@ def densities(positive: Any, negative: Any, scale: float) -> Found:
 def discovered(positive: Any, negative: Any, scale: float) -> Found:
     """What discovery finds in episodes that were in these instances, one after another."""
     how = DiscoverySettings(min_positive=1, start_radius=0.0, goal_radius=0.0, threshold=0.1)
-    discovery = SubgoalDiscovery(how)
+    discovery = Discovery(how)
     found: Found = []
     for rows, success in [(rows, True) for rows in positive] + [(rows, False) for rows in negative]:
         features = np.unique(np.array(rows), axis=0)
@@ -166,7 +166,7 @@ def discovered(positive: Any, negative: Any, scale: float) -> Found:
         )
     for _ in range(2):
         subgoal = discovery.search()
-        found += [np.append(peak.point, peak.log_density) for peak in discovery.last.peaks]
+        found += [np.append(peak.point, peak.log_density) for peak in discovery.method.peaks]  # type: ignore[attr-defined]
         found += [] if subgoal is None else [subgoal.points, np.array(subgoal.radius)]
     return found
 

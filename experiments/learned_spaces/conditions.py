@@ -12,9 +12,8 @@ from scipy.stats import spearmanr
 from experiments.common.gridworlds import world_of
 from experiments.common.seeds import Result
 from experiments.random_walks.conditions import is_bottleneck, walk
-from sb3_options.discovery.learned import learn_if_due
+from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.embedding.learner import FeatureLearner
 from sb3_options.embedding.settings import EmbeddingSettings, MapName
@@ -55,7 +54,7 @@ def run(task: str, arm: MapName | None, seed: int, n_episodes: int | None = None
         learner = FeatureLearner(
             LearnedMap(arm, form_of(world.observation_space), seed), EmbeddingSettings(**settings), seed
         )
-    discovery = SubgoalDiscovery(DiscoverySettings(), kind="environment" if arm is None else arm)
+    discovery = Discovery(DiscoverySettings(), kind="environment" if arm is None else arm)
     found: list[dict[str, Any]] = []
     world.reset(seed=seed)
     for episode in range(1, (n_episodes or N_EPISODES) + 1):
@@ -64,7 +63,7 @@ def run(task: str, arm: MapName | None, seed: int, n_episodes: int | None = None
         discovery.add(trajectory, phi(np.asarray(trajectory.states)))
         if learner is not None:
             before = time.process_time()
-            learn_if_due(learner, discovery)
+            discovery.learn_if_due(learner)
             learning += time.process_time() - before
         ready = learner is None or learner.map.learned > 0
         if ready and len(found) < MAX_OPTIONS and discovery.search() is not None:
@@ -78,7 +77,7 @@ def run(task: str, arm: MapName | None, seed: int, n_episodes: int | None = None
         "rank_correlation": rank_correlation(world, learner.map) if learner is not None and is_learned else None,
         "n_learned": 0 if learner is None else learner.map.learned,
         "n_successes": sum(t.success for t in discovery.database),
-        "seconds": {"learning": learning, "searches": discovery.seconds, "all": time.process_time() - began},
+        "seconds": {"learning": learning, "searches": discovery.diary.seconds, "all": time.process_time() - began},
     }
 
 

@@ -18,9 +18,7 @@ from experiments.deep.conditions import EVAL_SEED, Served
 from experiments.deep.settings import GAMMA, DeepSettings, family
 from experiments.deep.tasks import Task
 from experiments.first_hour.conditions import OptionUse
-from experiments.methods.em_dd import MostLikelyDiscovery
-from experiments.methods.entrants import EM_DD, FILTERED, NONE, discovery_of
-from experiments.methods.filtered import FilteredDiscovery
+from experiments.methods.entrants import NONE, discovery_of
 from experiments.methods.tasks import RaceTask, at_bottleneck, step_limit, task_for
 from experiments.pioneer.agents import features
 from experiments.pioneer.settings import PioneerSettings
@@ -85,30 +83,6 @@ class TimedDiscovery(SubgoalDiscoveryCallback):
         search = self._search
         search.add = self.watch.timed(search.add)  # type: ignore[method-assign]  # of this one
         search.search = self.watch.timed(search.search)  # type: ignore[method-assign]
-
-
-class FilteredDraws(TimedDiscovery):
-    """Draws subgoals from the states that diverse density searches."""
-
-    def _on_training_start(self) -> None:
-        if self.discovery is None:
-            kind = self.training_env.get_attr("traits", [0])[0].feature_kind
-            self.discovery = FilteredDiscovery(self.settings, self.success, self.static_filter, kind, seed=self.seed)
-        super()._on_training_start()
-
-
-class ExpectationSearches(TimedDiscovery):
-    """Discovers by EM-DD."""
-
-    def _on_training_start(self) -> None:
-        if self.discovery is None:
-            kind = self.training_env.get_attr("traits", [0])[0].feature_kind
-            self.discovery = MostLikelyDiscovery(self.settings, self.success, self.static_filter, kind)
-        super()._on_training_start()
-
-
-CALLBACKS: dict[str, type[TimedDiscovery]] = {FILTERED: FilteredDraws, EM_DD: ExpectationSearches}
-"""Of entrants that are no method of the library."""
 
 
 class TimedEvaluations(Evaluations):
@@ -208,8 +182,7 @@ def train(
 def make_discovery(entry: Entry, task: RaceTask, seed: int, *, discovers: bool) -> TimedDiscovery:
     """The callback; the option learner is the same for all."""
     settings, method = discovery_of(entry.entrant, entry.changed, task, seed)
-    kind = CALLBACKS.get(entry.entrant, TimedDiscovery)
-    return kind(
+    return TimedDiscovery(
         settings,
         {**SETTINGS.option, **task.option},
         method=method,

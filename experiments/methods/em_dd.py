@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -10,9 +10,10 @@ import torch
 from experiments.common.em_dd import ExpectationMaximisation, MostLikely
 from sb3_options.density.bags import distinct
 from sb3_options.density.diverse_density import DiverseDensity, Peak
-from sb3_options.discovery.bag_maker import FilteredBags
-from sb3_options.discovery.budget import seconds_of_search
-from sb3_options.discovery.subgoals import SubgoalDiscovery
+from sb3_options.discovery.bags import FilteredBags
+from sb3_options.discovery.budget import PAIR_SECONDS, POINT_FEATURES, SEARCH_SECONDS
+from sb3_options.discovery.methods.diverse_density import PersistentPeaks
+from sb3_options.experience.observations import FloatArray
 
 STARTS, ROUNDS, STEPS = 32, 5, 10
 """Instances of positive bags that are started from, selections, and evaluations between two of them."""
@@ -21,21 +22,20 @@ EVALUATION_SECONDS = 4e-5
 """Nominal time of an evaluation of few instances."""
 
 
-@dataclass
-class MostLikelyDiscovery(SubgoalDiscovery):
-    """`SubgoalDiscovery` with `ExpectationMaximisation` in place of diverse density.
+class MostLikelyPeaks(PersistentPeaks):
+    """`PersistentPeaks` with `ExpectationMaximisation` in place of diverse density.
 
     Bags, filters, peaks that persist and subgoals are those of diverse density. `leak` and ``search`` have no effect:
     all bags must have an instance near the concept. One-hot codes have no point between them, so only the instances of
     positive bags are candidates.
     """
 
-    def _certain(self, evidence: FilteredBags, engine: DiverseDensity) -> list[Peak]:
+    def _certain(self, evidence: FilteredBags, engine: DiverseDensity, starts: FloatArray | None) -> list[Peak]:
         return engine.certain(evidence.positive, evidence.positive[0])
 
-    def _peaks(self, evidence: FilteredBags, engine: DiverseDensity) -> list[Peak]:
+    def _search(self, evidence: FilteredBags, engine: DiverseDensity, starts: FloatArray | None) -> list[Peak]:
         search = replace(engine, method="thorough", max_starts=STARTS)
-        if self.kind != "categorical":
+        if self.filters.kind != "categorical":
             return ExpectationMaximisation(search=search, rounds=ROUNDS, steps=STEPS).fit(evidence.bags)
         scaled = search.evidence(evidence.bags)
         likelihood = MostLikely(evidence.bags, scaled, search.concept, search.negative_strength)
@@ -44,9 +44,10 @@ class MostLikelyDiscovery(SubgoalDiscovery):
         loss, _ = likelihood.loss(theta, likelihood.select(theta))
         return engine.best(points, -loss.numpy())
 
-    def _seconds_of_search(self, evidence: FilteredBags, engine: DiverseDensity, *, certain: bool) -> float:
-        if certain or self.kind == "categorical":
-            return super()._seconds_of_search(evidence, engine, certain=certain)
-        evaluations = ROUNDS * (STEPS + 1)
-        compared = seconds_of_search(evidence.n_instances, STARTS * (ROUNDS + 1), evidence.positive[0].shape[1])
-        return compared + EVALUATION_SECONDS * evaluations
+    def _seconds_of_search(self, evidence: FilteredBags, engine: DiverseDensity) -> float:
+        if self.filters.kind == "categorical":
+            return super()._seconds_of_search(evidence, engine)
+        n_pairs = evidence.n_instances * STARTS * (ROUNDS + 1)
+        compared = PAIR_SECONDS * n_pairs * (evidence.positive[0].shape[1] + POINT_FEATURES)
+        seconds: float = SEARCH_SECONDS + compared + EVALUATION_SECONDS * ROUNDS * (STEPS + 1)
+        return seconds

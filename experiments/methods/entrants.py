@@ -9,6 +9,8 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, get_args
 
+from experiments.methods.em_dd import MostLikelyPeaks
+from experiments.methods.filtered import FilteredStates
 from experiments.methods.tasks import RaceTask, places
 from sb3_options.discovery.methods import CONTROLS, METHODS, DiscoveryMethod, GivenPlaces, MethodName
 from sb3_options.discovery.settings import DiscoverySettings
@@ -81,7 +83,9 @@ def discovery_of(
     if entrant == HAND_MADE:
         return DiscoverySettings(**task.discovery), GivenPlaces(places(task))
     if entrant == EM_DD:
-        return DiscoverySettings(**{**task.discovery, **changed}), None
-    if entrant in (NONE, FILTERED):
+        return DiscoverySettings(**{**task.discovery, **changed}), MostLikelyPeaks()
+    if entrant == FILTERED:
+        return DiscoverySettings(**task.discovery), FilteredStates(seed=seed)
+    if entrant == NONE:
         return DiscoverySettings(**task.discovery), None
     return DiscoverySettings(**{**task.discovery, "method": entrant, **changed}), None

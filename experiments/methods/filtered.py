@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import math
-import time
-from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
 from sb3_options.density.regions import Region
-from sb3_options.discovery.found import FoundSubgoal, Search
-from sb3_options.discovery.subgoals import SubgoalDiscovery
+from sb3_options.discovery.methods import Experience
+from sb3_options.discovery.methods.diverse_density import PersistentPeaks
 
 
-@dataclass
-class FilteredDiscovery(SubgoalDiscovery):
-    """Draws a subgoal as soon as the filters leave something: a state of the positive bags, each as likely.
+class FilteredStates(PersistentPeaks):
+    """Proposes a state of the positive bags, each as likely, as soon as the filters leave any.
 
     Bags, budget and spacing are diverse density's own. What is missing is the density, and the wait for a peak that
     persists.
@@ -24,26 +21,23 @@ class FilteredDiscovery(SubgoalDiscovery):
         seed: Of the draws.
     """
 
-    seed: int = field(default=0, kw_only=True)
+    STATE: ClassVar[tuple[str, ...]] = ("_random",)
 
-    def __post_init__(self) -> None:
-        """Set up the generator."""
-        super().__post_init__()
-        self._random = np.random.default_rng(self.seed)
+    def __init__(self, *, seed: int = 0) -> None:
+        super().__init__()
+        self._random = np.random.default_rng(seed)
 
-    def update(self) -> None:
-        """Make the bags; as `SubgoalDiscovery.update`."""
-        began = time.perf_counter()
-        self.last = Search([], self._recurring_evidence(), time.perf_counter() - began)
-        self.seconds += self.last.seconds
-
-    def _new_subgoal(self) -> Region | None:
-        if self.last.evidence is None:
-            return None
-        assert self.scale is not None  # there are bags
-        places = np.unique(np.concatenate(self.last.evidence.positive), axis=0)
+    def update(self, experience: Experience) -> list[Region]:
+        """Make the bags and draw; as `DiscoveryMethod.update`."""
+        self._n_since = 0
+        self.evidence = self.bags(experience)
+        if self.evidence is None:
+            return []
+        places = np.unique(np.concatenate(self.evidence.positive), axis=0)
         point = places[self._random.integers(len(places))]
-        subgoal = Region(point[None], self.scale, self.settings.subgoal_radius)
-        self.found.append(FoundSubgoal(subgoal, self.last.evidence.bags, math.nan))
-        self._maker.forget_bags()
-        return subgoal
+        return [Region(point[None], self.filters.known_scale, self.settings.subgoal_radius)]
+
+    def accept(self, goal: Region) -> float:
+        """There are no running averages; as `Method.accept`."""
+        self._n_accepted += 1
+        return float("nan")

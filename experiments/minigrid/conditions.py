@@ -16,11 +16,11 @@ from stable_baselines3.common.vec_env import VecEnv
 from experiments.common.seeds import Result
 from experiments.minigrid import settings
 from experiments.minigrid.agents import Chooser, Notes, learned, model_of, normalised, success_rate, uniform, venv_of
-from experiments.minigrid.contrasting import ContrastingSubgoalsCallback
 from experiments.minigrid.hand_made import MadeBy, options_on, to_subgoals_on
 from experiments.minigrid.settings import FAMILIES, WITH_OPTIONS, ZOO_ARM, Arm, Stage, zoo_settings
 from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.callbacks.records import DiscoveredOption
+from sb3_options.discovery.methods.grouped import RandomGrouped
 
 Judged = Literal["sampled", "greedy", "uniform"]
 JUDGED: tuple[Judged, ...] = get_args(Judged)
@@ -110,7 +110,8 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
             for found in callbacks:
                 if isinstance(found, SubgoalDiscoveryCallback):
                     result["options"] += [_about(found, discovery, number) for discovery in found.discoveries]
-                    result["stages"][-1]["discovery_seconds"] = found.discovery.seconds if found.discovery else 0.0
+                    seconds = found.discovery.diary.seconds if found.discovery else 0.0
+                    result["stages"][-1]["discovery_seconds"] = seconds
                     how["options"] = Path(folder) / "options"
                     found.bank.save(how["options"])
             venv.close()
@@ -133,11 +134,11 @@ def _by_hand(arm: Arm) -> MadeBy | None:
 def _callbacks(arm: Arm, seed: int, stage: int, *, is_last: bool, primitive_rollouts: bool) -> list[BaseCallback]:
     callbacks: list[BaseCallback] = []
     if arm in settings.DISCOVERING:
-        kind = ContrastingSubgoalsCallback if arm in settings.CONTRASTING else SubgoalDiscoveryCallback
-        discovery = kind(
+        drawn = RandomGrouped(contrasting=True, seed=seed) if arm in settings.CONTRASTING else None
+        discovery = SubgoalDiscoveryCallback(
             settings.DISCOVERY,
             settings.options_of(stage),
-            method="random" if arm in settings.RANDOM else None,
+            method="random" if arm in settings.RANDOM else drawn,
             max_new_options=0 if is_last and stage else None,
             opening_share=settings.OPENING_SHARE,
             primitive_rollouts=primitive_rollouts,

@@ -8,9 +8,11 @@ import numpy as np
 
 from experiments.common.gridworlds import Cell, cell_of
 from experiments.paper.settings import PaperSettings
+from sb3_options.density.bags import Bags
 from sb3_options.density.log_density import log_diverse_density
+from sb3_options.discovery.discovery import Discovery
+from sb3_options.discovery.methods.diverse_density import PersistentPeaks
 from sb3_options.discovery.static_filter import near_start_and_goal
-from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.envs import GridWorld
 from sb3_options.experience.observations import FloatArray, IntArray
 from sb3_options.experience.success import SuccessRule, reported_success
@@ -30,9 +32,9 @@ def visit_counts(world: GridWorld, trajectories: Iterable[LabelledTrajectory], *
     return counts
 
 
-def density_map(world: GridWorld, discovery: SubgoalDiscovery) -> FloatArray | None:
+def density_map(world: GridWorld, discovery: Discovery) -> FloatArray | None:
     """Log diverse density of every cell, NaN in walls, shape (height, width); None while there are too few bags."""
-    bags = discovery.bags()
+    bags = _bags(discovery)
     if bags is None or discovery.scale is None:
         return None
     y, x = np.nonzero(~world.walls)
@@ -45,6 +47,12 @@ def density_map(world: GridWorld, discovery: SubgoalDiscovery) -> FloatArray | N
     return floored
 
 
+def _bags(discovery: Discovery) -> Bags | None:
+    assert isinstance(discovery.method, PersistentPeaks)  # the default
+    filtered = discovery.method.bags(discovery.experience())
+    return None if filtered is None else filtered.bags
+
+
 def discovery_of(
     settings: PaperSettings,
     trajectories: Iterable[LabelledTrajectory],
@@ -52,10 +60,10 @@ def discovery_of(
     success: SuccessRule = reported_success,
     negative_strength: float | None = None,
     loops: bool = True,
-) -> SubgoalDiscovery:
+) -> Discovery:
     """Discovery that has seen these trajectories, and not searched."""
     how = settings.discovery(negative_strength=negative_strength, loops=loops)
-    discovery = SubgoalDiscovery(how, success=success)
+    discovery = Discovery(how, success=success)
     for labelled in trajectories:
         discovery.add(labelled.trajectory, labelled.features)
     return discovery
@@ -83,9 +91,7 @@ def first_subgoal(
     return None
 
 
-def most_visited(
-    world: GridWorld, discovery: SubgoalDiscovery, *, first_only: bool, rng: np.random.Generator
-) -> Cell | None:
+def most_visited(world: GridWorld, discovery: Discovery, *, first_only: bool, rng: np.random.Generator) -> Cell | None:
     """The baseline: the cell that most trajectories visited (or that was visited most) and that may be a subgoal.
 
     Args:
@@ -97,7 +103,7 @@ def most_visited(
     Returns:
         The cell; None while there are too few trajectories for bags.
     """
-    if discovery.bags() is None or discovery.scale is None:
+    if _bags(discovery) is None or discovery.scale is None:
         return None
     settings = discovery.settings
     static_filter = near_start_and_goal(settings.start_radius, settings.goal_radius)

@@ -12,11 +12,11 @@ from experiments.common.gridworlds import cell_of, distance_to_doorway, rooms_of
 from experiments.published.graphs import climbed, cover_time, diffusion_time, grid, joined, taxi
 from experiments.published.learning import MOST, moves_of, steps_to_learn, tasks_of
 from experiments.random_walks.conditions import run, walk
+from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods.covering import farthest_pairs
 from sb3_options.discovery.methods.graphs import TOLERANCE
 from sb3_options.discovery.methods.place_graph import smoothest
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
-from sb3_options.discovery.proposed import discovery_with
 from sb3_options.discovery.settings import DiscoverySettings
 
 N_OPTIONS = (0, 2, 4, 8, 16, 32)
@@ -73,7 +73,7 @@ def relative_novelty(seeds: range, n_episodes: int = 10) -> dict[str, Any]:
         world, random = world_of("sb3_options/TwoRooms-v0", observation="xy"), np.random.default_rng(seed)
         settings = DiscoverySettings(start_radius=0.0, goal_radius=0.0, spacing=0.0, max_share=None)
         method = _Accepting()
-        discovery = discovery_with(settings, method=method, kind="environment")
+        discovery = Discovery(settings, method=method, kind="environment")
         world.reset(seed=seed)
         for _ in range(n_episodes):
             trajectory = walk(world, random)

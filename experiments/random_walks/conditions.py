@@ -11,7 +11,8 @@ import numpy as np
 from experiments.common.gridworlds import NEAR, world_of
 from experiments.common.seeds import Result
 from experiments.random_walks.maps import random_map
-from sb3_options.discovery.proposed import discovery_with
+from sb3_options.discovery.discovery import Discovery
+from sb3_options.discovery.methods.diverse_density import PersistentPeaks
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.envs import GridWorld
 from sb3_options.envs.gridworld.grid_map import Direction
@@ -119,7 +120,7 @@ def run(task: str, changed: dict[str, Any], seed: int, n_episodes: int | None = 
     """
     world, rng = world_for(task, seed), np.random.default_rng(seed)
     seen = Positions(world, noise, seed)
-    discovery = discovery_with(DiscoverySettings(**changed), kind="environment")
+    discovery = Discovery(DiscoverySettings(**changed), kind="environment")
     found: list[dict[str, Any]] = []
     instances: FloatArray = np.zeros((0, 2))
     seen.reset(seed=seed)
@@ -127,8 +128,8 @@ def run(task: str, changed: dict[str, Any], seed: int, n_episodes: int | None = 
         trajectory = walk(seen, rng)
         discovery.add(trajectory, np.asarray(trajectory.states))
         subgoal = discovery.search() if len(found) < MAX_OPTIONS else None
-        if not found and discovery.last.evidence is not None:
-            instances = np.unique(np.concatenate(discovery.last.evidence.positive), axis=0)
+        if not found and isinstance(discovery.method, PersistentPeaks) and discovery.method.evidence is not None:
+            instances = np.unique(np.concatenate(discovery.method.evidence.positive), axis=0)
         if subgoal is not None:
             point = subgoal.points[0].tolist()
             found.append({"episode": episode, "point": point, "bottleneck": is_bottleneck(world, point)})
@@ -138,7 +139,7 @@ def run(task: str, changed: dict[str, Any], seed: int, n_episodes: int | None = 
         "found": found,
         "instances": {"n": len(instances), "n_bottlenecks": sum(is_bottleneck(world, each) for each in instances)},
         "n_successes": n_successes,
-        "seconds": discovery.seconds,
+        "seconds": discovery.diary.seconds,
     }
 
 

@@ -1,9 +1,9 @@
 """From trajectories to subgoals. Pure.
 
-`DiscoverySettings` and `SubgoalDiscovery` are what users name.
+`DiscoverySettings` and `Discovery` are what users name.
 """
 
+from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.discovery.subgoals import SubgoalDiscovery
 
-__all__ = ["DiscoverySettings", "SubgoalDiscovery"]
+__all__ = ["Discovery", "DiscoverySettings"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -50,7 +49,10 @@ class Contrast:
     def __init__(
         self, group: FeatureGroup, radius: float, parts: Sequence[Contrast] = (), *, equal_time: bool = True
     ) -> None:
-        self.group, self.radius, self.parts, self.equal_time = group, radius, parts, equal_time
+        self.group = group
+        self.radius = radius
+        self.parts = parts
+        self.equal_time = equal_time
         self._forget()
 
     def _forget(self) -> None:
@@ -103,17 +105,6 @@ class Contrast:
     def _states(self) -> FloatArray:
         """The states by their numbers, (n, k)."""
         return np.frombuffer(b"".join(self._numbers)).reshape(-1, len(self.group.features))
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint. Visits are not in it: they follow from the trajectories."""
-        present = self._values > ABSENT
-        return {"states": self._states()[: len(present)][present], "values": self._values[present]}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        self._forget()
-        self._numbers = {_key(of): i for i, of in enumerate(state["states"])}
-        self._values = np.array(state["values"], dtype=np.float64)
 
     @property
     def n_states(self) -> int:

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.maps import (
     HEIGHTS,
     PANEL_WIDTH,
@@ -22,7 +23,6 @@ from sb3_options.discovery.maps import (
     plane,
     ticks_of,
 )
-from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray, IntArray, batch_size
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option, SubgoalOption
@@ -47,7 +47,7 @@ ROW_HEIGHT = 0.55
 """Of an option's row where states are numbered, in inches."""
 
 
-def discovery_figures(discovery: SubgoalDiscovery, bank: OptionBank) -> dict[str, Figure]:
+def discovery_figures(discovery: Discovery, bank: OptionBank) -> dict[str, Figure]:
     """One figure per panel, by name: for TensorBoard.
 
     Args:
@@ -67,7 +67,7 @@ def discovery_figures(discovery: SubgoalDiscovery, bank: OptionBank) -> dict[str
     return figures
 
 
-def subgoals_figure(discovery: SubgoalDiscovery, bank: OptionBank, text: str | None = None) -> Figure:
+def subgoals_figure(discovery: Discovery, bank: OptionBank, text: str | None = None) -> Figure:
     """All panels in one figure: for a run folder.
 
     Args:
@@ -100,7 +100,7 @@ def subgoals_figure(discovery: SubgoalDiscovery, bank: OptionBank, text: str | N
     return figure
 
 
-def options_figure(discovery: SubgoalDiscovery, bank: OptionBank, newest: int | None = None) -> Figure | None:
+def options_figure(discovery: Discovery, bank: OptionBank, newest: int | None = None) -> Figure | None:
     """Every option by itself: where it may begin, where its policy leads, its subgoal.
 
     Args:
@@ -196,7 +196,7 @@ class _Seen(NamedTuple):
     marks: Marks
 
 
-def _seen(discovery: SubgoalDiscovery) -> _Seen | None:
+def _seen(discovery: Discovery) -> _Seen | None:
     """None before any search."""
     if discovery.scale is None or not len(discovery.database):
         return None
@@ -211,15 +211,14 @@ def _seen(discovery: SubgoalDiscovery) -> _Seen | None:
     return _Seen(seen, marks)
 
 
-def _panels(discovery: SubgoalDiscovery, bank: OptionBank) -> tuple[dict[str, Callable[[Axes], None]], float]:
+def _panels(discovery: Discovery, bank: OptionBank) -> tuple[dict[str, Callable[[Axes], None]], float]:
     """What draws each panel, by name, and the height of one in inches."""
-    bags = discovery.found[-1].bags if discovery.found else discovery.last.bags
-    about = None if bags is None and not discovery.found else _seen(discovery)
-    if about is None:
+    about = _seen(discovery)
+    density = None if about is None else discovery.method.log_density(about.seen)
+    if about is None or (density is None and not discovery.found):
         return {}, HEIGHTS[0]
     seen, marks = about
     visits = _first_visits(discovery, seen)
-    density = None if bags is None else np.asarray(discovery.engine().log_density(seen, bags))
     panels: dict[str, Callable[[Axes], None]] = {}
     if discovery.kind == "categorical":
         if density is not None:
@@ -239,7 +238,7 @@ def _panels(discovery: SubgoalDiscovery, bank: OptionBank) -> tuple[dict[str, Ca
     return panels, cells.height
 
 
-def _first_visits(discovery: SubgoalDiscovery, seen: FloatArray) -> IntArray:
+def _first_visits(discovery: Discovery, seen: FloatArray) -> IntArray:
     """How many successful trajectories visit each row of ``seen``."""
     counts = np.zeros(len(seen), dtype=np.int64)
     row_of = {row.tobytes(): i for i, row in enumerate(seen)}
@@ -265,7 +264,7 @@ def _bars(axes: Axes, title: Title, seen: FloatArray, values: FloatArray | IntAr
     axes.yaxis.set_major_locator(ticks_of(values))
 
 
-def _moves_of(discovery: SubgoalDiscovery, options: list[SubgoalOption]) -> tuple[FloatArray, FloatArray] | None:
+def _moves_of(discovery: Discovery, options: list[SubgoalOption]) -> tuple[FloatArray, FloatArray] | None:
     """Where the greedy actions of options led in the saved trajectories, from each state of the initiation sets.
 
     Returns:
@@ -289,7 +288,7 @@ def _moves_of(discovery: SubgoalDiscovery, options: list[SubgoalOption]) -> tupl
     return starts, np.array([np.mean(m, axis=0) for m in moves.values()])
 
 
-def _draw_policies(axes: Axes, cells: Cells, discovery: SubgoalDiscovery, options: list[SubgoalOption]) -> None:
+def _draw_policies(axes: Axes, cells: Cells, discovery: Discovery, options: list[SubgoalOption]) -> None:
     moves = _moves_of(discovery, options)
     if moves is None:
         axes.set_axis_off()

@@ -45,7 +45,6 @@ class LocalCuts:
 
     def __init__(self) -> None:
         self.n_computed = 0
-        self._sparse = True
         self._pending: list[tuple[FloatArray, IntArray]] = []  # what was given to `add` and is not in the graph yet
         self._pending_bytes = 0
         self._number: dict[bytes, int] = {}
@@ -73,9 +72,10 @@ class LocalCuts:
         if not self._pending:
             return
         states, visits = zip(*self._pending, strict=True)
-        self._pending, self._pending_bytes = [], 0
+        self._pending = []
+        self._pending_bytes = 0
         known, way = self._number, list[IntArray]()
-        keys = keys_of(np.concatenate(states), sparse=self._sparse)
+        keys = keys_of(np.concatenate(states))
         numbers = np.array([known[key] if key in known else self._numbered(key) for key in keys])
         for own, times in zip(np.split(numbers, np.cumsum([len(each) for each in states])[:-1]), visits, strict=True):
             self._n_trajectories[own] += 1  # by one, however often a number is among these
@@ -100,7 +100,7 @@ class LocalCuts:
             features: Of the states, (n, d).
         """
         self._enter()
-        return np.array([self._number.get(key, -1) for key in keys_of(features, sparse=self._sparse)], dtype=np.int64)
+        return np.array([self._number.get(key, -1) for key in keys_of(features)], dtype=np.int64)
 
     def are_known(self, numbers: IntArray) -> BoolArray:
         """Whether more than one trajectory visited each of some states, so that its share says something, (n,).
@@ -136,13 +136,13 @@ class LocalCuts:
             "known": known,
             "shares": self._shares[known],
             "n_computed": self.n_computed,
-            "sparse": self._sparse,
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave."""
-        self.n_computed, self._pending, self._pending_bytes = state["n_computed"], [], 0
-        self._sparse = state.get("sparse", False)  # checkpoints of before had digests alone
+        self.n_computed = state["n_computed"]
+        self._pending = []
+        self._pending_bytes = 0
         self._number = {short_key(each.tobytes()): number for number, each in enumerate(state["states"])}
         self._neighbours = [set() for _ in self._number]
         self._edges = {one * MAX_STATES + other for one, other in state["edges"].tolist()}
@@ -183,16 +183,15 @@ class LocalCuts:
         return around
 
 
-def keys_of(features: FloatArray, *, sparse: bool = True) -> list[bytes]:
+def keys_of(features: FloatArray) -> list[bytes]:
     """A key for each state (n, d), which equal ones share: the state itself, or, if it has many features, a digest.
 
     Args:
-        features: Of the states.
-        sparse: Whether of a state of which one feature alone is not 0, as in a one-hot code, that one is the key.
+        features: Of the states. Where a single feature is not 0, as in a one-hot code, that one is the key.
     """
     if features.shape[1] <= FEW:
         return row_keys(features)
-    one = (np.count_nonzero(features, axis=1) == 1) & sparse
+    one = np.count_nonzero(features, axis=1) == 1
     rows, columns = np.nonzero(features[one])
     keys = row_keys(np.stack([columns, features[one][rows, columns]], axis=1))
     if one.all():

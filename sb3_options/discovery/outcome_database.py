@@ -9,6 +9,7 @@ from typing import Any
 
 from sb3_options.discovery.salience import Salience
 from sb3_options.experience.trajectories import LabelledTrajectory, TrajectoryDatabase
+from sb3_options.state import restore, state_of
 
 
 class OutcomeDatabase(TrajectoryDatabase):
@@ -58,7 +59,7 @@ class OutcomeDatabase(TrajectoryDatabase):
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint: the trajectories of each kind, oldest first, and what is rare."""
-        successful, salience = self._successful.get_state(), self._salience.get_state()
+        successful, salience = self._successful.get_state(), state_of(self._salience)
         numbers = [self._number[id(_whole(each))] for each in self]
         own = {"successful": successful, "salience": salience, "n_entered": self.n_entered, "numbers": numbers}
         return {**super().get_state(), **own}
@@ -67,9 +68,9 @@ class OutcomeDatabase(TrajectoryDatabase):
         """Hold what `get_state` gave, and nothing else."""
         super().set_state(state)
         self._successful.set_state(state["successful"])
-        self._salience.set_state(state["salience"])
+        restore(self._salience, state["salience"])
         self.n_entered = state["n_entered"]
-        numbers = state.get("numbers", range(len(self)))  # checkpoints of before did not tell
+        numbers = state["numbers"]
         self._number = {id(_whole(each)): number for each, number in zip(self, numbers, strict=True)}
         self._n_added = 1 + max(numbers, default=-1)
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import rustworkx as rx
 from scipy.spatial.distance import cdist
 
 from sb3_options.experience.observations import FloatArray
+from sb3_options.state import storable
 
 MOST_TIED = 1000
 """Peaks that tie, or places that were visited equally often, are no subgoals if they are more than this."""
@@ -47,6 +47,7 @@ def plateau_centres(points: FloatArray, scale: FloatArray, radius: float) -> tup
     return middle, extent
 
 
+@storable
 @dataclass
 class TrackedConcept:
     """A concept that was a peak at least once.
@@ -73,22 +74,17 @@ class PeakTracker:
         decay: λ in (0, 1).
         threshold: Share of the limit λ/(1−λ) above which a concept is persistent, in [0, 1).
         radius: In scaled units of concept space, ≥ 0.
-
-    Raises:
-        ValueError: An argument is out of its range.
     """
+
+    STATE = ("concepts",)
 
     FORGOTTEN = 1e-3
     """A concept whose average has decayed below this is dropped, so that the list stays short."""
 
     def __init__(self, *, decay: float = 0.9, threshold: float = 0.6, radius: float = 1.0) -> None:
-        if not 0.0 < decay < 1.0:
-            raise ValueError(f"decay (λ) must be in (0, 1), got {decay}.")
-        if not 0.0 <= threshold < 1.0:
-            raise ValueError(f"threshold must be a share of the limit λ/(1−λ), in [0, 1), got {threshold}.")
-        if not radius >= 0.0:
-            raise ValueError(f"radius must be at least 0, got {radius}.")
-        self.decay, self.threshold, self.radius = decay, threshold, radius
+        self.decay = decay
+        self.threshold = threshold
+        self.radius = radius
         self.concepts: list[TrackedConcept] = []
 
     @property
@@ -136,13 +132,9 @@ class PeakTracker:
         above = [c for c in self.concepts if c.found and c.average > share * self.limit]
         return sorted(above, key=lambda c: -c.average)
 
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        return {"concepts": [(c.point, c.average, c.found) for c in self.concepts]}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        self.concepts = [TrackedConcept(*concept) for concept in state["concepts"]]
+    def forget(self) -> None:
+        """Start again without concepts."""
+        self.concepts = []
 
     def _nearest(self, peak: FloatArray, scale: FloatArray) -> TrackedConcept | None:
         if not self.concepts:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -33,11 +32,15 @@ class Salience:
         enough: With so many real successes nothing is rare any more.
     """
 
+    STATE = ("rare", "_n", "_successes", "_came")
+
     def __init__(self, groups: Iterable[FeatureGroup], share: float, enough: int) -> None:
         self.groups = [group for group in groups if len(group.present) == 1]
-        self.share, self.enough = share, enough
+        self.share = share
+        self.enough = enough
         self.rare: tuple[int, ...] = ()
-        self._n = self._successes = 0
+        self._n = 0
+        self._successes = 0
         self._came = np.zeros(len(self.groups), dtype=np.int64)
 
     def add(self, trajectory: LabelledTrajectory) -> bool:
@@ -48,7 +51,8 @@ class Salience:
         self._successes += trajectory.success
         came = [group.is_place(trajectory.features).any() for group in self.groups]
         self._came += np.array(came, dtype=np.int64)
-        before, self.rare = self.rare, ()
+        before = self.rare
+        self.rare = ()
         if self._n >= LEAST_TRAJECTORIES and self._successes < self.enough:
             rare = (self._came > 0) & (self._came <= self.share * self._n)
             self.rare = tuple(np.flatnonzero(rare).tolist())
@@ -68,15 +72,6 @@ class Salience:
             if there.any() and not there[visits[0]]:
                 times.append(int(there[visits].argmax()))
         return _until(trajectory, min(times)) if times else trajectory
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        return {"counts": (self._n, self._successes), "came": self._came, "rare": self.rare}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        self._n, self._successes = state["counts"]
-        self._came, self.rare = np.array(state["came"], dtype=np.int64), tuple(state["rare"])
 
 
 def _until(labelled: LabelledTrajectory, time: int) -> LabelledTrajectory:

@@ -9,9 +9,21 @@ import numpy as np
 
 from sb3_options.checked import Field, settings
 from sb3_options.density.groups import FeatureGroup
-from sb3_options.discovery.methods import MethodName
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.recording import RewardPeaks
+
+MethodName = Literal[
+    "diverse-density",
+    "first-visits",
+    "every-visit",
+    "relative-novelty",
+    "l-cut",
+    "betweenness",
+    "eigenoptions",
+    "covering",
+    "random",
+]
+"""Names of the methods of discovery."""
 
 
 @settings

@@ -16,7 +16,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from sb3_options.checkpoints.file import CheckpointFolder
-from sb3_options.discovery.subgoals import SubgoalDiscovery
+from sb3_options.discovery.discovery import Discovery
 from sb3_options.experience.trajectories import EpisodeRecord
 from sb3_options.options.bank import OptionBank
 from sb3_options.runs import folder as runs
@@ -44,7 +44,7 @@ class Discovering(Protocol):
         """The slots."""
 
     @property
-    def discovery(self) -> SubgoalDiscovery | None:
+    def discovery(self) -> Discovery | None:
         """Of the training."""
 
 

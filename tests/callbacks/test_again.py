@@ -85,7 +85,7 @@ def test_a_step_of_a_table_affords_fewer_searches_than_one_of_a_network() -> Non
     for model in (MacroQ(with_option(), gamma=0.9, seed=0), model_of(with_option())):
         model.learn(50, callback=(callback := SubgoalDiscoveryCallback()))
         assert callback.discovery is not None
-        steps.append(callback.discovery.budget.step_seconds)
+        steps.append(callback.discovery.diary.step_seconds)
     assert steps == [TABLE_STEP_SECONDS, STEP_SECONDS]
 
 

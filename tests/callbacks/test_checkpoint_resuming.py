@@ -209,7 +209,7 @@ def test_bonuses(name: str, kind: Any, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("keep_all")
 def test_searches_that_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A schedule by the clock would be another one after a kill."""
-    monkeypatch.setattr("sb3_options.discovery.budget.SHORTEST", 0)
+    monkeypatch.setattr("sb3_options.discovery.diary.SHORTEST", 0)
 
     def others() -> Callbacks:
         callback = discovering()
@@ -217,7 +217,7 @@ def test_searches_that_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         return [callback]
 
     callbacks, _ = check_resumes(lambda: model_of("A2C", venv_of()), others, tmp_path, cuts=(0.4, 0.8))
-    budget = callbacks[0].discovery.budget  # type: ignore[attr-defined]  # of discovery
+    budget = callbacks[0].discovery.diary  # type: ignore[attr-defined]  # of discovery
     assert 0 < budget.skipped < callbacks[0].episodes  # type: ignore[attr-defined]  # likewise
     assert budget.spent > 0
 

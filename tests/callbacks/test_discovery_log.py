@@ -5,21 +5,21 @@ import logging
 import pytest
 
 from sb3_options.callbacks.discovery_log import FAR_BEYOND, LONG_ENOUGH, DiscoveryClock
+from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.discovery.subgoals import SubgoalDiscovery
 
 
 def warnings_of(share: float, trained: float, caplog: pytest.LogCaptureFixture, max_share: float | None = 0.05) -> int:
     now = [100.0]
-    search = SubgoalDiscovery(DiscoverySettings(max_share=max_share))
-    search.seconds = 7.0
+    search = Discovery(DiscoverySettings(max_share=max_share))
+    search.diary.seconds = 7.0
     clock = DiscoveryClock(7.0, lambda: now[0])
     assert clock.share(search) == 0.0
     caplog.clear()
     with caplog.at_level(logging.WARNING):
         for part in (1, 2):
             now[0] = 100.0 + part * trained
-            search.seconds = 7.0 + part * share * trained
+            search.diary.seconds = 7.0 + part * share * trained
             assert clock.share(search) == pytest.approx(share)
     return len(caplog.records)
 

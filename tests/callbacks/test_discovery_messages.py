@@ -52,10 +52,10 @@ def test_a_subgoal_that_nothing_leads_to_is_told_once(caplog: pytest.LogCaptureF
     with caplog.at_level(logging.WARNING, "sb3_options"):
         model_of(seed=0).learn(8 * STEPS, callback=callback)
     assert callback.discovery is not None
-    assert callback.discovery.n_withdrawn > 1
+    assert callback.discovery.diary.n_withdrawn > 1
     said = [record.getMessage() for record in caplog.records if "No option for" in record.getMessage()]
     assert said
-    assert len(said) == len(set(said)) < callback.discovery.n_withdrawn
+    assert len(said) == len(set(said)) < callback.discovery.diary.n_withdrawn
 
 
 class TestSavePath:

@@ -63,7 +63,7 @@ def test_what_a_map_waits_for_is_said_and_its_time_is_logged(tmp_path: Path) -> 
     model.set_logger(configure(str(tmp_path), ["csv"]))
     model.learn(1_000, callback)
     assert callback.discovery is not None
-    n = callback.discovery.outcomes.n
+    n = callback.discovery.diary.n
     assert n >= 1
     assert callback.why_nothing() == (
         f"No subgoal was discovered: the feature map is learned after 10000 trajectories, and {n} have ended. Train "

@@ -26,7 +26,7 @@ from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback
 from sb3_options.checkpoints.comparison import differing
 from sb3_options.checkpoints.environments import refusal
 from sb3_options.checkpoints.file import CheckpointFolder, read
-from sb3_options.discovery.grouped import GroupedDiscovery
+from sb3_options.discovery.methods.grouped import GroupedPeaks
 from sb3_options.envs.minigrid import make as make_minigrid
 from tests.callbacks.test_checkpoint_resuming import (
     Callbacks,
@@ -123,7 +123,8 @@ def test_grouped_discovery(tmp_path: Path) -> None:
     )
     (discovery, _) = callbacks
     assert isinstance(discovery, SubgoalDiscoveryCallback)
-    assert isinstance(discovery.discovery, GroupedDiscovery)
+    assert discovery.discovery is not None
+    assert isinstance(discovery.discovery.method, GroupedPeaks)
     assert discovery.discoveries
 
 

@@ -4,8 +4,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from sb3_options.discovery.bags import FilteredBags
+from sb3_options.discovery.discovery import Discovery
+from sb3_options.discovery.methods.diverse_density import PersistentPeaks
 from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import Trajectory
 from tests.support.helpers import trajectory_of
@@ -38,6 +40,16 @@ def on_a_line(*places: float, success: bool = True) -> tuple[Trajectory, FloatAr
     return trajectory, np.asarray(trajectory.states)
 
 
-def found(discovery: SubgoalDiscovery) -> list[float] | None:
+def found(discovery: Discovery) -> list[float] | None:
     subgoal = discovery.search()
     return None if subgoal is None else subgoal.points.ravel().tolist()
+
+
+def peaks_of(discovery: Discovery) -> PersistentPeaks:
+    """Its method, where that is diverse density on all features."""
+    assert isinstance(discovery.method, PersistentPeaks)
+    return discovery.method
+
+
+def bags_of(discovery: Discovery) -> FilteredBags | None:
+    return peaks_of(discovery).bags(discovery.experience())

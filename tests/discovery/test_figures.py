@@ -16,16 +16,17 @@ from matplotlib.quiver import Quiver
 
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
+from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.figures import discovery_figures, options_figure, subgoals_figure
 from sb3_options.discovery.maps import INITIATION_COLOUR, SUBGOAL_COLOUR
 from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.creation import learn_option
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from sb3_options.options.settings import OptionLearningSettings
+from tests.discovery.lines import peaks_of
 from tests.support.helpers import line, steady_option, trajectory_of
 from tests.support.sb3_helpers import n_colours, small_rooms
 
@@ -51,11 +52,9 @@ def walks(n: int) -> list[Trajectory]:
 @functools.cache
 def discovered(
     kind: str | None, features: Callable[[Any], npt.NDArray[np.float64]], n: int = 30
-) -> tuple[SubgoalDiscovery, OptionBank]:
+) -> tuple[Discovery, OptionBank]:
     """Discovery over random walks, up to its first option."""
-    discovery = SubgoalDiscovery(
-        DiscoverySettings(min_positive=3, start_radius=0.5, goal_radius=1.5, decay=0.5), kind=kind
-    )
+    discovery = Discovery(DiscoverySettings(min_positive=3, start_radius=0.5, goal_radius=1.5, decay=0.5), kind=kind)
     bank = OptionBank(4, 2)
     for trajectory in walks(n):
         discovery.add(trajectory, features(np.asarray(trajectory.states, dtype=np.float64)))
@@ -103,9 +102,9 @@ class TestMaps:
         discovery, bank = discovered("environment", xy)
         squares = patches(discovery_figures(discovery, bank)["diverse_density"])
         seen = np.unique(np.concatenate([t.features for t in discovery.database]), axis=0)
-        bags = discovery.found[0].bags
-        assert bags is not None
-        values = np.asarray(discovery.engine().log_density(seen, bags))
+        completed = peaks_of(discovery).completed
+        assert completed is not None
+        values = np.asarray(peaks_of(discovery).engine().log_density(seen, completed.bags))
         worst = min(values.max() - 60, np.quantile(values, 0.75))
         np.testing.assert_allclose(squares.get_array(), np.maximum(values, worst))  # type: ignore[arg-type]  # set above
         centres = np.array([path.get_extents().get_points().mean(axis=0) for path in squares.get_paths()])
@@ -157,12 +156,13 @@ class TestMaps:
     def test_without_a_leak_a_quarter_of_the_states_is_told_apart(self) -> None:
         discovery, bank = discovered("environment", xy)
         settings = dataclasses.replace(discovery.settings, leak=0.0, scale=4.0, start_radius=0.0, goal_radius=0.0)
-        discovery = SubgoalDiscovery(settings, kind="environment")
+        discovery = Discovery(settings, kind="environment")
         for trajectory in walks(30):
             discovery.add(trajectory, xy(np.asarray(trajectory.states, dtype=np.float64)))
         discovery.search()
         seen = np.unique(np.concatenate([t.features for t in discovery.database]), axis=0)
-        values = np.asarray(discovery.engine().log_density(seen, discovery.last.bags))  # type: ignore[arg-type]  # searched
+        values = discovery.method.log_density(seen)
+        assert values is not None
         assert (values > values.max() - 60).mean() < 0.15  # a fixed scale would show these only
         shown = np.asarray(patches(discovery_figures(discovery, bank)["diverse_density"]).get_array())
         assert (shown > shown.min()).mean() >= 0.2
@@ -232,7 +232,7 @@ def test_spaces_of_other_sizes(kind: str, features: Callable[[Any], npt.NDArray[
 
 
 class TestOptions:
-    def two(self, kind: str, features: Callable[[Any], npt.NDArray[np.float64]]) -> tuple[SubgoalDiscovery, OptionBank]:
+    def two(self, kind: str, features: Callable[[Any], npt.NDArray[np.float64]]) -> tuple[Discovery, OptionBank]:
         """The discovered option, and the same with a smaller initiation set in the slot before it."""
         discovery, found = discovered(kind, features)
         option, bank = found[0], OptionBank(4, 3)
@@ -276,7 +276,7 @@ class TestOptions:
     def test_without_an_option_or_a_search_there_is_none(self) -> None:
         discovery, bank = discovered("environment", xy)
         assert options_figure(discovery, OptionBank(4, 2)) is None
-        assert options_figure(SubgoalDiscovery(), bank) is None
+        assert options_figure(Discovery(), bank) is None
 
 
 def test_numbered_states_are_bars() -> None:
@@ -300,7 +300,7 @@ def test_two_panels_are_one_row() -> None:
 
 
 def test_a_single_success_is_counted_in_whole_trajectories() -> None:
-    discovery = SubgoalDiscovery(DiscoverySettings(min_positive=1, start_radius=0.5, goal_radius=0.5, min_passing=0.0))
+    discovery = Discovery(DiscoverySettings(min_positive=1, start_radius=0.5, goal_radius=0.5, min_passing=0.0))
     discovery.add(line([0, 1, 2, 3, 4]).trajectory, np.arange(5.0)[:, None], success=True)
     discovery.search()
     ticks = discovery_figures(discovery, OptionBank(4, 2))["first_visits"].axes[1].get_yticks()
@@ -308,7 +308,7 @@ def test_a_single_success_is_counted_in_whole_trajectories() -> None:
 
 
 def test_before_any_search_there_is_nothing_to_draw() -> None:
-    empty = SubgoalDiscovery()
+    empty = Discovery()
     assert discovery_figures(empty, OptionBank(4, 2)) == {}
     (text,) = subgoals_figure(empty, OptionBank(4, 2)).axes[0].texts
     assert text.get_text().startswith("No subgoal was discovered: no episode has ended. Train for longer")
@@ -317,7 +317,7 @@ def test_before_any_search_there_is_nothing_to_draw() -> None:
 
 
 def test_before_any_option_there_are_two_maps() -> None:
-    discovery = SubgoalDiscovery(DiscoverySettings(min_positive=3, goal_radius=1.5, decay=0.9), kind="environment")
+    discovery = Discovery(DiscoverySettings(min_positive=3, goal_radius=1.5, decay=0.9), kind="environment")
     for trajectory in walks(12):
         discovery.add(trajectory, xy(np.asarray(trajectory.states, dtype=np.float64)))
     discovery.search()

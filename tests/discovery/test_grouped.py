@@ -7,14 +7,14 @@ from sb3_options import OptionBank
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.contrast import NO_PLACE, Contrast
+from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.figures import discovery_figures, subgoals_figure
-from sb3_options.discovery.grouped import GroupedDiscovery
+from sb3_options.discovery.methods.grouped import GroupedPeaks
 from sb3_options.discovery.outcome_database import OutcomeDatabase
-from sb3_options.discovery.proposed import discovery_with
 from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
+from sb3_options.state import restore, state_of
 
 # Features: key visible, key ahead, wall visible, wall ahead, noise.
 KEY = FeatureGroup("key", [0, 1], present=[[0]], scale=[10, 1])
@@ -45,8 +45,8 @@ def walk(rng: np.random.Generator, success: bool) -> tuple[Trajectory, FloatArra
     return trajectory(states, success)
 
 
-def discovered(groups: Sequence[FeatureGroup], settings: DiscoverySettings = SOON) -> SubgoalDiscovery:
-    discovery = discovery_with(settings, groups)
+def discovered(groups: Sequence[FeatureGroup], settings: DiscoverySettings = SOON) -> Discovery:
+    discovery = Discovery(settings, groups=groups)
     rng = np.random.default_rng(0)
     for i in range(60):
         discovery.add(*walk(rng, success=i % 2 == 0))
@@ -72,28 +72,24 @@ def test_a_pair_must_contrast_more_than_its_parts() -> None:
     assert {f.subgoal.group for f in discovered([KEY, WALL, BOTH]).found} == {KEY}
 
 
-def test_without_groups_it_is_the_discovery_on_all_features() -> None:
-    assert type(discovery_with(SOON)) is SubgoalDiscovery
-
-
 def test_what_persists_is_no_subgoal_while_its_bags_are_empty(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of two concepts that persist the second comes with a later search, where its bags may be empty."""
     same = FeatureGroup("same", KEY.features, present=[[0]], scale=[10, 1])
-    discovery = discovery_with(SOON, [KEY, same])
-    assert isinstance(discovery, GroupedDiscovery)
+    discovery = Discovery(SOON, groups=[KEY, same])
+    assert isinstance(discovery.method, GroupedPeaks)
     rng = np.random.default_rng(0)
     i = 0
     while not discovery.found:
         discovery.add(*walk(rng, success=i % 2 == 0))
         discovery.search()
         i += 1
-    second = discovery.members[same]
+    second = discovery.method.members[same]
     assert list(second.tracker.persistent())
     with monkeypatch.context() as patched:
-        patched.setattr(second, "_evidence", lambda: None)
+        patched.setattr(second, "bags", lambda _: None)
         discovery.add(*walk(rng, success=True))
         assert discovery.search() is None
-        assert second.last.evidence is None
+        assert second.evidence is None
     discovery.add(*walk(rng, success=True))
     assert discovery.search() is not None
 
@@ -181,37 +177,37 @@ def test_a_subgoal_that_is_withdrawn_comes_again() -> None:
     discovery.withdraw()
     assert discovery.found == []
     assert "no saved trajectory leads surely enough (min_reach)" in discovery.why_nothing()
-    state = discovery.get_state()
+    state = state_of(discovery)
     rng = np.random.default_rng(1)
     for i in range(60):
         discovery.add(*walk(rng, success=i % 2 == 0))
         discovery.search()
     assert [(f.subgoal.group, f.subgoal.points.tolist()) for f in discovery.found] == [(KEY, [[1, 1]])]
-    other = discovery_with(SOON, [WALL, KEY])
-    other.set_state(state)
-    assert (other.found, other.n_withdrawn) == ([], 1)
+    other = Discovery(SOON, groups=[WALL, KEY])
+    restore(other, state)
+    assert (other.found, other.diary.n_withdrawn) == ([], 1)
 
 
 def test_options_on_other_features_do_not_count() -> None:
     """A subgoal of a group has fewer features than those that discovery on all of them compares."""
     of_group = Region(np.zeros((1, 2)), np.ones(2), 0.5, group=KEY)
     of_all = Region(np.zeros((1, 5)), np.ones(5), 0.5)
-    assert list(discovery_with(SOON, taken=[of_group, of_all]).taken) == [of_all]
-    grouped = discovery_with(SOON, [KEY, WALL], taken=[of_group, of_all])
-    assert isinstance(grouped, GroupedDiscovery)
-    assert list(grouped.members[KEY].taken) == [of_group]
-    assert not grouped.members[WALL].taken
+    assert list(Discovery(SOON, taken=[of_group, of_all]).taken) == [of_all]
+    grouped = Discovery(SOON, groups=[KEY, WALL], taken=[of_group, of_all])
+    assert list(grouped.taken) == [of_group, of_all]
 
 
 @pytest.mark.parametrize("scale", [None, 0.1, 4.0])
 def test_contrast_joins_what_a_subgoal_reaches(scale: float | None) -> None:
-    discovery = discovery_with(DiscoverySettings(**{**vars(SOON), "scale": scale}), [KEY])
-    assert isinstance(discovery, GroupedDiscovery)
-    assert discovery._contrasts[KEY].radius == SOON.subgoal_radius / (scale or 1.0)
+    discovery = Discovery(DiscoverySettings(**{**vars(SOON), "scale": scale}), groups=[KEY])
+    assert isinstance(discovery.method, GroupedPeaks)
+    contrast = discovery.method.members[KEY].contrast
+    assert contrast is not None
+    assert contrast.radius == SOON.subgoal_radius / (scale or 1.0)
 
 
 def test_what_is_for_groups_alone_is_told_to_have_no_effect(caplog: pytest.LogCaptureFixture) -> None:
-    discovery_with(DiscoverySettings(salient_share=0.5), [KEY])
+    Discovery(DiscoverySettings(salient_share=0.5), groups=[KEY])
     assert not caplog.text
-    discovery_with(DiscoverySettings(salient_share=0.5))
+    Discovery(DiscoverySettings(salient_share=0.5))
     assert "salient_share=0.5 has no effect: it is for groups of features, and there are none." in caplog.text

@@ -95,12 +95,8 @@ def test_states_of_many_features_have_short_keys_and_the_same_shares(monkeypatch
     before = walked(LocalCuts(), ways)
     expected = shares_of(before, many).tolist()
     assert {len(key) for key in before._number} == {160}
-    state = before.get_state()
     monkeypatch.undo()
-    earlier = LocalCuts()
-    del state["sparse"]
-    earlier.set_state(state)  # of a checkpoint that was written with long keys
-    for each in (cuts, again, earlier):
+    for each in (cuts, again):
         assert shares_of(each, many).tolist() == expected == [0.5, 0.5, 0.0]
 
 
@@ -111,7 +107,6 @@ def test_keys_of_many_features() -> None:
     keys = local_cuts.keys_of(states)
     assert [keys.index(key) for key in keys] == [0, 1, 2, 0, 4, 5]
     assert [local_cuts.keys_of(states[[row]])[0] for row in range(6)] == keys  # whatever else is asked for
-    assert len(set(keys) | set(local_cuts.keys_of(states, sparse=False))) == 5 + 3
 
 
 def test_what_waits_is_entered_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:

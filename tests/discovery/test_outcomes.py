@@ -6,16 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sb3_options.density.bags import Bags
+from sb3_options.discovery.diary import SILENT_TRAJECTORIES
+from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.figures import subgoals_figure
-from sb3_options.discovery.outcomes import SILENT_TRAJECTORIES
 from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.options.bank import OptionBank
+from tests.discovery.lines import peaks_of
 from tests.support.helpers import trajectory_of
 
 
-def add(discovery: SubgoalDiscovery, n: int = 1, **kwargs: Any) -> None:
+def add(discovery: Discovery, n: int = 1, **kwargs: Any) -> None:
     for _ in range(n):
         trajectory = trajectory_of([np.array([float(x)]) for x in (0, 5, 20)], **kwargs)
         discovery.add(trajectory, np.asarray(trajectory.states))
@@ -72,7 +72,7 @@ FOR_TRAIN_PY = "On the command line and in YAML that is success: terminated, or 
         (
             {"settings": DiscoverySettings(segmentation="peaks")},
             {"is_success": False},
-            "none of the 20 segments seen ended with a peak of reward. Choose peak_reward and max_segment of "
+            "none of the 20 segments seen ended with a peak of reward. Choose max_segment of "
             "DiscoverySettings for this task.",
         ),
     ],
@@ -81,7 +81,7 @@ FOR_TRAIN_PY = "On the command line and in YAML that is success: terminated, or 
 def test_there_is_one_warning_where_nothing_succeeds(
     kwargs: Any, outcome: Any, text: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    discovery = SubgoalDiscovery(**kwargs)
+    discovery = Discovery(**kwargs)
     with caplog.at_level(logging.WARNING, "sb3_options"):
         add(discovery, SILENT_TRAJECTORIES - 1, **outcome)
         assert not caplog.records
@@ -95,7 +95,7 @@ def test_there_is_one_warning_where_nothing_succeeds(
 
 
 def test_there_is_none_where_one_succeeds(caplog: pytest.LogCaptureFixture) -> None:
-    discovery = SubgoalDiscovery()
+    discovery = Discovery()
     add(discovery, is_success=True)
     add(discovery, 3 * SILENT_TRAJECTORIES, is_success=False)
     assert not caplog.records
@@ -106,7 +106,7 @@ def test_there_is_none_where_one_succeeds(caplog: pytest.LogCaptureFixture) -> N
 
 
 def test_filters_that_leave_nothing_are_named() -> None:
-    discovery = SubgoalDiscovery(DiscoverySettings(min_positive=2, start_radius=99.0))
+    discovery = Discovery(DiscoverySettings(min_positive=2, start_radius=99.0))
     add(discovery, 3, is_success=True)
     assert discovery.search() is None
     assert discovery.why_nothing().endswith(
@@ -117,12 +117,12 @@ def test_filters_that_leave_nothing_are_named() -> None:
 
 
 def test_after_a_search() -> None:
-    discovery = SubgoalDiscovery(
+    discovery = Discovery(
         DiscoverySettings(min_positive=2, start_radius=1.0, goal_radius=1.0, scale=1.0, min_passing=0.5)
     )
     add(discovery, 2, is_success=True)
     assert discovery.search() is None
-    assert isinstance(discovery.last.bags, Bags)
+    assert peaks_of(discovery).evidence is not None
     text = "No subgoal was discovered: no peak of diverse density persisted long enough."
     assert discovery.why_nothing() == text
     title = subgoals_figure(discovery, OptionBank(4, 2)).get_suptitle()

@@ -10,11 +10,12 @@ import pytest
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.density.regions import Region
 from sb3_options.discovery.budget import SHORTEST, TABLE_STEP_SECONDS
+from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods import Experience, Passage, Proposal
 from sb3_options.discovery.methods.graphs import LCut
 from sb3_options.discovery.methods.visits import RandomPlaces
-from sb3_options.discovery.proposed import discovery_with
 from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.state import state_of
 from tests.discovery.told import Told, line, of
 
 
@@ -29,7 +30,7 @@ def test_seconds_that_are_none_are_refused(seconds: object) -> None:
     discovery.add(*line())
     with pytest.raises(ValueError, match=r"^Timed.seconds must return a finite number of at least 0, got "):
         discovery.search()
-    assert discovery.budget.affords()
+    assert discovery.diary.affords()
 
 
 class Failing(Told):
@@ -68,8 +69,8 @@ def test_what_a_method_takes_that_does_not_say_is_measured() -> None:
     told = {}
     for share in (0.05, None):
         method = Working()
-        discovery = discovery_with(DiscoverySettings(max_share=share), method=method, kind="environment")
-        discovery.budget.step_seconds = TABLE_STEP_SECONDS
+        discovery = Discovery(DiscoverySettings(max_share=share), method=method, kind="environment")
+        discovery.diary.step_seconds = TABLE_STEP_SECONDS
         for _ in range(3):
             discovery.add(*line())
             discovery.search()
@@ -85,7 +86,7 @@ def test_no_method_of_the_library_is_measured() -> None:
         for _ in range(5):
             discovery.add(*line())
             discovery.search()
-        spent.append(discovery.budget.spent)
+        spent.append(discovery.diary.spent)
     assert spent[0] == spent[1]
 
 
@@ -182,7 +183,7 @@ def test_a_checkpoint_needs_both_ways() -> None:
             return {}
 
     with pytest.raises(ValueError, match=r"^Checkpoints of discovery by HalfWay are not supported: give it get_state"):
-        of(HalfWay(None)).get_state()
+        state_of(of(HalfWay(None)))
 
 
 @pytest.mark.parametrize("answer", [None, np.zeros((1, 1)), [3.0]])

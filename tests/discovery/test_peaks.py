@@ -1,5 +1,3 @@
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -179,21 +177,3 @@ class TestAssignment:
         tracker.update(found, ONES)
         found += 7.0
         assert tracker.concepts[0].point.tolist() == A
-
-
-@pytest.mark.parametrize(
-    ("kwargs", "message"),
-    [
-        ({"decay": 1.0}, r"^decay \(λ\) must be in \(0, 1\), got 1\.0\.$"),
-        ({"decay": 0.0}, r"^decay \(λ\) must be in \(0, 1\), got 0\.0\.$"),
-        ({"decay": math.nan}, r"^decay \(λ\) must be in \(0, 1\), got nan\.$"),
-        ({"threshold": 1.0}, r"^threshold must be a share of the limit λ/\(1−λ\), in \[0, 1\), got 1\.0\.$"),
-        ({"threshold": -0.1}, r"^threshold must be a share of the limit"),
-        ({"threshold": math.nan}, r"^threshold must be a share of the limit"),
-        ({"radius": -0.1}, r"^radius must be at least 0, got -0\.1\.$"),
-        ({"radius": math.nan}, r"^radius must be at least 0, got nan\.$"),
-    ],
-)
-def test_out_of_range(kwargs: dict[str, float], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        PeakTracker(**kwargs)

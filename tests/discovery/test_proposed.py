@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 
 from sb3_options.density.groups import FeatureGroup
+from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods import DiscoveryMethod, Experience, Proposal
 from sb3_options.discovery.methods.candidates import PLACE_SECONDS
 from sb3_options.discovery.methods.covering import CoveringOptions
+from sb3_options.discovery.methods.diverse_density import PersistentPeaks
 from sb3_options.discovery.methods.graphs import LCut
 from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
-from sb3_options.discovery.proposed import ProposedDiscovery, discovery_with
 from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.discovery.subgoals import SubgoalDiscovery
+from sb3_options.state import restore, state_of
 from tests.discovery.told import Told, line, of
 
 
@@ -87,16 +88,15 @@ def test_without_distances_spacing_counts_steps() -> None:
 
 
 def test_settings_name_a_method() -> None:
-    discovery = discovery_with(DiscoverySettings(method="l-cut"))
-    assert isinstance(discovery, ProposedDiscovery)
+    discovery = Discovery(DiscoverySettings(method="l-cut"))
     assert isinstance(discovery.method, LCut)
-    assert type(discovery_with(DiscoverySettings())) is SubgoalDiscovery
+    assert isinstance(Discovery().method, PersistentPeaks)
 
 
 def test_groups_are_for_diverse_density() -> None:
     groups = [FeatureGroup("all", (0,))]
     with pytest.raises(ValueError, match=r"^LCut works on all features together, .*groups=\(\)"):
-        discovery_with(DiscoverySettings(method="l-cut"), groups)
+        Discovery(DiscoverySettings(method="l-cut"), groups=groups)
 
 
 def test_why_nothing_names_the_method() -> None:
@@ -139,13 +139,13 @@ def test_what_no_option_could_be_learned_for_comes_again_and_blocks_nothing_near
 
     assert searched() == 5.0
     discovery.withdraw()
-    state = discovery.get_state()  # with methods that tell
+    state = state_of(discovery)  # with methods that tell
     assert searched() == 5.0, "twice as many trajectories"
     discovery.withdraw()
     assert searched() == 6.0, "so near to 5 that an option there would leave it out"
     assert searched() is None
-    discovery.set_state(state)
-    assert (searched(), discovery.n_kept) == (5.0, 1)
+    restore(discovery, state)
+    assert (searched(), len(discovery.found)) == (5.0, 1)
 
 
 @pytest.mark.parametrize(
@@ -163,14 +163,14 @@ def test_why_nothing_says_what_a_method_waits_for(method: DiscoveryMethod, waits
     assert discovery.why_nothing() == f"No subgoal was discovered: {waits}, and 3 have ended."
 
 
-def test_what_waits_to_be_told_keeps_to_the_memory_too() -> None:
+def test_what_waits_for_the_method_keeps_to_the_memory_too(monkeypatch: pytest.MonkeyPatch) -> None:
     """The scale by the range waits for four trajectories, of which only two may be kept."""
-    size = line()[0].n_bytes + line()[1].nbytes
+    monkeypatch.setattr("sb3_options.discovery.discovery.MAX_BYTES", 2 * (line()[0].n_bytes + line()[1].nbytes))
     method = Told()
-    discovery = of(method, kind="identity", max_bytes=2 * size)
+    discovery = of(method, kind="identity")
     for n in range(1, 7):
         discovery.add(*line())
-        assert len(discovery._untold) <= 2  # type: ignore[attr-defined]  # of `ProposedDiscovery`
+        assert len(discovery._new) <= 2
         discovery.search()
         assert (discovery.scale is not None) == (n >= 4)
     assert len(method.told) == 2 + 2
@@ -179,10 +179,10 @@ def test_what_waits_to_be_told_keeps_to_the_memory_too() -> None:
 def test_what_it_takes_grows_with_the_places_remembered() -> None:
     method = LCut()
     discovery = of(method)
-    costs = []
+    spent = [0.0]
     for start in (0, 100, 200):
         trajectory, states = line()
         discovery.add(trajectory, states + start)
         discovery.search()
-        costs.append(discovery.cost)
-    assert np.diff(costs) == pytest.approx([12 * PLACE_SECONDS] * 2)
+        spent.append(discovery.diary.spent)
+    assert np.diff(spent, 2) == pytest.approx([12 * PLACE_SECONDS] * 2)

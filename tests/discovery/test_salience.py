@@ -9,7 +9,7 @@ import pytest
 
 from sb3_options.checkpoints.tree import decode, encode
 from sb3_options.density.groups import FeatureGroup
-from sb3_options.discovery.grouped import GroupedDiscovery
+from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.outcome_database import OutcomeDatabase
 from sb3_options.discovery.salience import LEAST_TRAJECTORIES, Salience
 from sb3_options.discovery.settings import DiscoverySettings
@@ -139,7 +139,7 @@ def test_a_database_goes_on_with_its_state() -> None:
 def why_nothing(n_rare: int, n_successes: int, **settings: Any) -> str:
     """After 16 that came upon nothing rare."""
     how = {"min_positive": 4, "salient_share": 0.5, "min_contrast": 0.2, "start_radius": 0, "goal_radius": 0}
-    discovery = GroupedDiscovery(DiscoverySettings(**{**how, **settings}), groups=GROUPS[:2])
+    discovery = Discovery(DiscoverySettings(**{**how, **settings}), groups=GROUPS[:2])
     lives = [usual() for _ in range(16)] + [rare() for _ in range(n_rare)]
     for life in [*lives, *(lived([NOTHING, NEAR, BEHIND], success=True) for _ in range(n_successes))]:
         discovery.add(life.trajectory, life.features)
@@ -173,7 +173,7 @@ def test_subgoals_are_found_before_anything_succeeds(share: float, caplog: pytes
     settings = DiscoverySettings(
         start_radius=0, goal_radius=0, min_positive=4, decay=0.5, threshold=0.5, salient_share=share, min_contrast=0.2
     )
-    discovery = GroupedDiscovery(settings, groups=GROUPS[:2])
+    discovery = Discovery(settings, groups=GROUPS[:2])
     rng = np.random.default_rng(0)
     for _ in range(80):
         states = [NOTHING, NOTHING] + ([FAR] if rng.random() < 0.7 else [])
@@ -182,7 +182,7 @@ def test_subgoals_are_found_before_anything_succeeds(share: float, caplog: pytes
         discovery.search()
     found = [(each.subgoal.group, each.centre.tolist()) for each in discovery.found]
     assert found[:1] == ([(DOOR, [1, 1])] if share else [])
-    assert discovery.outcomes.successes == 0
+    assert discovery.diary.successes == 0
     assert ("Nothing can be discovered so far" in caplog.text) == (share == 0)
 
 

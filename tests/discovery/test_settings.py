@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.settings import CATEGORICAL_SCALE, DiscoverySettings, default_scale
-from sb3_options.discovery.subgoals import SubgoalDiscovery
-from tests.discovery.lines import SEARCHES, on_a_line, settings_of
+from tests.discovery.lines import bags_of, on_a_line, peaks_of, settings_of
 from tests.support.helpers import trajectory_of
 
 
@@ -30,24 +30,19 @@ class TestScale:
         assert default_scale(kind, self.features).tolist() == expected
 
     def test_given(self) -> None:
-        discovery = SubgoalDiscovery(settings_of(scale=3.0), kind="identity")
+        discovery = Discovery(settings_of(scale=3.0), kind="identity")
         discovery.add(*on_a_line(0, 5, 20))
-        assert discovery.bags() is not None
+        assert bags_of(discovery) is not None
         assert discovery.scale is not None
         assert discovery.scale.tolist() == [3.0]
 
-    def test_categorical_concepts_are_searched_exhaustively(self) -> None:
-        discovery = SubgoalDiscovery(DiscoverySettings(search="gradient"), kind="categorical")
-        assert discovery.engine().method == "exhaustive"
-        assert SubgoalDiscovery(DiscoverySettings(search="gradient"), kind="identity").engine().method == "gradient"
-        for search in SEARCHES:
-            assert (
-                SubgoalDiscovery(DiscoverySettings(search=search), kind="categorical").engine().method == "exhaustive"
-            )
+    @pytest.mark.parametrize(("kind", "method"), [("categorical", "exhaustive"), ("identity", "gradient")])
+    def test_categorical_concepts_are_searched_exhaustively(self, kind: str, method: str) -> None:
+        assert peaks_of(Discovery(kind=kind)).engine().method == method
 
     def test_categorical_states_are_equal_or_far_apart(self) -> None:
         """One-hot features of a Discrete space: the state that both walks share is found."""
-        discovery = SubgoalDiscovery(settings_of(min_positive=1, start_radius=1.0, goal_radius=1.0), kind="categorical")
+        discovery = Discovery(settings_of(min_positive=1, start_radius=1.0, goal_radius=1.0), kind="categorical")
         for path in ([0, 1, 7, 5, 8, 2, 9], [3, 4, 6, 5, 1, 2, 9]):
             discovery.add(trajectory_of(path, is_success=True), np.eye(10)[path])
         subgoal = discovery.search()

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import sb3_options.envs  # noqa: F401  # registers them
+from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.recording import EpisodeRecorder
 from sb3_options.experience.trajectories import Trajectory
-from tests.discovery.lines import SEARCHES
+from tests.discovery.lines import SEARCHES, peaks_of
 
 DOORWAY = (10.0, 5.0)
 N_WALKS = 40
@@ -53,7 +53,7 @@ class TestTwoRooms:
     ) -> None:
         near = 0
         for trajectories in walks:
-            discovery = SubgoalDiscovery(DiscoverySettings(search=search, search_growth=0.0), kind="environment")
+            discovery = Discovery(DiscoverySettings(search=search, search_growth=0.0), kind="environment")
             for trajectory, features in trajectories:
                 discovery.add(trajectory, features)
             subgoals = [discovery.search() for _ in range(2)]  # 1 − λⁿ > 0.4
@@ -68,7 +68,7 @@ class TestTwoRooms:
     ) -> None:
         """The doorway of positions that are seen again; where they never are, it persists as long as before."""
         rng = np.random.default_rng(0)
-        discovery = SubgoalDiscovery(DiscoverySettings(search_growth=0.0), kind="environment")
+        discovery = Discovery(DiscoverySettings(search_growth=0.0), kind="environment")
         for trajectory, features in walks[0]:
             discovery.add(trajectory, features + rng.uniform(-noise, noise, features.shape))
         subgoals = [discovery.search() for _ in range(searches)]
@@ -80,12 +80,12 @@ class TestTwoRooms:
     def test_one_seed_one_result(self, walks: list[list[tuple[Trajectory, FloatArray]]]) -> None:
         results = []
         for _ in range(2):
-            discovery = SubgoalDiscovery(DiscoverySettings(), kind="environment")
+            discovery = Discovery(DiscoverySettings(), kind="environment")
             for trajectory, features in walks[0][:25]:
                 discovery.add(trajectory, features)
                 discovery.search()
             results.append(
                 [(f.subgoal.points.tolist(), f.log_density) for f in discovery.found]
-                + [(c.point.tolist(), c.average) for c in discovery.tracker.concepts]
+                + [(c.point.tolist(), c.average) for c in peaks_of(discovery).tracker.concepts]
             )
         assert results[0] == results[1]

@@ -6,18 +6,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sb3_options.density.regions import Region
+from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.settings import described
-from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.success import success_by_steps
-from tests.discovery.lines import SEARCHES, found, on_a_line, settings_of
+from tests.discovery.lines import SEARCHES, bags_of, found, on_a_line, peaks_of, settings_of
 from tests.support.helpers import ball, trajectory_of
 
 
 class TestSearch:
     def test_by_hand(self) -> None:
         """Both walks pass 5; λ = 1/2 and a threshold of 0.4 want one search."""
-        discovery = SubgoalDiscovery(settings_of())
+        discovery = Discovery(settings_of())
         discovery.add(*on_a_line(0, 2, 5, 9, 20))
         discovery.add(*on_a_line(1, 3.5, 5, 7, 21))
         assert found(discovery) == [5.0]
@@ -25,18 +24,19 @@ class TestSearch:
         # −log p = −2 log(1 − (1 − e⁰)·…) = 0: both bags hold the very place.
         assert finding.log_density == pytest.approx(0.0, abs=1e-12)
         assert finding.subgoal.radius == 0.5
-        assert finding.bags is not None
-        assert finding.bags.lengths == (3, 3)
+        completed = peaks_of(discovery).completed
+        assert completed is not None
+        assert [len(bag) for bag in completed.positive] == [3, 3]
 
     def test_persistence_takes_several_searches(self) -> None:
-        discovery = SubgoalDiscovery(settings_of(threshold=0.8))
+        discovery = Discovery(settings_of(threshold=0.8))
         discovery.add(*on_a_line(0, 2, 5, 9, 20))
         discovery.add(*on_a_line(1, 3.5, 5, 7, 21))
         assert [found(discovery) for _ in range(3)] == [None, None, [5.0]]
 
     @pytest.mark.parametrize("search", SEARCHES)
     def test_found_subgoals_are_taken(self, search: str) -> None:
-        discovery = SubgoalDiscovery(settings_of(search=search, spacing=3.0))
+        discovery = Discovery(settings_of(search=search, spacing=3.0))
         discovery.add(*on_a_line(0, 2, 5, 9, 12, 20))
         discovery.add(*on_a_line(1, 3.5, 5, 7, 12, 21))
         assert sorted(p for _ in range(2) for p in found(discovery) or []) == [5.0, 12.0]
@@ -46,11 +46,11 @@ class TestSearch:
             assert subgoal is None or min(abs(subgoal[0] - c) for c in centres) > 3.0
             centres += subgoal or []
         # In the end nothing is left to search, which is no error.
-        assert discovery.bags() is None
+        assert bags_of(discovery) is None
 
     @pytest.mark.parametrize("search", SEARCHES)
     def test_so_are_those_that_had_an_option_before(self, search: str) -> None:
-        discovery = SubgoalDiscovery(settings_of(search=search, spacing=3.0), taken=[ball(5.0)])
+        discovery = Discovery(settings_of(search=search, spacing=3.0), taken=[ball(5.0)])
         discovery.add(*on_a_line(0, 2, 5, 9, 12, 20))
         discovery.add(*on_a_line(1, 3.5, 5, 7, 12, 21))
         assert found(discovery) == [12.0]
@@ -58,7 +58,7 @@ class TestSearch:
     @pytest.mark.parametrize("search", SEARCHES)
     def test_negative_bags_speak_against(self, search: str) -> None:
         for negative_bags, expected in ((True, [12.0]), (False, [5.0])):
-            discovery = SubgoalDiscovery(
+            discovery = Discovery(
                 settings_of(search=search, negative_bags=negative_bags, max_places=1, peak_radius=100.0)
             )
             discovery.add(*on_a_line(0, 2, 5, 12, 20))
@@ -69,7 +69,7 @@ class TestSearch:
     @pytest.mark.parametrize("search", SEARCHES)
     def test_too_many_places_are_accidents(self, search: str) -> None:
         for max_places, expected in ((1, None), (2, [5.0])):
-            discovery = SubgoalDiscovery(settings_of(search=search, max_places=max_places))
+            discovery = Discovery(settings_of(search=search, max_places=max_places))
             discovery.add(*on_a_line(0, 2, 5, 9, 12, 20))
             discovery.add(*on_a_line(1, 3.5, 5, 7, 12, 21))
             assert found(discovery) == expected
@@ -77,24 +77,21 @@ class TestSearch:
     @pytest.mark.parametrize("search", SEARCHES)
     def test_a_wide_plateau_is_open_space(self, search: str) -> None:
         for max_extent, expected in ((1.0, None), (2.0, [7.0])):
-            discovery = SubgoalDiscovery(settings_of(search=search, max_extent=max_extent))
+            discovery = Discovery(settings_of(search=search, max_extent=max_extent))
             discovery.add(*on_a_line(0, 2, 5, 6, 7, 8, 9, 20))
             discovery.add(*on_a_line(1, 3.5, 5, 6, 7, 8, 9, 21))
             assert found(discovery) == expected
 
     def test_a_peak_where_nobody_can_stand_moves_to_the_nearest_instance(self) -> None:
-        discovery = SubgoalDiscovery(settings_of(search="gradient"))
+        discovery = Discovery(settings_of(search="gradient"))
         discovery.add(*on_a_line(0, 5.0, 20))
         discovery.add(*on_a_line(1, 5.5, 21))
         subgoal = found(discovery)
         assert subgoal in ([5.0], [5.5])
-        bags = discovery.found[0].bags
-        assert bags is not None
-        assert bags.n_positive == 2
 
     @pytest.mark.parametrize("search", SEARCHES)
     def test_only_the_last_trajectories_count(self, search: str) -> None:
-        discovery = SubgoalDiscovery(settings_of(search=search, capacity=2))
+        discovery = Discovery(settings_of(search=search, capacity=2))
         for _ in range(5):
             discovery.add(*on_a_line(0, 5, 20))
         for _ in range(2):
@@ -103,7 +100,7 @@ class TestSearch:
         assert found(discovery) == [9.0]
 
     def test_success_and_filter_are_the_users(self) -> None:
-        discovery = SubgoalDiscovery(
+        discovery = Discovery(
             settings_of(), success=success_by_steps(3), static_filter=lambda f, start, end: f[:, 0] == 7.0
         )
         assert not discovery.add(*on_a_line(0, 7, 8, 9, 10)).success
@@ -115,27 +112,29 @@ class TestSearch:
         """What a failure visited speaks against a concept also where it went in a loop."""
         bags = {}
         for loops in ("erase", "keep"):
-            discovery = SubgoalDiscovery(settings_of(loops=loops))
+            discovery = Discovery(settings_of(loops=loops))
             discovery.add(*on_a_line(0, 5, 7, 5, 9, 20))
             discovery.add(*on_a_line(0, 5, 7, 5, 9, 20, success=False))
             discovery.search()
-            assert discovery.last.evidence is not None
-            bags[loops] = [bag.ravel().tolist() for bag in discovery.last.evidence.positive]
-            assert [bag.ravel().tolist() for bag in discovery.last.evidence.negative] == [[5, 7, 9]]
+            evidence = peaks_of(discovery).evidence
+            assert evidence is not None
+            bags[loops] = [bag.ravel().tolist() for bag in evidence.positive]
+            assert [bag.ravel().tolist() for bag in evidence.negative] == [[5, 7, 9]]
         assert bags == {"erase": [[5, 9]], "keep": [[5, 7, 9]]}
 
     @pytest.mark.parametrize("search", SEARCHES)
     def test_only_what_the_ways_near_it_lead_through_is_an_instance(self, search: str) -> None:
         """Six ways lead through 10; near 30, two through each of three places a unit from each other."""
-        discovery = SubgoalDiscovery(settings_of(search=search, loops="erase", min_passing=0.7, min_positive=3))
+        discovery = Discovery(settings_of(search=search, loops="erase", min_passing=0.7, min_positive=3))
         for way in range(6):
             discovery.add(*on_a_line(0, 10, 30 + way % 3, 60))
         assert found(discovery) == pytest.approx([10.0], abs=1e-6)
-        assert discovery.last.evidence is not None
-        assert [bag.ravel().tolist() for bag in discovery.last.evidence.positive] == [[10.0]] * 6
+        evidence = peaks_of(discovery).evidence
+        assert evidence is not None
+        assert [bag.ravel().tolist() for bag in evidence.positive] == [[10.0]] * 6
 
     def test_few_ways_show_nothing(self) -> None:
-        discovery = SubgoalDiscovery(settings_of(min_passing=0.7))
+        discovery = Discovery(settings_of(min_passing=0.7))
         for n in range(1, 4):
             discovery.add(*on_a_line(0, 10, 60))
             assert (discovery.search() is None) == (n < 3)
@@ -146,12 +145,12 @@ class TestSearch:
         ways = [5.0, 9.0, 5.0, 5.0, 9.0, 5.0, 5.0]
 
         def best(leak: float) -> float:
-            discovery = SubgoalDiscovery(settings_of(search=search, min_positive=3, leak=leak))
+            discovery = Discovery(settings_of(search=search, min_positive=3, leak=leak))
             for i, way in enumerate(ways):
                 discovery.add(*on_a_line(100.0 + 9 * i, way, 200.0 + 9 * i))
             discovery.search()
-            assert discovery.last.bags is not None
-            density = discovery.engine().log_density(np.array([[5.0], [7.0]]), discovery.last.bags)
+            density = discovery.method.log_density(np.array([[5.0], [7.0]]))
+            assert density is not None
             return float(density[0] - density[1])
 
         assert best(0.0) < 0 < best(0.2)
@@ -160,51 +159,41 @@ class TestSearch:
     def test_the_more_successes_there_are_the_rarer_are_searches(self, negative_bags: bool) -> None:
         """With a growth of a fifth, 2 new trajectories up to 10 successes, 3 up to 15. The first here is a failure."""
         never = {"threshold": 0.99, "cut_threshold": 0.99}
-        discovery = SubgoalDiscovery(settings_of(search_growth=0.2, negative_bags=negative_bags, **never))
+        discovery = Discovery(settings_of(search_growth=0.2, negative_bags=negative_bags, **never))
         searched = []
         for n in range(1, 16):
             discovery.add(*on_a_line(0, 5, 20, success=n > 1))
-            seconds = discovery.seconds
+            spent = discovery.diary.spent
             discovery.search()
-            searched += [n] if discovery.seconds > seconds else []
+            searched += [n] if discovery.diary.spent > spent else []
         assert searched == [1, 2, 3, 4, 5, 6, 8, 10, 13]
 
     def test_once_nothing_is_left_searches_are_rarer(self) -> None:
         """Only state 5 may be a subgoal. The share of new ones that a search waits for is 1 − 0.8⁵ after that."""
-        discovery = SubgoalDiscovery(settings_of(search_growth=0.2, threshold=0.1, min_positive=1))
+        discovery = Discovery(settings_of(search_growth=0.2, threshold=0.1, min_positive=1))
         found, searched = [], []
         for n in range(1, 26):
             discovery.add(*on_a_line(0, 5, 20))
-            seconds = discovery.seconds
+            spent = discovery.diary.spent
             found += [n] if discovery.search() is not None else []
-            searched += [n] if discovery.seconds > seconds else []
+            searched += [n] if discovery.diary.spent > spent else []
         assert found == [1]
         assert searched == [1, 2, 7, 22]
-
-    def test_seconds_add_up(self) -> None:
-        discovery = SubgoalDiscovery(settings_of(threshold=0.9))
-        discovery.add(*on_a_line(0, 5, 20))
-        seconds = 0.0
-        for _ in range(3):
-            discovery.search()
-            seconds += discovery.last.seconds
-        assert discovery.seconds == pytest.approx(seconds)
-        assert seconds > 0.0
 
 
 class TestWithoutDistances:
     """One-hot codes are all equally far apart: radii are steps along the trajectory."""
 
-    def discovery(self, kind: str, **changes: Any) -> SubgoalDiscovery:
-        discovery = SubgoalDiscovery(settings_of(**{"start_radius": 2.0, "goal_radius": 5.0, **changes}), kind=kind)
+    def discovery(self, kind: str, **changes: Any) -> Discovery:
+        discovery = Discovery(settings_of(**{"start_radius": 2.0, "goal_radius": 5.0, **changes}), kind=kind)
         for _ in range(4):
             trajectory = trajectory_of(list(np.eye(12)), is_success=True)
             discovery.add(trajectory, np.asarray(trajectory.states))
         return discovery
 
-    def left(self, discovery: SubgoalDiscovery) -> list[int]:
-        bags = discovery.bags()
-        return [] if bags is None else np.unique(bags.smallest_positive(bags.n_positive).argmax(axis=1)).tolist()
+    def left(self, discovery: Discovery) -> list[int]:
+        bags = bags_of(discovery)
+        return [] if bags is None else np.unique(np.concatenate(bags.positive).argmax(axis=1)).tolist()
 
     @pytest.mark.parametrize("kind", ["categorical", "identity"])
     def test_start_and_goal(self, kind: str) -> None:
@@ -219,7 +208,7 @@ class TestWithoutDistances:
 
     def test_a_filter_of_the_users_goes_before(self) -> None:
         discovery = self.discovery("categorical")
-        discovery._maker.static_filter = lambda f, start, end: f[:, 8] > 0
+        peaks_of(discovery).filters.static_filter = lambda f, start, end: f[:, 8] > 0
         assert self.left(discovery) == [8]
 
     def test_a_state_is_named(self) -> None:
@@ -230,23 +219,23 @@ class TestWithoutDistances:
 
 class TestNothingToFind:
     def test_no_trajectories(self) -> None:
-        assert SubgoalDiscovery().search() is None
+        assert Discovery().search() is None
 
     def test_failures_only(self) -> None:
-        discovery = SubgoalDiscovery(settings_of())
+        discovery = Discovery(settings_of())
         for _ in range(20):
             discovery.add(*on_a_line(0, 5, 20, success=False))
             assert discovery.search() is None
-        assert discovery.last.bags is None
-        assert discovery.last.peaks == []
+        assert peaks_of(discovery).evidence is None
+        assert peaks_of(discovery).peaks == []
 
     def test_successes_only(self) -> None:
-        discovery = SubgoalDiscovery(settings_of())
+        discovery = Discovery(settings_of())
         discovery.add(*on_a_line(0, 5, 20))
         assert found(discovery) == [5.0]
 
     def test_too_few_successes(self) -> None:
-        discovery = SubgoalDiscovery(settings_of(min_positive=3))
+        discovery = Discovery(settings_of(min_positive=3))
         discovery.add(*on_a_line(0, 5, 20))
         discovery.add(*on_a_line(0, 5, 20))
         assert discovery.search() is None
@@ -254,7 +243,7 @@ class TestNothingToFind:
         assert found(discovery) == [5.0]
 
     def test_the_filter_leaves_nothing(self) -> None:
-        discovery = SubgoalDiscovery(settings_of(start_radius=100.0))
+        discovery = Discovery(settings_of(start_radius=100.0))
         for _ in range(3):
             discovery.add(*on_a_line(0, 5, 20))
             discovery.add(*on_a_line(0, 5, 20, success=False))
@@ -262,21 +251,21 @@ class TestNothingToFind:
 
     @pytest.mark.parametrize("search", SEARCHES)
     def test_duplicates(self, search: str) -> None:
-        discovery = SubgoalDiscovery(settings_of(search=search))
+        discovery = Discovery(settings_of(search=search))
         for _ in range(10):
             discovery.add(*on_a_line(0, 5, 5, 5, 20, 5, 20))
         assert found(discovery) == pytest.approx([5.0], abs=1e-6)
 
     @pytest.mark.parametrize("search", SEARCHES)
     def test_a_single_instance(self, search: str) -> None:
-        discovery = SubgoalDiscovery(settings_of(search=search, negative_bags=False))
+        discovery = Discovery(settings_of(search=search, negative_bags=False))
         discovery.add(*on_a_line(0, 5, 20))
         assert found(discovery) == pytest.approx([5.0], abs=1e-6)
         assert discovery.search() is None
 
     @pytest.mark.parametrize("search", SEARCHES)
     def test_one_place_in_positive_and_negative_bags(self, search: str) -> None:
-        discovery = SubgoalDiscovery(settings_of(search=search))
+        discovery = Discovery(settings_of(search=search))
         for success in (True, False):
             discovery.add(*on_a_line(0, 5, 20, success=success))
         for _ in range(3):
@@ -284,7 +273,7 @@ class TestNothingToFind:
             assert subgoal is None or subgoal == pytest.approx([5.0], abs=1e-6)
 
     def test_a_trajectory_of_one_observation(self) -> None:
-        discovery = SubgoalDiscovery(settings_of())
+        discovery = Discovery(settings_of())
         discovery.add(*on_a_line(0))
         discovery.add(*on_a_line(3, 3, 3))
         assert discovery.search() is None
@@ -293,7 +282,7 @@ class TestNothingToFind:
 class TestAdd:
     @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
     def test_features_that_are_not_finite(self, bad: float) -> None:
-        discovery = SubgoalDiscovery(settings_of())
+        discovery = Discovery(settings_of())
         trajectory, features = on_a_line(0, 5, 20)
         features = features.copy()
         features[1] = bad
@@ -309,22 +298,11 @@ class TestAdd:
             r"^features must have shape \(m, d\), one row for each of the trajectory's 3 distinct observations, got "
         )
         with pytest.raises(ValueError, match=message):
-            SubgoalDiscovery().add(on_a_line(0, 5, 20)[0], np.zeros(shape))
+            Discovery().add(on_a_line(0, 5, 20)[0], np.zeros(shape))
 
     def test_label_and_features(self) -> None:
         trajectory, features = on_a_line(0, 5, 20)
-        labelled = SubgoalDiscovery().add(trajectory, features.astype(np.float32))
+        labelled = Discovery().add(trajectory, features.astype(np.float32))
         assert labelled.trajectory is trajectory
         assert labelled.success is True
         assert labelled.features.dtype == np.float64
-
-
-def test_passing_share_counts_the_successes_whose_way_leads_through() -> None:
-    discovery = SubgoalDiscovery(settings_of(loops="erase", subgoal_radius=0.5))
-    near = Region(np.array([[3.0]]), np.ones(1), 0.5)
-    assert discovery.passing_share(near) == 0.0
-    discovery.add(*on_a_line(0, 1, 2, 3, 4))
-    discovery.add(*on_a_line(0, 1, 2, 1, 5))
-    discovery.add(*on_a_line(0, 1, 3, 1, 4))  # 3 lies on a loop
-    discovery.add(*on_a_line(0, 3, success=False))
-    assert discovery.passing_share(near) == pytest.approx(1 / 3)

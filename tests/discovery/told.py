@@ -4,10 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods import DiscoveryMethod, Experience, Proposal
-from sb3_options.discovery.proposed import discovery_with
 from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.discovery.subgoals import SubgoalDiscovery
 from sb3_options.experience.trajectories import Trajectory
 
 
@@ -36,5 +35,5 @@ def line(n: int = 12, *, success: bool = True) -> tuple[Trajectory, np.ndarray]:
     return Trajectory(states, visits, actions, rewards, success, not success, success), states
 
 
-def of(method: DiscoveryMethod, kind: str = "environment", **settings: float) -> SubgoalDiscovery:
-    return discovery_with(DiscoverySettings(**settings), method=method, kind=kind)  # type: ignore[arg-type]  # of those that are numbers
+def of(method: DiscoveryMethod, kind: str = "environment", **settings: float) -> Discovery:
+    return Discovery(DiscoverySettings(**settings), method=method, kind=kind)  # type: ignore[arg-type]  # of those that are numbers

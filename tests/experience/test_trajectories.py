@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sb3_options.discovery.subgoals import SubgoalDiscovery
+from sb3_options.discovery.discovery import Discovery
 from sb3_options.experience.trajectories import TrajectoryDatabase
 from tests.support.helpers import line
 
@@ -53,7 +53,7 @@ def test_a_feature_map_that_returns_a_view_keeps_nothing_alive() -> None:
     one = line(range(10)).trajectory
     batch = np.zeros((10, 1_000))
     gone = weakref.ref(batch)
-    discovery = SubgoalDiscovery()
+    discovery = Discovery()
     labelled = discovery.add(one, batch[:, :1])
     del batch
     gc.collect()

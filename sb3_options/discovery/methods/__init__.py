@@ -1,41 +1,31 @@
-"""Methods of discovery beside diverse density: from one trajectory after the other to proposals. Pure."""
+"""Methods of discovery: from trajectories to proposals. Pure."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Literal
 
 from sb3_options.density.regions import Region
 from sb3_options.discovery.methods.covering import CoveringOptions
+from sb3_options.discovery.methods.diverse_density import PersistentPeaks
 from sb3_options.discovery.methods.eigenoptions import Eigenoptions
 from sb3_options.discovery.methods.graphs import Betweenness, LCut
+from sb3_options.discovery.methods.grouped import GroupedPeaks, RandomGrouped
 from sb3_options.discovery.methods.method import (
     DiscoveryMethod,
     Experience,
     IntrinsicReward,
+    Method,
+    OwnMethod,
     Passage,
     Proposal,
     checked_method,
-    proposed_by,
 )
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
 from sb3_options.discovery.methods.visits import GivenPlaces, RandomPlaces, VisitFrequency
+from sb3_options.discovery.settings import MethodName
 
-MethodName = Literal[
-    "diverse-density",
-    "first-visits",
-    "every-visit",
-    "relative-novelty",
-    "l-cut",
-    "betweenness",
-    "eigenoptions",
-    "covering",
-    "random",
-]
-"""Names of the methods of discovery."""
-
-METHODS: dict[MethodName, Callable[..., DiscoveryMethod]] = {
+METHODS: dict[MethodName, Callable[..., Method]] = {
     "first-visits": VisitFrequency,
     "every-visit": partial(VisitFrequency, "every"),
     "relative-novelty": RelativeNovelty,
@@ -45,15 +35,32 @@ METHODS: dict[MethodName, Callable[..., DiscoveryMethod]] = {
     "covering": CoveringOptions,
     "random": RandomPlaces,
 }
-"""Makes a method, by its name. Diverse density is `SubgoalDiscovery` itself."""
+"""Makes a method beside diverse density, by its name."""
+
+GROUPED: dict[MethodName, Callable[..., Method]] = {"diverse-density": GroupedPeaks, "random": RandomGrouped}
+"""Makes a method that works on groups of features."""
 
 CONTROLS: frozenset[MethodName] = frozenset({"random"})
 """Those that draw at random."""
 
 
-def method_named(name: MethodName, seed: int = 0) -> DiscoveryMethod:
-    """A method of `METHODS` with its defaults; ``seed`` is for the controls."""
-    return METHODS[name](seed=seed) if name in CONTROLS else METHODS[name]()
+def method_with(name: MethodName, given: DiscoveryMethod | None, *, grouped: bool, seed: int) -> Method:
+    """A method with its defaults, or the given one.
+
+    Args:
+        name: Of the method where none is given.
+        given: One of the library, or a user's own.
+        grouped: Whether features are in groups.
+        seed: For the controls.
+
+    Raises:
+        TypeError: ``given`` is no method.
+    """
+    if given is not None:
+        return given if isinstance(given, Method) else OwnMethod(given)
+    of_all = {**METHODS, "diverse-density": PersistentPeaks, **(GROUPED if grouped else {})}
+    made = of_all[name]
+    return made(seed=seed) if name in CONTROLS else made()
 
 
 __all__ = [
@@ -63,11 +70,12 @@ __all__ = [
     "Experience",
     "GivenPlaces",
     "IntrinsicReward",
+    "Method",
     "MethodName",
+    "OwnMethod",
     "Passage",
     "Proposal",
     "Region",
     "checked_method",
-    "method_named",
-    "proposed_by",
+    "method_with",
 ]

@@ -11,7 +11,7 @@ import numpy as np
 from sb3_options.checked import is_number, whole
 from sb3_options.density.arrays import row_keys
 from sb3_options.density.regions import Region
-from sb3_options.discovery.methods.method import Experience
+from sb3_options.discovery.methods.method import Experience, Method
 from sb3_options.experience.observations import FloatArray, IntArray
 
 Accept = Callable[[FloatArray, FloatArray], FloatArray]
@@ -200,12 +200,14 @@ def _longer(rows: FloatArray, n: int) -> FloatArray:
     return np.concatenate([rows, np.zeros((n - len(rows), rows.shape[1]))])
 
 
-class CandidateMethod:
+class CandidateMethod(Method):
     """A method of discovery whose subgoals are the places that were candidates often enough.
 
     Args:
         accept: Which places become subgoals.
     """
+
+    STATE = ("_candidates",)
 
     def __init__(self, accept: Accept) -> None:
         self._candidates = Candidates(accept)
@@ -219,11 +221,3 @@ class CandidateMethod:
         """Nominal time of an update."""
         del experience
         return PLACE_SECONDS * len(self._candidates)
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        return self._candidates.get_state()
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        self._candidates.set_state(state)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -37,6 +37,8 @@ class CoveringOptions(LaplacianMethod):
         ValueError: An argument is out of its range.
     """
 
+    STATE: ClassVar[tuple[str, ...]] = ("_joined", "_proposed", "_n_solved")
+
     def __init__(self, *, n_pairs: int = 4, min_trajectories: int = 10, max_places: int = MAX_PLACES) -> None:
         check_counts(n_pairs=n_pairs)
         super().__init__(n_solved=n_pairs, min_trajectories=min_trajectories, max_places=max_places)
@@ -66,17 +68,6 @@ class CoveringOptions(LaplacianMethod):
             if any(region.contains(points).any() for region in taken):
                 self._joined.append(pair)
         self._proposed = []
-        self._n_solved = max(self.n_pairs - len(self._joined), 0)
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        return {**super().get_state(), "joined": list(self._joined), "proposed": list(self._proposed)}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        super().set_state(state)
-        pairs = (state.get(name, []) for name in ("joined", "proposed"))  # those of before have none
-        self._joined, self._proposed = ([(one, other) for one, other in each] for each in pairs)
         self._n_solved = max(self.n_pairs - len(self._joined), 0)
 
 

@@ -1,24 +1,30 @@
-"""What a method of discovery is told, and what it answers."""
+"""What a method of discovery gets, and what it proposes."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
+import time
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 from numpy.typing import ArrayLike
 
 from sb3_options.checked import is_number
+from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
+from sb3_options.discovery.diary import Diary
+from sb3_options.discovery.filters import Filters
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
-from sb3_options.experience.trajectories import Trajectory
+from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory, TrajectoryDatabase
 from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal, bins_of, everywhere
 
-__all__ = ["DiscoveryMethod", "Experience", "IntrinsicReward", "Passage", "Places", "Proposal", "Region"]
+if TYPE_CHECKING:
+    from sb3_options.discovery.settings import DiscoverySettings
 
+__all__ = ["DiscoveryMethod", "Experience", "IntrinsicReward", "Method", "Passage", "Places", "Proposal", "Region"]
 
 PROPOSALS = (Region, Passage, IntrinsicReward)
 """What an option may be made for."""
@@ -31,17 +37,21 @@ SIGN = np.int64(-(1 << 63))
 
 
 class Experience:
-    """One trajectory, as methods see it.
+    """The newest trajectory, and the database it is in, as methods see them.
 
     Args:
         features: φ of its distinct observations, in order of first visit, (m, d); methods may not write to it.
-        visits: Row of ``features`` at every time t = 0 … T, (T + 1,); likewise.
+        visits: Row of ``features`` at every time t = 0 … T, (T + 1,); read-only as well.
         success: Whether it was successful.
-        allowed: Which of its states may be subgoals, (m,): the static filter allows them, and no subgoal is near.
+        allowed: Which of its states may be subgoals, (m,): the static filter allows them, and no subgoal is near; or
+            what computes that when it is first asked for.
         scale: Factor for every feature that makes one unit one step, (d,).
         radius: Of a subgoal, in scaled units.
         taken: Subgoals that there are options for.
+        avoided: Subgoals that a search of the database leaves out: those taken, and those that no option could be
+            learned for.
         trajectory: Itself, with actions, rewards and observations; may be left out.
+        database: The last trajectories.
     """
 
     def __init__(
@@ -50,15 +60,29 @@ class Experience:
         visits: IntArray,
         *,
         success: bool,
-        allowed: BoolArray,
+        allowed: BoolArray | Callable[[], BoolArray],
         scale: FloatArray,
         radius: float,
         taken: Sequence[Region] = (),
+        avoided: Sequence[Region] = (),
         trajectory: Trajectory | None = None,
+        database: TrajectoryDatabase | None = None,
     ) -> None:
-        self.features, self.visits, self.success = _read_only(features), _read_only(visits), success
-        self.allowed, self.scale, self.radius, self.taken = allowed, scale, radius, tuple(taken)
+        self.features = _read_only(features)
+        self.visits = _read_only(visits)
+        self.success = success
+        self.scale = scale
+        self.radius = radius
+        self.taken = tuple(taken)
+        self.avoided = tuple(avoided)
+        self.database = TrajectoryDatabase(1) if database is None else database
+        self._allowed = allowed
         self._trajectory = trajectory
+
+    @cached_property
+    def allowed(self) -> BoolArray:
+        """Which of its states may be subgoals, (m,)."""
+        return self._allowed() if callable(self._allowed) else self._allowed
 
     @cached_property
     def trajectory(self) -> Trajectory:
@@ -101,7 +125,7 @@ class Experience:
 
 
 def _read_only(array: Array) -> Array:
-    """The same numbers, which the database holds, too."""
+    """A view that cannot be written to: the database holds the same numbers."""
     seen = array.view()
     seen.flags.writeable = False
     return seen
@@ -143,14 +167,13 @@ class Places(NamedTuple):
 
 
 class DiscoveryMethod(Protocol):
-    """Proposes subgoals from what the agent lived through, and from nothing else.
+    """Proposes subgoals from the agent's experience, and from nothing else.
 
     Any object with this method may be passed as ``SubgoalDiscoveryCallback(method=…)``. A checkpoint also needs
-    ``get_state()``, which gives a dictionary of arrays and plain values, and ``set_state(state)``. The `Budget` also
-    needs ``seconds(experience)``: how long an update takes, estimated by sizes and not by the clock. Without it what
-    updates take is measured, so that two trainings with one seed may be told of different trajectories.
-    ``needs_success = True`` says that a method proposes nothing
-    before a success, and users are told so where there is none.
+    ``get_state()``, which gives a dictionary of arrays and plain values, and ``set_state(state)``. The budget also
+    needs ``seconds(experience)``: how long an update takes, estimated by sizes and not by the clock. Without it
+    updates are measured, and two trainings with one seed may differ. ``needs_success = True`` says that a method
+    proposes nothing before a success; where none succeeds, that is the reason that users read.
     """
 
     def update(self, experience: Experience) -> Sequence[Proposal]:
@@ -160,18 +183,190 @@ class DiscoveryMethod(Protocol):
             experience: The trajectory.
 
         Returns:
-            Regions to reach, passages, or intrinsic rewards to make options for, best first. The first that
-            leads far enough from other subgoals is taken. What is proposed again after the next trajectory is
-            considered again.
+            Regions to reach, passages or intrinsic rewards to make options for, best first. The first that leads far
+            enough from other subgoals is taken. What is proposed again after the next trajectory is considered again.
         """
         ...
 
 
+class Method:
+    """A `DiscoveryMethod` of the library, with what `Discovery` asks besides.
+
+    Attributes:
+        needs_success: Whether it proposes nothing before a success.
+        searches: Whether it searches the database now and then (`is_due`), with filters of its own; otherwise it takes
+            note of every trajectory.
+        again_after: A subgoal that no option could be learned for may come again after so many times as many
+            trajectories.
+        leads: What a saved trajectory must do for an option, in words.
+        learns_from_failures: Whether a failure may lead to a proposal.
+    """
+
+    STATE: ClassVar[tuple[str, ...]] = ()
+
+    needs_success: bool = False
+    searches: bool = False
+    again_after: float = 2.0
+    leads: str = "leads"
+    learns_from_failures: bool = True
+
+    def begin(self, settings: DiscoverySettings, filters: Filters, groups: Sequence[FeatureGroup]) -> None:
+        """Get what discovery was made with, before the first trajectory.
+
+        Raises:
+            ValueError: There are groups of features, and the method needs all features together.
+        """
+        if groups:
+            raise ValueError(
+                f"{self.name} works on all features together, and the feature map has groups: use diverse density, or "
+                "the control 'random'; or, in a script, pass groups=() to SubgoalDiscoveryCallback."
+            )
+
+    def note(self, labelled: LabelledTrajectory) -> None:
+        """Note a trajectory when it ends, before any search."""
+
+    def is_due(self, database: TrajectoryDatabase) -> bool:
+        """Whether a method that searches has enough new trajectories."""
+        return True
+
+    def update(self, experience: Experience) -> Sequence[Proposal]:
+        """Propose; as `DiscoveryMethod.update`."""
+        raise NotImplementedError
+
+    def seconds(self, experience: Experience) -> float:
+        """Nominal seconds of the last update."""
+        return 0.0
+
+    def accept(self, goal: Region) -> float:
+        """Note that a proposed subgoal is taken, and say the best log diverse density of its search, NaN without."""
+        return float("nan")
+
+    def states(self, database: TrajectoryDatabase, filters: Filters) -> list[FloatArray]:
+        """States that may be subgoals, of each trajectory that counts, in scaled units."""
+        return [filters.known_scale * each.features[filters.may_be_subgoals(each, [])] for each in database]
+
+    def remembered(self) -> FloatArray:
+        """Points of concept space that it remembers, (n, d)."""
+        return np.zeros((0, 0))
+
+    def embed_again(self, points: FloatArray, database: TrajectoryDatabase) -> None:
+        """Go on in another space, in which the `remembered` points are these, and the database has other features."""
+
+    def log_density(self, points: FloatArray) -> FloatArray | None:
+        """Log diverse density of points (n, d) in the bags of the last search; None where there is none."""
+        return None
+
+    def values(self) -> dict[str, float]:
+        """What is logged of it, by tag."""
+        return {}
+
+    def n_successes(self, diary: Diary) -> int:
+        """Trajectories that count as successes."""
+        return diary.successes
+
+    def why_nothing(self, diary: Diary) -> str:
+        """Why it proposed nothing, where it might have."""
+        for waits_for, n, what in (
+            ("min_trajectories", diary.n, ""),
+            ("min_successes", diary.successes, "successful "),
+        ):
+            if n < (least := self._least(waits_for)):
+                return f"{self.name} waits for {least} {what}{diary.unit}s ({waits_for}), and {n} have ended."
+        return f"{self.name} proposed none that the filters leave."
+
+    def _least(self, waits_for: str) -> int:
+        return int(getattr(self, waits_for, 0))
+
+    @property
+    def name(self) -> str:
+        """Of its class."""
+        return type(self).__name__
+
+
+class OwnMethod(Method):
+    """A user's own method, whose proposals are checked.
+
+    Args:
+        method: The user's.
+    """
+
+    def __init__(self, method: DiscoveryMethod) -> None:
+        self.method = method
+        self.needs_success = bool(getattr(method, "needs_success", False))
+        self._seconds = 0.0
+
+    def update(self, experience: Experience) -> list[Proposal]:
+        """Ask the user's method, and check what it proposes.
+
+        Raises:
+            TypeError: It returns something else than proposals.
+            ValueError: A proposal has arrays of another shape.
+            RuntimeError: It raised a ValueError, which would pass for an episode that cannot be used.
+        """
+        began = time.process_time()
+        try:
+            proposals = self.method.update(experience)
+        except ValueError as error:
+            raise RuntimeError(f"{self.name}.update failed: {error}") from error
+        self._seconds = time.process_time() - began
+        if not isinstance(proposals, Sequence) or not all(isinstance(each, PROPOSALS) for each in proposals):
+            names = ", ".join(kind.__name__ for kind in PROPOSALS)
+            raise TypeError(f"{self.name}.update must return a list of {names}, got {proposals!r:.200}.")
+        size = experience.features.shape[1]
+        for each in proposals:
+            for region in _regions_of(each):
+                points, scale = np.shape(region.points), np.shape(region.scale)
+                if (len(points), *points[1:], *scale) != (2, size, size) or not points[0]:
+                    raise ValueError(
+                        f"{self.name} proposed a {type(each).__name__} whose points have shape {points} and whose "
+                        f"scale has {scale}; they must be (n, {size}) and ({size},), n ≥ 1, for φ has {size} features."
+                    )
+        return list(proposals)
+
+    def seconds(self, experience: Experience) -> float:
+        """Nominal seconds of the last update: the user's estimate, or as measured.
+
+        Raises:
+            ValueError: The estimate is no finite number of at least 0.
+        """
+        if not hasattr(self.method, "seconds"):
+            return self._seconds
+        seconds = self.method.seconds(experience)
+        if not (is_number(seconds) and 0.0 <= seconds < np.inf):
+            raise ValueError(f"{self.name}.seconds must return a finite number of at least 0, got {seconds!r:.200}.")
+        return float(seconds)
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint.
+
+        Raises:
+            ValueError: The method has no state.
+        """
+        if not (hasattr(self.method, "get_state") and hasattr(self.method, "set_state")):
+            raise ValueError(
+                f"Checkpoints of discovery by {self.name} are not supported: give it get_state() and set_state(state)."
+            )
+        state: dict[str, Any] = self.method.get_state()
+        return state
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self.method.set_state(state)  # type: ignore[attr-defined]  # `get_state` has asked for it
+
+    def _least(self, waits_for: str) -> int:
+        return int(getattr(self.method, waits_for, 0))
+
+    @property
+    def name(self) -> str:
+        """Of the user's class."""
+        return type(self.method).__name__
+
+
 def checked_method(method: Any) -> DiscoveryMethod | None:
-    """A user's own method; None for a name, or for nothing.
+    """A method that is no name; None for a name, or for nothing.
 
     Raises:
-        TypeError: It is none: a class, say, or without ``update``.
+        TypeError: It is a class, or has no ``update``.
     """
     if method is None or isinstance(method, str):
         return None
@@ -183,41 +378,12 @@ def checked_method(method: Any) -> DiscoveryMethod | None:
     return made
 
 
-def proposed_by(method: DiscoveryMethod, experience: Experience) -> list[Proposal]:
-    """What a method proposes after one more trajectory.
-
-    Raises:
-        TypeError: It answers something else.
-        ValueError: A proposal has arrays of other shapes, or numbers that are not finite.
-        RuntimeError: A user's own raised a ValueError, which would pass for an episode that cannot be used.
-    """
-    try:
-        proposals = method.update(experience)
-    except ValueError as error:
-        if _is_of_the_library(method):
-            raise
-        raise RuntimeError(f"{type(method).__name__}.update failed: {error}") from error
-    if not isinstance(proposals, Sequence) or not all(isinstance(each, PROPOSALS) for each in proposals):
-        names = ", ".join(kind.__name__ for kind in PROPOSALS)
-        raise TypeError(f"{type(method).__name__}.update must return a list of {names}, got {proposals!r:.200}.")
-    name, size = type(method).__name__, experience.features.shape[1]
-    for each in proposals:
-        for region in _regions_of(each):
-            points, scale = np.shape(region.points), np.shape(region.scale)
-            if (len(points), *points[1:], *scale) != (2, size, size) or not points[0]:
-                raise ValueError(
-                    f"{name} proposed a {type(each).__name__} whose points have shape {points} and whose scale has "
-                    f"{scale}; they must be (n, {size}) and ({size},), n ≥ 1, for φ has {size} features."
-                )
-    return list(proposals)
-
-
-def kept(proposal: Proposal, method: DiscoveryMethod) -> Proposal:
-    """A proposal that is taken, of arrays that the method cannot change later on.
+def kept(proposal: Proposal, name: str) -> Proposal:
+    """A proposal that is taken, of arrays that its method cannot change later on.
 
     Args:
-        proposal: As `proposed_by` gave it.
-        method: Whose it is.
+        proposal: What was proposed.
+        name: Of the method.
 
     Raises:
         ValueError: It has numbers that are not finite, or a radius below 0.
@@ -225,17 +391,12 @@ def kept(proposal: Proposal, method: DiscoveryMethod) -> Proposal:
     for region in _regions_of(proposal):
         if not (np.isfinite(region.points).all() and np.isfinite(region.scale).all() and 0 <= region.radius < np.inf):
             raise ValueError(
-                f"{type(method).__name__} proposed a {type(proposal).__name__} with points, scale or radius that are "
-                "not finite, or a radius below 0."
+                f"{name} proposed a {type(proposal).__name__} with points, scale or radius that are not finite, or a "
+                "radius below 0."
             )
     if isinstance(proposal, Passage):
         return Passage(_copied(proposal.subgoal), _copied(proposal.initiation))
     return _copied(proposal)
-
-
-def _is_of_the_library(method: DiscoveryMethod) -> bool:
-    """Whether a method is no user's own."""
-    return type(method).__module__.startswith("sb3_options.")
 
 
 def _copied(region: Placed) -> Placed:
@@ -246,22 +407,4 @@ def _copied(region: Placed) -> Placed:
 
 def _regions_of(proposal: Proposal) -> tuple[Region | IntrinsicReward, ...]:
     """What has points in concept space."""
-    if isinstance(proposal, Passage):
-        return proposal.subgoal, proposal.initiation
-    return (proposal,)
-
-
-def seconds_by(method: DiscoveryMethod, experience: Experience) -> float | None:
-    """Nominal time of an update, as the method has it; 0 of one of the library's, and None of another, that says none.
-
-    Raises:
-        ValueError: It is no finite number of at least 0.
-    """
-    if not hasattr(method, "seconds"):
-        return 0.0 if _is_of_the_library(method) else None
-    seconds = method.seconds(experience)
-    if not (is_number(seconds) and 0.0 <= seconds < np.inf):
-        raise ValueError(
-            f"{type(method).__name__}.seconds must return a finite number of at least 0, got {seconds!r:.200}."
-        )
-    return float(seconds)
+    return (proposal.subgoal, proposal.initiation) if isinstance(proposal, Passage) else (proposal,)

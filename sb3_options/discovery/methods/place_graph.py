@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, cast
+from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 from scipy.linalg import eigh
@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components, laplacian
 from scipy.sparse.linalg import eigsh
 
 from sb3_options.discovery.methods.candidates import check_counts
-from sb3_options.discovery.methods.method import Experience
+from sb3_options.discovery.methods.method import Experience, Method
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 
 MAX_PLACES = 2_000
@@ -115,7 +115,7 @@ class PlaceGraph:
         self._edges = dict.fromkeys((int(i), int(j)) for i, j in state["edges"])
 
 
-class LaplacianMethod:
+class LaplacianMethod(Method):
     """A method of discovery on the Laplacian of the graph of all places, which it takes anew after each trajectory.
 
     Args:
@@ -126,6 +126,8 @@ class LaplacianMethod:
     Raises:
         ValueError: An argument is out of its range.
     """
+
+    STATE: ClassVar[tuple[str, ...]] = ("_graph", "_n")
 
     def __init__(self, *, n_solved: int, min_trajectories: int, max_places: int) -> None:
         check_counts(min_trajectories=min_trajectories)
@@ -148,15 +150,6 @@ class LaplacianMethod:
         """Nominal time of an update."""
         del experience
         return self._n_solved * seconds_of(len(self._graph)) if self._n >= self.min_trajectories else 0.0
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        return {"graph": self._graph.get_state(), "n": self._n}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        self._graph.set_state(state["graph"])
-        self._n = state["n"]
 
 
 def smoothest(adjacency: csr_array, k: int) -> FloatArray:

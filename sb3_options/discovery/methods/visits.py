@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,12 +16,12 @@ from sb3_options.discovery.methods.candidates import (
     check_positive,
     check_shares,
 )
-from sb3_options.discovery.methods.method import Experience
+from sb3_options.discovery.methods.method import Experience, Method
 from sb3_options.discovery.peaks import MOST_TIED, PeakTracker, plateau_centres
 from sb3_options.experience.observations import FloatArray
 
 
-class VisitFrequency:
+class VisitFrequency(Method):
     """McGovern & Barto (2001), §3: the place that successful trajectories visit most.
 
     It must persist: its running average (their §5) must exceed a share of its limit.
@@ -36,6 +36,8 @@ class VisitFrequency:
     Raises:
         ValueError: An argument is out of its range.
     """
+
+    STATE = ("_successes", "_visited", "_tracker")
 
     needs_success = True
 
@@ -82,20 +84,6 @@ class VisitFrequency:
         """Nominal time of an update."""
         return PLACE_SECONDS * len(self._visited) if experience.success else 0.0
 
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        return {
-            "successes": self._successes,
-            "visited": self._visited.get_state(),
-            "tracker": self._tracker.get_state(),
-        }
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        self._successes = state["successes"]
-        self._visited.set_state(state["visited"])
-        self._tracker.set_state(state["tracker"])
-
 
 def _most(seen: FloatArray, hits: FloatArray) -> FloatArray:
     """Accept what was visited most, and what ties with it."""
@@ -104,7 +92,7 @@ def _most(seen: FloatArray, hits: FloatArray) -> FloatArray:
     return accepted
 
 
-class RandomPlaces:
+class RandomPlaces(Method):
     """A control: a random place of a successful trajectory.
 
     Args:
@@ -114,6 +102,8 @@ class RandomPlaces:
     Raises:
         ValueError: An argument is out of its range.
     """
+
+    STATE = ("_successes", "_random")
 
     needs_success = True
 
@@ -132,17 +122,8 @@ class RandomPlaces:
             return []
         return [experience.region(experience.places.points[self._random.choice(allowed)])]
 
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        return {"successes": self._successes, "random": self._random.bit_generator.state}
 
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        self._successes = state["successes"]
-        self._random.bit_generator.state = state["random"]
-
-
-class GivenPlaces:
+class GivenPlaces(Method):
     """A control: places that somebody knows, doorways say. What is learned for them is learned as for any other.
 
     Args:
@@ -167,10 +148,3 @@ class GivenPlaces:
             raise ValueError(f"GivenPlaces has places of {self.points.shape[1]} features, and φ has {size}.")
         regions = [experience.region(point) for point in self.points]
         return [region for region in regions if region.contains(experience.features).any()]
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint: there is nothing to remember."""
-        return {}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""

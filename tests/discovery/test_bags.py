@@ -1,11 +1,10 @@
-import copy
 from typing import Any
 
 import numpy as np
 import pytest
 
-from sb3_options.discovery import bag_maker
-from sb3_options.discovery.bag_maker import BagMaker, FilteredBags
+from sb3_options.discovery.bags import BagMaker, FilteredBags
+from sb3_options.discovery.filters import Filters
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.experience.trajectories import LabelledTrajectory
 from tests.support.helpers import ball, line
@@ -15,9 +14,13 @@ PLAIN: dict[str, Any] = {
 }  # fmt: skip
 
 
+def maker(**changes: Any) -> BagMaker:
+    settings = DiscoverySettings(**{**PLAIN, **changes})
+    return BagMaker(settings, Filters(settings, scale=np.full(1, settings.scale)))
+
+
 def make(*trajectories: LabelledTrajectory, taken: Any = (), **changes: Any) -> FilteredBags | None:
-    maker = BagMaker(DiscoverySettings(**{**PLAIN, **changes}), None, None)
-    return maker.make(trajectories, taken)
+    return maker(**changes).make(trajectories, taken)
 
 
 def places(bags: list[Any]) -> list[list[float]]:
@@ -57,23 +60,20 @@ def test_too_few_positive_bags_are_none() -> None:
     assert make(line([0, 5, 20]), line([0, 20]), min_positive=2) is None, "nothing is left of one of them"
 
 
-def test_a_bag_that_does_not_change_is_the_same_array() -> None:
-    maker = BagMaker(DiscoverySettings(**{**PLAIN, "min_passing": 0.7}), None, None)
+def test_a_new_subgoal_changes_the_bags_near_it() -> None:
     ways = [line([0, 10, 30 + i % 2, 60]) for i in range(6)]
-    first, second = maker.make(ways[:5], []), maker.make(ways, [])
+    one = maker(min_passing=0.7)
+    first = one.make(ways, [])
     assert first is not None
-    assert second is not None
-    assert places(second.positive) == [[10.0]] * 6
-    assert all(a is b for a, b in zip(first.positive, second.positive, strict=False))
-    maker.forget_bags()
-    third = maker.make(ways, [ball(10.0)])
-    assert third is None
+    assert places(first.positive) == [[10.0]] * 6
+    assert one.make(ways, [ball(10.0)]) is None
+    assert one.make(ways, []) is not None
 
 
 def test_bags_are_made_in_parts_as_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     ways = [line([0, i, i + 1, 10, i + 2, 20]) for i in (3, 5, 13)]
     at_once = make(*ways, taken=[ball(10.0)], spacing=4.0)
-    monkeypatch.setattr(bag_maker, "AT_ONCE", 1)
+    monkeypatch.setattr("sb3_options.discovery.bags.AT_ONCE", 1)
     in_parts = make(*ways, taken=[ball(10.0)], spacing=4.0)
     assert at_once is not None
     assert in_parts is not None
@@ -86,25 +86,14 @@ def swapped(cache: dict[int, Any]) -> dict[int, Any]:
 
 
 def test_ids_of_a_copy_are_not_believed() -> None:
+    """After a copy the keys of the cache are ids of other objects."""
     trajectories = [line([0, 5, i, 20]) for i in (7, 9, 11)]
     for changes in ({}, {"min_passing": 0.4, "loops": "erase"}):
-        maker = BagMaker(DiscoverySettings(**{**PLAIN, **changes}), None, None)
-        before = maker.make(trajectories, ())
+        one = maker(**changes)
+        before = one.make(trajectories, ())
         assert before is not None
-        maker._known = swapped(maker._known)
-        maker._known = {id(object()): known for known in maker._known.values()} | maker._known
-        after = maker.make(trajectories, ())
+        known = dict(zip(one._known, reversed(one._known.values()), strict=True))
+        one._known = {id(object()): each for each in known.values()} | known
+        after = one.make(trajectories, ())
         assert after is not None
         assert places(after.positive) == places(before.positive)
-
-
-def test_a_copy_goes_on_with_its_bags() -> None:
-    """A copy finds its own bags in the copied cache."""
-    trajectories = [line([0, i, i + 1, 20]) for i in (5, 7, 9)]
-    maker = BagMaker(DiscoverySettings(**PLAIN), None, None)
-    before = maker.make(trajectories, ())
-    maker, trajectories, before = copy.deepcopy((maker, trajectories, before))
-    after = maker.make(trajectories, ())
-    assert before is not None
-    assert after is not None
-    assert list(map(id, after.positive)) == list(map(id, before.positive))

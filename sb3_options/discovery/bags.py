@@ -1,0 +1,192 @@
+"""From the trajectories of a database to the bags of one search."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from sb3_options.density.bags import Bags, first_rows
+from sb3_options.density.regions import Region
+from sb3_options.discovery.contrast import Contrast
+from sb3_options.discovery.filters import Filters, Way
+from sb3_options.discovery.local_cuts import LocalCuts
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.ways import PassingShare, loop_erased
+from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
+from sb3_options.experience.trajectories import LabelledTrajectory
+from sb3_options.state import storable
+
+AT_ONCE = 1 << 17
+"""Features of ways, about, whose distances to a subgoal are computed at once."""
+
+
+@storable
+@dataclass(frozen=True, eq=False)
+class FilteredBags:
+    """The filtered bags of a database, oldest first.
+
+    Attributes:
+        positive: Instances (n_i, d) of each successful trajectory.
+        negative: Instances of each unsuccessful one.
+    """
+
+    positive: list[FloatArray]
+    negative: list[FloatArray]
+
+    @cached_property
+    def n_instances(self) -> int:
+        """In all bags."""
+        return sum(map(len, self.positive)) + sum(map(len, self.negative))
+
+    @cached_property
+    def bags(self) -> Bags:
+        """The same, packed when first asked for."""
+        return Bags.pack(self.positive, self.negative)
+
+
+@dataclass(eq=False)
+class _Bag(Way):
+    """A way, and the bag that was made of it.
+
+    The way has the states that the trajectory led through, or all that it visited. Each is in it once: a state that is
+    visited often would count often in the noisy-or (McGovern & Barto 2001, §3).
+
+    Attributes:
+        allowed: Which states the static filter leaves, (k,).
+        kept: Which of them also stand out; None before the bag is made.
+        instances: Of the bag.
+        numbers: Of the states in the `LocalCuts`, (k,); None before they are asked for.
+    """
+
+    allowed: BoolArray
+    kept: BoolArray | None = None
+    instances: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    numbers: IntArray | None = None
+
+
+class BagMaker:
+    """Makes bags. All but the `cuts` follows from the database, and is not in a checkpoint.
+
+    Args:
+        settings: Which states are instances.
+        filters: Which states may be subgoals.
+        contrast: Of the group of features: by what a state of a successful trajectory must stand out.
+
+    Attributes:
+        cuts: Of all states that were visited; None where ``DiscoverySettings.min_cut`` has no effect.
+    """
+
+    STATE = ("cuts",)
+
+    def __init__(self, settings: DiscoverySettings, filters: Filters, contrast: Contrast | None = None) -> None:
+        self.settings = settings
+        self.filters = filters
+        self.contrast = contrast
+        self._passing = PassingShare(settings.subgoal_radius)
+        self._known: dict[int, _Bag] = {}
+        self._others: list[Region] = []
+        has_cuts = settings.min_cut > 0.0 and settings.min_passing > 0.0 and filters.group is None
+        self.cuts = LocalCuts() if has_cuts else None
+
+    def make(self, database: Iterable[LabelledTrajectory], others: Sequence[Region]) -> FilteredBags | None:
+        """The bags of a database; None if fewer than `min_positive` successful trajectories have an instance.
+
+        Args:
+            database: Trajectories, oldest first.
+            others: Subgoals that no instance may be near.
+        """
+        database = list(database)
+        positive = [t for t in database if t.success]
+        if len(positive) < self.settings.min_positive:
+            return None
+        self._know(database if self.settings.negative_bags else positive, others)
+        known = [self._known[id(t)] for t in positive]
+        self._remake(known, self._standing_out(known))
+        positive_bags = [k.instances for k in known if len(k.instances)]
+        if len(positive_bags) < self.settings.min_positive:
+            return None
+        known = [self._known[id(t)] for t in database if not t.success and id(t) in self._known]
+        if known:
+            self._remake(known, np.concatenate([k.allowed for k in known]))
+        return FilteredBags(positive_bags, [k.instances for k in known if len(k.instances)])
+
+    def ways(self, database: Iterable[LabelledTrajectory]) -> list[FloatArray]:
+        """The states of each successful way that may be subgoals, in scaled units, (k_i, d) each."""
+        self._know([t for t in database if t.success], self._others)
+        return [known.scaled[known.allowed] for known in self._known.values()]
+
+    def cuts_off(self, instance: FloatArray) -> bool:
+        """Whether an instance (d,) is known to cut off `min_cut`; with less it would be no instance."""
+        return self.cuts is not None and bool(self.cuts.are_known(self.cuts.numbers(instance[None]))[0])
+
+    def visited(self, labelled: LabelledTrajectory) -> None:
+        """Add what a trajectory visited to the `cuts`."""
+        if self.cuts is not None:
+            self.cuts.add(labelled.features, labelled.trajectory.visits)
+
+    def forget_space(self) -> None:
+        """Start again with features of another space."""
+        self.cuts = None if self.cuts is None else LocalCuts()
+        self._known = {}
+
+    def _know(self, trajectories: Sequence[LabelledTrajectory], others: Sequence[Region]) -> None:
+        """Make the ways of these trajectories that are new, and forget all others."""
+        old = {id(known.labelled): known for known in self._known.values()}
+        self._known = {id(t): old.get(id(t)) or self._way(t) for t in trajectories}
+        if len(others) != len(self._others) or any(a is not b for a, b in zip(others, self._others, strict=True)):
+            self._others = list(others)
+            for known in self._known.values():
+                known.kept = None
+
+    def _way(self, labelled: LabelledTrajectory) -> _Bag:
+        states, visits = self.filters.own(labelled), labelled.trajectory.visits
+        scaled = states * self.filters.known_scale
+        erase = labelled.success and self.settings.loops == "erase"
+        # Different observations may have the same φ; a way without loops has none twice.
+        rows = loop_erased(scaled, visits, self.settings.subgoal_radius) if erase else first_rows(scaled)
+        return _Bag(labelled, rows, states[rows], scaled[rows], self.filters.allowed(labelled)[rows])
+
+    def _standing_out(self, known: Sequence[_Bag]) -> BoolArray:
+        """Which states stand out: by `min_contrast`, or by `min_passing` and `min_cut`.
+
+        All ways at once, way after way: a call for each of a hundred takes longer than what it computes.
+        """
+        allowed: BoolArray = np.concatenate([k.allowed for k in known])
+        if self.contrast is not None:
+            least = self.settings.min_contrast
+            outstanding: BoolArray = np.concatenate(
+                [self.contrast.stands_out(k.labelled, least)[k.rows] for k in known]
+            )
+            return allowed & outstanding
+        if self.settings.min_passing == 0.0:
+            return allowed
+        passages: BoolArray = allowed & (self._passing.update([k.scaled for k in known]) >= self.settings.min_passing)
+        if self.cuts is not None:
+            for k in known:
+                k.numbers = self.cuts.numbers(k.states) if k.numbers is None else k.numbers
+            numbers = np.concatenate([k.numbers for k in known if k.numbers is not None])
+            passages[passages] = self.cuts.shares(numbers[passages]) >= self.settings.min_cut
+        return passages
+
+    def _remake(self, known: Sequence[_Bag], keep: BoolArray) -> None:
+        """Make the bags that change, of the states to ``keep`` way after way."""
+        ends = np.cumsum([len(k.rows) for k in known])
+        changed = {i for i, k in enumerate(known) if k.kept is None}
+        if len(changed) < len(known):  # a new way has no mask that could differ
+            kept = np.concatenate([k.allowed if k.kept is None else k.kept for k in known])
+            changed.update(np.searchsorted(ends, np.flatnonzero(keep != kept), side="right").tolist())
+        some = [(known[i], keep[ends[i] - len(known[i].rows) : ends[i]].copy()) for i in sorted(changed)]
+        at_once = max(AT_ONCE // max((k.states.size for k, _ in some), default=1), 1)
+        for first in range(0, len(some), at_once):
+            self._remake_these(some[first : first + at_once])
+
+    def _remake_these(self, known: Sequence[tuple[_Bag, BoolArray]]) -> None:
+        far = np.concatenate([kept for _, kept in known]) & self.filters.far_from([k for k, _ in known], self._others)
+        at = 0
+        for k, kept in known:
+            k.kept = kept
+            k.instances = k.states[far[at : at + len(kept)]]
+            at += len(kept)

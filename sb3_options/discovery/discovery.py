@@ -1,0 +1,316 @@
+"""Discovery: trajectories in, subgoals out (McGovern & Barto 2001, Table 1)."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from sb3_options.density.groups import FeatureGroup
+from sb3_options.density.regions import Region
+from sb3_options.discovery.anchors import moved, nearest_observations
+from sb3_options.discovery.budget import seconds_of_telling
+from sb3_options.discovery.diary import Diary
+from sb3_options.discovery.filters import Filters
+from sb3_options.discovery.methods import DiscoveryMethod, Experience, Method, Proposal, method_with
+from sb3_options.discovery.methods.method import kept
+from sb3_options.discovery.outcome_database import OutcomeDatabase
+from sb3_options.discovery.salience import Salience
+from sb3_options.discovery.settings import DiscoverySettings, described
+from sb3_options.discovery.static_filter import StaticFilter
+from sb3_options.embedding.learner import FeatureLearner
+from sb3_options.experience.observations import FeatureMap, FloatArray, Observations, batch_size
+from sb3_options.experience.success import SuccessRule, reported_success
+from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory, TrajectoryDatabase
+from sb3_options.options.proposals import goal_of
+from sb3_options.state import storable
+
+logger = logging.getLogger("sb3_options")
+
+MAX_BYTES = 1 << 30
+"""Memory that the trajectories of a database may take; with large observations fewer than `capacity` are kept."""
+
+
+@storable
+class FoundSubgoal(NamedTuple):
+    """A subgoal.
+
+    Attributes:
+        subgoal: In concept space.
+        log_density: Best log diverse density of the search that completed it; NaN where another method found it.
+        proposal: What the option is to be made for, if not to reach it.
+        observation: The nearest observation, a batch of one; None where it is on a group of features, or no place.
+    """
+
+    subgoal: Region
+    log_density: float
+    proposal: Proposal | None = None
+    observation: Observations | None = None
+
+    @property
+    def centre(self) -> FloatArray:
+        """The middle of the subgoal in its own features, (d,)."""
+        centre: FloatArray = self.subgoal.points[0]
+        return centre
+
+    def where(self, kind: str | None) -> str:
+        """The subgoal for people; ``kind`` says where φ comes from."""
+        return described(self.centre, kind, self.subgoal.group)
+
+
+class Discovery:
+    """Finds subgoals in a database of trajectories, by one method.
+
+    Filters, spacing and budget are the same for all methods, and `diary` says why nothing was found.
+
+    Args:
+        settings: How.
+        method: That proposes subgoals; by default the one that the settings name.
+        success: Which trajectories succeed; by default what the environment reports.
+        static_filter: What may be a subgoal; by default not near start and goal.
+        kind: Where φ comes from, for `default_scale`.
+        groups: Of features; empty where all count together.
+        taken: Subgoals that have an option already, besides those `found`.
+        seed: Of a method that draws at random.
+
+    Attributes:
+        database: The last trajectories.
+        found: Subgoals that were found and not withdrawn, oldest first.
+
+    Raises:
+        TypeError: ``method`` is none.
+        ValueError: A method that needs all features together is to work on groups.
+    """
+
+    STATE = ("database", "filters", "diary", "method", "found", "_new", "_proposals", "_withdrawn", "taken")
+
+    def __init__(
+        self,
+        settings: DiscoverySettings | None = None,
+        method: DiscoveryMethod | None = None,
+        *,
+        success: SuccessRule = reported_success,
+        static_filter: StaticFilter | None = None,
+        kind: str | None = None,
+        groups: Iterable[FeatureGroup] = (),
+        taken: Sequence[Region] = (),
+        seed: int = 0,
+    ) -> None:
+        self.settings = s = DiscoverySettings() if settings is None else settings
+        self.success = success
+        self.groups = tuple(groups)
+        self.filters = Filters(s, static_filter, kind)
+        self.method: Method = method_with(s.method, method, grouped=bool(self.groups), seed=seed)
+        self.method.begin(s, self.filters, self.groups)
+        self.taken = [region for region in taken if self.groups or region.group is None]
+        self.database: TrajectoryDatabase = TrajectoryDatabase(s.capacity, MAX_BYTES)
+        if self.groups:
+            salience = Salience(self.groups, s.salient_share, s.min_positive)
+            self.database = OutcomeDatabase(s.capacity, MAX_BYTES, salience)
+        elif s.salient_share:
+            logger.warning(
+                "salient_share=%g has no effect: it is for groups of features, and there are none.", s.salient_share
+            )
+        self.diary = Diary(
+            unit="episode" if s.segmentation == "episodes" else "segment",
+            own_rule=success is not reported_success,
+            max_share=s.max_share,
+            least=s.min_positive,
+            radius=max(s.peak_radius, s.subgoal_radius),
+            needs_success=self.method.needs_success and not (self.groups and s.salient_share),
+        )
+        self.found: list[FoundSubgoal] = []
+        self._new: list[LabelledTrajectory] = []
+        self._proposals: list[Proposal] = []
+        self._withdrawn: list[tuple[Region, int]] = []  # and after how many trajectories
+
+    @property
+    def scale(self) -> FloatArray | None:
+        """Factor for every feature, (d,); None before the first search, and where every group has its own."""
+        return self.filters.scale
+
+    @property
+    def kind(self) -> str | None:
+        """Where φ comes from; experience may show that states have no distances, as ``categorical``."""
+        return self.filters.kind
+
+    def add(self, trajectory: Trajectory, features: FloatArray, *, success: bool | None = None) -> LabelledTrajectory:
+        """Put a trajectory into the database.
+
+        Args:
+            trajectory: One episode.
+            features: φ of its distinct observations, shape (m, d).
+            success: Its label; by default what the rule of success says.
+
+        Returns:
+            The trajectory with its label.
+
+        Raises:
+            ValueError: ``features`` does not fit the trajectory, or is not finite.
+        """
+        features = np.require(features, np.float64, "O")  # a view would keep alive what it is a view of
+        n_states = batch_size(trajectory.states)
+        if features.ndim != 2 or len(features) != n_states:
+            raise ValueError(
+                f"features must have shape (m, d), one row for each of the trajectory's {n_states} distinct "
+                f"observations, got {features.shape}"
+            )
+        if not np.isfinite(features).all():
+            raise ValueError("a trajectory has features, or observations, that are NaN or infinite")
+        said = self.success(trajectory) if success is None else success
+        labelled = LabelledTrajectory(trajectory, features, bool(said))
+        self.diary.add(trajectory, success=labelled.success)
+        self.database.add(labelled)
+        self.method.note(labelled)
+        if not self.method.searches:
+            self._new = [*self._new, labelled][-self.settings.capacity :]
+            while len(self._new) > 1 and sum(each.n_bytes for each in self._new) > MAX_BYTES:
+                del self._new[0]
+        return labelled
+
+    def search(self) -> Region | None:
+        """Let the method propose, if enough is new and the budget affords it, and take a proposal.
+
+        Returns:
+            A new subgoal, which counts as taken from then on; `found` has what the option is to be made for.
+        """
+        began = time.perf_counter()
+        subgoal = self._search()
+        self.diary.seconds += time.perf_counter() - began
+        return subgoal
+
+    def _search(self) -> Region | None:
+        searches = self.method.searches
+        if not (len(self.database) and self.method.is_due(self.database)):
+            return None
+        affords = self.diary.affords()
+        if not (searches or self._knows_scale()):
+            return None
+        if not affords:
+            self._new = []  # the method never gets what the budget does not afford
+            return None
+        n = self.diary.successes if searches else len(self.database)
+        what = f"successful {self.diary.unit}s" if searches else f"{self.diary.unit}s"
+        self.diary.compare_places(n, lambda: self.method.states(self.database, self.filters), what)
+        if searches and self.diary.nothing_recurs:
+            return None
+        if searches:
+            self._proposals = self._updated(self.experience())
+        proposals: list[Proposal] = []
+        while self._new:
+            experience = self._experience(self._new.pop(0))  # what a method fails at does not come again
+            proposals = [*self._updated(experience), *proposals]
+            self.diary.spent += seconds_of_telling(len(experience.visits) - 1, experience.features.size)
+            self._proposals = proposals
+        return self._take()
+
+    def _updated(self, experience: Experience) -> list[Proposal]:
+        proposals = list(self.method.update(experience))
+        self.diary.spent += self.method.seconds(experience)
+        return proposals
+
+    def _take(self) -> Region | None:
+        """Take the best proposal that is far enough from other subgoals."""
+        known = [*self.taken, *(found.subgoal for found in self.found)]
+        for proposal in self._proposals:
+            goal = goal_of(proposal)
+            if self._waits(goal):
+                continue
+            if not (self.method.searches or self.filters.is_apart(goal, known, self.database)):
+                continue
+            self._proposals = []
+            proposal = kept(proposal, self.method.name)
+            goal = goal_of(proposal)
+            # Where φ is learned there are no groups, whose points have features of their own.
+            observation = None if goal.group is not None else nearest_observations(goal.points[:1], self.database)
+            density = self.method.accept(goal)
+            self.found.append(FoundSubgoal(goal, density, None if goal is proposal else proposal, observation))
+            return goal
+        return None
+
+    def withdraw(self) -> None:
+        """Note that no option can be learned for the last subgoal; later it may be proposed again."""
+        self.diary.n_withdrawn += 1
+        goal = self.found.pop().subgoal
+        self._withdrawn = [each for each in self._withdrawn if not np.array_equal(each[0].points, goal.points)]
+        self._withdrawn.append((goal, self.diary.n))
+
+    def experience(self) -> Experience:
+        """What the method gets of the newest trajectory."""
+        *_, newest = self.database
+        return self._experience(newest)
+
+    def _experience(self, labelled: LabelledTrajectory) -> Experience:
+        taken = [*self.taken, *(found.subgoal for found in self.found)]
+        avoided = [*taken, *(self._waiting() if self.method.searches else ())]
+        scale = self.filters.scale
+        return Experience(
+            labelled.features,
+            labelled.trajectory.visits,
+            success=labelled.success,
+            allowed=lambda: self.filters.may_be_subgoals(labelled, avoided),
+            scale=np.ones(labelled.features.shape[1]) if scale is None else scale,
+            radius=self.settings.subgoal_radius,
+            taken=taken,
+            avoided=avoided,
+            trajectory=labelled.trajectory,
+            database=self.database,
+        )
+
+    def _knows_scale(self) -> bool:
+        """Whether the scale is known; where the range of features sets it, as many trajectories as a search needs."""
+        if self.kind != "identity" or self.diary.n >= self.settings.min_positive:
+            self.filters.find_scale(self.database)
+        return self.scale is not None
+
+    def _waiting(self) -> list[Region]:
+        """Withdrawn subgoals that may not come again yet."""
+        n, again_after = self.diary.n, self.method.again_after
+        return [region for region, at in self._withdrawn if n < again_after * at]
+
+    def _waits(self, goal: Region) -> bool:
+        same_space = (region for region in self._waiting() if region.group == goal.group)
+        return any(region.covers(goal.points[:1]).any() for region in same_space)
+
+    def why_nothing(self, n_episodes: int | None = None) -> str:
+        """Why there is no option, in a sentence; the number of subgoals where there are some.
+
+        Args:
+            n_episodes: Trajectories that ended, with those that could not be used; by default all could.
+        """
+        return self.diary.why_nothing(self.method, len(self.found), self.diary.n if n_episodes is None else n_episodes)
+
+    def learn_if_due(self, learner: FeatureLearner) -> bool:
+        """Learn the feature map that made all features, if there are enough new trajectories, and move along.
+
+        Returns:
+            Whether the map has changed.
+        """
+        n = self.diary.n
+        trajectories = [labelled.trajectory for labelled in self.database]
+        if learner.map.fixed or not learner.is_due(n) or not learner.can_learn(trajectories):
+            return False
+        learner.learn(trajectories, n)
+        self.embed_again(learner.map)
+        return True
+
+    def embed_again(self, feature_map: FeatureMap) -> None:
+        """Go on in the space of another feature map, with everything where its observation is.
+
+        Subgoals stay at the observations where they were found, running averages at those nearest to their peaks. What
+        was searched before is forgotten, for its distances are others.
+
+        Args:
+            feature_map: φ of the observations of all trajectories in the database. It must make as many features.
+        """
+        points = self.method.remembered()
+        places = feature_map(nearest_observations(points, self.database)) if len(points) else points
+        self.database.embed_again(feature_map)
+        for i, found in enumerate(self.found):
+            if found.observation is not None:
+                self.found[i] = found._replace(subgoal=moved(found.subgoal, found.observation, feature_map))
+        self.method.embed_again(places, self.database)
+        self.diary.forget_places()

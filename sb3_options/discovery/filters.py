@@ -1,0 +1,143 @@
+"""Which states may be subgoals: those that the static filter leaves, and that are far from all other subgoals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from sb3_options.density.groups import FeatureGroup
+from sb3_options.density.one_hot import is_one_hot
+from sb3_options.density.regions import Region
+from sb3_options.discovery.settings import DiscoverySettings, default_scale
+from sb3_options.discovery.static_filter import (
+    StaticFilter,
+    kept_by,
+    near_start_and_goal,
+    steps_from,
+    steps_from_start_and_goal,
+)
+from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
+from sb3_options.experience.trajectories import LabelledTrajectory
+from sb3_options.state import TRANSIENT
+
+
+@dataclass(eq=False)
+class Way:
+    """States of a trajectory in order.
+
+    Attributes:
+        labelled: The trajectory.
+        rows: Rows of its features, (k,).
+        states: Those features, or those of a group, (k, d).
+        scaled: The same in scaled units.
+    """
+
+    labelled: LabelledTrajectory
+    rows: IntArray
+    states: FloatArray
+    scaled: FloatArray
+
+
+@dataclass
+class Filters:
+    """The static filter and the spacing, in a concept space and its scale.
+
+    Args:
+        settings: Radii, `spacing`, and the scale if it is given.
+        static_filter: What may be a subgoal; by default not near start and goal.
+        kind: Where φ comes from, for `default_scale`.
+        group: The features that count, if not all do.
+
+    Attributes:
+        scale: Factor for every feature that counts, (d,); None before `find_scale`.
+    """
+
+    settings: DiscoverySettings = field(metadata=TRANSIENT)
+    static_filter: StaticFilter | None = field(default=None, metadata=TRANSIENT)
+    kind: str | None = None
+    group: FeatureGroup | None = field(default=None, metadata=TRANSIENT)
+    scale: FloatArray | None = None
+
+    def find_scale(self, database: Iterable[LabelledTrajectory]) -> FloatArray:
+        """The scale, which all trajectories of the database set when it is first asked for."""
+        given = self.settings.scale
+        if self.scale is None and self.group is not None:
+            self.scale = np.asarray(self.group.scale) * (given or 1.0)
+        elif self.scale is None:
+            seen = np.concatenate([labelled.features for labelled in database])
+            if self.kind == "identity" and is_one_hot(seen):
+                self.kind = "categorical"
+            self.scale = default_scale(self.kind, seen) if given is None else np.full(seen.shape[1], given)
+        return self.scale
+
+    @property
+    def known_scale(self) -> FloatArray:
+        """The scale, once it was found."""
+        assert self.scale is not None  # `find_scale` is called before any search
+        return self.scale
+
+    @property
+    def counts_steps(self) -> bool:
+        """Whether radii are steps along the trajectory, because states have no distances."""
+        return self.kind == "categorical" and self.static_filter is None and self.group is None
+
+    def own(self, labelled: LabelledTrajectory) -> FloatArray:
+        """The features of a trajectory that count, (m, d)."""
+        return labelled.features if self.group is None else self.group.own(labelled.features)
+
+    def allowed(self, labelled: LabelledTrajectory) -> BoolArray:
+        """Which states of a trajectory the static filter leaves, (m,)."""
+        s, visits = self.settings, labelled.trajectory.visits
+        if self.counts_steps:
+            return steps_from_start_and_goal(visits, s.start_radius, s.goal_radius)
+        static_filter = self.static_filter or near_start_and_goal(s.start_radius, s.goal_radius)
+        allowed = kept_by(static_filter, self.own(labelled), int(visits[-1]), self.known_scale)
+        return allowed if self.group is None else allowed & self.group.is_place(labelled.features)
+
+    def may_be_subgoals(self, labelled: LabelledTrajectory, others: Sequence[Region]) -> BoolArray:
+        """Which states of a trajectory the static filter leaves far from other subgoals, (m,)."""
+        states, allowed = self.own(labelled), self.allowed(labelled)
+        if not others:
+            return allowed
+        way = Way(labelled, np.arange(len(states)), states, states * self.known_scale)
+        return allowed & self.far_from([way], others)
+
+    def far_from(self, ways: Sequence[Way], others: Sequence[Region]) -> BoolArray:
+        """Which states of some ways are farther than `spacing` from other subgoals, way after way, (Σ k_i,)."""
+        far: BoolArray = np.ones(sum(len(way.rows) for way in ways), dtype=bool)
+        spacing = self.settings.spacing
+        if self.counts_steps:
+            for subgoal in others:
+                far &= np.concatenate([_steps(way, subgoal) for way in ways]) > spacing
+        elif places := [subgoal.points[0] for subgoal in others if len(subgoal.points)]:
+            distances = cdist(np.concatenate([way.scaled for way in ways]), np.array(places) * self.known_scale)
+            far &= np.all(distances > spacing, axis=1)
+        return far
+
+    def is_apart(self, goal: Region, others: Sequence[Region], database: Iterable[LabelledTrajectory]) -> bool:
+        """Whether a subgoal is farther than `spacing` from all others; one without a place always is.
+
+        Where states have no distances, steps count along the last trajectory that came to the subgoal.
+        """
+        spacing = self.settings.spacing
+        if not self.counts_steps:
+            away = [np.linalg.norm((goal.points[:1] - other.points[:1]) * self.known_scale, axis=1) for other in others]
+            return all((distances > spacing).all() for distances in away)
+        if len(goal.points) and any(np.array_equal(goal.points[:1], other.points[:1]) for other in others):
+            return False
+        for labelled in reversed(list(database)):
+            at = np.flatnonzero(goal.contains(labelled.features))
+            if len(at):
+                visited = [np.flatnonzero(other.contains(labelled.features)) for other in others]
+                visits = labelled.trajectory.visits
+                return all(steps_from(rows, visits)[at].min() > spacing for rows in visited if len(rows))
+        return True
+
+
+def _steps(way: Way, subgoal: Region) -> IntArray:
+    """Steps along the trajectory between each state of a way and a subgoal, (k,)."""
+    there = np.flatnonzero(subgoal.contains(way.labelled.features))
+    return steps_from(there, way.labelled.trajectory.visits)[way.rows]

@@ -1,0 +1,244 @@
+"""Peaks of diverse density that persist (McGovern & Barto 2001, Table 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from sb3_options.density.diverse_density import DiverseDensity, Peak
+from sb3_options.density.groups import FeatureGroup
+from sb3_options.density.regions import Region
+from sb3_options.discovery.anchors import nearest_instance
+from sb3_options.discovery.bags import BagMaker, FilteredBags
+from sb3_options.discovery.budget import seconds_of_bags, seconds_of_certain, seconds_of_cuts, seconds_of_search
+from sb3_options.discovery.contrast import Contrast
+from sb3_options.discovery.diary import Diary
+from sb3_options.discovery.filters import Filters
+from sb3_options.discovery.methods.method import Experience, Method
+from sb3_options.discovery.peaks import MOST_TIED, PeakTracker, plateau_centres
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.experience.observations import FloatArray
+from sb3_options.experience.trajectories import LabelledTrajectory, TrajectoryDatabase
+
+WARM_STARTS = 4
+"""Peaks of the last search that the next one also starts from."""
+
+NOTHING_LEFT = 5
+"""Once subgoals were found, and the filters leave nothing else, one of so many searches is made."""
+
+PEAK_TOLERANCE = 1e-3
+"""Peaks whose log density is within this of the best one tie with it, in nats: what ascents leave undone."""
+
+
+class PersistentPeaks(Method):
+    """Searches the bags of the database, and proposes the peaks of diverse density that persist.
+
+    Args:
+        contrast: Of the group of features: by what a state of a successful trajectory must stand out.
+
+    Attributes:
+        settings: How bags are made, searched, and peaks averaged.
+        filters: Which states may be subgoals.
+        tracker: Running averages of the peaks.
+        peaks: Of the last search, best first; empty after a subgoal was accepted.
+        evidence: What the last search searched; None if there was nothing.
+        completed: What the search searched that completed the last subgoal.
+    """
+
+    STATE: ClassVar[tuple[str, ...]] = (
+        "filters",
+        "tracker",
+        "peaks",
+        "evidence",
+        "completed",
+        "maker",
+        "_n_new",
+        "_n_since",
+        "_n_accepted",
+    )
+
+    needs_success = True
+    searches = True
+    again_after = np.inf
+
+    def __init__(self, contrast: Contrast | None = None) -> None:
+        self.contrast = contrast
+        self.peaks: list[Peak] = []
+        self.evidence: FilteredBags | None = None
+        self.completed: FilteredBags | None = None
+        self._n_new = 0  # states whose bags were not made yet
+        self._n_since = 0  # trajectories since the last search
+        self._n_accepted = 0
+        self._cost = 0.0
+
+    def begin(self, settings: DiscoverySettings, filters: Filters, groups: Sequence[FeatureGroup] = ()) -> None:
+        """Set up what grows with experience; as `Method.begin`."""
+        super().begin(settings, filters, groups)
+        self.settings = settings
+        self.filters = filters
+        self.learns_from_failures = settings.negative_bags
+        self.tracker = PeakTracker(decay=settings.decay, threshold=settings.threshold, radius=settings.peak_radius)
+        self.maker = BagMaker(settings, filters, self.contrast)
+
+    def note(self, labelled: LabelledTrajectory) -> None:
+        """Note a trajectory when it ends, before any search."""
+        self.maker.visited(labelled)
+        self._n_new += len(labelled.features)
+        self._n_since += 1
+
+    def is_due(self, database: TrajectoryDatabase) -> bool:
+        """Whether there are enough new trajectories for a search."""
+        growth = self.settings.search_growth
+        if self._n_accepted and self.evidence is None:
+            growth = 1.0 - (1.0 - growth) ** NOTHING_LEFT
+        return self._n_since >= growth * database.n_successful
+
+    def update(self, experience: Experience) -> list[Region]:
+        """Search the bags once, and propose the concepts that have become persistent, first the most persistent."""
+        self.search(experience)
+        return self.proposals(experience.database)
+
+    def search(self, experience: Experience) -> None:
+        """Search the bags once and update the running averages."""
+        self._n_since = 0
+        self.peaks, before = [], self.peaks
+        self.evidence = evidence = self.bags(experience)
+        if evidence is None:
+            return
+        engine = self.engine()
+        exhaustive = engine.method == "exhaustive"
+        starts = np.array([peak.point for peak in before[:WARM_STARTS]]) if before and not exhaustive else None
+        self.peaks = [] if evidence.negative else self._certain(evidence, engine, starts)
+        if self.peaks:
+            self._cost += seconds_of_certain(evidence.n_instances, evidence.positive[0].shape[1])
+        else:
+            self.peaks = self._search(evidence, engine, starts)
+            self._cost += self._seconds_of_search(evidence, engine)
+        self.tracker.update(self._places(), self.filters.known_scale)
+
+    def _certain(self, evidence: FilteredBags, engine: DiverseDensity, starts: FloatArray | None) -> list[Peak]:
+        """The peaks where no search is needed: a point is in all bags, and none of them is negative."""
+        return engine.certain(evidence.positive, starts)
+
+    def _search(self, evidence: FilteredBags, engine: DiverseDensity, starts: FloatArray | None) -> list[Peak]:
+        """The peaks of bags, best first."""
+        return engine.search(evidence.bags, starts=starts)
+
+    def _seconds_of_search(self, evidence: FilteredBags, engine: DiverseDensity) -> float:
+        kind: Literal["gradient", "exhaustive", "one-hot"] = "gradient"
+        if engine.method == "exhaustive":
+            kind = "one-hot" if self.filters.kind == "categorical" else "exhaustive"
+        sizes = [len(bag) for bag in evidence.positive]
+        return seconds_of_search(kind, sizes, evidence.n_instances, evidence.positive[0].shape[1])
+
+    def bags(self, experience: Experience) -> FilteredBags | None:
+        """The bags of the database; None while there are too few positive ones to search."""
+        database, cuts = experience.database, self.maker.cuts
+        n_computed = 0 if cuts is None else cuts.n_computed
+        self._cost = 0.0
+        if database.n_successful >= self.settings.min_positive:
+            self.filters.find_scale(database)
+        avoided = [region for region in experience.avoided if region.group == self.filters.group]
+        evidence = self.maker.make(database, avoided)
+        n, d = (0, 0) if evidence is None else (evidence.n_instances, evidence.positive[0].shape[1])
+        self._cost += seconds_of_bags(len(database), self._n_new, n, d)
+        self._cost += 0.0 if cuts is None else seconds_of_cuts(cuts.n_computed - n_computed)
+        self._n_new = 0
+        return evidence
+
+    def proposals(self, database: TrajectoryDatabase) -> list[Region]:
+        """The persistent concepts of the last search, each as the region around its nearest instance."""
+        if self.evidence is None:
+            return []  # what persists in one group may have lost its bags to a subgoal of another
+        s, scale = self.settings, self.filters.known_scale
+        instances = np.concatenate(self.evidence.positive)
+        proposals = []
+        for concept in self.tracker.persistent(min(s.threshold, s.cut_threshold)):
+            point = nearest_instance(instances, concept.point, scale)
+            if concept.average > s.threshold * self.tracker.limit or self.maker.cuts_off(point):
+                proposals.append(Region(point[None], scale, s.subgoal_radius, group=self.filters.group))
+        return proposals
+
+    def accept(self, goal: Region) -> float:
+        """Start the running averages again; as `Method.accept`."""
+        best = self.peaks[0].log_density
+        self._n_accepted += 1
+        self.completed = self.evidence
+        self.tracker.forget()
+        self.peaks = []
+        return best
+
+    def seconds(self, experience: Experience) -> float:
+        """Nominal seconds of the last update."""
+        return self._cost
+
+    def states(self, database: TrajectoryDatabase, filters: Filters) -> list[FloatArray]:
+        """The states of successful ways; as `Method.states`."""
+        if database.n_successful < self.settings.min_positive:
+            return []
+        self.filters.find_scale(database)
+        return self.maker.ways(database)
+
+    def engine(self) -> DiverseDensity:
+        """The diverse density that these settings mean."""
+        exhaustive = self.settings.search == "exhaustive" or self.filters.kind == "categorical"
+        return DiverseDensity(
+            scale=1.0 if self.filters.scale is None else self.filters.scale,
+            negative_strength=self.settings.negative_strength,
+            leak=self.settings.leak,
+            method="exhaustive" if exhaustive else "gradient",
+        )
+
+    def remembered(self) -> FloatArray:
+        """Where the concepts were last found, (n, d)."""
+        return np.array([concept.point for concept in self.tracker.concepts])
+
+    def embed_again(self, points: FloatArray, database: TrajectoryDatabase) -> None:
+        """Move running averages, and forget what was searched; as `Method.embed_again`."""
+        for concept, point in zip(self.tracker.concepts, points, strict=True):
+            concept.point = point
+        self.peaks = []
+        self.evidence = None
+        self.completed = None
+        self.maker.forget_space()
+        for labelled in database:
+            self.maker.visited(labelled)
+        self._n_new = sum(len(labelled.features) for labelled in database)  # all bags are made anew
+
+    def log_density(self, points: FloatArray) -> FloatArray | None:
+        """In the bags that completed the last subgoal, or else of the last search; as `Method.log_density`."""
+        evidence = self.completed or self.evidence
+        return None if evidence is None else np.asarray(self.engine().log_density(points, evidence.bags))
+
+    def values(self) -> dict[str, float]:
+        """What is logged of it, by tag."""
+        values = {"discovery/leading_average": self.tracker.leading_average()}
+        return values | ({"discovery/best_log_density": self.peaks[0].log_density} if self.peaks else {})
+
+    def why_nothing(self, diary: Diary, n_positive: int | None = None) -> str:
+        """Why it proposed nothing, with so many positive bags; as `Method.why_nothing`."""
+        if self.evidence is not None:
+            return "no peak of diverse density persisted long enough."
+        why = (
+            f"{diary.successes} of {diary.n} {diary.unit}s were successful; a search needs "
+            f"{self.settings.min_positive} (min_positive) of which the filters leave something."
+        )
+        if (diary.successes if n_positive is None else n_positive) >= self.settings.min_positive:
+            why += (
+                " They leave out what is near start and goal (start_radius, goal_radius), near the subgoal of an "
+                "option (spacing), and what few ways lead through (min_passing, min_cut)."
+            )
+        return why
+
+    def _places(self) -> FloatArray:
+        """The middles of the best peaks' plateaus, (n, d); none if they are too many or too wide."""
+        least = self.peaks[0].log_density - PEAK_TOLERANCE
+        tied = np.array([peak.point for peak in self.peaks if peak.log_density >= least])
+        if len(tied) > MOST_TIED:
+            return tied[:0]
+        places, extent = plateau_centres(tied, self.filters.known_scale, self.settings.peak_radius)
+        most = self.settings.max_places
+        few = (most is None or len(places) <= most) and extent <= self.settings.max_extent
+        return places if few else places[:0]

@@ -1,0 +1,203 @@
+"""Discovery on groups of features: for each group the bags, the peaks and the subgoals of its own features."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+
+from sb3_options.density.groups import FeatureGroup
+from sb3_options.density.regions import Region
+from sb3_options.discovery.budget import seconds_of_contrast
+from sb3_options.discovery.contrast import NO_PLACE, Contrast
+from sb3_options.discovery.diary import Diary
+from sb3_options.discovery.filters import Filters
+from sb3_options.discovery.methods.diverse_density import PersistentPeaks
+from sb3_options.discovery.methods.method import Experience, Method
+from sb3_options.discovery.outcome_database import OutcomeDatabase
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.experience.observations import FloatArray
+from sb3_options.experience.trajectories import TrajectoryDatabase
+
+
+class GroupedPeaks(Method):
+    """`PersistentPeaks` once for each group of features; a subgoal says nothing of the features of other groups.
+
+    A bag holds the places of its group that the trajectory visited, in the group's own features; `start_radius`,
+    `goal_radius` and `spacing` count in these. It holds all of them: seen from an agent that moves, the same state
+    twice need not be a loop (``loops``), nor do ways lead through it (``min_passing``). Instead an instance of a
+    successful trajectory must stand out by its `Contrast`. There is a search when a trajectory has succeeded, and later
+    when a few have (``search_growth``).
+
+    Attributes:
+        members: The search of each group.
+    """
+
+    STATE: ClassVar[tuple[str, ...]] = ("_members", "_leading", "_searched", "_largest", "_n_successful", "_n_standing")
+
+    needs_success = True
+    searches = True
+    again_after = 0.0
+    leads = "leads surely enough (min_reach)"
+
+    def __init__(self) -> None:
+        self._contrasts: list[Contrast] = []  # of the smaller groups first, for each is compared with its parts
+        self._members: list[PersistentPeaks] = []
+        self._leading = 0
+        self._largest = NO_PLACE
+        self._searched = 0
+        self._n_successful = 0
+        self._n_standing = 0
+        self._cost = 0.0
+
+    def begin(self, settings: DiscoverySettings, filters: Filters, groups: Sequence[FeatureGroup]) -> None:
+        """Set up the search of each group; as `Method.begin`."""
+        self.settings = settings
+        self.groups = tuple(groups)
+        self.learns_from_failures = settings.negative_bags or settings.salient_share > 0
+        own = replace(settings, loops="keep", min_passing=0.0)
+        contrasts: dict[FeatureGroup, Contrast] = {}
+        for group in sorted(groups, key=lambda group: len(group.features)):
+            parts = [c for part, c in contrasts.items() if set(part.features) < set(group.features)]
+            radius = own.subgoal_radius / (own.scale or 1.0)
+            contrasts[group] = Contrast(group, radius, parts, equal_time=own.equal_time)
+        self._contrasts = list(contrasts.values())
+        self._members = [PersistentPeaks(contrasts[group]) for group in groups]
+        for group, member in zip(groups, self._members, strict=True):
+            member.begin(own, Filters(own, filters.static_filter, filters.kind, group))
+
+    @property
+    def members(self) -> dict[FeatureGroup, PersistentPeaks]:
+        """The search of each group."""
+        return dict(zip(self.groups, self._members, strict=True))
+
+    def is_due(self, database: TrajectoryDatabase) -> bool:
+        """Whether enough trajectories have succeeded since the last search."""
+        assert isinstance(database, OutcomeDatabase)  # of discovery with groups
+        growth = self.settings.search_growth * database.n_successful
+        return database.n_entered - self._searched >= max(1.0, growth)
+
+    def update(self, experience: Experience) -> list[Region]:
+        """Search the bags of every group once, and propose the concepts that have become persistent."""
+        database = experience.database
+        assert isinstance(database, OutcomeDatabase)  # of discovery with groups
+        self._searched = database.n_entered
+        self._n_successful = database.n_successful
+        self._n_standing = sum(each.whole is not None for each in database)
+        self._cost = 0.0
+        if database.n_successful >= self.settings.min_positive:
+            trajectories = list(database)
+            for contrast in self._contrasts:
+                contrast.update(trajectories)
+                self._cost += seconds_of_contrast(len(trajectories), contrast.n_states)
+            self._largest = max(contrast.largest() for contrast in self._contrasts)
+            for member in self._members:
+                assert member.contrast is not None  # each has one
+                if member.contrast.largest() >= self.settings.min_contrast:
+                    member.search(experience)
+                    self._cost += member.seconds(experience)
+        averages = [member.tracker.leading_average() for member in self._members]
+        self._leading = int(np.argmax(averages))
+        return self.proposals(experience)
+
+    def proposals(self, experience: Experience) -> list[Region]:
+        """Of the first group that has any. The others come with later searches."""
+        return next((found for each in self._members if (found := each.proposals(experience.database))), [])
+
+    def accept(self, goal: Region) -> float:
+        """Start the running averages of its group again; as `Method.accept`."""
+        assert goal.group is not None  # all subgoals here have one
+        return self.members[goal.group].accept(goal)
+
+    def seconds(self, experience: Experience) -> float:
+        """Nominal seconds of the last update."""
+        return self._cost
+
+    def states(self, database: TrajectoryDatabase, filters: Filters) -> list[FloatArray]:
+        """None: on few features much recurs, and the contrast says what does so for success."""
+        return []
+
+    def values(self) -> dict[str, float]:
+        """Of the group whose concept has the largest average."""
+        return self._members[self._leading].values()
+
+    def n_successes(self, diary: Diary) -> int:
+        """Successes in the database, with the failures that stand for some."""
+        return max(self._n_successful, diary.successes)
+
+    def why_nothing(self, diary: Diary) -> str:
+        """Why it proposed nothing, where it might have."""
+        enough = self._n_successful >= self.settings.min_positive
+        if enough and self._largest < self.settings.min_contrast:
+            why = (
+                "successful trajectories visit no state of a group of features much oftener than the others do; "
+                f"min_contrast is {self.settings.min_contrast:g}."
+            )
+        else:
+            why = self._members[self._leading].why_nothing(diary, self._n_successful)
+        if self._n_standing == 1:
+            why += " 1 failure that came upon something rare stands for a success (salient_share)."
+        elif self._n_standing:
+            why += f" {self._n_standing} failures that came upon something rare stand for successes (salient_share)."
+        return why
+
+
+class RandomGrouped(GroupedPeaks):
+    """A control: draws subgoals where `GroupedPeaks` searches for them, as soon as it may search.
+
+    A group is drawn, then a state of that group: any that a positive bag may hold, far enough from other subgoals.
+
+    Args:
+        contrasting: Whether the state has to stand out by its `Contrast`, too, as it has to for diverse density.
+        seed: Of the draws.
+    """
+
+    STATE: ClassVar[tuple[str, ...]] = ("_random",)
+
+    def __init__(self, *, contrasting: bool = False, seed: int = 0) -> None:
+        super().__init__()
+        self.contrasting = contrasting
+        self._random = np.random.default_rng(seed)
+
+    def proposals(self, experience: Experience) -> list[Region]:
+        """One state that is drawn; none before `min_positive` trajectories have succeeded."""
+        if self._n_successful < self.settings.min_positive:
+            return []
+        places = {group: self._drawable(member, experience) for group, member in self.members.items()}
+        able = [group for group in self.groups if len(places[group])]
+        if not able:
+            return []
+        group = able[self._random.integers(len(able))]
+        point = places[group][self._random.integers(len(places[group]))]
+        scale = self.members[group].filters.known_scale
+        return [Region(point[None], scale, self.settings.subgoal_radius, group=group)]
+
+    def accept(self, goal: Region) -> float:
+        """There is nothing to start again."""
+        return float("nan")
+
+    def why_nothing(self, diary: Diary) -> str:
+        """Why it proposed nothing, where it might have."""
+        if self._n_successful < self.settings.min_positive or self.contrasting:
+            return super().why_nothing(diary)
+        return f"the filters leave no state of {self._n_successful} successful trajectories."
+
+    def _drawable(self, member: PersistentPeaks, experience: Experience) -> FloatArray:
+        """The distinct states of a group that may be drawn, (n, k)."""
+        filters, contrast = member.filters, member.contrast
+        assert contrast is not None  # each member has one
+        scale = filters.find_scale(experience.database)
+        states = []
+        for labelled in filter(lambda each: each.success, experience.database):
+            allowed = filters.allowed(labelled)
+            if self.contrasting:
+                allowed &= contrast.stands_out(labelled, self.settings.min_contrast)
+            states.append(filters.own(labelled)[allowed])
+        places: FloatArray = np.unique(np.concatenate(states), axis=0)
+        for region in experience.avoided:
+            if region.group == filters.group:
+                away = np.linalg.norm((places - region.points[0]) * scale, axis=1)
+                places = places[away > self.settings.spacing]
+        return places
