@@ -10,7 +10,7 @@ import numpy as np
 
 from experiments.faults.files import damaged
 from experiments.faults.run_folder import train
-from sb3_options.checkpoints.comparison import differing
+from experiments.kills.states import differing
 from sb3_options.checkpoints.file import BLOCKS, CheckpointFolder, read
 from sb3_options.checkpoints.tree import State
 from sb3_options.runs import folder as runs

@@ -1,13 +1,15 @@
 """``python -m experiments.kills --kills 100 --out FOLDER``: does a run that is killed end like one that is not?
 
-For every algorithm ``train.py`` runs once undisturbed. Then it runs again and again, is killed by SIGKILL at random
-moments, and resumed until it is done. What is left must be equal, byte for byte. Writes ``results.json``; where there
-is one with the same settings, its kills count, and only what is missing is done.
+For every case ``train.py``, or a script of a user's, runs once undisturbed. Then it runs again and again, is killed by
+SIGKILL at random moments, and resumed until it is done. What is left must be equal, byte for byte. A run counts only if
+training went on from a checkpoint beyond step 0. Writes ``results.json``; where there is one with the same settings,
+its kills count, and only what is missing is done.
 """
 
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import signal
 import subprocess
@@ -22,11 +24,23 @@ import tyro
 from rich.table import Table
 
 from experiments.common.study import RESULTS, show, write
-from experiments.kills.comparison import differences
+from experiments.kills.comparison import differences, of_checkpoints
 from sb3_options.runs import folder as runs
 
 ROOT = Path(__file__).parents[2]
-ALGORITHMS = ("maskableppo", "ppo", "dqn", "optiondqn")
+SCRIPT = "script"
+WORKERS = ("ppo", "--vec-env", "subproc", "--n-envs", "2", "--n-steps", "256")
+CASES: dict[str, tuple[str, ...]] = {
+    **{name: (name,) for name in ("maskableppo", "ppo", "dqn", "optiondqn", "a2c", "recurrentppo")},
+    "ppo in worker processes": WORKERS,
+    "ppo with a bonus (RND)": ("ppo", "--bonus", "rnd"),
+    "dqn with a learned map": ("dqn", "--feature-map", "temporal-distance"),
+    "ppo with eigenoptions": ("ppo", "--discovery.method", "eigenoptions"),
+    "a script of a user's": (SCRIPT,),
+}
+"""What runs, by name: arguments of ``train.py``, or `experiments.kills.script`."""
+
+GOES_ON = re.compile(rb"Going on after ([\d,]+) primitive steps")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +49,8 @@ class Study:
 
     Attributes:
         out: Folder for results.json and the runs.
-        kills: How many, all algorithms together.
-        algorithms: Which, in turn.
+        kills: How many, all cases together.
+        cases: Which of `CASES`, in turn.
         n_timesteps: Primitive steps of a run.
         checkpoint_freq: Primitive steps between checkpoints.
         kills_per_run: Most kills of one run.
@@ -48,7 +62,7 @@ class Study:
 
     out: Path
     kills: int = 100
-    algorithms: tuple[str, ...] = ALGORITHMS
+    cases: tuple[str, ...] = tuple(CASES)
     n_timesteps: int = 8_000
     checkpoint_freq: int = 1_000
     kills_per_run: int = 8
@@ -63,14 +77,21 @@ class Victim:
     """One run that was killed and resumed until it was done.
 
     Attributes:
-        algorithm: Which.
+        case: Which of `CASES`.
         kills: Seconds after training had begun, or None if it had not, and the newest checkpoint's steps, or None.
+        went_on_from: Steps of the checkpoints that training went on from.
         differences: From the run that was left alone, by what was compared.
     """
 
-    algorithm: str
+    case: str
     kills: list[tuple[float | None, int | None]] = field(default_factory=list)
+    went_on_from: list[int] = field(default_factory=list)
     differences: dict[str, list[str]] = field(default_factory=dict)
+
+    @property
+    def counts(self) -> bool:
+        """Whether training went on from a checkpoint beyond step 0."""
+        return any(steps > 0 for steps in self.went_on_from)
 
 
 def main(study: Study) -> None:
@@ -78,16 +99,17 @@ def main(study: Study) -> None:
     victims = _done(study)
     alone: dict[str, tuple[Path, float]] = {}
     while (done := sum(len(victim.kills) for victim in victims)) < study.kills:
-        algorithm = study.algorithms[len(victims) % len(study.algorithms)]
-        if algorithm not in alone:
-            alone[algorithm] = _undisturbed(study, algorithm)
-        victim = Victim(algorithm)
+        case = study.cases[len(victims) % len(study.cases)]
+        if case not in alone:
+            alone[case] = _undisturbed(study, case)
+        victim = Victim(case)
         folder = study.out / f"victim_{len(victims)}"
-        undisturbed, seconds = alone[algorithm]
+        undisturbed, seconds = alone[case]
         random = np.random.default_rng([study.seed, len(victims)])
         most = min(study.kills - done, study.kills_per_run)
         run = _killed(study, victim, folder, random, most, study.share * seconds)
-        victim.differences = differences(undisturbed, run)
+        compare = of_checkpoints if CASES[case] == (SCRIPT,) else differences
+        victim.differences = compare(undisturbed, run)
         victims.append(victim)
         shutil.rmtree(folder)
         _report(study, victims)
@@ -109,15 +131,18 @@ def _settings(study: Study) -> dict[str, Any]:
     return settings
 
 
-def _command(study: Study, algorithm: str, folder: Path) -> list[str]:
+def _command(study: Study, case: str, folder: Path) -> list[str]:
+    if CASES[case] == (SCRIPT,):
+        return ["-m", "experiments.kills.script", str(folder), str(study.n_timesteps), str(study.checkpoint_freq)]
     settings = ["--n-timesteps", str(study.n_timesteps), "--checkpoint-freq", str(study.checkpoint_freq)]
-    return [algorithm, *settings, *study.flags, "--no-progress", "--tensorboard-log", str(folder)]
+    log = ["--no-progress", "--tensorboard-log", str(folder)]
+    return [str(ROOT / "train.py"), *CASES[case], *settings, *study.flags, *log]
 
 
 def _start(args: list[str], log: Path) -> subprocess.Popen[bytes]:
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("wb") as output:
-        return subprocess.Popen([sys.executable, str(ROOT / "train.py"), *args], stdout=output)
+        return subprocess.Popen([sys.executable, "-u", *args], stdout=output, cwd=ROOT)
 
 
 def _wait_for_training(process: subprocess.Popen[bytes], log: Path) -> None:
@@ -126,25 +151,34 @@ def _wait_for_training(process: subprocess.Popen[bytes], log: Path) -> None:
         time.sleep(0.02)
 
 
-def _undisturbed(study: Study, algorithm: str) -> tuple[Path, float]:
+def _undisturbed(study: Study, case: str) -> tuple[Path, float]:
     """The run folder of one that is left alone, and the seconds that it trained."""
-    folder, log = study.out / f"alone_{algorithm}", study.out / f"alone_{algorithm}.log"
+    name = f"alone_{study.cases.index(case)}"
+    folder, log = (study.out / name).resolve(), study.out / f"{name}.log"
     shutil.rmtree(folder, ignore_errors=True)
-    process = _start(_command(study, algorithm, folder), log)
+    process = _start(_command(study, case, folder), log)
     _wait_for_training(process, log)
     began = time.monotonic()
     if process.wait() != 0:
-        raise RuntimeError(f"train.py {algorithm} failed, see {log}")
-    return _run_in(folder, algorithm), time.monotonic() - began
+        raise RuntimeError(f"{case} failed, see {log}")
+    return _run_in(folder), time.monotonic() - began
 
 
-def _run_in(folder: Path, algorithm: str) -> Path:
-    return next((folder / algorithm).iterdir())
+def _run_in(folder: Path) -> Path:
+    """The folder that contains the checkpoints."""
+    return next(folder.rglob(runs.CHECKPOINTS)).parent
+
+
+def _steps(folder: Path) -> int | None:
+    """Of the newest checkpoint of a run."""
+    files = [file.stem for file in folder.rglob("*.safetensors") if file.stem.isdecimal()]
+    return max(map(int, files), default=None)
 
 
 def _killed(study: Study, victim: Victim, folder: Path, random: np.random.Generator, most: int, longest: float) -> Path:
     """Train, with up to ``most`` kills; returns the run folder."""
-    args, log = _command(study, victim.algorithm, folder), folder.with_suffix(".log")
+    folder = folder.resolve()
+    args, log = _command(study, victim.case, folder), folder.with_suffix(".log")
     shutil.rmtree(folder, ignore_errors=True)
     while True:
         process = _start(args, log)
@@ -152,21 +186,23 @@ def _killed(study: Study, victim: Victim, folder: Path, random: np.random.Genera
         moment = float(random.uniform(0, longest))
         if not is_early:
             _wait_for_training(process, log)
+            while process.poll() is None and not _steps(folder):  # there is nothing to go on from before
+                time.sleep(0.02)
         try:
             code = process.wait(moment if len(victim.kills) < most else None)
         except subprocess.TimeoutExpired:
             process.send_signal(signal.SIGKILL)
             code = process.wait()
+        victim.went_on_from += [int(steps.replace(b",", b"")) for steps in GOES_ON.findall(log.read_bytes())]
         if code == 0:
-            return _run_in(folder, victim.algorithm)
+            return _run_in(folder)
         if code != -signal.SIGKILL:
-            raise RuntimeError(f"train.py {' '.join(args)} ended with exit status {code}, see {log}")
-        there = sorted((folder / victim.algorithm).glob(f"*/{runs.CHECKPOINTS}/0*"))
-        victim.kills.append((None if is_early else moment, int(there[-1].stem) if there else None))
-        if there:
-            args = ["resume", str(there[0].parents[1]), "--no-progress"]
-        else:  # it was killed before there was anything
+            raise RuntimeError(f"{' '.join(args)} ended with exit status {code}, see {log}")
+        victim.kills.append((None if is_early else moment, _steps(folder)))
+        if _steps(folder) is None:  # it was killed before there was anything
             shutil.rmtree(folder, ignore_errors=True)
+        elif CASES[victim.case] != (SCRIPT,):
+            args = [str(ROOT / "train.py"), "resume", str(_run_in(folder)), "--no-progress"]
 
 
 def _report(study: Study, victims: list[Victim]) -> None:
@@ -174,6 +210,7 @@ def _report(study: Study, victims: list[Victim]) -> None:
         "study": _settings(study),
         "kills": sum(len(victim.kills) for victim in victims),
         "runs": len(victims),
+        "runs_that_count": sum(victim.counts for victim in victims),
         "runs_that_differ": sum(any(victim.differences.values()) for victim in victims),
         "victims": [asdict(victim) for victim in victims],
     }
@@ -181,14 +218,16 @@ def _report(study: Study, victims: list[Victim]) -> None:
 
 
 def _table(victims: list[Victim]) -> Table:
-    table = Table("algorithm", "runs", "kills", "while it trained", "before the first checkpoint", "runs that differ")
-    for algorithm in dict.fromkeys(victim.algorithm for victim in victims):
-        those = [victim for victim in victims if victim.algorithm == algorithm]
+    columns = ("case", "runs that count", "kills", "while it trained", "went on from", "runs that differ")
+    table = Table(*columns)
+    for case in dict.fromkeys(victim.case for victim in victims):
+        those = [victim for victim in victims if victim.case == case]
         moments = [kill for victim in those for kill in victim.kills]
         training = sum(seconds is not None for seconds, _ in moments)
-        early = sum(steps is None for _, steps in moments)
+        steps = ", ".join(f"{steps:,}" for victim in those for steps in victim.went_on_from)
+        count = f"{sum(victim.counts for victim in those)} of {len(those)}"
         differ = sum(any(victim.differences.values()) for victim in those)
-        table.add_row(algorithm, *map(str, (len(those), len(moments), training, early, differ)))
+        table.add_row(case, count, *map(str, (len(moments), training, steps, differ)))
     return table
 
 

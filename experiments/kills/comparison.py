@@ -12,7 +12,7 @@ from stable_baselines3.common.save_util import load_from_zip_file
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
-from sb3_options.checkpoints.comparison import OF_THE_CLOCK, differing
+from experiments.kills.states import OF_THE_CLOCK, differing
 from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.checkpoints.tree import encode
 from sb3_options.options import file as option_file
@@ -28,7 +28,7 @@ def differences(one: Path, other: Path) -> dict[str, list[str]]:
         "TensorBoard": _of_scalars(one, other),
         "texts and settings": _of_texts(one, other),
         "evaluations": _of_evaluations(one, other),
-        "last checkpoint": _of_checkpoints(one, other),
+        **of_checkpoints(one, other),
     }
 
 
@@ -111,6 +111,8 @@ def _of_evaluations(one: Path, other: Path) -> list[str]:
     return sorted(n for n in a.keys() | b.keys() if n not in a or n not in b or not np.array_equal(a[n], b[n]))
 
 
-def _of_checkpoints(one: Path, other: Path) -> list[str]:
+def of_checkpoints(one: Path, other: Path) -> dict[str, list[str]]:
+    """Where the last checkpoints differ: everything that training is."""
     (first, a), (second, b) = (CheckpointFolder(folder / runs.CHECKPOINTS).newest() for folder in (one, other))
-    return [f"{first.name} and {second.name}"] if first.name != second.name else differing(a, b)
+    differ = [f"{first.name} and {second.name}"] if first.name != second.name else differing(a, b)
+    return {"last checkpoint": differ}

@@ -8,8 +8,8 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger
 
+from experiments.kills.states import differing
 from sb3_options.callbacks import CheckpointCallback, EndedAtCheckpointError, SubgoalDiscoveryCallback
-from sb3_options.checkpoints.comparison import differing
 from sb3_options.checkpoints.file import CheckpointFolder, read
 from sb3_options.discovery.methods import Experience, Proposal
 from tests.callbacks.test_checkpoint_resuming import discovering, keep_all, model_of, trained, venv_of

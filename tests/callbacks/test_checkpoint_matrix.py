@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
+from experiments.kills.states import differing
 from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback
-from sb3_options.checkpoints.comparison import differing
 from sb3_options.checkpoints.file import CheckpointFolder, read
 from sb3_options.checkpoints.tree import State
 from tests.callbacks.test_checkpoint_resuming import FAST, SLOW, filled, keep_all, model_of, trained, venv_of

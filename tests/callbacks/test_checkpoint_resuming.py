@@ -12,10 +12,10 @@ from stable_baselines3.common.callbacks import BaseCallback, EvalCallback, Every
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecFrameStack, VecNormalize
 
+from experiments.kills.states import differing
 from sb3_options import OptionReplayBuffer
 from sb3_options.callbacks import CheckpointCallback, IntrinsicRewardCallback, SubgoalDiscoveryCallback
 from sb3_options.checkpoints import file as checkpoint_file
-from sb3_options.checkpoints.comparison import differing
 from sb3_options.checkpoints.file import read
 from sb3_options.checkpoints.tree import State
 from sb3_options.discovery.methods import DiscoveryMethod

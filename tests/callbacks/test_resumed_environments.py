@@ -21,9 +21,9 @@ from stable_baselines3.common.vec_env import (
     VecVideoRecorder,
 )
 
+from experiments.kills.states import differing
 from sb3_options import OptionsWrapper
 from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback
-from sb3_options.checkpoints.comparison import differing
 from sb3_options.checkpoints.environments import refusal
 from sb3_options.checkpoints.file import CheckpointFolder, read
 from sb3_options.discovery.methods.grouped import GroupedPeaks
