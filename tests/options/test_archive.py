@@ -2,7 +2,6 @@
 
 import json
 import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import pytest
 
 from sb3_options import OptionBank
 from sb3_options.options import archive
-from sb3_options.options.archive import CARRIED, NAME, content_in, packed_text, unpacked_text
+from sb3_options.options.archive import CARRIED, NAME, content_in, packed_text
 
 CONTENT = OptionBank(4, 4).content()
 
@@ -67,21 +66,9 @@ def test_damage_is_said_in_one_line(members: dict[str, str], tmp_path: Path) -> 
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("members", [{}, {"data": "{}"}, {"data": "[]"}, {"policy.pth": "x"}])
-def test_an_archive_without_options(members: dict[str, str], tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"model\.zip holds no options"):
-        content_in(zipped(tmp_path / "model.zip", {"other": "", **members}))
-
-
 def test_little_does_not_become_much(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(archive, "MAX_BYTES", 1_000)
     bomb: Any = b"\0" * 1_001
     for members in ({NAME: bomb}, {"data": bomb}, {"data": json.dumps({CARRIED: packed_text(bomb)})}):
         with pytest.raises(ValueError, match="more than 1,000 bytes"):
             content_in(zipped(tmp_path / "model.zip", members, zipfile.ZIP_DEFLATED))
-
-
-def test_text_is_the_inverse_of_content() -> None:
-    assert unpacked_text(packed_text(CONTENT)) == CONTENT
-    with pytest.raises(zlib.error):
-        unpacked_text("AAAA")

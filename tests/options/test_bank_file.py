@@ -6,7 +6,7 @@ import os
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -68,28 +68,6 @@ class TestFile:
         assert bank[0] is mine
         assert bank.filled == (0, 1, 3)
         assert behaviour(bank, OBSERVATIONS)[1:] == behaviour(filled_bank(), OBSERVATIONS)[1:]
-
-    def test_empty_and_larger_banks(self, tmp_path: Path) -> None:
-        empty_bank().save(tmp_path / "empty")
-        bank = empty_bank()
-        bank.load(tmp_path / "empty")
-        assert len(bank) == 0
-        filled_bank().save(tmp_path / "options")
-        larger = empty_bank(max_options=9, observation_size=None, feature_size=None)
-        larger.load(str(tmp_path / "options"))
-        assert larger.filled == (1, 3)
-
-    def test_an_option_without_initiation_states_and_numbers_of_other_types(self, tmp_path: Path) -> None:
-        bank = empty_bank()
-        scale: Any = np.ones(2, dtype=np.float32)
-        single, whole = cast("float", np.float32(0.5)), cast("int", np.int64(5))
-        nowhere = Region(np.zeros((0, 2)), scale, single)
-        subgoal = Region(np.array([[1.0, 2.0]]), scale, 1)
-        bank.add(SubgoalOption(subgoal, nowhere, table().option_policy, max_duration=whole))
-        bank.save(tmp_path / "options")
-        again = empty_bank()
-        again.load(tmp_path / "options")
-        assert behaviour(again, OBSERVATIONS) == behaviour(bank, OBSERVATIONS)
 
     def test_a_half_space_comes_back_as_one(self, tmp_path: Path) -> None:
         bank, flat = empty_bank(), table()

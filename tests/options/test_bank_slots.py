@@ -31,13 +31,6 @@ class TestSlots:
         assert (bank.slots, bank.filled, len(bank)) == ((options[2], options[1], options[3]), (0, 1, 2), 3)
         assert bank[2] is options[3]
 
-    def test_a_named_slot_is_replaced(self) -> None:
-        bank = OptionBank(2, 3)
-        first, second = steady_option(), steady_option()
-        assert bank.add(first, 2) == 2
-        assert bank.add(second, 2) == 2
-        assert bank.slots == (None, None, second)
-
     def test_full(self) -> None:
         bank = OptionBank(2, 1)
         bank.add(steady_option())
@@ -57,21 +50,6 @@ class TestSlots:
         with pytest.raises(ValueError, match=message):
             bank.remove(slot)
         assert len(bank) == 0
-
-    def test_empty_already(self) -> None:
-        bank = OptionBank(2, 3)
-        with pytest.raises(ValueError, match=r"^Slot 1 is empty already\.$"):
-            bank.remove(1)
-
-    def test_not_an_option(self) -> None:
-        with pytest.raises(TypeError, match=r"^option must be an Option, got str\.$"):
-            OptionBank(2, 3).add("go")  # type: ignore[arg-type]  # the point of the test
-
-    def test_arguments(self) -> None:
-        with pytest.raises(ValueError, match=r"^n_primitive must be at least 1, got 0\.$"):
-            OptionBank(0, 3)
-        with pytest.raises(ValueError, match=r"^max_options must be a whole number of at least 0, got -2\.$"):
-            OptionBank(3, -2)
 
     def test_available(self) -> None:
         bank = filled_bank()
@@ -93,11 +71,6 @@ class TestSlots:
         assert bank.available(OBSERVATIONS).any(axis=0).sum() == N_PRIMITIVE + 1
         with pytest.raises(ValueError, match="no feature map"):
             option.initiation(OBSERVATIONS)
-
-    def test_a_bank_without_feature_map_leaves_an_option_its_own(self) -> None:
-        bank = empty_bank(feature_map=None)
-        bank.add(table().bind(first_two))
-        assert bank.available(OBSERVATIONS)[:, N_PRIMITIVE].any()
 
     def test_pickle_leaves_the_feature_map_behind(self) -> None:
         bank = empty_bank(feature_map=lambda obs: flatten(obs)[:, :2])

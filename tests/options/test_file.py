@@ -14,7 +14,7 @@ from sb3_options import OptionBank, OptionsWrapper
 from sb3_options.envs import FOUR_ROOMS
 from sb3_options.execution.features import signature
 from sb3_options.experience.observations import flatten
-from sb3_options.options.file import FILE_FORMAT, SpaceSignature, check_signature, digest, packed, read, slots_of
+from sb3_options.options.file import FILE_FORMAT, SpaceSignature, check_signature, digest, packed, read
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import PolicyInput, TabularPolicy
 from tests.support.helpers import ball, steady_option
@@ -123,14 +123,6 @@ class TestOtherObservations:
         other.bank.load(path)
         assert other.bank.filled == (0,)
 
-    def test_several_robot_tasks_see_alike(self, tmp_path: Path) -> None:
-        pytest.importorskip("pybullet")
-        env = OptionsWrapper(gym.make("sb3_options/Pioneer-v0"))
-        env.bank.save(tmp_path / "options")
-        there = signature(env.observation_space, env.features)
-        other = OptionsWrapper(gym.make("sb3_options/PioneerClutter-v0"))
-        assert signature(other.observation_space, other.features) == there
-
     def test_a_bank_made_by_hand_accepts_any(self, tmp_path: Path) -> None:
         bank = OptionBank(4, 4)
         bank.load(saved(grid(), tmp_path / "options"))
@@ -138,14 +130,6 @@ class TestOtherObservations:
         bank.save(tmp_path / "again")
         other = grid("FourRooms")
         other.bank.load(tmp_path / "again")
-        assert other.bank.filled == (0,)
-
-    def test_a_file_of_an_earlier_version_is_read_as_before(self, tmp_path: Path) -> None:
-        about, tensors = read(saved(grid(), tmp_path / "options"))
-        del about["made_for"]
-        (tmp_path / "old").write_bytes(packed(about, tensors))
-        other = grid("FourRooms")
-        other.bank.load(tmp_path / "old")
         assert other.bank.filled == (0,)
 
 
@@ -182,21 +166,6 @@ class TestOtherFeatures:
         other.bank.add(steady_option())
         other.bank.load(tmp_path / "hand_made")
         assert other.bank.filled == (0,)
-
-
-class TestSlotsOf:
-    def test_filled_slots(self, tmp_path: Path) -> None:
-        env = grid()
-        env.bank.add(option(), 3)
-        env.bank.add(steady_option(), 1)
-        env.bank.save(tmp_path / "options")
-        assert sorted(slots_of(tmp_path / "options")) == [1, 3]
-
-    @pytest.mark.parametrize("about", [{}, {"slots": 3}, {"slots": ["a"]}])
-    def test_a_strangers(self, about: Any, tmp_path: Path) -> None:
-        (tmp_path / "stranger").write_bytes(packed(about, {}))
-        with pytest.raises(ValueError, match="stranger is damaged: "):
-            slots_of(tmp_path / "stranger")
 
 
 @pytest.mark.parametrize(
@@ -263,13 +232,3 @@ class TestPrecision:
         bank.save(tmp_path / "options")
         _, tensors = read(tmp_path / "options")
         assert {array.dtype for array in tensors.values()} == {np.dtype(np.float64)}
-
-    def test_single_precision_is_read_as_double(self, tmp_path: Path) -> None:
-        about, tensors = read(saved(grid(), tmp_path / "options"))
-        (tmp_path / "single").write_bytes(packed(about, {k: v.astype(np.float32) for k, v in tensors.items()}))
-        bank = OptionBank(4, 4)
-        bank.load(tmp_path / "single")
-        loaded = bank[0]
-        assert isinstance(loaded, SubgoalOption)
-        assert {array.dtype for array in loaded.option_policy.arrays().values()} == {np.dtype(np.float64)}
-        assert loaded.subgoal.points.dtype == np.float64

@@ -1,7 +1,5 @@
 """Imagined steps, worked out by hand on a thing that comes nearer by 1 with each step ahead."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -72,11 +70,6 @@ def test_the_initiation_set_goes_on_where_nobody_was() -> None:
     assert region.contains(features).tolist() == [True, False, False]
 
 
-def test_sideways_it_goes_on_from_what_is_known_there() -> None:
-    region, _ = extended([2], AHEAD_IS_NEARER)
-    assert region.points[1:].tolist() == [[1, f, 1, 1] for f in (3, 4, 5, 6)]
-
-
 @pytest.mark.parametrize("order", [[0, 1, 2], [2, 1, 0]])
 def test_of_two_ways_the_better_one_is_taken(order: list[int]) -> None:
     """From (3, 0) ahead leads to what is worth -2, sideways to what is worth -9, whichever is found first."""
@@ -110,11 +103,6 @@ def test_nothing_is_imagined_without_a_rule(transitions: Transitions) -> None:
     assert len(extended([1, 4], transitions)[0].points) == 2
 
 
-def test_nothing_is_imagined_without_coordinates() -> None:
-    group = dataclasses.replace(GROUP, coordinates=())
-    assert len(extended([1, 4], AHEAD_IS_NEARER, group)[0].points) == 2
-
-
 def test_states_that_were_seen_stay_out() -> None:
     """(3, 0) was seen and is not in I: runs from there did not get to the subgoal. So nothing goes on behind it."""
     assert len(extended([1], AHEAD_IS_NEARER)[0].points) == 1
@@ -127,10 +115,3 @@ def test_there_is_a_limit() -> None:
     table = TabularPolicy(points, np.zeros((len(points), 2)))
     region, _ = imagined_farther(initiation, AHEAD_IS_NEARER, table, SETTINGS)
     assert len(region.points) == len(points) + MOST_POINTS
-
-
-def test_coordinates_are_of_the_groups_features() -> None:
-    with pytest.raises(ValueError, match=r"coordinates must be of its features \(2, 5, 3, 4\), got \(1,\)"):
-        dataclasses.replace(GROUP, coordinates=[1])
-    with pytest.raises(ValueError, match="coordinates some of them"):
-        dataclasses.replace(GROUP, coordinates=["forward"])  # type: ignore[list-item]

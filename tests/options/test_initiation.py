@@ -1,4 +1,3 @@
-import dataclasses
 from typing import Literal
 
 import numpy as np
@@ -39,22 +38,6 @@ class TestInitiationSet:
         region = initiation_set(DOOR, self.trajectories, settings)
         assert centres(region) == expected
         assert region.radius == 0.5
-
-    def test_subgoal_of_some_width(self) -> None:
-        region = initiation_set(
-            ball(5.0, radius=1.0), self.trajectories[:1], OptionLearningSettings(initiation_steps=2)
-        )
-        assert centres(region) == [2, 3]
-
-    def test_a_visit_at_the_very_start_has_nothing_before_it(self) -> None:
-        settings = OptionLearningSettings()
-        assert centres(initiation_set(DOOR, [walk([5, 6, 5])], settings)) == []
-        every = dataclasses.replace(settings, initiation_visits="every")
-        assert centres(initiation_set(DOOR, [walk([5, 6, 5])], every)) == [6]
-
-    def test_a_visit_sooner_than_n_steps_from_the_start(self) -> None:
-        settings = OptionLearningSettings(initiation_steps=3)
-        assert centres(initiation_set(DOOR, [walk([4, 5, 6, 7, 8, 9])], settings)) == [4]
 
     def test_no_visit_and_no_trajectories(self) -> None:
         for trajectories in ([], [walk([1, 2, 3])]):

@@ -66,14 +66,6 @@ def test_what_may_begin_is_computed_anew_when_the_bank_changes(change: str) -> N
         assert bank.available_slots(at).tolist() == [[False, False]]
 
 
-def test_what_is_handed_out_may_be_changed() -> None:
-    bank = OptionBank(2, 1, feature_map=np.asarray)
-    bank.add(option(1.0))
-    at: Any = np.array([[1.0]])
-    bank.available_slots(at)[:] = False
-    assert bank.available_slots(at).tolist() == [[True]]
-
-
 def test_hand_made_options_are_asked_each_time() -> None:
     open_now = [True]
     bank = OptionBank(2, 2, feature_map=np.asarray)

@@ -1,6 +1,4 @@
-import gc
 import pickle
-import weakref
 from typing import Any
 
 import numpy as np
@@ -10,7 +8,7 @@ from sb3_options.density.regions import Region
 from sb3_options.experience.observations import Observations
 from sb3_options.options.option import Option, SubgoalOption
 from sb3_options.options.policies import TabularPolicy
-from tests.support.helpers import ball, place_of, steady_option, table_option
+from tests.support.helpers import ball, steady_option, table_option
 
 
 def subgoal_option(**kwargs: Any) -> SubgoalOption:
@@ -35,12 +33,6 @@ def test_the_three_functions_of_a_hand_made_option() -> None:
     assert option.termination(observations).dtype == np.float64
 
 
-@pytest.mark.parametrize(("duration", "kept"), [(1, 1), (7.0, 7), (np.int64(3), 3)])
-def test_max_duration(duration: Any, kept: int) -> None:
-    option = steady_option(max_duration=duration)
-    assert (option.max_duration, type(option.max_duration)) == (kept, int)
-
-
 @pytest.mark.parametrize(
     "duration", [0, -3, 1.5, 0.5, True, None, "7", float("nan"), float("inf"), np.float64("-inf"), [1]]
 )
@@ -50,15 +42,6 @@ def test_max_duration_out_of_range(make: Any, duration: Any) -> None:
         ValueError, match=r"^max_duration must be a whole number of primitive steps, at least 1, got .+\.$"
     ):
         make(max_duration=duration)
-
-
-@pytest.mark.parametrize("position", range(3))
-def test_not_callable(position: int) -> None:
-    arguments: list[Any] = [lambda obs: np.zeros(len(obs))] * 3
-    arguments[position] = 5
-    name = ["initiation", "policy", "termination"][position]
-    with pytest.raises(TypeError, match=rf"^{name} must be a function of a batch of observations, got int\.$"):
-        Option(*arguments)
 
 
 @pytest.mark.parametrize("name", ["initiation", "policy", "termination"])
@@ -96,10 +79,6 @@ class TestRegion:
         region = Region(points[:25], np.array([0.1, 3.0, 7.0]), 0.0)
         assert region.contains(points).tolist() == [True] * 25 + [False] * 25
 
-    def test_no_points_no_features(self) -> None:
-        assert Region(np.zeros((0, 2)), np.ones(2), 1e9).contains(np.zeros((3, 2))).tolist() == [False] * 3
-        assert ball(0.0, 0.0).contains(np.zeros((0, 2))).shape == (0,)
-
 
 class TestSubgoalOption:
     observations = np.array([[0.0], [1.0], [1.2], [2.0], [2.5], [3.0], [3.5], [3.6]])
@@ -110,11 +89,6 @@ class TestSubgoalOption:
         assert option.termination(self.observations).tolist() == [0, 0, 0, 0, 1, 1, 1, 0]
         assert option.initiation(self.observations).tolist() == [False, True, True, True, False, False, False, False]
         assert option.policy(self.observations).tolist() == [1, 1, 1, 0, 0, 0, 0, 0]
-
-    def test_the_subgoal_is_never_in_the_initiation_set(self) -> None:
-        option = subgoal_option(feature_map=flat)
-        places = np.linspace(-1.0, 5.0, 601)[:, None]
-        assert not np.any(option.initiation(places) & (option.termination(places) == 1.0))
 
     def test_one_at_a_time_and_again_is_the_same(self) -> None:
         asked: list[int] = []
@@ -141,18 +115,6 @@ class TestSubgoalOption:
             assert option.termination(np.array([[place]])) == (2.5 <= place <= 3.5)
             assert len(option._membership._results) <= 14
 
-    def test_it_is_freed_at_once_when_another_takes_its_place(self) -> None:
-        """Not by the garbage collector, which may let many large tables wait."""
-        gc.disable()
-        try:
-            option = subgoal_option(feature_map=flat)
-            option.initiation(np.array([[1.0]]))
-            gone = weakref.ref(option)
-            option = option.with_policy(option.option_policy)
-            assert gone() is None
-        finally:
-            gc.enable()
-
     def test_without_a_feature_map(self) -> None:
         option = subgoal_option(name="door")
         message = r"^Option 'door' has no feature map: add it to the bank of an OptionsWrapper that has one"
@@ -160,25 +122,6 @@ class TestSubgoalOption:
             option.initiation(self.observations)
         with pytest.raises(ValueError, match=message):
             option.termination(self.observations)
-
-    def test_bind_makes_another_option_and_leaves_this_one(self) -> None:
-        option = subgoal_option(name="door", max_duration=7)
-        bound = option.bind(flat)
-        assert (bound.name, bound.max_duration) == ("door", 7)
-        assert bound.initiation(self.observations).any()
-        with pytest.raises(ValueError, match="no feature map"):
-            option.initiation(self.observations)
-
-    def test_dict_observations(self) -> None:
-        option = SubgoalOption(
-            ball(3.0),
-            Region(np.array([[1.0], [2.0]]), np.ones(1), 0.0),
-            TabularPolicy(np.array([[0, 1.0], [0, 2.0]]), np.array([[0.0, 1.0], [1.0, 0.0]])),
-            feature_map=place_of,
-        )
-        observations = {"place": np.array([[1.0], [2.0], [3.0]]), "colour": np.zeros((3, 1))}
-        assert option.initiation(observations).tolist() == [True, True, False]
-        assert option.policy(observations).tolist()[:2] == [1, 0]
 
     def test_pickle_leaves_the_feature_map_behind(self) -> None:
         option = subgoal_option(feature_map=lambda obs: flat(obs), name="door")

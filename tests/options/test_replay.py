@@ -12,7 +12,7 @@ from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
 from sb3_options.options.replay import replay_into_network, replay_into_table
 from sb3_options.options.settings import OptionLearningSettings
-from sb3_options.options.tasks import Reaching, Transitions, transitions_of
+from sb3_options.options.tasks import Reaching, transitions_of
 from tests.options.corridor import DOOR, LEFT, RIGHT, generator, known_values, walk
 from tests.support.helpers import ball, labelled, line, trajectory_of
 
@@ -56,11 +56,6 @@ class TestTable:
         assert steps is not None
         policy = replay_into_table(steps, 2, gamma=1.0, sweeps=500)
         assert known_values(policy) == {2: [-math.inf, -2], 3: [-math.inf, -1], 4: [-math.inf, 0]}
-
-    def test_few_sweeps_and_many(self) -> None:
-        trajectories = (walk([2, 3, 4, 5]), walk([4, 3, 2, 1]))
-        assert known_values(self.replay(*trajectories, sweeps=1))[2.0] == [-100, -1]
-        assert known_values(self.replay(*trajectories, sweeps=3)) == known_values(self.replay(*trajectories, sweeps=9))
 
     def test_is_value_iteration_on_a_random_grid(self, rng: np.random.Generator) -> None:
         """4 × 4 cells, slippery, subgoal in a corner; the oracle is value iteration on what happened."""
@@ -157,16 +152,6 @@ class TestNetwork:
         assert steps is not None
         first, second = (replay_into_network(steps, 2, gamma=0.9, updates=1, generator=generator(s)) for s in (0, 1))
         assert not np.array_equal(first.weights[0], second.weights[0])
-
-    def test_a_feature_that_never_changes_and_images(self) -> None:
-        states = np.zeros((3, 2, 2), dtype=np.uint8)
-        states[:, 0, 0] = [0, 100, 200]
-        began, actions, led = np.array([0, 0, 1, 1]), np.array([0, 1, 0, 1]), np.array([2, 1, 2, 2])
-        rewards, ends = np.array([-9.0, -1.0, -9.0, 0.0]), np.array([True, False, True, True])
-        steps = Transitions(states, began, actions, rewards, led, ends)
-        policy = replay_into_network(steps, 2, gamma=0.9, updates=300, generator=generator())
-        assert all(np.isfinite(array).all() for array in policy.arrays().values())
-        assert policy.actions(states[:2]).tolist() == [1, 1]
 
 
 def test_zeros_of_either_sign_are_one_state() -> None:
