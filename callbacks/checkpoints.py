@@ -14,7 +14,7 @@ from stable_baselines3.common.type_aliases import TrainFreq
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_options.callbacks import checkpoint_state
-from sb3_options.callbacks.counting import all_callbacks, evaluation_envs
+from sb3_options.callbacks.counting import all_callbacks, check_every_step, evaluation_envs
 from sb3_options.checked import whole
 from sb3_options.checkpoints import environments, event_files, models
 from sb3_options.checkpoints.file import CheckpointFolder
@@ -74,6 +74,7 @@ class CheckpointCallback(BaseCallback):
         self._resumed = state
 
     def _on_training_start(self) -> None:
+        check_every_step(self)
         self._rollouts = 0
         self._log_interval: int | None = self.locals.get("log_interval")
         models.check(self.model)

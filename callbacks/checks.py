@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import logging
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,18 +17,16 @@ from stable_baselines3.common.vec_env import (
     VecFrameStack,
     VecNormalize,
     VecTransposeImage,
-    is_vecenv_wrapped,
 )
 
-from sb3_options.callbacks.counting import all_callbacks
+from sb3_options.callbacks.counting import all_callbacks, check_every_step
 from sb3_options.checked import given_as, whole
 from sb3_options.density.groups import FeatureGroup, checked_groups
 from sb3_options.execution.above import wrappers_above
 from sb3_options.execution.slots import Traits
-from sb3_options.learning import heads
+from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.learning.checks import check_gamma, check_wrapped
-from sb3_options.learning.macro_q import MacroQ
-from sb3_options.learning.replay_buffer import OptionReplayBuffer
+from sb3_options.learning.families import Family, Masked, family_of
 
 if TYPE_CHECKING:
     from sb3_options.callbacks.discovery import SubgoalDiscoveryCallback
@@ -102,12 +99,13 @@ def check_training(callback: SubgoalDiscoveryCallback, before: BaseAlgorithm | N
         before: The model that it was with, if any.
 
     Raises:
-        TypeError: As `check_model`.
+        TypeError: As `check_discovery`.
         ValueError: Likewise; or a limit of an episode is set where there are none, the model is another one, or there
             are two such callbacks.
     """
+    check_every_step(callback)
     model, venv, made = callback.model, callback.training_env, callback._made_here
-    check_model(model, venv)
+    check_discovery(model, venv)
     # A model that was loaded again has the options that the callback made.
     again = before is None or before is model or (made and made <= set(venv.get_attr("bank", [0])[0].filled))
     if not again:
@@ -130,21 +128,11 @@ def check_alike(venv: VecEnv) -> None:
     """Refuse environments of which the first says nothing of the others.
 
     Raises:
-        ValueError: Their options, their feature maps or their limits of runs differ.
+        ValueError: Their feature maps or their limits of runs differ.
     """
-    check_same_options(venv)
-    _check_same("feature maps", [each.feature_kind for each in venv.get_attr("traits")])
-    _check_same("max_runs", [each.max_runs for each in venv.get_attr("traits")])
-
-
-def check_same_options(venv: VecEnv) -> None:
-    """Refuse environments with different options: one head of the network would stand for several.
-
-    Raises:
-        ValueError: They differ.
-    """
-    names = [[None if option is None else option.name for option in bank.slots] for bank in venv.get_attr("bank")]
-    _check_same("options", names)
+    traits = venv.get_attr("traits")
+    _check_same("feature maps", [each.feature_kind for each in traits])
+    _check_same("max_runs", [each.max_runs for each in traits])
 
 
 def _check_same(what: str, values: Sequence[Any]) -> None:
@@ -156,15 +144,10 @@ def _check_same(what: str, values: Sequence[Any]) -> None:
         )
 
 
-def masks_actions(model: BaseAlgorithm) -> bool:
-    """Whether an algorithm chooses only among the actions that masks allow."""
-    return "action_masks" in inspect.signature(model.policy.forward).parameters
-
-
 def warn_unmasked(model: BaseAlgorithm, callbacks: BaseCallback | None) -> None:
     """Warn where an algorithm that masks is evaluated without masks, and so chooses options where they lead nowhere."""
     kinds = {cls.__name__ for each in all_callbacks(callbacks) for cls in type(each).__mro__}
-    if masks_actions(model) and "EvalCallback" in kinds and "MaskableEvalCallback" not in kinds:
+    if isinstance(family_of(model), Masked) and "EvalCallback" in kinds and "MaskableEvalCallback" not in kinds:
         logger.warning(
             "EvalCallback lets %s choose options outside their initiation sets, where they do a single step each: "
             "evaluate with sb3_contrib.common.maskable.callbacks.MaskableEvalCallback.",
@@ -172,8 +155,8 @@ def warn_unmasked(model: BaseAlgorithm, callbacks: BaseCallback | None) -> None:
         )
 
 
-def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
-    """Refuse a model or an environment for which no options can be discovered.
+def check_options(model: BaseAlgorithm, venv: VecEnv) -> None:
+    """Refuse a model or environments with which options would spoil what is learned.
 
     Args:
         model: About to be trained.
@@ -181,8 +164,8 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
 
     Raises:
         TypeError: Actions are not discrete, or the heads of the policy are not known.
-        ValueError: Wrapper, replay buffer, discount or feature map are missing or do not fit. Each text says what
-            to change.
+        ValueError: Wrapper, buffer or discount do not fit, or environments have different options: one head of the
+            network would stand for several.
     """
     if not isinstance(venv.action_space, spaces.Discrete):
         raise TypeError(
@@ -190,14 +173,33 @@ def check_model(model: BaseAlgorithm, venv: VecEnv) -> None:
             "environment in OptionsWrapper."
         )
     check_wrapped(venv, "The model's environment")
-    if not isinstance(model, MacroQ):
-        _check_deep(model, venv)
-    if masks_actions(model) and model._last_obs is not None:  # before a reset there are no masks
+    family = family_of(model)
+    family.check_buffer()
+    banks = venv.get_attr("bank")
+    if banks[0].max_options:
+        family.check(venv)
+    if isinstance(family, Masked) and model._last_obs is not None:  # before a reset there are no masks
         _check_masks(venv)
-    _check_nothing_above_changes_observations(venv)
     check_nothing_above_changes_steps(venv)
-    check_normalized_rewards(model)
     check_gamma(model, venv)
+    _check_same("options", [[None if option is None else option.name for option in bank.slots] for bank in banks])
+
+
+def check_discovery(model: BaseAlgorithm, venv: VecEnv) -> None:
+    """Refuse a model or an environment for which no options can be discovered.
+
+    Raises:
+        TypeError: As `check_options`; or the algorithm is not known.
+        ValueError: As `check_options`; or observations are changed above the options, or there is no feature map.
+    """
+    if all(venv.env_is_wrapped(OptionsWrapper)):
+        _check_nothing_above_changes_observations(venv)
+    check_options(model, venv)
+    if type(family_of(model)) is Family:
+        raise TypeError(
+            f"Options can be discovered for algorithms of Stable-Baselines3 with rollouts or a replay buffer, and for "
+            f"MacroQ: {type(model).__name__} is neither."
+        )
     if venv.get_attr("traits", [0])[0].feature_kind is None:
         raise ValueError(
             f"There is no default feature map for {venv.observation_space}: pass OptionsWrapper(env, "
@@ -246,97 +248,11 @@ def check_nothing_above_changes_steps(venv: VecEnv) -> None:
         )
 
 
-def check_normalized_rewards(model: BaseAlgorithm) -> None:
-    """Refuse a ``VecNormalize`` whose clip an off-policy algorithm would apply to the sum of an option's rewards.
-
-    A rollout buffer gets sums of normalised rewards (`normalized_rewards`). A replay buffer stores sums, and normalises
-    them when they are drawn, with the σ of that time.
-
-    Raises:
-        ValueError: The model has one.
-    """
-    normalizer = model.get_vec_normalize_env()
-    if normalizer is None:
-        return
-    if isinstance(model, MacroQ):
-        raise ValueError(
-            "MacroQ learns from the steps inside options as the environment gives them, which VecNormalize never sees: "
-            "leave VecNormalize out."
-        )
-    if hasattr(model, "replay_buffer") and normalizer.norm_reward and np.isfinite(normalizer.clip_reward):
-        raise ValueError(
-            f"VecNormalize clips the reward of a whole option at {normalizer.clip_reward}, and with it γ: how long the "
-            "option took would no longer show. Set its clip_reward to np.inf, so that it only divides, or pass "
-            "norm_reward=False."
-        )
-
-
 def _refuse_change(seen: spaces.Space[Any], given: spaces.Space[Any]) -> NoReturn:
     raise ValueError(
         f"Between OptionsWrapper and the algorithm observations change from {seen} to {given}: put what changes them "
         "beneath OptionsWrapper, for instance OptionsWrapper(TransformObservation(env, ...))."
     )
-
-
-def _check_deep(model: BaseAlgorithm, venv: VecEnv) -> None:
-    """Refuse an off-policy algorithm without `OptionReplayBuffer`, and a policy whose heads are not known."""
-    check_replay_buffer(model)
-    buffer = getattr(model, "replay_buffer", None)
-    if isinstance(buffer, OptionReplayBuffer):
-        _check_stacked_frames(model, buffer, venv)
-    heads.option_outputs(model.policy)
-    check_network(model, venv)
-
-
-def check_network(model: BaseAlgorithm, venv: VecEnv) -> None:
-    """Refuse a network of a user's own whose outputs cannot be closed and opened one by one.
-
-    Raises:
-        TypeError: The model has such a network.
-    """
-    observation = getattr(model, "_last_obs", None)
-    if observation is not None:
-        first = {k: v[:1] for k, v in observation.items()} if isinstance(observation, dict) else observation[:1]
-        heads.check_values(model.policy, first, int(venv.action_space.n))  # type: ignore[attr-defined]  # checked to be Discrete
-
-
-def check_replay_buffer(model: BaseAlgorithm) -> None:
-    """Refuse a replay buffer that discounts every transition with γ, or that was not told of the model's ``n_steps``.
-
-    Raises:
-        ValueError: The model has such a buffer.
-    """
-    buffer = getattr(model, "replay_buffer", None)
-    if buffer is not None and not isinstance(buffer, OptionReplayBuffer):
-        raise ValueError(
-            f"{type(model).__name__} was built with {type(buffer).__name__}, which discounts an option of k steps "
-            f"with γ instead of γᵏ: pass {type(model).__name__}(..., replay_buffer_class=OptionReplayBuffer)."
-        )
-    n_steps = getattr(model, "n_steps", 1)
-    if buffer is not None and n_steps > 1 and buffer.n_steps != n_steps:
-        raise ValueError(
-            f"SB3 does not pass n_steps={n_steps} on to OptionReplayBuffer, which has n_steps={buffer.n_steps}: pass "
-            f"{type(model).__name__}(..., replay_buffer_kwargs={{'n_steps': {n_steps}}}) instead of n_steps."
-        )
-
-
-def _check_stacked_frames(model: BaseAlgorithm, buffer: OptionReplayBuffer, venv: VecEnv) -> None:
-    """Refuse stacked frames that the replay buffer could not store."""
-    if not is_vecenv_wrapped(venv, VecFrameStack):
-        return
-    name = type(model).__name__
-    normalize = model.get_vec_normalize_env()
-    if normalize is not None and not is_vecenv_wrapped(normalize, VecFrameStack):
-        raise ValueError(
-            f"VecFrameStack stands above VecNormalize, and {name} stores what VecNormalize was given, which is not "
-            "stacked: use VecNormalize(VecFrameStack(venv, n))."
-        )
-    if buffer.macro_q:
-        raise ValueError(
-            "The steps inside options are never stacked by VecFrameStack, so that Macro-Q cannot learn from them: pass "
-            f"{name}(..., replay_buffer_kwargs={{'macro_q': False}}), or stack beneath the options: "
-            "OptionsWrapper(FrameStackObservation(env, n))."
-        )
 
 
 def check_same_slots(venv: VecEnv, eval_env: VecEnv) -> None:

@@ -108,6 +108,24 @@ def all_callbacks(root: BaseCallback | None) -> Iterator[BaseCallback]:
             yield from all_callbacks(child)
 
 
+def check_every_step(callback: BaseCallback) -> None:
+    """Refuse a callback inside another one, which may call it now and then, as ``EveryNTimesteps`` does.
+
+    Raises:
+        ValueError: It is not among the callbacks that ``learn`` calls.
+    """
+    called: list[BaseCallback | None] = [callback.locals.get("callback")]
+    for each in called:
+        if isinstance(each, CallbackList):
+            called += each.callbacks
+    if called[0] is not None and callback not in called:
+        name = type(callback).__name__
+        raise ValueError(
+            f"{name} is inside another callback, and has to see every step: pass it to learn() itself, "
+            f"model.learn(..., callback=[..., {name}()])."
+        )
+
+
 def evaluation_envs(root: BaseCallback | None) -> list[VecEnv]:
     """The environments of every ``EvalCallback`` in the tree that ``learn`` was given."""
     return [each.eval_env for each in all_callbacks(root) if isinstance(each, EvalCallback)]

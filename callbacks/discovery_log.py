@@ -14,7 +14,7 @@ from sb3_options.callbacks.summaries import NUMBERS_ONLY, takes_more_than_number
 from sb3_options.discovery.budget import STEP_SECONDS, TABLE_STEP_SECONDS
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.figures import discovery_figures, options_figure
-from sb3_options.learning.macro_q import MacroQ
+from sb3_options.learning.families import Table, family_of
 from sb3_options.options.bank import OptionBank
 
 logger = logging.getLogger("sb3_options")
@@ -28,7 +28,7 @@ FAR_BEYOND = 3.0
 
 def step_seconds_of(model: BaseAlgorithm) -> float:
     """What training takes for a primitive step, in nominal seconds (`budget`)."""
-    return TABLE_STEP_SECONDS if isinstance(model, MacroQ) else STEP_SECONDS
+    return TABLE_STEP_SECONDS if isinstance(family_of(model), Table) else STEP_SECONDS
 
 
 class DiscoveryClock:

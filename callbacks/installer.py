@@ -9,7 +9,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_options.callbacks.checks import check_same_slots, masks_actions, warn_unmasked
+from sb3_options.callbacks.checks import check_same_slots, warn_unmasked
 from sb3_options.callbacks.counting import evaluation_envs
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.execution.above import monitor_primitive_steps
@@ -17,9 +17,8 @@ from sb3_options.execution.exploration import cap_option_exploration
 from sb3_options.execution.workers import watch_workers
 from sb3_options.experience.observations import FloatArray, Observations
 from sb3_options.learning import heads
-from sb3_options.learning.forgetting import forget_empty, forget_slot
+from sb3_options.learning.families import Masked, Networks, family_of, forget_empty, forget_slot
 from sb3_options.learning.masked import stored_availability
-from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.learning.saved_model import keep_options, put_back
 from sb3_options.learning.value_snapshot import Interrupter
 from sb3_options.options.bank import OptionBank
@@ -69,11 +68,8 @@ class OptionInstaller:
             check_same_slots(venv, eval_env)
             monitor_primitive_steps(eval_env)
         warn_unmasked(model, callbacks)
-        buffer = getattr(model, "replay_buffer", None)
-        self.buffer = buffer if isinstance(buffer, OptionReplayBuffer) else None
-        self.has_heads = heads.has_heads(model.policy)
-        self.has_rollouts = hasattr(model, "rollout_buffer")
-        self.waits_for_rollout = self.has_rollouts and not masks_actions(model)
+        self.family = family_of(model)
+        self.buffer = self.family.replay_buffer
         self.opening_share = opening_share
         self._pending: dict[int, Option] = {}
         self._new: list[int] = []
@@ -87,11 +83,11 @@ class OptionInstaller:
         )
         self.explored = cap_option_exploration(model, self.n_primitive, max_option_exploration)
         self.interrupter: Interrupter | None = None
-        if interruption and heads.has_networks(model.policy):
+        if interruption and self.family.has_values:
             self.interrupter = Interrupter(model, venv, self.eval_envs)
         else:
             self._set_slots(interruption=None)  # an earlier training may have left its own
-        opens = open_untrained and self.has_heads and heads.is_untrained(model, self.n_primitive)
+        opens = open_untrained and isinstance(self.family, Networks) and self.family.is_untrained(self.n_primitive)
         self._set_slots(expect_empty=True)
         keep_options(model, self.bank)
         for slot, option in enumerate(present.slots):
@@ -125,7 +121,7 @@ class OptionInstaller:
 
     def install(self, slot: int, option: Option) -> None:
         """Install an option in an empty slot, at once or when the next rollout starts."""
-        if self.waits_for_rollout:
+        if self.family.waits_for_rollout:
             self.bank.add(option, slot)
             self._pending[slot] = option
         else:
@@ -166,7 +162,7 @@ class OptionInstaller:
 
     def on_rollout_end(self) -> None:
         """Bring the replay buffer and the environments' values up to date."""
-        if not self.has_rollouts:
+        if not self.family.has_rollouts:
             self._uninstall_closed()
         # Only now is the step stored at whose end an option was made, and no gradient step was taken in between.
         if self._new and self.buffer is not None and self.buffer.tracks_availability and self.buffer.size():
@@ -233,8 +229,8 @@ class OptionInstaller:
 
     def _install_now(self, slot: int, option: Option, *, present: bool = False) -> None:
         self._send(slot, option, present=present)
-        if not self.has_heads:
-            return  # MacroQ asks for what is available in every step
+        if not self.family.has_heads:
+            return
         action = self.n_primitive + slot
         if heads.is_closed(self.model.policy, action):
             heads.open_head(self.model.policy, action, self.n_primitive, odds=self._odds(slot, option))
@@ -246,7 +242,7 @@ class OptionInstaller:
         The options that are available together share what `opening_share` gives them.
         """
         share = self.opening_share
-        if not self.has_rollouts or self.waits_for_rollout or share == 1.0:
+        if not isinstance(self.family, Masked) or share == 1.0:
             return None
         others = [self.bank[i] for i in self.bank.filled if i != slot]
         return max(share / (1.0 - share) / (1.0 + _n_available(others, option)), MIN_ODDS)
@@ -264,7 +260,7 @@ class OptionInstaller:
 
     def _close_decayed(self) -> None:
         """Close the heads of empty slots again where weight decay has raised their bias towards 0."""
-        if not (self.has_heads and heads.decays(self.model.policy)):
+        if not (self.family.has_heads and heads.decays(self.model.policy)):
             return
         empty = [slot for slot, option in enumerate(self.bank.slots) if option is None or slot in self._pending]
         raised = [slot for slot in empty if heads.is_raised(self.model.policy, self.n_primitive + slot)]

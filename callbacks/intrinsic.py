@@ -11,7 +11,7 @@ from gymnasium import spaces
 from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 
-from sb3_options.callbacks.counting import all_callbacks
+from sb3_options.callbacks.counting import all_callbacks, check_every_step
 from sb3_options.checked import given_as, is_number, whole
 from sb3_options.embedding.settings import SIZES
 from sb3_options.execution.features import MAX_FEATURES
@@ -118,6 +118,7 @@ class IntrinsicRewardCallback(BaseCallback):
         self._bonus_weight = 0.0
 
     def _on_training_start(self) -> None:
+        check_every_step(self)
         gamma: float = self.model.gamma  # type: ignore[attr-defined]  # every algorithm has it
         if gamma >= 1.0:
             raise ValueError(f"A bonus needs gamma below 1, or its return has no bound, got gamma={gamma}.")

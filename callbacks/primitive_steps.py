@@ -8,16 +8,11 @@ from typing import Any
 
 from stable_baselines3.common.callbacks import BaseCallback
 
-from sb3_options.callbacks.checks import (
-    check_network,
-    check_normalized_rewards,
-    check_nothing_above_changes_steps,
-    check_replay_buffer,
-    check_same_options,
-)
+from sb3_options.callbacks.checks import check_options
 from sb3_options.callbacks.counting import (
     PrimitiveRollouts,
     all_callbacks,
+    check_every_step,
     clip_schedules,
     count_inner_steps,
     evaluation_envs,
@@ -28,8 +23,7 @@ from sb3_options.execution.ray_vec_env import RayVecEnv
 from sb3_options.execution.workers import watch_workers
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.option_run import OptionRun
-from sb3_options.learning import heads
-from sb3_options.learning.checks import check_gamma, check_wrapped
+from sb3_options.learning.families import family_of
 from sb3_options.learning.rollout_buffer import SMDPAdvantages, option_rollout_buffer
 from sb3_options.learning.saved_model import keep_options
 
@@ -77,19 +71,14 @@ class PrimitiveStepsCallback(BaseCallback):
 
     def _on_training_start(self) -> None:
         self._installer = None
-        check_replay_buffer(self.model)
+        check_every_step(self)
+        family_of(self.model).check_buffer()
         self._start_counting()
         if not any(self.training_env.env_is_wrapped(OptionsWrapper)):
             return  # a custom SMDP environment; its infos are checked in _on_step
-        check_wrapped(self.training_env, "The model's environment")
-        check_nothing_above_changes_steps(self.training_env)
-        check_normalized_rewards(self.model)
-        check_gamma(self.model, self.training_env)
+        check_options(self.model, self.training_env)
         for venv in (self.training_env, *evaluation_envs(self.locals.get("callback"))):
             monitor_primitive_steps(venv)
-        if heads.has_heads(self.model.policy):
-            check_network(self.model, self.training_env)
-        check_same_options(self.training_env)
         if self._installs:
             self._installer = OptionInstaller(self.model, self.training_env, None, open_untrained=False)
             keep_options(self.model)
@@ -100,10 +89,6 @@ class PrimitiveStepsCallback(BaseCallback):
     def _start_counting(self) -> None:
         watch_workers(self.training_env)
         self._rollout_buffer = option_rollout_buffer(self.model)
-        made_with = self.model.__dict__.pop("n_primitive_steps", None)  # an earlier version saved it in a short rollout
-        if made_with is not None and self._rollout_buffer is not None:
-            self._rollout_buffer.next_size = made_with
-            vars(self.model)["n_steps"] = made_with
         self._rollouts = None
         if self.primitive_rollouts and self._rollout_buffer is not None:
             self._rollouts = PrimitiveRollouts(self.model, self._rollout_buffer)

@@ -15,6 +15,7 @@ from stable_baselines3.common.logger import Logger
 from sb3_options.checked import is_number, whole
 from sb3_options.checkpoints.tree import State
 from sb3_options.learning import buffer_state
+from sb3_options.learning.families import family_of
 from sb3_options.learning.replay_buffer import Growing, OptionReplayBuffer
 from sb3_options.learning.rollout_buffer import option_rollout_buffer
 
@@ -58,7 +59,7 @@ def get_state(model: BaseAlgorithm) -> State:
         "gamma": getattr(model, "gamma", None),
         "policy": dict(model.policy.state_dict()),
         "optimizer": model.policy.optimizer.state_dict() if hasattr(model.policy, "optimizer") else None,
-        "own": model.get_state() if hasattr(model, "get_state") else None,
+        "own": family_of(model).get_state(),
         "counters": {name: getattr(model, name) for name in COUNTERS if hasattr(model, name)},
         "last": {name: getattr(model, name, None) for name in LAST},
         "total": model._total_timesteps,
@@ -74,8 +75,6 @@ def get_state(model: BaseAlgorithm) -> State:
     if model.use_sde:  # the noise of the rollout that begins is drawn already
         noise: Any = model.policy.action_dist
         state["noise"] = noise.exploration_mat.detach(), noise.exploration_matrices.detach()
-    lstm = getattr(model, "_last_lstm_states", None)
-    state["lstm"] = None if lstm is None else [tuple(each) for each in lstm]
     return state
 
 
@@ -126,8 +125,7 @@ def set_state(model: BaseAlgorithm, state: State) -> None:
     model.policy.load_state_dict(state["policy"])
     if state["optimizer"] is not None:
         model.policy.optimizer.load_state_dict(state["optimizer"])
-    if state["own"] is not None:
-        model.set_state(state["own"])  # type: ignore[attr-defined]  # as there
+    family_of(model).set_state(state["own"])
     for names, values in ((COUNTERS, state["counters"]), (LAST, state["last"])):
         for name in names:  # and no others that a stranger's file may name
             if name in values:
@@ -143,9 +141,6 @@ def set_state(model: BaseAlgorithm, state: State) -> None:
     if model.use_sde:
         noise: Any = model.policy.action_dist
         noise.exploration_mat, noise.exploration_matrices = (each.to(model.device) for each in state["noise"])
-    if state["lstm"] is not None:
-        lstm = (tuple(each.to(model.device) for each in states) for states in state["lstm"])
-        model._last_lstm_states = type(model._last_lstm_states)(*lstm)  # type: ignore[attr-defined]  # as there
 
 
 def begin_episodes(model: BaseAlgorithm) -> None:

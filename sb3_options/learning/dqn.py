@@ -18,7 +18,7 @@ from torch.nn import functional
 from sb3_options.execution.exploration import CappedActions
 from sb3_options.experience.observations import BoolArray, FloatArray
 from sb3_options.learning.checks import check_gamma, check_wrapped
-from sb3_options.learning.forgetting import forget_empty
+from sb3_options.learning.families import forget_empty
 from sb3_options.learning.masked import MaskedPrediction, n_actions_of, stored_availability
 from sb3_options.learning.replay_buffer import OptionReplayBuffer, OptionReplayBufferSamples
 from sb3_options.learning.saved_model import put_back

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-import logging
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
-import torch
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.buffers import BaseBuffer, ReplayBuffer
-from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper
 
@@ -19,21 +13,10 @@ from sb3_options.checked import whole
 from sb3_options.embedding.settings import MapName
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.observations import FeatureMap
-from sb3_options.learning import heads
-from sb3_options.learning.bonus_replay import WITH_BONUS
 from sb3_options.learning.checks import check_gamma, check_wrapped
-from sb3_options.learning.joined_linear import JoinedLinear, check_optimizer, widened_linear
-from sb3_options.learning.replay_buffer import OptionReplayBuffer
-
-logger = logging.getLogger("sb3_options")
+from sb3_options.learning.families import Networks, family_of
 
 Model = TypeVar("Model", bound=BaseAlgorithm)
-
-STOCK_BUFFERS = tuple(WITH_BONUS)
-"""Buffers whose rows are single primitive steps; of their subclasses that is not known."""
-
-KEPT_KWARGS = frozenset({"handle_timeout_termination", "n_steps", "gamma"})
-"""What a stock buffer was made with that `OptionReplayBuffer` takes too."""
 
 
 def expand_action_space(
@@ -41,10 +24,10 @@ def expand_action_space(
 ) -> Model:
     """Add option slots to a trained model, in place, and keep everything that it has learned.
 
-    Weights, target network, optimizer moments, replay data, counters and schedules are kept. For every observation the
-    outputs for the old actions are bit for bit what they were, also after options were installed. The new heads are
-    closed. The model's environments are wrapped in `OptionsWrapper` (a ``Monitor`` stays beneath it) and reset when
-    training goes on. A stock replay buffer becomes an `OptionReplayBuffer`.
+    Weights, target network, optimizer moments, replay data, counters and schedules are kept. The outputs for the old
+    actions are what they were, but for the rounding of a product with more rows, also after options were installed. The
+    new heads are closed. The model's environments are wrapped in `OptionsWrapper` (a ``Monitor`` stays beneath it) and
+    reset when training goes on. A stock replay buffer becomes an `OptionReplayBuffer`.
 
     Continue with ``model.learn(..., callback=SubgoalDiscoveryCallback(), reset_num_timesteps=False)``. An evaluation
     environment must be wrapped by hand, with as many slots.
@@ -73,55 +56,21 @@ def expand_action_space(
             f"The model's environment is wrapped in OptionsWrapper already: among its {n_primitive} actions are "
             "option slots, and their number cannot be changed any more."
         )
-    outputs = heads.option_outputs(model.policy)
-    for layer, _ in outputs:
-        check_optimizer(model.policy.optimizer, layer)
-    if isinstance(model, OffPolicyAlgorithm):
-        check_stock_buffer(model.replay_buffer)
+    family = family_of(model)
+    if not isinstance(family, Networks):
+        raise TypeError(
+            f"{type(model).__name__} has no networks with an output for each action, to which to add slots."
+        )
+    family.check_can_widen()
     venv = _fitting(model, env, n_primitive, max_options, feature_map)
-
     # With the same generator, so that exploration continues.
-    actions = spaces.Discrete(n_primitive + max_options, seed=model.action_space.np_random)
-    for layer, outputs_per_action in outputs:
-        wider = widened_linear(layer, max_options, outputs_per_action, [model.policy.optimizer])
-        _put_in_place(model.policy, layer, wider)
-    _set_action_space(model.policy, actions)
-    model.action_space = actions
-    model.policy_class = JoinedPolicy(model.policy_class, n_primitive)  # type: ignore[assignment]  # called, no more
-    _expand_buffers(model, actions)
-    for slot in range(max_options):
-        heads.close_head(model.policy, n_primitive + slot)
+    family.widen(spaces.Discrete(n_primitive + max_options, seed=model.action_space.np_random))
     model.set_env(venv)
     return model
 
 
-@dataclass(frozen=True)
-class JoinedPolicy:
-    """Builds the policy of an expanded model when SB3 loads it, with old and new outputs computed apart.
-
-    Args:
-        policy_class: The class it is of, or whatever built it.
-        n_primitive: Number of actions it was first trained with.
-    """
-
-    policy_class: Any
-    n_primitive: int
-
-    @property
-    def __name__(self) -> str:
-        """SB3 looks at the name to say which policies are slow on a GPU."""
-        return str(self.policy_class.__name__)
-
-    def __call__(self, *args: Any, **kwargs: Any) -> BasePolicy:
-        """Build it."""
-        policy: BasePolicy = self.policy_class(*args, **kwargs)
-        for layer, outputs_per_action in heads.option_outputs(policy):
-            _put_in_place(policy, layer, JoinedLinear(layer, self.n_primitive, outputs_per_action))
-        return policy
-
-
 def _n_actions(model: BaseAlgorithm) -> int:
-    space: spaces.Space[Any] = model.action_space
+    space = model.action_space
     if not isinstance(space, spaces.Discrete) or space.start != 0:
         raise TypeError(
             f"expand_action_space needs a model whose actions are Discrete and start at 0, got {space}: options "
@@ -192,67 +141,3 @@ def _wrap(venv: VecEnv, max_options: int, gamma: float, feature_map: FeatureMap 
         above = above.venv
     inner.action_space = wrapped[0].action_space
     return venv
-
-
-def _put_in_place(policy: BasePolicy, layer: torch.nn.Linear, other: torch.nn.Linear) -> None:
-    names = [name for name, module in policy.named_modules(remove_duplicate=False) if module is layer]
-    for name in names:
-        policy.set_submodule(name, other)
-
-
-def _set_action_space(policy: Any, actions: spaces.Discrete) -> None:
-    """Set the action space of the policy, its networks and its distribution."""
-    for module in policy.modules():
-        if isinstance(module, BasePolicy):
-            module.action_space = actions
-    if hasattr(policy, "net_args"):
-        policy.net_args["action_space"] = actions  # of DQN and QRDQN, for building networks
-    if hasattr(policy, "action_dist"):
-        policy.action_dist.action_dim = int(actions.n)
-
-
-def _expand_buffers(model: BaseAlgorithm, actions: spaces.Discrete) -> None:
-    if isinstance(model, OffPolicyAlgorithm):
-        _expand_replay(model, actions)
-    rollout: BaseBuffer | None = getattr(model, "rollout_buffer", None)
-    if rollout is not None:
-        rollout.action_space = actions
-        if hasattr(rollout, "mask_dims"):  # MaskablePPO's
-            rollout.mask_dims = int(actions.n)
-            rollout.reset()
-
-
-def _expand_replay(model: OffPolicyAlgorithm, actions: spaces.Discrete) -> None:
-    stock = model.replay_buffer
-    if isinstance(stock, OptionReplayBuffer):
-        stock.action_space = actions
-        return
-    kwargs = {key: value for key, value in model.replay_buffer_kwargs.items() if key in KEPT_KWARGS}
-    model.replay_buffer_class, model.replay_buffer_kwargs = OptionReplayBuffer, kwargs
-    model.optimize_memory_usage = False
-    model.replay_buffer = (
-        OptionReplayBuffer(
-            model.buffer_size,
-            model.observation_space,
-            actions,
-            model.device,
-            model.n_envs,
-            **model.replay_buffer_kwargs,
-        )
-        if stock is None
-        else OptionReplayBuffer.from_stock(stock, actions, model.gamma)
-    )
-
-
-def check_stock_buffer(buffer: ReplayBuffer | None) -> None:
-    """Refuse a buffer whose transitions `OptionReplayBuffer.from_stock` could not take over.
-
-    Raises:
-        TypeError: It is neither one of `STOCK_BUFFERS` nor an `OptionReplayBuffer`.
-    """
-    if buffer is not None and type(buffer) not in STOCK_BUFFERS and not isinstance(buffer, OptionReplayBuffer):
-        raise TypeError(
-            f"The transitions of a {type(buffer).__name__} cannot be taken over, only those of "
-            f"{', '.join(each.__name__ for each in STOCK_BUFFERS)}: set model.replay_buffer = None to go on with an "
-            "empty one."
-        )

@@ -8,10 +8,10 @@ opened when an option is installed. All other outputs stay bit for bit what they
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import torch
-from stable_baselines3.common.base_class import BaseAlgorithm
 
 CLOSED_VALUE = -1e6
 """Bias of a closed output: below any return, of probability 0 as a logit, and far from where float32 overflows."""
@@ -19,15 +19,17 @@ CLOSED_VALUE = -1e6
 RAISED_VALUE = 0.9 * CLOSED_VALUE
 """A bias that weight decay has raised above this is closed again."""
 
-
 ROUNDING = 1e-4
-"""By so much of what is added to one output others may move."""
+"""By so much of what is added to one output others may move, and itself may differ."""
 
-OWN_NETWORK = "let a network of your own end in torch.nn.Linear(n, n_actions), and return what that gives."
+VALUES = ("q_net", "quantile_net")
+"""Attributes of a policy that hold networks of action values; the target network has the suffix ``_target``."""
 
 
 def option_outputs(policy: Any) -> list[tuple[torch.nn.Linear, int]]:
     """The last layers that give one value (or one set of quantiles) per action.
+
+    They are found by their shape: in each network the last linear layer with an output for each action.
 
     Args:
         policy: Of an SB3 model.
@@ -37,25 +39,37 @@ def option_outputs(policy: Any) -> list[tuple[torch.nn.Linear, int]]:
         QRDQN, the logits of an actor-critic policy (PPO, A2C, TRPO, MaskablePPO, RecurrentPPO).
 
     Raises:
-        TypeError: The policy is none whose heads are known.
+        TypeError: There is no such network, or it has no such layer.
     """
+    n_actions = int(policy.action_space.n)
     if has_networks(policy):
-        return [(last_layer_of(network), getattr(network, "n_quantiles", 1)) for network in networks(policy)]
-    if isinstance(getattr(policy, "action_net", None), torch.nn.Linear):
-        return [(policy.action_net, 1)]
-    raise TypeError(
-        f"The heads of {type(policy).__name__} are not known: options can be discovered for DQN, QRDQN, OptionDQN, "
-        "PPO, A2C, TRPO, MaskablePPO and RecurrentPPO."
-    )
+        name = next(name for name in VALUES if getattr(policy, f"{name}_target", None) is not None)
+        outputs = int(getattr(networks(policy)[0], "n_quantiles", 1))
+        where = f"{name} of {type(policy).__name__}"
+        return [(last_layer(network, where, n_actions * outputs), outputs) for network in networks(policy)]
+    if getattr(policy, "action_net", None) is None:
+        raise TypeError(
+            f"{type(policy).__name__} has neither action_net, as policies of PPO, A2C, TRPO, MaskablePPO and "
+            "RecurrentPPO, nor q_net or quantile_net, as those of DQN, QRDQN and OptionDQN: options need one of these, "
+            f"which ends in torch.nn.Linear(n, {n_actions}), an output for each action, slots among them."
+        )
+    return [(last_layer(policy.action_net, f"action_net of {type(policy).__name__}", n_actions), 1)]
 
 
-def has_heads(policy: Any) -> bool:
-    """Whether the policy is one of those whose heads are known."""
-    try:
-        option_outputs(policy)
-    except TypeError:
-        return False
-    return True
+def last_layer(network: torch.nn.Module, name: str, n_outputs: int) -> torch.nn.Linear:
+    """The last linear layer of a network with so many outputs.
+
+    Raises:
+        TypeError: There is none.
+    """
+    linear = [each for each in network.modules() if isinstance(each, torch.nn.Linear) and each.bias is not None]
+    fitting = [each for each in linear if each.out_features == n_outputs]
+    if not fitting:
+        raise TypeError(
+            f"{name} must end in torch.nn.Linear(n, {n_outputs}) with a bias, an output for each action, slots among "
+            "them: an empty slot is closed in its row of the weights."
+        )
+    return fitting[-1]
 
 
 def networks(policy: Any) -> tuple[Any, Any]:
@@ -64,7 +78,7 @@ def networks(policy: Any) -> tuple[Any, Any]:
     Raises:
         TypeError: The policy has none that values actions.
     """
-    for name in ("q_net", "quantile_net"):
+    for name in VALUES:
         online, target = getattr(policy, name, None), getattr(policy, f"{name}_target", None)
         if online is not None and target is not None:
             return online, target
@@ -73,31 +87,7 @@ def networks(policy: Any) -> tuple[Any, Any]:
 
 def has_networks(policy: Any) -> bool:
     """Whether the policy gives values of actions, as DQN's and QRDQN's do."""
-    return any(getattr(policy, f"{name}_target", None) is not None for name in ("q_net", "quantile_net"))
-
-
-def body_of(network: Any) -> torch.nn.Sequential:
-    """A network of `networks` between its features and its last layer."""
-    return torch.nn.Sequential(*_layers_of(network)[:-1])
-
-
-def last_layer_of(network: Any) -> torch.nn.Linear:
-    """The last layer of a network of `networks`.
-
-    Raises:
-        TypeError: It is not linear.
-    """
-    layer = _layers_of(network)[-1]
-    if not isinstance(layer, torch.nn.Linear):
-        raise TypeError(
-            f"The last layer of {type(network).__name__} is {type(layer).__name__}, and options need a linear one with "
-            f"an output for each action, whose row is closed while a slot is empty: {OWN_NETWORK}"
-        )
-    return layer
-
-
-def _layers_of(network: Any) -> list[torch.nn.Module]:
-    return list(network.q_net if hasattr(network, "q_net") else network.quantile_net)
+    return any(getattr(policy, f"{name}_target", None) is not None for name in VALUES)
 
 
 def rows_of(layer: torch.nn.Linear, outputs_per_action: int, action: int) -> torch.Tensor:
@@ -116,7 +106,7 @@ def close_head(policy: Any, action: int) -> None:
 
 
 def decays(policy: Any) -> bool:
-    """Whether the optimizer has weight decay, which by and by opens what is closed: AdamW, for one."""
+    """Whether the optimizer has weight decay, which slowly opens what is closed: AdamW, for one."""
     return any(group.get("weight_decay", 0.0) for group in policy.optimizer.param_groups)
 
 
@@ -167,51 +157,74 @@ def is_closed(policy: Any, action: int) -> bool:
     return bool((layer.bias[rows] <= CLOSED_VALUE / 2).all())
 
 
-def is_untrained(model: BaseAlgorithm, n_primitive: int) -> bool:
-    """Whether the heads of option slots still have their random initial weights.
-
-    No update was made, no optimizer moments were loaded (as ``set_parameters`` does), and no head was closed.
-    """
-    if getattr(model, "_n_updates", 0) > 0 or model.policy.optimizer.state:
-        return False
-    n_actions = int(model.action_space.n)  # type: ignore[attr-defined]  # checked to be Discrete
-    return not any(is_closed(model.policy, action) for action in range(n_primitive, n_actions))
-
-
 @torch.no_grad()
-def check_values(policy: Any, observation: Any, n_actions: int) -> None:
-    """Refuse a network of values whose last layer does not give each action its own, as one that is the user's may be.
+def check_outputs(policy: Any, actions_of: Callable[[], torch.Tensor]) -> None:
+    """Refuse a network whose last layer does not give each action an output of its own, as a user's may be.
+
+    The test adds a number to the bias of the last action: it alone may change, by this number.
 
     Args:
-        policy: Of DQN or QRDQN; others are left alone.
-        observation: A batch of one, as the environment gives it.
-        n_actions: Primitive ones, and slots.
+        policy: Of an SB3 model.
+        actions_of: Values of actions, or logits but for a common constant: (…, n_actions).
 
     Raises:
-        TypeError: The last layer has no output for each action, or the network makes something else of its outputs.
+        TypeError: Others change, or it does not.
     """
-    if not has_networks(policy):
-        return
-    network, _ = networks(policy)
     layer, outputs = option_outputs(policy)[0]
-    name = type(network).__name__
-    if layer.out_features != n_actions * outputs:
-        raise TypeError(
-            f"The last layer of {name} has {layer.out_features} outputs, and options need {n_actions * outputs}, for "
-            f"each of the {n_actions} actions, slots among them: {OWN_NETWORK}"
-        )
-    training = policy.training
-    policy.set_training_mode(False)
-    batch, _ = policy.obs_to_tensor(observation)
-    last, rows = n_actions - 1, rows_of(layer, outputs, n_actions - 1)
-    before, bias = network(batch), layer.bias.clone()
+    rows = rows_of(layer, outputs, int(policy.action_space.n) - 1)
+    before = actions_of()
+    bias = layer.bias.clone()
     added = 1.0 + float(before.abs().max())  # as large as the values, or it would be lost in their rounding
     layer.bias[rows] += added
-    moved = (network(batch) - before).abs().reshape(-1, n_actions) / added
+    moved = (actions_of() - before).flatten(end_dim=-2) / added
     layer.bias.copy_(bias)
-    policy.set_training_mode(training)
-    if moved[:, :last].max() > ROUNDING or moved[:, last].min() < 0.5:
+    if not has_networks(policy):
+        moved = moved - moved[:, :1]
+    if moved[:, :-1].abs().max() > ROUNDING or (moved[:, -1] - 1.0).abs().max() > ROUNDING:
+        where = "q_net or quantile_net" if has_networks(policy) else "action_net"
         raise TypeError(
-            f"{name} gives other values than the outputs of its last layer, as dueling networks do, so that the output "
-            f"of an empty slot would change those of all actions: {OWN_NETWORK}"
+            f"{type(policy).__name__} makes something else of the outputs of the last torch.nn.Linear of its {where}, "
+            "as dueling networks do, so that closing an empty slot would change all actions: let it return what that "
+            "layer gives."
         )
+
+
+def widen(layer: torch.nn.Linear, n_later: int, outputs_per_action: int, optimizer: torch.optim.Optimizer) -> None:
+    """Add outputs of zero weights for ``n_later`` more actions; what the optimizer keeps for each old row is kept."""
+    for name in ("weight", "bias"):
+        old: torch.nn.Parameter = getattr(layer, name)
+        new = torch.nn.Parameter(_widened(old, n_later, outputs_per_action), requires_grad=old.requires_grad)
+        setattr(layer, name, new)
+        for group in optimizer.param_groups:
+            group["params"][:] = [new if parameter is old else parameter for parameter in group["params"]]
+        if old in optimizer.state:
+            optimizer.state[new] = {
+                key: _widened(value, n_later, outputs_per_action)
+                if isinstance(value, torch.Tensor) and value.shape == old.shape
+                else value
+                for key, value in optimizer.state.pop(old).items()
+            }
+    layer.out_features += n_later * outputs_per_action
+
+
+def _widened(rows: torch.Tensor, n_later: int, outputs_per_action: int) -> torch.Tensor:
+    """Rows (outputs per action · actions, …), with zeros for later actions."""
+    present = rows.detach().reshape(outputs_per_action, -1, *rows.shape[1:])
+    zeros = present.new_zeros((outputs_per_action, n_later, *rows.shape[1:]))
+    return torch.cat([present, zeros], dim=1).flatten(0, 1).contiguous()
+
+
+def check_optimizer(optimizer: torch.optim.Optimizer, layer: torch.nn.Linear) -> None:
+    """Refuse an optimizer that keeps for a layer what cannot be divided by rows.
+
+    Raises:
+        TypeError: It keeps a tensor that has neither the parameter's shape nor a single element.
+    """
+    for parameter in (layer.weight, layer.bias):
+        for key, value in optimizer.state.get(parameter, {}).items():
+            if isinstance(value, torch.Tensor) and value.numel() > 1 and value.shape != parameter.shape:
+                raise TypeError(
+                    f"{type(optimizer).__name__} keeps {key!r} of shape {tuple(value.shape)} for a parameter of shape "
+                    f"{tuple(parameter.shape)}, which cannot be kept for some of its rows: use an optimizer like Adam "
+                    "or RMSprop, or clear model.policy.optimizer.state first."
+                )

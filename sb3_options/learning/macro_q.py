@@ -236,18 +236,6 @@ class MacroQ(MaskedPrediction):
             rows[state][action] += step_size * (target - rows[state][action])
         table[:] = rows
 
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint: what is not in the policy or in a model of any algorithm."""
-        return {"random": self._random.bit_generator.state}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        self._random.bit_generator.state = state["random"]
-
-    def forget_action(self, action: int) -> None:
-        """Set the values of an action to 0: the next option in its slot is another."""
-        self.policy.table()[:, action] = 0.0
-
     def _learn_from(
         self,
         began: list[int],

@@ -46,6 +46,10 @@ class Successors:
 
     def __init__(self, buffer_size: int, n_envs: int) -> None:
         self.following: Rows = np.full(buffer_size, END, dtype=np.int64)
+        self.begin(n_envs)
+
+    def begin(self, n_envs: int) -> None:
+        """Let nothing that is stored be followed by a new decision, of so many environments."""
         self._newest = [np.zeros(0, dtype=np.int64)] * n_envs
 
     def newest(self, env: int) -> Rows:

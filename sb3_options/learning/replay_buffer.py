@@ -142,7 +142,7 @@ class OptionReplayBuffer(ReplayBuffer):
 
     @classmethod
     def from_stock(cls, stock: ReplayBuffer, action_space: spaces.Space[Any], gamma: float) -> Self:
-        """A buffer with the transitions and ``n_steps`` of one of SB3's own, `expansion.STOCK_BUFFERS`.
+        """A buffer with the transitions and ``n_steps`` of one of SB3's own, `bonus_replay.WITH_BONUS`.
 
         SB3 keeps rows of (steps, environments). They are stored one after the other here, so that the oldest are still
         the first to be overwritten. The arrays are taken over and not copied: ``stock`` must not be used any more.
@@ -253,6 +253,10 @@ class OptionReplayBuffer(ReplayBuffer):
         Raises:
             ValueError: An info has no record of what ran (`OptionRun.from_info`).
         """
+        if len(infos) != self.n_envs:  # it was loaded into a model of other environments
+            self.n_envs = len(infos)
+            if self._successors is not None:
+                self._successors.begin(self.n_envs)
         obs, next_obs = self._split(obs), self._split(next_obs)
         actions = np.asarray(action).reshape(self.n_envs, self.action_dim)
         for i, info in enumerate(infos):

@@ -25,7 +25,7 @@ from stable_baselines3.common.vec_env import (
 from sb3_options.execution.interruption import Interruption
 from sb3_options.experience.observations import FloatArray, batch_of_one, flatten
 from sb3_options.learning import heads
-from sb3_options.learning.dqn import OptionDQN
+from sb3_options.learning.families import family_of
 
 REFRESH = 500
 """Primitive steps after which `Interrupter` sends newer values."""
@@ -128,10 +128,11 @@ def interrupt_options(
         Whether it can be done. Only DQN, QRDQN and OptionDQN have values of options, and beneath a ``VecFrameStack``
         the wrapper does not see the frames that the values depend on.
     """
-    if not heads.has_networks(model.policy) or is_vecenv_wrapped(venv, VecFrameStack):
+    family = family_of(model)
+    if not family.has_values or is_vecenv_wrapped(venv, VecFrameStack):
         return False
     values = values or ValueSnapshot(model, venv)
-    rule = Interruption(values, masks=isinstance(model, OptionDQN), every_choice=every_choice)
+    rule = Interruption(values, masks=family.masks, every_choice=every_choice)
     venv.env_method("set_slots", interruption=rule)
     return True
 
@@ -180,7 +181,9 @@ def _numpy_layers(network: Any, outputs: int) -> list[tuple[FloatArray, FloatArr
     """Weights (inputs, outputs) and biases of a plain perceptron, quantiles averaged; none of any other network."""
     space = network.observation_space
     flat = isinstance(space, spaces.Discrete) or (isinstance(space, spaces.Box) and not is_image_space(space))
-    modules = [*heads.body_of(network), heads.last_layer_of(network)]
+    if type(network).__module__.partition(".")[0] not in ("stable_baselines3", "sb3_contrib"):
+        return []  # what a network of a user's own computes is its own affair
+    modules = list(network.q_net if hasattr(network, "q_net") else network.quantile_net)
     plain = all(isinstance(m, torch.nn.Linear if i % 2 == 0 else torch.nn.ReLU) for i, m in enumerate(modules))
     if not (flat and plain and type(network.features_extractor) is FlattenExtractor):
         return []

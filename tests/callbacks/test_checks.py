@@ -12,12 +12,12 @@ from sb3_contrib.common.wrappers import ActionMasker
 from stable_baselines3 import DQN, PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import RolloutBuffer
-from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList, EvalCallback, EveryNTimesteps
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from sb3_options import MacroQ, OptionDQN, OptionReplayBuffer, OptionsWrapper
-from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
+from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.learning import heads
 from sb3_options.learning.linear_features import OneHot
 from sb3_options.options.option import SubgoalOption
@@ -177,6 +177,31 @@ def test_what_changes_observations_above_the_options_is_refused() -> None:
     assert scaled.env.observation_space.shape == (45,)
     with pytest.raises(ValueError, match=r"observations change from Box.* to Box.*: put what changes them beneath"):
         dqn(scaled).learn(10, callback=SubgoalDiscoveryCallback())
+
+
+class Now(BaseCallback):
+    """A wrapper of a user's own that calls a callback now and then."""
+
+    def __init__(self, callback: BaseCallback) -> None:
+        super().__init__()
+        self.other = callback
+
+    def _init_callback(self) -> None:
+        self.other.init_callback(self.model)
+
+    def _on_training_start(self) -> None:
+        self.other.on_training_start(self.locals, self.globals)
+
+    def _on_step(self) -> bool:
+        return self.n_calls % 10 > 0 or self.other.on_step()
+
+
+@pytest.mark.parametrize("wrap", [lambda child: EveryNTimesteps(500, child), Now, lambda child: [Now(child)]])
+@pytest.mark.parametrize("callback", [SubgoalDiscoveryCallback, PrimitiveStepsCallback, IntrinsicRewardCallback])
+def test_a_callback_that_does_not_see_every_step_is_refused(wrap: Any, callback: Any) -> None:
+    with pytest.raises(ValueError, match=f"^{callback.__name__} is inside another callback, .*: pass it to learn"):
+        dqn(optioned_rooms()).learn(20, callback=wrap(callback()))
+    dqn(optioned_rooms()).learn(20, callback=CallbackList([CallbackList([callback()])]))
 
 
 def test_hand_made_options_alone_close_the_heads_of_empty_slots() -> None:

@@ -5,13 +5,15 @@ import numpy as np
 import pytest
 import torch
 from sb3_contrib import QRDQN
-from stable_baselines3 import DQN, SAC
+from stable_baselines3 import DQN, PPO, SAC
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.dqn.policies import DQNPolicy, QNetwork
 
 from sb3_options import OptionDQN, OptionReplayBuffer
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.learning import heads
+from sb3_options.learning.families import family_of
 from tests.support.helpers import steady_option
 from tests.support.sb3_helpers import RANDOM, env_of, optioned_rooms
 
@@ -137,14 +139,8 @@ def test_training_leaves_closed_heads_closed(algorithm: type[OffPolicyAlgorithm]
 
 def test_an_unknown_policy_is_refused() -> None:
     model = SAC("MlpPolicy", gym.make("Pendulum-v1"), buffer_size=10)
-    with pytest.raises(TypeError, match=r"heads of SACPolicy are not known: options can be .* for DQN, QRDQN"):
-        heads.close_head(model.policy, 4)
-
-
-def test_a_last_layer_that_is_not_linear_is_refused() -> None:
-    model = model_of(DQN)
-    model.policy.q_net.q_net.append(torch.nn.Tanh())
-    with pytest.raises(TypeError, match=r"^The last layer of QNetwork is Tanh, and options need a linear one with an"):
+    model.policy.action_space = gym.spaces.Discrete(4)
+    with pytest.raises(TypeError, match=r"^SACPolicy has neither action_net, as .* nor q_net or quantile_net"):
         heads.close_head(model.policy, 4)
 
 
@@ -179,31 +175,89 @@ class Trunk(QNetwork):
         return self.last(self.q_net(self.extract_features(obs, self.features_extractor)))  # type: ignore[no-any-return]
 
 
+class Squashed(Trunk):
+    """Of a user's own, whose values are bounded."""
+
+    def forward(self, obs: Any) -> torch.Tensor:
+        return super().forward(obs).tanh()
+
+
+class Narrow(Trunk):
+    """Of a user's own, without a layer that has an output for each action."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.last = torch.nn.Linear(16, 1)
+
+
+class Layers(ActorCriticPolicy):
+    """Of a user's own: logits from several layers."""
+
+    def _build(self, lr_schedule: Any) -> None:
+        super()._build(lr_schedule)
+        self.action_net = torch.nn.Sequential(torch.nn.Linear(64, 16), torch.nn.Tanh(), torch.nn.Linear(16, N_ACTIONS))
+        self.optimizer = torch.optim.Adam(self.parameters(), lr=1e-3)
+
+
+class Elsewhere(Layers):
+    """Of a user's own: the logits come from a layer of another name."""
+
+    def _build(self, lr_schedule: Any) -> None:
+        super()._build(lr_schedule)
+        self.own_net = torch.nn.Linear(64, N_ACTIONS)
+
+    def _get_action_dist_from_latent(self, latent_pi: torch.Tensor) -> Any:
+        return self.action_dist.proba_distribution(action_logits=self.own_net(latent_pi))
+
+
+class Bounded(Layers):
+    """Of a user's own: logits between -1 and 1."""
+
+    def _build(self, lr_schedule: Any) -> None:
+        super()._build(lr_schedule)
+        self.action_net = torch.nn.Sequential(torch.nn.Linear(64, N_ACTIONS), torch.nn.Tanh())
+
+
+def own_model(network: type[Any]) -> Any:
+    """DQN or PPO with a network of a user's own."""
+    env = optioned_rooms(MAX_OPTIONS)
+    if issubclass(network, ActorCriticPolicy):
+        return PPO(network, env, gamma=0.9, n_steps=64, batch_size=32, n_epochs=1, device="cpu")
+
+    class Policy(DQNPolicy):
+        def make_q_net(self) -> QNetwork:
+            kwargs = self._update_features_extractor(self.net_args, features_extractor=None)
+            return network(**kwargs).to(self.device)  # type: ignore[no-any-return]
+
+    return DQN(Policy, env, gamma=0.9, replay_buffer_class=OptionReplayBuffer, buffer_size=99, learning_starts=20)
+
+
+@pytest.mark.parametrize("callback", [SubgoalDiscoveryCallback, PrimitiveStepsCallback])
+@pytest.mark.parametrize("network", [Trunk, Layers])
+def test_heads_of_a_users_own_network_are_found_by_their_shape(network: type[Any], callback: Any) -> None:
+    model = own_model(network)
+    model.learn(128, callback=callback())
+    assert [heads.is_closed(model.policy, action) for action in range(N_ACTIONS)] == [False] * 4 + [True] * 3
+    seen = observations(64).numpy()
+    assert all(model.predict(seen)[0] < N_PRIMITIVE)
+
+
 @pytest.mark.parametrize("callback", [SubgoalDiscoveryCallback, PrimitiveStepsCallback])
 @pytest.mark.parametrize(
     ("network", "message"),
     [
-        (
-            Dueling,
-            r"^Dueling gives other values than the outputs of its last layer, as dueling networks do, .*own end",
-        ),
-        (
-            Trunk,
-            r"^The last layer of Trunk has 16 outputs, and options need 7, for each of the 7 actions, slots a",
-        ),
+        (Dueling, "Policy makes something else of the outputs of the last torch.nn.Linear of its q_net"),
+        (Squashed, "Policy makes something else of the outputs of the last torch.nn.Linear of its q_net"),
+        (Narrow, r"q_net of Policy must end in torch.nn.Linear\(n, 7\) with a bias, an output for each action"),
+        (Elsewhere, "Elsewhere makes something else of the outputs of the last torch.nn.Linear of its action_net"),
+        (Bounded, "Bounded makes something else of the outputs of the last torch.nn.Linear of its action_net"),
     ],
 )
 def test_networks_of_a_users_own_that_cannot_be_closed_are_refused(
-    network: type[QNetwork], message: str, callback: Any
+    network: type[Any], message: str, callback: Any
 ) -> None:
-    class Policy(DQNPolicy):
-        def make_q_net(self) -> QNetwork:
-            kwargs = self._update_features_extractor(self.net_args, features_extractor=None)
-            return network(**kwargs).to(self.device)
-
-    model = DQN(Policy, optioned_rooms(MAX_OPTIONS), gamma=0.9, replay_buffer_class=OptionReplayBuffer, buffer_size=99)
-    with pytest.raises(TypeError, match=message):
-        model.learn(10, callback=callback())
+    with pytest.raises(TypeError, match=f"^{message}"):
+        own_model(network).learn(10, callback=callback())
 
 
 @algorithms
@@ -215,5 +269,6 @@ def test_asking_a_network_leaves_it_as_it_is(algorithm: type[OffPolicyAlgorithm]
         layer.bias.data += scale
     heads.close_head(model.policy, N_PRIMITIVE)  # the last slot is open
     before = {name: value.clone() for name, value in model.policy.state_dict().items()}
-    heads.check_values(model.policy, observations(1).numpy(), N_ACTIONS)
+    model._last_obs = observations(1).numpy()
+    family_of(model).check(model.get_env())
     assert all(torch.equal(before[name], value) for name, value in model.policy.state_dict().items())

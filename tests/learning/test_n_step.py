@@ -1,5 +1,6 @@
 """n-step returns over options against returns that are worked out from the primitive steps alone."""
 
+from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from gymnasium import spaces
 from stable_baselines3 import DQN
 from stable_baselines3.common.buffers import NStepReplayBuffer
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from sb3_options import OptionDQN, OptionReplayBuffer
 from sb3_options.callbacks import PrimitiveStepsCallback
@@ -222,6 +223,22 @@ def test_a_buffer_of_one_option_alone_is_emptied_with_its_successors() -> None:
 def test_needs_at_least_one_decision(n: int) -> None:
     with pytest.raises(ValueError, match="n_steps must be a whole number of at least 1 decision"):
         buffer_for(corridors("box"), 10, n)
+
+
+@pytest.mark.parametrize("n_steps", [1, 3])
+def test_a_buffer_of_one_environment_goes_on_in_a_model_of_three(n_steps: int, tmp_path: Path) -> None:
+    kwargs: dict[str, Any] = {
+        "gamma": GAMMA, "replay_buffer_class": OptionReplayBuffer, "learning_starts": 20, "buffer_size": 500,
+        "replay_buffer_kwargs": {"n_steps": n_steps},
+    }  # fmt: skip
+    model = DQN("MlpPolicy", optioned("box"), **kwargs)
+    model.learn(60, callback=PrimitiveStepsCallback())
+    model.save_replay_buffer(tmp_path / "rows.pkl")
+    other = DQN("MlpPolicy", DummyVecEnv([lambda: optioned("box")] * 3), **kwargs)
+    other.load_replay_buffer(tmp_path / "rows.pkl")
+    stored = cast("OptionReplayBuffer", other.replay_buffer).size()
+    other.learn(60, callback=PrimitiveStepsCallback())
+    assert cast("OptionReplayBuffer", other.replay_buffer).size() >= stored + 60
 
 
 class TestModels:

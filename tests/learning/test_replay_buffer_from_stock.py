@@ -5,11 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 from gymnasium import spaces
+from stable_baselines3 import DQN
 from stable_baselines3.common.buffers import DictReplayBuffer, ReplayBuffer
 from stable_baselines3.common.utils import set_random_seed
 
-from sb3_options import OptionReplayBuffer
-from sb3_options.learning.expansion import check_stock_buffer
+from sb3_options import OptionReplayBuffer, expand_action_space
+from tests.support.sb3_helpers import small_rooms
 
 GAMMA = 0.9
 BOX = spaces.Box(0.0, 1000.0, (2,), np.float32)
@@ -125,7 +126,6 @@ def test_a_buffer_of_unknown_rows_is_refused() -> None:
     class Own(ReplayBuffer):
         pass
 
+    model = DQN("MlpPolicy", small_rooms(), gamma=0.9, replay_buffer_class=Own, buffer_size=8)
     with pytest.raises(TypeError, match=r"transitions of a Own cannot be taken over.*model.replay_buffer = None"):
-        check_stock_buffer(Own(8, BOX, spaces.Discrete(4)))
-    check_stock_buffer(OptionReplayBuffer(8, BOX, spaces.Discrete(4)))
-    check_stock_buffer(None)
+        expand_action_space(model, 2)

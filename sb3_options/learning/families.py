@@ -1,0 +1,390 @@
+"""Families of algorithms: where an algorithm keeps its heads, masks and buffers, and what follows for options.
+
+`family_of` gives the adapter of a model. Nothing else in the library asks which algorithm a model is of.
+"""
+
+from __future__ import annotations
+
+import inspect
+import logging
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.buffers import BaseBuffer
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, is_vecenv_wrapped
+
+from sb3_options.learning import heads
+from sb3_options.learning.bonus_replay import WITH_BONUS
+from sb3_options.learning.macro_q import MacroQ
+from sb3_options.learning.masked import MaskedPrediction
+from sb3_options.learning.replay_buffer import OptionReplayBuffer
+
+logger = logging.getLogger("sb3_options")
+
+KEPT_KWARGS = frozenset({"handle_timeout_termination", "n_steps", "gamma"})
+"""What a stock replay buffer was made with that `OptionReplayBuffer` takes too."""
+
+
+class Family:
+    """An algorithm that has no networks with heads and no buffer: what it learns from is its own affair.
+
+    Args:
+        model: Of the algorithm.
+
+    Attributes:
+        has_heads: Whether each action has outputs of a network, which are closed while its slot is empty.
+        has_rollouts: Whether it learns from rollouts, and so from the probabilities that actions had.
+        masks: Whether it chooses among available options only.
+    """
+
+    has_heads: ClassVar[bool] = False
+    has_rollouts: ClassVar[bool] = False
+    masks: bool = False
+
+    def __init__(self, model: Any) -> None:
+        self.model = model
+
+    @property
+    def waits_for_rollout(self) -> bool:
+        """Whether options are installed between rollouts only.
+
+        With a head that was closed at the start of a rollout and open at its end, the update would use probabilities
+        that the actions never had. Masks are stored with the rollout, so a masked head may open at any time.
+        """
+        return self.has_rollouts and not self.masks
+
+    @property
+    def has_values(self) -> bool:
+        """Whether networks give the values of options, by which they can be interrupted."""
+        return False
+
+    @property
+    def replay_buffer(self) -> OptionReplayBuffer | None:
+        """The replay buffer, if it is one over options."""
+        return None
+
+    def check_buffer(self) -> None:
+        """Refuse a buffer that would discount an option of k steps with γ."""
+
+    def check(self, venv: VecEnv) -> None:
+        """Refuse networks, buffers and wrappers that options would spoil.
+
+        Args:
+            venv: The model's environment, with option slots.
+
+        Raises:
+            TypeError: The outputs of a network cannot be closed one by one.
+            ValueError: Something else does not fit; the text says what to change.
+        """
+
+    def has_learned(self) -> bool:
+        """Whether an update was made."""
+        return getattr(self.model, "_n_updates", 0) > 0
+
+    def forget(self, action: int) -> bool:
+        """Remove what was learned of an action whose slot was emptied; whether there was something."""
+        return False
+
+    def get_state(self) -> dict[str, Any]:
+        """For a checkpoint: what a model of any algorithm does not have."""
+        return {}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+
+
+class Table(Family):
+    """`MacroQ`: values in a table, updated after every step."""
+
+    masks = True
+
+    def check(self, venv: VecEnv) -> None:
+        """Refuse ``VecNormalize``."""
+        if self.model.get_vec_normalize_env() is not None:
+            raise ValueError(
+                "MacroQ learns from the steps inside options as the environment gives them, which VecNormalize never "
+                "sees: leave VecNormalize out."
+            )
+
+    def has_learned(self) -> bool:
+        """A table begins with zeros."""
+        return True
+
+    def forget(self, action: int) -> bool:
+        """Set the values of the action to 0."""
+        values = self.model.policy.table()[:, action]
+        had_values = bool(values.any())
+        values[:] = 0.0
+        return had_values
+
+    def get_state(self) -> dict[str, Any]:
+        """The generator of its choices."""
+        return {"random": self.model._random.bit_generator.state}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        self.model._random.bit_generator.state = state["random"]
+
+
+class Networks(Family):
+    """Base of the families whose policy is a network with an output for each action."""
+
+    has_heads = True
+
+    def check(self, venv: VecEnv) -> None:
+        """Refuse a network whose outputs cannot be closed one by one."""
+        self.check_heads()
+
+    def check_heads(self) -> None:
+        """Refuse heads that are not found, or, where an observation is there, that others depend on."""
+        heads.option_outputs(self.model.policy)
+        last_obs = self.model._last_obs
+        if last_obs is None:
+            return
+        first = {k: v[:1] for k, v in last_obs.items()} if isinstance(last_obs, dict) else last_obs[:1]
+        policy = self.model.policy
+        training = policy.training
+        policy.set_training_mode(False)
+        batch, _ = policy.obs_to_tensor(first)
+        heads.check_outputs(policy, lambda: self.outputs(batch))
+        policy.set_training_mode(training)
+
+    def outputs(self, batch: Any) -> torch.Tensor:
+        """Values of actions, or logits but for a common constant, (…, n_actions)."""
+        raise NotImplementedError
+
+    def is_untrained(self, n_primitive: int) -> bool:
+        """Whether the heads of option slots still have their random initial weights.
+
+        No update was made, no optimizer moments were loaded (as ``set_parameters`` does), and no head was closed.
+        """
+        policy = self.model.policy
+        if self.has_learned() or policy.optimizer.state:
+            return False
+        return not any(heads.is_closed(policy, action) for action in range(n_primitive, int(self.model.action_space.n)))
+
+    def forget(self, action: int) -> bool:
+        """Close the head of the action, and forget the moments of the optimizer."""
+        policy = self.model.policy
+        was_open = not heads.is_closed(policy, action)
+        heads.close_head(policy, action)
+        if was_open:
+            heads.forget_moments(policy, action)
+        return was_open
+
+    def check_can_widen(self) -> None:
+        """Refuse a model that `widen` could not give more actions.
+
+        Raises:
+            TypeError: Heads or optimizer are of an unknown kind.
+        """
+        self.check_heads()
+        for layer, _ in heads.option_outputs(self.model.policy):
+            heads.check_optimizer(self.model.policy.optimizer, layer)
+
+    def widen(self, actions: spaces.Discrete) -> None:
+        """Give the model more actions, with closed heads, and keep everything that it has learned."""
+        policy = self.model.policy
+        n_before = int(self.model.action_space.n)
+        for layer, outputs in heads.option_outputs(policy):
+            heads.widen(layer, int(actions.n) - n_before, outputs, policy.optimizer)
+        for module in policy.modules():
+            if isinstance(module, BasePolicy):
+                module.action_space = actions
+        self.model.action_space = actions
+        for action in range(n_before, int(actions.n)):
+            heads.close_head(policy, action)
+
+
+class ValueBased(Networks):
+    """DQN, QRDQN, `OptionDQN`: networks of action values, and a replay buffer."""
+
+    def __init__(self, model: Any) -> None:
+        super().__init__(model)
+        self.masks = isinstance(model, MaskedPrediction)
+
+    @property
+    def has_values(self) -> bool:
+        """Not those of an actor and a critic."""
+        return heads.has_networks(self.model.policy)
+
+    @property
+    def replay_buffer(self) -> OptionReplayBuffer | None:
+        """Where γᵏ and the steps inside options are stored."""
+        buffer = self.model.replay_buffer
+        return buffer if isinstance(buffer, OptionReplayBuffer) else None
+
+    def check_buffer(self) -> None:
+        """Refuse a replay buffer that discounts with γ, or that was not told of the model's ``n_steps``."""
+        buffer, name = self.model.replay_buffer, type(self.model).__name__
+        if buffer is None:
+            return
+        if not isinstance(buffer, OptionReplayBuffer):
+            raise ValueError(
+                f"{name} was built with {type(buffer).__name__}, which discounts an option of k steps with γ instead "
+                f"of γᵏ: pass {name}(..., replay_buffer_class=OptionReplayBuffer)."
+            )
+        n_steps = getattr(self.model, "n_steps", 1)
+        if n_steps > 1 and buffer.n_steps != n_steps:
+            raise ValueError(
+                f"SB3 does not pass n_steps={n_steps} on to OptionReplayBuffer, which has n_steps={buffer.n_steps}: "
+                f"pass {name}(..., replay_buffer_kwargs={{'n_steps': {n_steps}}}) instead of n_steps."
+            )
+
+    def check(self, venv: VecEnv) -> None:
+        """Also refuse stacked frames that could not be stored, and a clip of sums of rewards."""
+        super().check(venv)
+        normalizer, name = self.model.get_vec_normalize_env(), type(self.model).__name__
+        if is_vecenv_wrapped(venv, VecFrameStack):
+            if normalizer is not None and not is_vecenv_wrapped(normalizer, VecFrameStack):
+                raise ValueError(
+                    f"VecFrameStack stands above VecNormalize, and {name} stores what VecNormalize was given, which is "
+                    "not stacked: use VecNormalize(VecFrameStack(venv, n))."
+                )
+            if self.replay_buffer is not None and self.replay_buffer.macro_q:
+                raise ValueError(
+                    "The steps inside options are never stacked by VecFrameStack, so that Macro-Q cannot learn from "
+                    f"them: pass {name}(..., replay_buffer_kwargs={{'macro_q': False}}), or stack beneath the options: "
+                    "OptionsWrapper(FrameStackObservation(env, n))."
+                )
+        # A replay buffer stores sums, and normalises them when they are drawn, with the σ of that time.
+        if normalizer is not None and normalizer.norm_reward and np.isfinite(normalizer.clip_reward):
+            raise ValueError(
+                f"VecNormalize clips the reward of a whole option at {normalizer.clip_reward}, and with it γ: how long "
+                "the option took would no longer show. Set its clip_reward to np.inf, so that it only divides, or pass "
+                "norm_reward=False."
+            )
+
+    def outputs(self, batch: Any) -> torch.Tensor:
+        """Q of every action; of QRDQN every quantile."""
+        values: torch.Tensor = heads.networks(self.model.policy)[0](batch)
+        return values
+
+    def check_can_widen(self) -> None:
+        """Also refuse a replay buffer whose transitions could not be taken over."""
+        super().check_can_widen()
+        buffer = self.model.replay_buffer
+        if buffer is not None and type(buffer) not in WITH_BONUS and self.replay_buffer is None:
+            raise TypeError(
+                f"The transitions of a {type(buffer).__name__} cannot be taken over, only those of "
+                f"{', '.join(each.__name__ for each in WITH_BONUS)}: set model.replay_buffer = None to go on with an "
+                "empty one."
+            )
+
+    def widen(self, actions: spaces.Discrete) -> None:
+        """A stock replay buffer becomes an `OptionReplayBuffer`."""
+        super().widen(actions)
+        model = self.model
+        model.policy.net_args["action_space"] = actions  # for building networks
+        if self.replay_buffer is not None:
+            self.replay_buffer.action_space = actions
+            return
+        stock = model.replay_buffer
+        kwargs = {key: value for key, value in model.replay_buffer_kwargs.items() if key in KEPT_KWARGS}
+        model.replay_buffer_class = OptionReplayBuffer
+        model.replay_buffer_kwargs = kwargs
+        model.optimize_memory_usage = False
+        model.replay_buffer = (
+            OptionReplayBuffer(
+                model.buffer_size, model.observation_space, actions, model.device, model.n_envs, **kwargs
+            )
+            if stock is None
+            else OptionReplayBuffer.from_stock(stock, actions, model.gamma)
+        )
+
+
+class Sampled(Networks):
+    """PPO, A2C, TRPO: actions are drawn from a policy's probabilities, and learned from in rollouts."""
+
+    has_rollouts = True
+
+    def outputs(self, batch: Any) -> torch.Tensor:
+        """Logarithms of the probabilities."""
+        logits: torch.Tensor = self._distribution(batch).distribution.logits
+        return logits
+
+    def _distribution(self, batch: Any) -> Any:
+        return self.model.policy.get_distribution(batch)
+
+    def widen(self, actions: spaces.Discrete) -> None:
+        """The distribution and the rollout buffer know the actions too."""
+        super().widen(actions)
+        self.model.policy.action_dist.action_dim = int(actions.n)
+        buffer: BaseBuffer = self.model.rollout_buffer
+        buffer.action_space = actions
+
+
+class Masked(Sampled):
+    """MaskablePPO: probabilities of the available actions."""
+
+    masks = True
+
+    def widen(self, actions: spaces.Discrete) -> None:
+        """The rollout buffer stores masks of the wider space."""
+        super().widen(actions)
+        self.model.rollout_buffer.mask_dims = int(actions.n)
+        self.model.rollout_buffer.reset()
+
+
+class Recurrent(Sampled):
+    """RecurrentPPO: its LSTM sees the observations at decisions only."""
+
+    def _distribution(self, batch: Any) -> Any:
+        policy = self.model.policy
+        memory = torch.zeros(policy.lstm_hidden_state_shape, device=policy.device)
+        distribution, _ = policy.get_distribution(batch, (memory, memory), torch.ones(1, device=policy.device))
+        return distribution
+
+    def get_state(self) -> dict[str, Any]:
+        """The memory of the LSTM."""
+        states = self.model._last_lstm_states
+        return {"lstm": None if states is None else [tuple(each) for each in states]}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with what `get_state` gave."""
+        if state["lstm"] is not None:
+            there = (tuple(each.to(self.model.device) for each in states) for states in state["lstm"])
+            self.model._last_lstm_states = type(self.model._last_lstm_states)(*there)
+
+
+def family_of(model: BaseAlgorithm) -> Family:
+    """The adapter of a model."""
+    if isinstance(model, MacroQ):
+        return Table(model)
+    if hasattr(model, "rollout_buffer"):
+        if "action_masks" in inspect.signature(model.policy.forward).parameters:
+            return Masked(model)
+        return Recurrent(model) if hasattr(model, "_last_lstm_states") else Sampled(model)
+    return ValueBased(model) if hasattr(model, "replay_buffer") else Family(model)
+
+
+def forget_slot(model: BaseAlgorithm, slot: int, n_primitive: int) -> bool:
+    """Remove values, moments of the optimizer and stored transitions of a slot, which is empty now.
+
+    The values of an empty slot are closed (`heads`) or 0 (`MacroQ`), and no stored transition names it. Otherwise
+    updates would go on moving the closed values, and with them what all actions share.
+
+    Returns:
+        Whether it had values.
+    """
+    family, action = family_of(model), n_primitive + slot
+    had_values = family.forget(action)
+    if family.replay_buffer is not None:
+        family.replay_buffer.forget_action(action)
+        family.replay_buffer.set_next_available(slot, False)
+    return had_values
+
+
+def forget_empty(model: BaseAlgorithm, slot: int, n_primitive: int) -> None:
+    """`forget_slot` of a slot that is empty when training starts, with a warning if the model had learned of it."""
+    if forget_slot(model, slot, n_primitive) and family_of(model).has_learned():
+        logger.warning(
+            "Slot %d is empty, and the model has learned what an option there is worth: that is forgotten now. If "
+            "the options of an earlier training were meant to be there, load them first: "
+            "sb3_options.load_options(FILE, env).",
+            slot,
+        )
