@@ -8,7 +8,6 @@ from collections.abc import Iterable, Mapping
 from itertools import islice
 from typing import Any
 
-import numpy as np
 import torch
 
 from sb3_options.callbacks.checks import check_arguments, check_training, groups_given, groups_here
@@ -90,6 +89,11 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         TypeError: ``settings`` has an unknown field, or ``method`` is none.
         ValueError: A setting is out of its range.
     """
+
+    STATE = (
+        *("episodes", "history", "discoveries", "closed", "_made_here", "_generator"),
+        *("discovery", "_statistics", "_useful", "_growth", "_features"),
+    )
 
     def __init__(
         self,
@@ -363,35 +367,12 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint, at the start of a rollout."""
-        return {
-            **super().get_state(),
-            "episodes": self.episodes,
-            "history": tuple(map(np.array, zip(*self.history, strict=True))),
-            "discoveries": [dataclasses.asdict(each) for each in self.discoveries],
-            "closed": [dataclasses.asdict(each) for each in self.closed],
-            "made_here": sorted(self._made_here),
-            "generator": self._generator.get_state(),
-            "search": state_of(self._search),
-            "statistics": self._statistics.get_state(),
-            "usefulness": state_of(self._useful),
-            "growth": state_of(self._growth),
-            "features": state_of(self._features),
-        }
+        return {**super().get_state(), **state_of(self)}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave, once training has started."""
-        self.episodes = state["episodes"]
-        self.history[:] = [EpisodeRecord(*each) for each in zip(*map(np.ndarray.tolist, state["history"]), strict=True)]
-        self.discoveries[:] = [DiscoveredOption(**each) for each in state["discoveries"]]
-        self.closed[:] = [ClosedOption(**each) for each in state["closed"]]
-        self._made_here = set(state["made_here"])
-        self._generator.set_state(state["generator"])
-        restore(self._search, state["search"])
+        """Continue from a checkpoint, once training has started."""
+        restore(self, state)
         self._clock = DiscoveryClock(self._search.diary.seconds)
-        self._statistics.set_state(state["statistics"])
-        restore(self._useful, state["usefulness"])
-        restore(self._growth, state["growth"])
-        restore(self._features, state["features"])
         self._features.resume(self._options)
         super().set_state(state)  # last: its options may need the feature map
 

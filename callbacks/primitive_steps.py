@@ -155,7 +155,7 @@ class PrimitiveStepsCallback(BaseCallback):
         self._updates_before = state["updates_before"]
         if state["total"] == self.model._total_timesteps:  # else learn() was called for another budget
             self._budget = state["budget"]
-        if self._installer is not None and state.get("options") is not None:  # checkpoints of before have none
+        if self._installer is not None and state["options"] is not None:
             self._installer.set_state(state["options"])
 
     def _on_training_end(self) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections import Counter, deque
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -14,10 +13,12 @@ from sb3_options.density.regions import Region
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.trajectories import TrajectoryDatabase
+from sb3_options.state import storable
 
 logger = logging.getLogger("sb3_options")
 
 
+@storable
 @dataclass(frozen=True)
 class DiscoveredOption:
     """When and where an option was made.
@@ -50,6 +51,7 @@ def saved_for(subgoal: Region, trajectories: TrajectoryDatabase) -> tuple[int, i
     return len(trajectories), sum(bool(subgoal.contains(each.features).any()) for each in trajectories)
 
 
+@storable
 @dataclass(frozen=True)
 class ClosedOption:
     """When and why an option was closed.
@@ -81,6 +83,8 @@ class OptionStatistics:
     nothing of where the option leads, and is counted apart.
     """
 
+    STATE = ("_uses", "_outside", "_last", "_endings")
+
     def __init__(self) -> None:
         self._uses: Counter[int] = Counter()
         self._outside: Counter[int] = Counter()
@@ -99,21 +103,6 @@ class OptionStatistics:
     def forget(self, slot: int) -> None:
         """Forget the last runs of an option that is closed."""
         self._last.pop(slot, None)
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        return {
-            "uses": dict(self._uses),
-            "outside": dict(self._outside),
-            "last": {slot: list(last) for slot, last in self._last.items()},
-            "endings": {slot: sorted(endings) for slot, endings in self._endings.items()},
-        }
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        self._uses, self._outside = Counter(state["uses"]), Counter(state["outside"])
-        self._last = {slot: deque(last, maxlen=WINDOW) for slot, last in state["last"].items()}
-        self._endings = {slot: set(endings) for slot, endings in state["endings"].items()}
 
     def values(self) -> dict[str, float]:
         """By tag: choices, runs and single steps outside; mean duration and the share of each end of the last runs."""

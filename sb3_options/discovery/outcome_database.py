@@ -29,6 +29,8 @@ class OutcomeDatabase(TrajectoryDatabase):
         ValueError: ``capacity`` < 1.
     """
 
+    STATE = ("_successful", "_salience", "n_entered")
+
     def __init__(self, capacity: int, max_bytes: float = math.inf, salience: Salience | None = None) -> None:
         super().__init__(capacity, max_bytes)
         self._successful = TrajectoryDatabase(capacity, max_bytes)
@@ -59,17 +61,11 @@ class OutcomeDatabase(TrajectoryDatabase):
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint: the trajectories of each kind, oldest first, and what is rare."""
-        successful, salience = self._successful.get_state(), state_of(self._salience)
-        numbers = [self._number[id(_whole(each))] for each in self]
-        own = {"successful": successful, "salience": salience, "n_entered": self.n_entered, "numbers": numbers}
-        return {**super().get_state(), **own}
+        return {**state_of(self), "numbers": [self._number[id(_whole(each))] for each in self]}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Hold what `get_state` gave, and nothing else."""
-        super().set_state(state)
-        self._successful.set_state(state["successful"])
-        restore(self._salience, state["salience"])
-        self.n_entered = state["n_entered"]
+        restore(self, state)
         numbers = state["numbers"]
         self._number = {id(_whole(each)): number for each, number in zip(self, numbers, strict=True)}
         self._n_added = 1 + max(numbers, default=-1)

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -108,6 +108,8 @@ class TrajectoryDatabase:
         ValueError: ``capacity`` < 1.
     """
 
+    STATE: ClassVar[tuple[str, ...]] = ("_trajectories", "_n_bytes", "_n_successful")
+
     def __init__(self, capacity: int, max_bytes: float = math.inf) -> None:
         if capacity < 1:
             raise ValueError(f"capacity must be at least 1 trajectory, got {capacity}.")
@@ -164,14 +166,3 @@ class TrajectoryDatabase:
 
     def __iter__(self) -> Iterator[LabelledTrajectory]:
         return iter(self._trajectories)
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint: the trajectories, oldest first."""
-        return {"trajectories": list(self._trajectories)}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Hold what `get_state` gave, and nothing else."""
-        self.clear()
-        self._trajectories.extend(state["trajectories"])
-        self._n_bytes = sum(each.n_bytes for each in self._trajectories)
-        self._n_successful = sum(each.success for each in self._trajectories)
