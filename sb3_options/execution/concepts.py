@@ -38,20 +38,15 @@ class ConceptsInObservation(gym.Wrapper[Any, Any, Any, Any], RecordConstructorAr
         size: Dimensions d of φ, at least 1.
 
     Raises:
-        ValueError: ``size`` is below 1, or the observations are a ``Dict`` that has a key ``concepts``; later, if
-            ``concepts`` returns something else than d finite numbers.
+        ValueError: In ``reset`` or ``step``: ``concepts`` returns something else than d finite numbers.
     """
 
     def __init__(self, env: gym.Env[Any, Any], concepts: Concepts, size: int) -> None:
         RecordConstructorArgs.__init__(self, concepts=concepts, size=size)
         gym.Wrapper.__init__(self, env)
-        if size < 1:
-            raise ValueError(f"size must be at least 1, got {size}: it is the number of features.")
         inner = env.observation_space
         self._is_dict = isinstance(inner, spaces.Dict)
         parts = dict(inner.spaces) if isinstance(inner, spaces.Dict) else {OBSERVATION: inner}
-        if CONCEPTS in parts:
-            raise ValueError(f"The observations have a key {CONCEPTS!r} already; rename it beneath this wrapper.")
         parts[CONCEPTS] = spaces.Box(-np.inf, np.inf, (size,), np.float32)
         self.observation_space = spaces.Dict(parts)
         self._concepts, self._size = concepts, size
@@ -89,9 +84,5 @@ class WithoutConcepts(CombinedExtractor):
     """
 
     def __init__(self, observation_space: spaces.Dict, **kwargs: Any) -> None:
-        if not isinstance(observation_space, spaces.Dict) or CONCEPTS not in observation_space.spaces:
-            raise ValueError(
-                f"WithoutConcepts needs the observations of ConceptsInObservation, got {observation_space}."
-            )
         seen = {key: space for key, space in observation_space.spaces.items() if key != CONCEPTS}
         super().__init__(spaces.Dict(seen), **kwargs)

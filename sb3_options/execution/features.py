@@ -29,15 +29,8 @@ from sb3_options.options.file import SpaceSignature
 MAX_FEATURES = 4096
 """Concept spaces with more dimensions than this (images, say) are refused: distances in them mean nothing."""
 
-LONGEST_DESCRIPTION = 200
-"""Most characters of the description of an observation space, so that an error stays readable."""
-
 FeatureKind = Literal["given", "environment", "categorical", "identity", "temporal-distance", "laplacian"]
 """Where a feature map comes from: the user, the environment, one-hot codes, flat observations, or learning."""
-
-
-OF_MINIGRID = " MiniGrid's observations are made numbers by sb3_options.envs.minigrid.MiniGridWrapper."
-"""What to say of environments whose observations have a mission."""
 
 
 class Features(NamedTuple):
@@ -73,12 +66,7 @@ class _OneHot:
 def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | MapName | None) -> Features | None:
     """The feature map to use for ``env``: the given one, else the environment's own, else one that fits its space.
 
-    Args:
-        env: Any environment.
-        feature_map: A user's φ, the name of one that is to be learned, or None.
-
-    Returns:
-        The map, or None where there is no sensible default (``Dict`` and other composite spaces, images).
+    None where there is no sensible default (``Dict`` and other composite spaces, images).
 
     Raises:
         TypeError: ``feature_map`` is not callable.
@@ -115,11 +103,7 @@ def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | MapName | None) ->
 
 
 def _check_seen(owner: Any, space: spaces.Space[Any]) -> None:
-    """Refuse φ of an environment whose observations a wrapper has changed: it would make something else of them.
-
-    Raises:
-        ValueError: It has other observations than `OptionsWrapper`.
-    """
+    """Refuse φ of an environment whose observations a wrapper has changed: it would make something else of them."""
     of_owner = getattr(owner, "observation_space", space)
     if of_owner != space:
         raise ValueError(
@@ -138,17 +122,11 @@ def learned_name(name: str) -> MapName:
     for known in SIZES:
         if name == known:
             return known
-    raise ValueError(
-        f"feature_map must be a function, or one of {', '.join(map(repr, SIZES))}, which are learned; got {name!r}."
-    )
+    raise ValueError(f"feature_map must be a function, or one of {', '.join(map(repr, SIZES))}; got {name!r}.")
 
 
 def form_of(space: gym.Space[Any]) -> ObservationForm:
-    """What the network of a learned map has to know of a space of observations.
-
-    Raises:
-        ValueError: Some of an observation is text.
-    """
+    """What the network of a learned map has to know of a space of observations."""
     if isinstance(space, spaces.Discrete):
         return ObservationForm("table", (int(space.n),), int(space.start))
     if isinstance(space, spaces.Box):
@@ -175,8 +153,7 @@ def flat_size(space: gym.Space[Any]) -> int:
         raise ValueError(
             f"Observations hold text ({', '.join(texts)}), from which neither options nor Stable-Baselines3 can learn: "
             "leave it out beneath OptionsWrapper, for instance by gymnasium.wrappers.FilterObservation(env, keys). "
-            "Other Dict observations and images need OptionsWrapper(env, feature_map=...)."
-            + (OF_MINIGRID if "mission" in texts else "")
+            "MiniGrid's are made numbers by sb3_options.envs.minigrid.MiniGridWrapper."
         )
     return int(flatten(sample).shape[1])
 
@@ -191,68 +168,43 @@ def _sample(space: gym.Space[Any]) -> Observations:
 def _size_of(feature_map: FeatureMap, space: gym.Space[Any], name: str) -> int | None:
     sample = _sample(space)
     try:
-        found = feature_map(sample)
+        feature_map(sample)
     except Exception:
         # A random element of the space need not be an observation (random pixels show no agent), and a user's function
         # may raise anything then. The first observation of an episode tells the size.
         return None
-    return checked_size(feature_map, sample, name, found)
+    return checked_size(feature_map, sample, name)
 
 
-def checked_size(
-    feature_map: FeatureMap, one: Observations, name: str = "feature_map", found: FloatArray | None = None
-) -> int:
-    """Dimensions d of what a feature map makes of observations.
-
-    Args:
-        feature_map: φ.
-        one: A batch of one observation.
-        name: Of the map, for the text.
-        found: What it made of that, if this is known.
+def checked_size(feature_map: FeatureMap, one: Observations, name: str = "feature_map") -> int:
+    """Dimensions d of what a feature map makes of a batch of ``one`` observation, and of a batch of two.
 
     Raises:
         ValueError: It does not make d numbers of every observation of a batch.
     """
-    features = np.asarray(feature_map(one) if found is None else found)
-    if features.ndim != 2 or len(features) != 1:
+    features = np.asarray(feature_map(one))
+    two = np.asarray(feature_map(concatenate([one, one])))
+    d = features.shape[-1] if features.ndim else 0
+    if d == 0 or features.shape != (1, d) or two.shape != (2, d) or features.dtype.kind not in "biufO":
         raise ValueError(
-            f"{name} must return features of shape (batch, d); for a batch of one it gave shape {features.shape}."
+            f"{name} must return real numbers of shape (batch, d), d ≥ 1; it gave {features.dtype} of shape "
+            f"{features.shape} for one observation and {two.shape} for two."
         )
-    if features.shape[1] == 0 or features.dtype.kind not in "biufO":
-        raise ValueError(
-            f"{name} must return real numbers, at least one for an observation; it gave {features.shape[1]} of type "
-            f"{features.dtype}."
-        )
-    try:
-        of_two = np.asarray(feature_map(concatenate([one, one])))
-    except Exception as error:
-        raise ValueError(f"{name} fails for a batch of two observations: {error!r}") from error
-    if of_two.shape != (2, features.shape[1]):
-        raise ValueError(
-            f"{name} must return as many features in every batch; for one observation it gave shape {features.shape}, "
-            f"for two {of_two.shape}."
-        )
-    return int(features.shape[1])
+    return int(d)
 
 
 def signature(space: gym.Space[Any], features: Features | None) -> SpaceSignature:
-    """What an options file says of the observations that its options act on.
-
-    Args:
-        space: Of the observations.
-        features: The feature map; None where there is none.
-    """
-    text = _described(space)
+    """What an options file says of the observations that its options act on."""
     sha256 = hashlib.sha256()
     for part in _parts(space, ""):
         sha256.update(part + b"\n")
-    return SpaceSignature(text, sha256.hexdigest(), None if features is None else features.kind)
+    return SpaceSignature(_described(space), sha256.hexdigest(), None if features is None else features.kind)
 
 
 def _described(space: gym.Space[Any]) -> str:
-    """A space in a line that is not too long."""
+    """A space in a line that is short enough for an error."""
     text = " ".join(str(space).split())
-    return text if len(text) <= LONGEST_DESCRIPTION else text[:LONGEST_DESCRIPTION] + "…"
+    return text if len(text) <= 200 else text[:200] + "…"
 
 
 def _parts(space: gym.Space[Any], name: str) -> Iterator[bytes]:

@@ -6,20 +6,20 @@ import copy
 import logging
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, TypeAlias
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
 from sb3_options.execution.hosted import HostedEnvironments, Infos, Settings, Steps
 from sb3_options.execution.ray_cluster import connect
 from sb3_options.execution.slots import SlotState
 from sb3_options.execution.workers import PATIENCE, WorkerLostError
+from sb3_options.experience.observations import concatenate, copy_of, one_of
 
 logger = logging.getLogger("sb3_options")
 
@@ -134,11 +134,11 @@ class RayVecEnv(VecEnv):
         for a in results:
             self._losses_in_a_row[a] = 0
         parts = [results[a] if a in results else self._cut_off(a) for a in range(len(self._actors))]
-        self._seen = self._joined([part.observations for part in parts])
-        self.reset_infos = [_writable(info) for part in parts for info in part.reset_infos]
+        self._seen = concatenate([part.observations for part in parts])
+        self.reset_infos = [copy.deepcopy(info) for part in parts for info in part.reset_infos]
         rewards = np.stack([reward for part in parts for reward in part.rewards])
         dones = np.stack([done for part in parts for done in part.dones])
-        return self._seen, rewards, dones, [_writable(info) for part in parts for info in part.infos]
+        return self._seen, rewards, dones, [copy.deepcopy(info) for part in parts for info in part.infos]
 
     def reset(self) -> VecEnvObs:
         """Reset all environments."""
@@ -152,11 +152,11 @@ class RayVecEnv(VecEnv):
         )
         self._anew.clear()
         self._losses_in_a_row = [0] * len(self._actors)
-        self._seen = self._joined([observations for observations, _ in results])
-        self.reset_infos = [_writable(info) for _, infos in results for info in infos]
+        self._seen = concatenate([observations for observations, _ in results])
+        self.reset_infos = [copy.deepcopy(info) for _, infos in results for info in infos]
         self._reset_seeds()
         self._reset_options()
-        return self._seen  # type: ignore[no-any-return]  # as `_joined` made it
+        return self._seen  # type: ignore[no-any-return]  # a batch
 
     def close(self) -> None:
         """Close the environments and end their actors; the cluster goes on."""
@@ -273,7 +273,7 @@ class RayVecEnv(VecEnv):
             losses = self._losses_in_a_row[actor]
             if losses > MOST_LOSSES:
                 raise WorkerLostError(
-                    f"{which}: lost {losses} times without a step between. {_first_line(why)}",
+                    f"{which}: lost {losses} times without a step between. {type(why).__name__}",
                     "If memory is short, train with fewer of them or more machines; `ray status` shows these.",
                     killed=True,
                 ) from why
@@ -295,7 +295,7 @@ class RayVecEnv(VecEnv):
         self._get(anew.begin.remote([Settings(self._slots[i], self._attributes[i]) for i in group], seeds))
         if self._seen is not None:
             observations, reset_infos = self._get(anew.reset.remote(seeds, [{}] * len(group)))
-            last = [self._seen_by(i) for i in group]
+            last = [copy_of(one_of(self._seen, i)) for i in group]
             self._anew[actor] = observations, reset_infos, self._get(anew.lost_infos.remote(last))
 
     def _later_seed(self, env: int) -> int | None:
@@ -310,44 +310,7 @@ class RayVecEnv(VecEnv):
         observations, reset_infos, infos = self._anew.pop(actor)
         group = self._groups[actor]
         told = [
-            {**info, "TimeLimit.truncated": True, "terminal_observation": self._seen_by(i), "lost": True}
+            {**info, "TimeLimit.truncated": True, "terminal_observation": copy_of(one_of(self._seen, i)), "lost": True}
             for i, info in zip(group, infos, strict=True)
         ]
         return Steps(observations, [0.0] * len(group), [True] * len(group), told, reset_infos)
-
-    def _seen_by(self, env: int) -> Any:
-        """The last observation of an environment."""
-        if isinstance(self._seen, dict):
-            return {key: part[env].copy() for key, part in self._seen.items()}
-        if isinstance(self._seen, tuple):
-            return tuple(part[env].copy() for part in self._seen)
-        return self._seen[env].copy()
-
-    def _joined(self, parts: Sequence[Any]) -> Any:
-        """The observations of all actors, in arrays of their own."""
-        if isinstance(self.observation_space, spaces.Dict):
-            return {key: np.concatenate([part[key] for part in parts]) for key in self.observation_space.spaces}
-        if isinstance(self.observation_space, spaces.Tuple):
-            return tuple(np.concatenate(each) for each in zip(*parts, strict=True))
-        return np.concatenate(list(parts))
-
-
-def _writable(info: dict[str, Any]) -> dict[str, Any]:
-    """An info whose arrays can be written to; those that Ray hands out cannot."""
-    return info if all(map(_is_scalar, _leaves(info))) else copy.deepcopy(info)
-
-
-def _leaves(info: dict[str, Any]) -> Iterator[Any]:
-    for value in info.values():
-        if isinstance(value, dict):
-            yield from _leaves(value)
-        else:
-            yield value
-
-
-def _is_scalar(value: Any) -> bool:
-    return isinstance(value, bool | int | float | str | None | np.generic)
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0]

@@ -97,17 +97,6 @@ def test_one_of_several_environments_is_enough(venv: Any) -> None:
     env.close()
 
 
-def test_a_time_limit_beneath_counts_primitive_steps() -> None:
-    """The remedy does what was meant: the option ends where the limit is met."""
-    env = OptionsWrapper(limited(CountingEnv()), 1, gamma=0.9)
-    env.bank.add(steady_option(1, max_duration=7))
-    env.reset(seed=0)
-    assert env.step(2)[4]["option"]["duration"] == 7
-    *_, truncated, info = env.step(2)
-    assert (truncated, info["option"]["duration"], info["option"]["termination"]) == (True, 3, "truncated")
-    assert np.all(env.action_masks() == [True, True, True])
-
-
 COUNTS_DECISIONS = " above OptionsWrapper counts decisions and sums discounted rewards: leave it out and put a Monitor"
 
 

@@ -94,11 +94,6 @@ def test_concepts_are_copied() -> None:
     np.testing.assert_array_equal(observation["concepts"], [0.0, 0.0])
 
 
-def test_without_concepts_needs_them() -> None:
-    with pytest.raises(ValueError, match="needs the observations of ConceptsInObservation"):
-        WithoutConcepts(spaces.Dict({"observation": spaces.Box(0.0, 1.0, (1,))}))
-
-
 def test_keeps_the_keys_of_a_dict() -> None:
     inner = ConceptsInObservation(blind_rooms(), from_info, size=2)
     renamed = gym.wrappers.TransformObservation(
@@ -120,11 +115,3 @@ def test_keeps_the_keys_of_a_dict() -> None:
 def test_refuses_other_features(source: Any, size: int, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         ConceptsInObservation(blind_rooms(), source, size=size).reset(seed=0)
-
-
-def test_refuses_what_it_cannot_wrap() -> None:
-    env = ConceptsInObservation(blind_rooms(), from_info, size=2)
-    with pytest.raises(ValueError, match="already"):
-        ConceptsInObservation(env, from_info, size=2)
-    with pytest.raises(ValueError, match="at least 1"):
-        ConceptsInObservation(blind_rooms(), from_info, size=0)

@@ -166,10 +166,6 @@ def test_an_exploratory_choice_runs_to_its_end() -> None:
     assert line_of(6, [0.9] * 7, {}) == (6, "max_duration")
 
 
-def test_under_evaluation_every_choice_is_interrupted() -> None:
-    assert line_of(6, [0.9] * 7, {"every_choice": True}) == (1, "interrupted")
-
-
 def test_an_end_of_its_own_comes_first() -> None:
     assert line_of(3, [1.0, 1.0, 1.0, 0.0], {}) == (3, "max_duration")
 
@@ -225,14 +221,6 @@ class TestSnapshot:
             torch.nn.init.zeros_(layer.weight)
         assert np.array_equal(snapshot(Corridor().see(3)), before)
 
-    @pytest.mark.parametrize("net_arch", [[], [8], [8, 8]])
-    def test_tanh_networks_too(self, net_arch: list[int]) -> None:
-        kwargs: dict[str, Any] = {"policy_kwargs": {"net_arch": net_arch, "activation_fn": torch.nn.Tanh}}
-        model = self.model(DQN, self.corridor("box"), **kwargs)
-        with torch.no_grad():
-            expected = model.q_net(torch.as_tensor(Corridor().see(5))[None])[0].numpy()
-        np.testing.assert_allclose(ValueSnapshot(model)(Corridor().see(5)), expected, rtol=1e-5, atol=1e-6)
-
 
 @pytest.mark.parametrize("workers", [False, True])
 def test_reaches_training_and_evaluation(workers: bool) -> None:
@@ -255,12 +243,6 @@ def test_reaches_training_and_evaluation(workers: bool) -> None:
     assert all(np.allclose(rule.values(seen), expected, atol=1e-5) for rule in rules)
     venv.close()
     evaluation.close()
-
-
-def test_switched_off_nothing_is_interrupted() -> None:
-    model = DQN("MlpPolicy", optioned_rooms(), gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, **TINY | RANDOM)
-    model.learn(2500, callback=fast_callback(interruption=False))
-    assert env_of(model).get_attr("slot_state")[0].interruption is None
 
 
 def test_an_algorithm_without_values_of_options_runs_them_to_their_ends() -> None:

@@ -13,11 +13,8 @@ from scipy.stats import chisquare
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import Option, OptionsWrapper
-from sb3_options.density.regions import Region
 from sb3_options.execution.wrapper import TERMINATION_SEED
-from sb3_options.options.option import SubgoalOption
-from sb3_options.options.policies import TabularPolicy
-from tests.support.helpers import CountingEnv, DictEnv, TableEnv, ball, equal, place_of, steady_option, table_option
+from tests.support.helpers import CountingEnv, TableEnv, equal, steady_option, table_option
 
 
 def random_state(env: gym.Env[Any, Any]) -> Any:
@@ -152,23 +149,6 @@ def test_terminations_by_hand(option: Option, flags: dict[str, Any], termination
     assert info.get("time") == k
 
 
-def test_a_primitive_by_hand() -> None:
-    env = OptionsWrapper(CountingEnv(terminate_at=2), max_options=1, gamma=0.5)
-    env.reset(seed=0)
-    primitive = {"index": -1, "duration": 1, "discount": 0.5, "gamma": 0.5, "termination": "primitive"}
-    assert env.step(1)[1:] == (1.0, False, False, {"time": 1, "option": primitive})
-    assert env.step(1)[1:] == (2.0, True, False, {"time": 2, "option": primitive})
-
-
-def test_two_runs_one_after_the_other() -> None:
-    env = OptionsWrapper(CountingEnv(), gamma=0.5)
-    env.bank.add(steady_option(max_duration=2))
-    env.reset(seed=0)
-    assert [env.step(2)[1] for _ in range(3)] == [1 + 2 / 2, 3 + 4 / 2, 5 + 6 / 2]
-    env.reset()
-    assert env.step(2)[1] == 2.0
-
-
 @pytest.mark.parametrize(
     ("initiation", "termination", "why"),
     [
@@ -212,22 +192,6 @@ def test_a_policy_that_names_no_primitive() -> None:
     env.reset(seed=0)
     with pytest.raises(ValueError, match=r"^The policy of option 'mine' chose 2; primitive actions are 0 to 1\.$"):
         env.step(2)
-
-
-def test_dict_observations() -> None:
-    env = OptionsWrapper(DictEnv(), gamma=0.5, feature_map=place_of)
-    env.set_slots(report_availability=True)
-    policy = TabularPolicy(np.full((1, 4), 4.0), np.array([[0.0, 1.0]]))
-    env.bank.add(SubgoalOption(ball(6.0), Region(np.arange(6.0)[:, None], np.ones(1), 0.0), policy))
-    observation, _ = env.reset(seed=0)
-    start = int(observation["place"][0])
-    observation, reward, *_, info = env.step(2)
-    about = info["option"]
-    assert (observation["place"].tolist(), reward) == ([6.0], 0.0)
-    assert (about["duration"], about["termination"]) == (6 - start, "subgoal")
-    assert about["observations"]["place"].ravel().tolist() == list(range(start, 6))
-    assert about["observations"]["colour"][:, 0].tolist() == list(range(start, 6))
-    assert about["available"][:, 0].tolist() == [True] * (5 - start) + [False]
 
 
 @pytest.mark.parametrize("as_dict", [False, True])

@@ -16,7 +16,7 @@ from sb3_options import OptionsWrapper
 from sb3_options.envs.minigrid import make as make_minigrid
 from sb3_options.execution import layers, repeating
 from sb3_options.execution.recording import RecordTrajectories
-from sb3_options.execution.repeating import OTHERWISE, UNKNOWN, RecordActions
+from sb3_options.execution.repeating import OTHERWISE, UNKNOWN
 from tests.support.sb3_helpers import TAXI, small_rooms
 
 Env = gym.Env[Any, Any]
@@ -116,12 +116,6 @@ def continued(seed: int, states: list[layers.State], steps: int = 200) -> tuple[
 
 
 @needs_pybullet
-def test_the_pioneer_goes_on() -> None:
-    states, there = moment(6, steps=20)  # with a ball in its gripper
-    assert continued(6, states, steps=20) == (None, there)
-
-
-@needs_pybullet
 @pytest.mark.slow
 def test_the_pioneer_goes_on_in_a_new_process() -> None:
     """Twenty random moments, in half of them with a ball in its gripper, and 200 random steps from each."""
@@ -151,14 +145,6 @@ def test_is_put_around_the_outermost_that_does_not_tell() -> None:
         ValueError, match=r"^Checkpoints of Own are not supported above OptionsWrapper: put the wrapper"
     ):
         layers.prepare(Own(OptionsWrapper(small_rooms(), 2)))
-
-
-def test_attributes_are_those_of_the_environment() -> None:
-    env: Any = RecordActions(small_rooms())
-    env.difficulty = 3
-    assert env.env.difficulty == 3
-    assert "difficulty" not in vars(env)
-    assert env.spec is env.env.spec
 
 
 class Growing(gym.Env[Any, Any]):
@@ -191,16 +177,6 @@ def test_what_survives_a_reset_is_seen(by_reward: bool) -> None:
     env.reset(seed=0)
     advanced(env, 3, np.random.default_rng(0))
     assert another(lambda: Growing(by_reward=by_reward), layers.states_of(env))[1] == OTHERWISE
-
-
-def test_numbers_drawn_elsewhere_are_seen() -> None:
-    class Drawing(Growing):
-        def _observation(self) -> Any:
-            return np.zeros(1, dtype=np.float32) * self.np_random.random(1 + self.resets)[:1]
-
-    env = layers.prepare(Drawing())
-    env.reset(seed=0)
-    assert another(Drawing, layers.states_of(env))[1] == OTHERWISE
 
 
 def test_an_error_in_the_repetition_is_told() -> None:
@@ -243,19 +219,3 @@ def test_an_episode_that_has_just_begun_is_repeated_by_its_seed(steps: int) -> N
     assert failure is None
     assert advanced(copy, 5, np.random.default_rng(1)) == advanced(env, 5, np.random.default_rng(1))
     assert len(there) == steps
-
-
-def test_options_of_a_reset_are_given_again() -> None:
-    env = layers.prepare(gym.make("CartPole-v1"))
-    env.reset(options={"low": -0.01, "high": 0.01})
-    assert another(MAKERS["CartPole"], layers.states_of(env))[1] is None
-    env.reset(options={"low": -0.01, "high": 0.01, "own": object()})
-    assert another(MAKERS["CartPole"], layers.states_of(env))[1] == "the options of its reset cannot be stored"
-
-
-def test_actions_that_cannot_be_stored() -> None:
-    env = layers.prepare(Growing())
-    env.reset(seed=0)
-    env.step("left")
-    env.step(0)
-    assert another(Growing, layers.states_of(env))[1] == "its actions cannot be stored"

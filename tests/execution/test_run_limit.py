@@ -11,7 +11,7 @@ from sb3_options import OptionsWrapper
 from sb3_options.density.regions import Region
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
-from tests.support.helpers import CountingEnv, ball, equal
+from tests.support.helpers import CountingEnv, ball
 
 
 def make(max_runs: int | None, **kwargs: Any) -> OptionsWrapper:
@@ -68,34 +68,10 @@ def test_another_option_in_the_slot_counts_anew() -> None:
     assert env.action_masks()[4]
 
 
-def test_without_it_an_option_runs_any_number_of_times() -> None:
-    env = make(None)
-    env.reset(seed=0, options={"start": (5, 5)})
-    assert run(env, [5] * 20) == [1] * 20
-
-
 def test_a_step_outside_the_initiation_set_is_no_run() -> None:
     env = make(1)
     env.reset(seed=0, options={"start": (9, 5)})
     assert run(env, [5, 5]) == [1, 1]  # at 9, then at the subgoal
-
-
-def test_a_limit_that_is_never_met_changes_nothing() -> None:
-    actions = np.random.default_rng(0).integers(8, size=500)
-    trajectories = []
-    for max_runs in (None, 500):
-        env = make(max_runs)
-        env.reset(seed=3)
-        trajectories.append([env.step(int(a))[:4] for a in actions])
-    assert all(equal(a, b) for steps in zip(*trajectories, strict=True) for a, b in zip(*steps, strict=True))
-
-
-def test_the_spec_keeps_it() -> None:
-    spec = make(3).spec
-    assert spec is not None
-    again = gym.make(spec)
-    assert isinstance(again, OptionsWrapper)
-    assert again.max_runs == 3
 
 
 @pytest.mark.parametrize("max_runs", [0, -1, 1.5])

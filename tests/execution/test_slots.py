@@ -102,10 +102,6 @@ class TestOptionsFile:
         assert isinstance(again, OptionsWrapper)
         assert again.bank.filled == (1,)
 
-    def test_a_missing_file_is_an_error(self, tmp_path: Path) -> None:
-        with pytest.raises(FileNotFoundError, match=r"^There is no options file at .+nowhere\.$"):
-            OptionsWrapper(CountingEnv(), options_file=tmp_path / "nowhere")
-
     def test_a_file_that_does_not_fit_is_an_error(self, path: Path) -> None:
         with pytest.raises(ValueError, match=r"its options choose among 4 primitive actions, this task has 2\.$"):
             OptionsWrapper(CountingEnv(), options_file=path)
@@ -132,33 +128,26 @@ def test_gamma(gamma: float) -> None:
         OptionsWrapper(CountingEnv(), gamma=gamma)
 
 
-def test_max_options() -> None:
-    with pytest.raises(ValueError, match=r"^max_options must be a whole number of at least 0, got -1\.$"):
-        OptionsWrapper(CountingEnv(), max_options=-1)
-
-
 def test_feature_map() -> None:
     with pytest.raises(TypeError, match=r"^feature_map must be a function from a batch.+got int\.$"):
         OptionsWrapper(CountingEnv(), feature_map=3)  # type: ignore[arg-type]  # the point of the test
-    with pytest.raises(ValueError, match=r"^feature_map must return features of shape \(batch, d\); .+\(1,\)\.$"):
-        OptionsWrapper(CountingEnv(), feature_map=lambda obs: np.zeros(len(obs)))
 
 
 @pytest.mark.parametrize(
-    ("feature_map", "message"),
+    "feature_map",
     [
-        (lambda obs: np.zeros((len(obs), 0)), r"at least one for an observation; it gave 0 of type float64\.$"),
-        (lambda obs: np.full((len(obs), 1), "here"), r"must return real numbers, .+ it gave 1 of type <U4\.$"),
-        (lambda obs: np.zeros((len(obs), 1), complex), r"must return real numbers, .+ of type complex128\.$"),
-        (
-            lambda obs: np.zeros((len(obs), len(obs))),
-            r"for one observation it gave shape \(1, 1\), for two \(2, 2\)\.$",
-        ),
-        (lambda obs: np.zeros((1, 1)) if len(obs) == 1 else 1 / 0, r"^feature_map fails for a batch of two .+ZeroDiv"),
+        lambda obs: np.zeros(len(obs)),
+        lambda obs: np.zeros((2, 1)),
+        lambda obs: 0.5,
+        lambda obs: np.zeros((len(obs), 0)),
+        lambda obs: np.full((len(obs), 1), "here"),
+        lambda obs: np.zeros((len(obs), 1), complex),
+        lambda obs: np.zeros((len(obs), len(obs))),
     ],
 )
-def test_a_feature_map_that_makes_no_features_is_refused(feature_map: Any, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
+def test_a_feature_map_that_makes_no_features_is_refused(feature_map: Any) -> None:
+    text = r"^feature_map must return real numbers of shape \(batch, d\), d ≥ 1; it gave"
+    with pytest.raises(ValueError, match=text):
         OptionsWrapper(CountingEnv(), feature_map=feature_map)
 
 

@@ -57,9 +57,3 @@ def test_the_newest_of_stacked_frames_is_what_the_environments_saw(kind: str, ho
             places.add(corridor.place)
         seen, _, _, _ = venv.step(rng.integers(2, size=2))
     assert len(places) > 5
-
-
-def test_changes_nothing_without_images() -> None:
-    venv = DummyVecEnv([Corridor])
-    batch = np.zeros((5, 2, 3, 4))
-    assert as_wrapper_sees(venv, batch) is batch

@@ -57,11 +57,6 @@ def test_without_options_it_is_the_environment_itself_bit_for_bit(env_id: str, k
     assert random_state(bare) == random_state(wrapped)
 
 
-def test_reset_options_are_passed_on() -> None:
-    env = OptionsWrapper(gym.make(GRIDWORLDS[0], observation="xy"))
-    assert env.reset(options={"start": (4, 6)})[0].tolist() == [4, 6]
-
-
 def test_no_slots_at_all() -> None:
     env = OptionsWrapper(CountingEnv(), max_options=0)
     assert env.action_space == spaces.Discrete(2)
@@ -110,14 +105,6 @@ def test_check_env_with_dict_observations(feature_map: Any) -> None:
     sb3_check_env(env)
 
 
-@pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")
-def test_check_env_while_there_are_options() -> None:
-    env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0"))
-    env.bank.add(steady_option(3, max_duration=5))
-    check_env(env, skip_render_check=True)
-    sb3_check_env(env)
-
-
 @pytest.mark.parametrize(("env_id", "kwargs"), ENVS[:1] + ENVS[-2:])
 def test_spec_makes_the_wrapper_again(env_id: str, kwargs: dict[str, Any]) -> None:
     def flat_sum(observations: Any) -> Any:
@@ -130,23 +117,6 @@ def test_spec_makes_the_wrapper_again(env_id: str, kwargs: dict[str, Any]) -> No
     assert (again.action_space, again.gamma, again.bank.max_options) == (env.action_space, 0.5, 3)
     assert again.traits.feature_kind == "given"
     assert equal(again.reset(seed=1)[0], env.reset(seed=1)[0])
-
-
-def test_make_by_name_with_wrapper_and_keyword_arguments_as_in_a_configuration_file() -> None:
-    env = OptionsWrapper(env=CountingEnv(), max_options=3, gamma=0.9)
-    assert env.action_space == spaces.Discrete(5)
-
-
-def test_an_environment_that_refuses_to_be_copied_may_give_the_feature_map() -> None:
-    class Uncopyable(CountingEnv):
-        def coordinates(self, observations: Any) -> Any:
-            return observations
-
-        def __deepcopy__(self, memo: Any) -> "Uncopyable":
-            raise TypeError("a simulation cannot be copied")
-
-    inner = Uncopyable()
-    assert OptionsWrapper(inner, feature_map=inner.coordinates).features is not None
 
 
 @pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
@@ -214,13 +184,6 @@ def test_an_environment_that_uses_the_name_itself_is_refused() -> None:
     for action in (0, 2):
         with pytest.raises(ValueError, match=r'^The environment has an info.+"option"\].* of its own.+another name'):
             env.step(action)
-
-
-def test_one_wrapper_is_enough() -> None:
-    env = OptionsWrapper(OptionsWrapper(CountingEnv()))
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match=r"wrap in OptionsWrapper once only\.$"):
-        env.step(0)
 
 
 def test_says_what_runs_while_it_runs() -> None:

@@ -1,6 +1,5 @@
 """Every ``VecEnv`` of SB3, and every wrapper around it: same rollouts, same weights, options in step everywhere."""
 
-import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -20,12 +19,11 @@ from stable_baselines3.common.vec_env import (
     VecEnv,
     VecExtractDictObs,
     VecFrameStack,
-    VecMonitor,
     VecNormalize,
 )
 
 from sb3_options import OptionBank, OptionDQN, OptionReplayBuffer, OptionsWrapper
-from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
+from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.execution.vec_env import as_wrapper_sees
 from sb3_options.options.option import SubgoalOption
 from tests.support.helpers import DictEnv, place_of
@@ -145,7 +143,12 @@ AROUND: dict[str, Callable[[VecEnv], VecEnv]] = {
 
 @pytest.mark.parametrize(
     ("name", "algorithm"),
-    [*[(name, DQN) for name in AROUND], ("VecNormalize(VecFrameStack)", OptionDQN), *[(name, PPO) for name in AROUND]],
+    [
+        ("VecNormalize", DQN),
+        ("VecNormalize(VecFrameStack)", OptionDQN),
+        ("VecCheckNan(VecNormalize(VecFrameStack))", DQN),
+        ("VecCheckNan(VecNormalize(VecFrameStack))", PPO),
+    ],
 )
 def test_trains_and_discovers_within(name: str, algorithm: Any) -> None:
     with rooms("dummy", 2) as bare:
@@ -229,18 +232,6 @@ def test_one_entry_of_a_dict_is_refused() -> None:
         ValueError, match=r"observations change from Dict\(.* to Box\(.*: put what changes them beneath"
     ):
         model.learn(20, callback=SubgoalDiscoveryCallback())
-
-
-class TestVecMonitor:
-    @pytest.mark.parametrize("callback", [SubgoalDiscoveryCallback, PrimitiveStepsCallback])
-    def test_is_said_to_count_something_else(
-        self, caplog: pytest.LogCaptureFixture, callback: type[BaseCallback]
-    ) -> None:
-        model = dqn(VecMonitor(DummyVecEnv([optioned_rooms])))
-        with caplog.at_level(logging.WARNING, "sb3_options"):
-            model.learn(200, callback=callback())
-        assert caplog.text.count("VecMonitor above OptionsWrapper counts decisions") == 1
-        assert "make_vec_env(..., wrapper_class=OptionsWrapper)" in caplog.text
 
 
 class TestEvaluationEnvironment:
