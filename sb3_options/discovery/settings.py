@@ -36,7 +36,6 @@ class DiscoverySettings:
             segmentation count. Eigenoptions and covering options may do harm to MaskablePPO and OptionDQN.
         segmentation: What a trajectory is: one of the ``episodes``, or, for continuing tasks, a segment between two
             ``peaks`` of reward (`recording.RewardPeaks`).
-        peak_reward: The least reward of a peak; None takes any that is positive.
         max_segment: Primitive steps without a peak that make an unsuccessful segment; more than random exploration
             takes from peak to peak.
         max_share: Largest share of training that searches may take, counted in work and not by the clock (`budget`);
@@ -87,7 +86,6 @@ class DiscoverySettings:
 
     method: MethodName = "diverse-density"
     segmentation: Literal["episodes", "peaks"] = "episodes"
-    peak_reward: Annotated[float, Field(allow_inf_nan=False)] | None = None
     max_segment: Annotated[int, Field(ge=1)] = 10_000
     max_share: Annotated[float, Field(gt=0, le=1)] | None = 0.05
     capacity: Annotated[int, Field(ge=1)] = 100
@@ -119,7 +117,7 @@ class DiscoverySettings:
 
     def reward_peaks(self) -> RewardPeaks | None:
         """Where experience is cut; None where episodes end it."""
-        return RewardPeaks(self.peak_reward, self.max_segment) if self.segmentation == "peaks" else None
+        return RewardPeaks(self.max_segment) if self.segmentation == "peaks" else None
 
 
 CATEGORICAL_SCALE = 6.0

@@ -156,12 +156,11 @@ class EpisodeRecorder(TrajectoryRecorder):
 class RewardPeaks:
     """Which steps are peaks of reward.
 
-    Step t is a peak if r_t ≥ ``peak_reward`` and r_{t−1} < r_t ≥ r_{t+1}, with r = −∞ before an episode and after it.
+    Step t is a peak if r_t > 0 and r_{t−1} < r_t ≥ r_{t+1}, with r = −∞ before an episode and after it.
     So a reward that rises over several steps has one peak, at its maximum, and one that stays high has one peak, at its
     first step.
 
     Attributes:
-        peak_reward: The least reward of a peak; None takes any that is positive.
         max_segment: A segment of this many primitive steps without a peak is cut, and failed. No more steps are held
             in memory. The next segment starts at the cut, so this should be more than a randomly exploring agent takes
             from peak to peak.
@@ -170,13 +169,7 @@ class RewardPeaks:
         ValueError: A field is out of its range.
     """
 
-    peak_reward: Annotated[float | None, Field(allow_inf_nan=False)] = None
     max_segment: Annotated[int, Field(ge=1)] = 10_000
-
-    def may_peak(self, reward: float, before: float) -> bool:
-        """Whether a step with ``reward`` is a peak unless the next one is higher, given the reward ``before`` it."""
-        enough = reward > 0.0 if self.peak_reward is None else reward >= self.peak_reward
-        return enough and reward > before
 
 
 class SegmentRecorder(TrajectoryRecorder):
@@ -211,7 +204,7 @@ class SegmentRecorder(TrajectoryRecorder):
             elif self._is_full():
                 self._cut(success=False)
         super().record(action, reward, observation)
-        self._may_be_peak = self.peaks.may_peak(reward, self._before)
+        self._may_be_peak = reward > max(0.0, self._before)
         self._before = reward
         if self._is_full() and not self._may_be_peak:
             self._cut(success=False)

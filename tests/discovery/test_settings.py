@@ -76,7 +76,6 @@ RANGES: list[tuple[str, tuple[Any, ...], str]] = [
     ("max_share", (0.0, -0.1, 1.1, math.nan), "should be (greater than 0|less than or equal to 1)"),
     ("method", ("hand", None), "should be 'diverse-density', 'first-visits',"),
     ("segmentation", ("lives", None), "should be 'episodes' or 'peaks'"),
-    ("peak_reward", (math.nan, math.inf), "should be a finite number"),
     ("min_cut", (-0.1, 0.5, math.nan), "should be (greater than or equal to 0|less than 0.5)"),
     ("min_passing", (-0.1, 1.0, math.nan), "should be (greater than or equal to 0|less than 1)"),
     ("min_contrast", (-1.1, 1.0, math.nan), "should be (greater than or equal to -1|less than 1)"),

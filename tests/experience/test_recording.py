@@ -52,13 +52,12 @@ def test_dictionaries_written_in_place_are_copied() -> None:
 def segments(
     rewards: list[float],
     *,
-    peak_reward: float | None = None,
     max_segment: int = 1000,
     terminated: bool = False,
     truncated: bool = False,
 ) -> list[tuple[int, int, bool | None]]:
     """First state, last state and success of each segment; step t leads from state t to t + 1."""
-    recorder = SegmentRecorder(RewardPeaks(peak_reward, max_segment))
+    recorder = SegmentRecorder(RewardPeaks(max_segment))
     recorder.begin(np.array([0]))
     for t, reward in enumerate(rewards):
         recorder.record(0, reward, np.array([t + 1]))
@@ -86,14 +85,6 @@ def states_of(segment: Trajectory) -> Any:
 )
 def test_peaks_by_hand(rewards: list[float], expected: list[Any]) -> None:
     assert segments(rewards) == expected
-
-
-def test_the_least_reward_of_a_peak() -> None:
-    rewards: list[float] = [0, 1, 0, 5, 0, -3, -1, -3]
-    assert segments(rewards) == [(0, 2, True), (2, 4, True)]
-    assert segments(rewards, peak_reward=5) == [(0, 4, True)]
-    assert segments(rewards, peak_reward=5.1) == []
-    assert segments(rewards, peak_reward=-1) == [(0, 2, True), (2, 4, True), (4, 7, True)]
 
 
 def test_a_segment_too_long_without_a_peak() -> None:

@@ -31,7 +31,7 @@ COMMON: dict[str, Any] = {
     "success": "return:3",
     "algo_kwargs": {"max_grad_norm": 0.25},
     "discovery": DiscoverySettings(
-        peak_reward=0.75, max_segment=70,
+        max_segment=70,
         max_share=0.125, capacity=7, max_bytes=99, method="l-cut", min_positive=2, negative_bags=False,
         search_growth=0.1, cut_threshold=0.5, negative_strength=0.5, leak=0.125, search="exhaustive",
         scale=2.5, start_radius=1.0, goal_radius=0.0, decay=0.8, threshold=0.25, peak_radius=2.0, peak_tolerance=0.01,
