@@ -15,7 +15,7 @@ from sb3_options.callbacks.counting import all_callbacks, check_every_step
 from sb3_options.checked import given_as, is_number, whole
 from sb3_options.embedding.settings import SIZES
 from sb3_options.execution.features import MAX_FEATURES
-from sb3_options.execution.vec_env import as_environments_gave, as_wrapper_sees, space_of_environments
+from sb3_options.execution.vec_env import as_wrapper_sees, space_of_environments
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.observations import (
     FeatureMap,
@@ -230,7 +230,7 @@ class IntrinsicRewardCallback(BaseCallback):
         last = [take(given, slice(i, i + 1)) for i in range(venv.num_envs)]
         for i, (done, info) in enumerate(zip(self.locals["dones"], self.locals["infos"], strict=True)):
             if done and info.get("terminal_observation") is not None:
-                last[i] = as_environments_gave(venv, batch_of_one(info["terminal_observation"]))
+                last[i] = as_wrapper_sees(venv, batch_of_one(info["terminal_observation"]), normalized=True)
         return last
 
     def _visit(self, arrived: list[Observations]) -> list[FloatArray]:

@@ -10,57 +10,39 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStac
 from stable_baselines3.common.vec_env.stacked_observations import StackedObservations
 
 
-def as_wrapper_sees(venv: VecEnv, observations: Any) -> Any:
+def as_wrapper_sees(venv: VecEnv, observations: Any, *, normalized: bool = False) -> Any:
     """Undo what SB3's wrappers do to observations, from the outermost inwards.
 
     ``VecTransposeImage`` moves the channels of images to the front. ``VecFrameStack`` joins the last frames, of which
-    the newest is what the wrapper sees. Others pass observations on, or normalise them, which is undone elsewhere.
+    the newest is what the wrapper sees.
 
     Args:
         venv: The algorithm's environment.
-        observations: A batch, unnormalised.
+        observations: A batch.
+        normalized: Whether ``VecNormalize`` has normalised them. This is undone; what it clipped stays clipped.
 
     Returns:
         The batch as the environments beneath gave it.
     """
     while isinstance(venv, VecEnvWrapper):
-        observations = _undone(venv, observations)
-        venv = venv.venv
-    return observations
-
-
-def as_environments_gave(venv: VecEnv, observations: Any) -> Any:
-    """`as_wrapper_sees` for observations that ``VecNormalize`` has normalised; what it clipped stays clipped.
-
-    Args:
-        venv: The algorithm's environment.
-        observations: A batch as the algorithm sees it.
-    """
-    while isinstance(venv, VecEnvWrapper):
-        if isinstance(venv, VecNormalize):
+        if normalized and isinstance(venv, VecNormalize):
             observations = venv.unnormalize_obs(observations)
-        observations = _undone(venv, observations)
+        if isinstance(venv, VecTransposeImage):
+            observations = _channels_last(venv, observations)
+        if isinstance(venv, VecFrameStack):
+            observations = _newest_frame(venv.stacked_obs, observations)
         venv = venv.venv
     return observations
 
 
 def space_of_environments(venv: VecEnv) -> spaces.Space[Any]:
-    """The space of what `as_environments_gave` returns."""
+    """The space of what `as_wrapper_sees` returns."""
     space = venv.observation_space
     while isinstance(venv, VecEnvWrapper):
         if isinstance(venv, VecNormalize | VecTransposeImage | VecFrameStack):
             space = venv.venv.observation_space
         venv = venv.venv
     return space
-
-
-def _undone(venv: VecEnvWrapper, observations: Any) -> Any:
-    """What one of SB3's wrappers was given."""
-    if isinstance(venv, VecTransposeImage):
-        return _channels_last(venv, observations)
-    if isinstance(venv, VecFrameStack):
-        return _newest_frame(venv.stacked_obs, observations)
-    return observations
 
 
 def _channels_last(venv: VecTransposeImage, observations: Any) -> Any:
