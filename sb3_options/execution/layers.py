@@ -19,7 +19,6 @@ import numpy as np
 from gymnasium import wrappers
 from stable_baselines3.common.monitor import Monitor
 
-from sb3_options.execution.recording import RecordTrajectories
 from sb3_options.execution.repeating import RecordActions
 
 State = dict[str, Any]
@@ -88,8 +87,6 @@ def set_states(env: gym.Env[Any, Any], states: list[State]) -> str | None:
     """
     layers = list(_layers(env))
     there = [state["class"] for state in states]
-    if RecordTrajectories.__name__ not in there:  # checkpoints of before had none in evaluations
-        layers = [layer for layer in layers if not isinstance(layer, RecordTrajectories)]
     here = [type(layer).__name__ for layer in layers]
     if here != there:
         raise ValueError(f"The environment is {' around '.join(here)}; its checkpoint is of {' around '.join(there)}.")

@@ -102,7 +102,9 @@ class RayVecEnv(VecEnv):
         self._anew: dict[int, tuple[Any, Infos, Infos]] = {}
         self._steps: list[Any] = []
         self._actors = [self._start(a) for a in range(n_actors)]
-        (observation_space, action_space), *_ = self._gather([(a, "make", ()) for a in range(n_actors)], started=False)
+        (observation_space, action_space), *_ = self._gather(
+            dict.fromkeys(range(n_actors), ("make", ())), started=False
+        )
         super().__init__(n_envs, observation_space, action_space)
 
     def _start(self, actor: int) -> Any:
@@ -121,16 +123,9 @@ class RayVecEnv(VecEnv):
         """What the step returned."""
         steps, self._steps = self._steps, []
         sent = [a for a, step in enumerate(steps) if step is not None]
-        results: dict[int, Steps] = {}
-        until = self._deadline()
-        try:
-            results = dict(zip(sent, self._get([steps[a] for a in sent], until), strict=True))
-        except self._lost_errors():
-            for a in sent:
-                try:
-                    results[a] = self._get(steps[a], until)
-                except self._lost_errors() as error:
-                    self._start_anew(a, error)
+        results, lost = self._collect({a: steps[a] for a in sent}, self._deadline())
+        for a, error in lost.items():
+            self._start_anew(a, error)
         for a in results:
             self._losses_in_a_row[a] = 0
         parts = [results[a] if a in results else self._cut_off(a) for a in range(len(self._actors))]
@@ -145,10 +140,10 @@ class RayVecEnv(VecEnv):
         for i, seed in enumerate(self._seeds):
             self._first_seeds[i] = self._first_seeds[i] if seed is None else seed
         results = self._gather(
-            [
-                (a, "reset", ([self._seeds[i] for i in group], [self._options[i] for i in group]))
+            {
+                a: ("reset", ([self._seeds[i] for i in group], [self._options[i] for i in group]))
                 for a, group in enumerate(self._groups)
-            ]
+            }
         )
         self._anew.clear()
         self._losses_in_a_row = [0] * len(self._actors)
@@ -208,9 +203,9 @@ class RayVecEnv(VecEnv):
         """What some environments answer, in the order of ``indices``."""
         asked = list(self._get_indices(indices))
         by_actor = {a: mine for a, group in enumerate(self._groups) if (mine := [i for i in group if i in asked])}
-        calls = [
-            (a, "call", (kind, [i - self._groups[a][0] for i in mine], args, kwargs)) for a, mine in by_actor.items()
-        ]
+        calls: dict[int, tuple[str, tuple[Any, ...]]] = {
+            a: ("call", (kind, [i - self._groups[a][0] for i in mine], args, kwargs)) for a, mine in by_actor.items()
+        }
         answers: dict[int, Any] = {}
         for (a, mine), (results, slots) in zip(by_actor.items(), self._gather(calls), strict=True):
             answers |= dict(zip(mine, copy.deepcopy(results), strict=True))  # what Ray hands out cannot be written to
@@ -218,23 +213,33 @@ class RayVecEnv(VecEnv):
                 self._slots[self._groups[a][0] + i] = state
         return [answers[i] for i in asked]
 
-    def _gather(self, calls: Sequence[tuple[int, str, tuple[Any, ...]]], *, started: bool = True) -> list[Any]:
+    def _gather(self, calls: dict[int, tuple[str, tuple[Any, ...]]], *, started: bool = True) -> list[Any]:
         """Results of methods of actors; one that is lost starts anew and is called again."""
+        results: dict[int, Any] = {}
         until = self._deadline() if started else None
-        sent = [getattr(self._actors[a], method).remote(*args) for a, method, args in calls]
+        pending = calls
+        while pending:
+            sent = {a: getattr(self._actors[a], method).remote(*args) for a, (method, args) in pending.items()}
+            done, lost = self._collect(sent, until)
+            results |= done
+            for a, error in lost.items():
+                self._start_anew(a, error)
+            pending = {a: pending[a] for a in lost}
+            until = self._deadline()
+        return [results[a] for a in calls]
+
+    def _collect(self, references: dict[int, Any], until: float | None) -> tuple[dict[int, Any], dict[int, Exception]]:
+        """What actors answer, and why those that are lost do not."""
         with suppress(*self._lost_errors()):
-            return list(self._get(sent, until))
-        results = []
-        for (a, method, args), first in zip(calls, sent, strict=True):
-            reference, its = first, until
-            while True:
-                try:
-                    results.append(self._get(reference, its))
-                    break
-                except self._lost_errors() as error:
-                    self._start_anew(a, error)
-                    reference, its = getattr(self._actors[a], method).remote(*args), self._deadline()
-        return results
+            return dict(zip(references, self._get(list(references.values()), until), strict=True)), {}
+        results: dict[int, Any] = {}
+        lost: dict[int, Exception] = {}
+        for a, reference in references.items():
+            try:
+                results[a] = self._get(reference, until)
+            except self._lost_errors() as error:
+                lost[a] = error
+        return results, lost
 
     def _deadline(self) -> float | None:
         """When an actor that is asked now counts as lost."""
