@@ -149,14 +149,16 @@ def _environment_state(env: Any) -> State:
     spaces = {name: getattr(env, name)._np_random for name in ("action_space", "observation_space")}
     return {
         "own": env.get_state(),
-        "np_random": env.np_random.bit_generator.state,
+        # An environment that was never reset has no generator yet: to ask for one would draw its seed from the system.
+        "np_random": env._np_random and env._np_random.bit_generator.state,
         "spaces": {name: random and random.bit_generator.state for name, random in spaces.items()},
     }
 
 
 def _set_environment_state(env: Any, state: State) -> None:
     env.set_state(state["own"])
-    env.np_random.bit_generator.state = state["np_random"]
+    if state["np_random"] is not None:
+        env.np_random.bit_generator.state = state["np_random"]
     for name, random in state["spaces"].items():
         if random is not None:
             getattr(env, name).np_random.bit_generator.state = random

@@ -24,6 +24,7 @@ from stable_baselines3.common.vec_env import (
 from experiments.kills.states import differing
 from sb3_options import OptionsWrapper
 from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback
+from sb3_options.checkpoints import environments
 from sb3_options.checkpoints.environments import refusal
 from sb3_options.checkpoints.file import CheckpointFolder, read
 from sb3_options.discovery.methods.grouped import GroupedPeaks
@@ -263,3 +264,14 @@ def test_checkpoints_change_nothing(tmp_path: Path) -> None:
     for name, weights in one.policy.state_dict().items():
         np.testing.assert_array_equal(weights.numpy(), other.policy.state_dict()[name].numpy())
     assert read(next(iter(CheckpointFolder(tmp_path))))
+
+
+def test_an_environment_that_was_never_reset_is_stored_without_a_generator() -> None:
+    """To ask it for one would draw a seed from the system."""
+
+    def state() -> Any:
+        venv = vec(make_optioned_rooms, 1)
+        environments.prepare(venv)
+        return environments.get_state(venv)
+
+    assert differing(state(), state()) == []
