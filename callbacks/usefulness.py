@@ -58,12 +58,7 @@ NEEDED = 0.1
 
 @storable
 class Episode(NamedTuple):
-    """An episode in which an option was there.
-
-    Attributes:
-        ran: Whether the option ran in it.
-        success: Whether it succeeded.
-    """
+    """Whether an option ran in an episode, and whether that succeeded."""
 
     ran: bool
     success: bool
@@ -100,13 +95,7 @@ def helps(episodes: Iterable[Episode]) -> bool:
 
 
 def failing(passed: BoolArray, arrived: BoolArray, min_reached: float) -> BoolArray:
-    """States from where too few runs arrive, (n,).
-
-    Args:
-        passed: Which states each run passed, (runs, n).
-        arrived: Which runs reached the subgoal, (runs,).
-        min_reached: Share of them that must.
-    """
+    """States from where too few runs arrive, (n,): states each run passed (runs, n), which arrived (runs,)."""
     passes = passed.sum(axis=0)
     result: BoolArray = (passes >= MIN_PASSES) & fewer(passed[arrived].sum(axis=0), passes, min_reached)
     return result
@@ -145,13 +134,7 @@ class Usefulness:
     _failed: dict[int, tuple[FloatArray, IntArray]] = field(default_factory=dict, init=False)  # lost states, π there
 
     def add(self, run: OptionRun, env: int, *, success: bool | None) -> None:
-        """Note a run that began in the initiation set.
-
-        Args:
-            run: Of an option.
-            env: Index of its environment.
-            success: Of the episode that it ended; None if it ended none.
-        """
+        """Note a run that began in I, in which environment, and the success of the episode that it ended, if any."""
         if not self.settings.judge:
             return
         self._ran.setdefault(env, set()).add(run.index)

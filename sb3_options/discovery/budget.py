@@ -19,8 +19,9 @@ STEP_SECONDS = 3e-4
 TABLE_STEP_SECONDS = 3.6e-5
 """The same where values are in a table: MacroQ in gridworlds takes 0.035 to 0.05 ms."""
 
-SHORTEST = 14_000
-"""Primitive steps that training is assumed to last at least: searches are wanted early."""
+SHORTEST = 40_000
+TABLE_SHORTEST = 14_000
+"""Primitive steps that training of a network, or of a table, is assumed to last at least: searches are wanted early."""
 
 SEARCH_SECONDS = 4.5e-3
 PAIR_SECONDS = 7e-10
@@ -60,7 +61,7 @@ MOST_PAIRS = 1 << 20
 others, as `DiverseDensity` has it."""
 
 GROUP_SECONDS = 3e-4
-COMPARED_SECONDS = 2e-5
+COMPARED_SECONDS = 4e-6
 CELL_SECONDS = 1e-8
 """Of the contrast of a group, for each trajectory, and for each pair of a state with a trajectory or a state."""
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sb3_options.discovery.budget import SHORTEST, STEP_SECONDS, seconds_of_look
+from sb3_options.discovery.budget import SHORTEST, STEP_SECONDS, TABLE_SHORTEST, TABLE_STEP_SECONDS, seconds_of_look
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.state import TRANSIENT
@@ -99,7 +99,8 @@ class Diary:
 
     def affords(self) -> bool:
         """Whether the budget allows another search. A search that cost too much is paid off before the next one."""
-        if self.max_share is None or self.spent <= self.max_share * self.step_seconds * max(SHORTEST, self.steps):
+        shortest = TABLE_SHORTEST if self.step_seconds == TABLE_STEP_SECONDS else SHORTEST
+        if self.max_share is None or self.spent <= self.max_share * self.step_seconds * max(shortest, self.steps):
             return True
         self.skipped += 1
         return False

@@ -39,7 +39,7 @@ class DiscoverySettings:
         max_segment: Primitive steps without a peak that make an unsuccessful segment; more than random exploration
             takes from peak to peak.
         max_share: Largest share of training that searches may take, counted in work and not by the clock (`budget`);
-            None for any. A search that took more makes the next ones rarer. Training is taken to last 14,000 steps at
+            None for any. A search that took more makes the next ones rarer. Training is taken to last 40,000 steps at
             least, for searches are wanted early.
         capacity: How many trajectories are kept: the last n.
         max_bytes: How much memory they may take, 1 GiB; with large observations fewer than n are kept.

@@ -15,6 +15,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from sb3_options import OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback, usefulness
 from sb3_options.callbacks.usefulness import MIN_RUNS
+from sb3_options.density.regions import Region
 from sb3_options.envs import Direction
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning import heads
@@ -74,8 +75,8 @@ class TestGoesOn:
         assert len(callback.discoveries) == len(callback.bank) == most
 
     def test_until_every_slot_is_filled(self) -> None:
-        callback, model = fast_callback(max_new_options=None), model_of(optioned_rooms(1))
-        model.learn(2 * STEPS, callback=callback)
+        callback = fast_callback(max_new_options=None, max_option_exploration=0.05)
+        model_of(optioned_rooms(1)).learn(5 * STEPS, callback=callback)
         assert len(callback.discoveries) == 1
 
     def test_after_nan_observations(self, caplog: pytest.LogCaptureFixture) -> None:
@@ -140,6 +141,21 @@ def test_an_option_is_no_longer_offered_where_it_goes_on_for_ever() -> None:
         option = bank[0]
         assert isinstance(option, SubgoalOption)
         assert option.initiation_set.points.tolist() == [[3, 2]]
+
+
+def test_an_option_that_no_success_needs_gives_its_slot_to_one_that_is_discovered(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(usefulness, "MIN_SUCCESSES", 3)
+    env = optioned_rooms(1)
+    elsewhere = Region(np.full((1, 2), 99.0), np.ones(2), 0.5)
+    option = to_the_doorway(Direction.LEFT, (3, 2))
+    env.bank.add(option.with_regions(elsewhere, option.initiation_set))
+    callback = fast_callback(max_new_options=1, max_option_exploration=0.05)
+    model_of(env, seed=0).learn(3 * STEPS, callback=callback)
+    assert [(closed.slot, closed.why) for closed in callback.closed] == [(0, "is not needed")]
+    assert [found.slot for found in callback.discoveries] == [0]
+    assert callback.bank.filled == env.bank.filled == (0,)
 
 
 def test_runs_of_a_closed_option_do_not_count_for_the_next_one_in_its_slot() -> None:

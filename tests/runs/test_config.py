@@ -131,7 +131,7 @@ def test_an_environment_brings_its_own_defaults() -> None:
             assert grid.discovery == DiscoverySettings(**DISCOVERY["settings"])
             assert grid.option == OptionLearningSettings(**DISCOVERY["option_settings"])
             assert {"settings", "option_settings"} == set(DISCOVERY)
-            assert grid.discovery.max_share is None
+            assert grid.discovery.max_share == 0.06
     assert configs.tuned("CartPole-v1") == DQNConfig(env="CartPole-v1")
 
 
