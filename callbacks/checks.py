@@ -203,8 +203,8 @@ def check_discovery(model: BaseAlgorithm, venv: VecEnv) -> None:
     if venv.get_attr("traits", [0])[0].feature_kind is None:
         raise ValueError(
             f"There is no default feature map for {venv.observation_space}: pass OptionsWrapper(env, "
-            "feature_map=...) a function from a batch of observations to features of shape (batch, d), or the name of "
-            "one that is learned, 'temporal-distance' or 'laplacian'."
+            "feature_map=...) a function from a batch of observations to features of shape (batch, d), or "
+            "'temporal-distance', which is learned."
         )
 
 

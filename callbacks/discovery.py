@@ -74,7 +74,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             equally likely. The odds of the k-th against the primitives are 1/k of those. It is no cap on all options
             together: three at 0.5 open with 0.65. By default ``max_option_exploration``.
         embedding: How a feature map is learned: an `EmbeddingSettings`, or a mapping of its fields. For environments in
-            ``OptionsWrapper(feature_map="temporal-distance")`` or ``"laplacian"``.
+            ``OptionsWrapper(feature_map="temporal-distance")``.
         interruption: Whether options of DQN, QRDQN and OptionDQN end where going on is worth less than the best
             alternative (`execution.interruption`).
         usefulness: How options are judged by their use, and closed where they are of none: a `UsefulnessSettings`, or a

@@ -13,7 +13,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from sb3_options.callbacks.counting import all_callbacks, check_every_step
 from sb3_options.checked import given_as, is_number, whole
-from sb3_options.embedding.settings import SIZES
+from sb3_options.embedding.settings import LEARNED
 from sb3_options.execution.features import MAX_FEATURES
 from sb3_options.execution.vec_env import as_wrapper_sees, space_of_environments
 from sb3_options.execution.wrapper import OptionsWrapper
@@ -182,7 +182,7 @@ class IntrinsicRewardCallback(BaseCallback):
     def _learns_features(self) -> bool:
         """Whether φ is learned while training goes on: what was counted in it would be something else later."""
         venv = self.training_env
-        return venv.has_attr("traits") and venv.get_attr("traits", [0])[0].feature_kind in SIZES
+        return venv.has_attr("traits") and venv.get_attr("traits", [0])[0].feature_kind == LEARNED
 
     def _concept_features(self, observations: Observations) -> FloatArray:
         features: FloatArray = self.training_env.env_method("concept_features", observations, indices=[0])[0]

@@ -23,7 +23,7 @@ from sb3_options.experience.observations import FloatArray
 
 TASKS = ("TwoRooms", "FourRooms")
 
-ARMS: tuple[MapName | None, ...] = ("temporal-distance", "laplacian", None)
+ARMS: tuple[MapName | None, ...] = ("temporal-distance", None)
 """How the space is learned; None takes the coordinates, which is the bound."""
 
 NAMES: dict[MapName | None, str] = {None: "coordinates"}
@@ -52,7 +52,7 @@ def run(task: str, arm: MapName | None, seed: int, n_episodes: int | None = None
     learner = None
     if arm is not None:
         learner = FeatureLearner(
-            LearnedMap(arm, form_of(world.observation_space), seed), EmbeddingSettings(**settings), seed
+            LearnedMap(form_of(world.observation_space), seed), EmbeddingSettings(**settings), seed
         )
     discovery = Discovery(DiscoverySettings(), kind="environment" if arm is None else arm)
     found: list[dict[str, Any]] = []

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import torch
 
 from sb3_options.embedding.encoders import Encoder, ObservationForm, as_tensor
-from sb3_options.embedding.settings import SIZES, MapName
+from sb3_options.embedding.settings import LEARNED, SIZE
 from sb3_options.experience.observations import FloatArray, Observations, batch_size
 
 BATCH = 512
@@ -27,7 +27,6 @@ class LearnedMap:
     Before it is learned it is a random network, and no distance in it means anything.
 
     Args:
-        name: How it is learned.
         form: Of observations.
         seed: Of the first weights.
 
@@ -38,12 +37,14 @@ class LearnedMap:
 
     STATE = ("encoder", "scale", "learned", "fixed")
 
-    def __init__(self, name: MapName, form: ObservationForm, seed: int = 0) -> None:
-        self.name, self.size = name, SIZES[name]
+    name = LEARNED
+    size = SIZE
+
+    def __init__(self, form: ObservationForm, seed: int = 0) -> None:
         with torch.random.fork_rng(devices=[]):  # whatever else is drawn stays as it is without a learned map
             torch.manual_seed(seed)
-            # Temporal distances have a potential c beside φ, which is needed for learning alone.
-            self.encoder = Encoder(form, self.size + (name == "temporal-distance"))
+            # Beside φ there is a potential c, which is needed for learning alone.
+            self.encoder = Encoder(form, self.size + 1)
         self.scale = np.ones(self.size)
         self.learned = 0
         self.fixed = False
@@ -74,7 +75,7 @@ class LearnedMap:
         """Become what `arrays` gave.
 
         Raises:
-            ValueError: They are of a map of another kind, or for other observations.
+            ValueError: They are for other observations, or not finite.
         """
         expected = {name: array.shape for name, array in self.arrays().items()}
         found = {name: np.shape(array) for name, array in arrays.items()}
@@ -82,8 +83,8 @@ class LearnedMap:
             differ = sorted(name for name in {*expected, *found} if expected.get(name) != found.get(name))
             raise ValueError(
                 f"the learned feature map does not fit: {differ[0]} has shape {found.get(differ[0])}, expected "
-                f"{expected.get(differ[0])}. Observations and name of the map must be those that it was learned for, "
-                f"here {self.name!r} for {self.encoder.form.kind} observations of shape {self.encoder.form.shape}"
+                f"{expected.get(differ[0])}. Observations must be those that it was learned for, here "
+                f"{self.encoder.form.kind} observations of shape {self.encoder.form.shape}"
             )
         if not all(np.isfinite(array).all() for array in arrays.values()):
             raise ValueError("the learned feature map holds numbers that are not finite")

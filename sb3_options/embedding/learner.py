@@ -9,16 +9,11 @@ from collections.abc import Iterable
 import numpy as np
 import torch
 
-from sb3_options.embedding.laplacian import AugmentedLagrangian
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.embedding.pairs import Replay
 from sb3_options.embedding.settings import EmbeddingSettings
 from sb3_options.embedding.temporal_distance import contrastive_loss
-from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import Trajectory
-
-LEAST_EIGENVALUE = 1e-3
-"""A smaller estimate is noise: an eigenvector is divided by the root of its eigenvalue."""
 
 MOST_STEPS = 20_000
 """Steps whose median length becomes the unit."""
@@ -27,11 +22,7 @@ MOST_STEPS = 20_000
 class FeatureLearner:
     """Learns a `LearnedMap`, and scales it so that a primitive step that moves has a median length of 1.
 
-    Radii, static filters and peaks of discovery are in units of one step, and so the learned space has to be. Before
-    that, the eigenvectors of ``laplacian`` are each divided by the root of their eigenvalue. Distances are then the
-    roots of commute times (Fouss et al. 2007), the mean time of a random walk from one place to another and back: the
-    eigenvectors of one room, with their large eigenvalues, count less than those that tell rooms apart. Among n
-    observations there are n − 1 eigenvectors besides the constant one; further dimensions are 0.
+    Radii, static filters and peaks of discovery are in units of one step, and so the learned space has to be.
 
     Args:
         feature_map: What is learned.
@@ -43,13 +34,12 @@ class FeatureLearner:
         n_trajectories: How many there had been when the map was last learned; 0 before.
     """
 
-    STATE = ("map", "_optimizer", "_lagrangian", "_generator", "loss", "n_trajectories")
+    STATE = ("map", "_optimizer", "_generator", "loss", "n_trajectories")
 
     def __init__(self, feature_map: LearnedMap, settings: EmbeddingSettings, seed: int = 0) -> None:
         self.map, self.settings = feature_map, settings
         self._generator = torch.Generator().manual_seed(seed)
         self._optimizer = torch.optim.Adam(feature_map.encoder.parameters(), lr=settings.learning_rate)
-        self._lagrangian = AugmentedLagrangian(feature_map.size)
         self.loss = math.nan
         self.n_trajectories = 0
 
@@ -76,7 +66,7 @@ class FeatureLearner:
         if len(before) == 0:
             raise ValueError("a feature map can be learned only where a step leads to another observation")
         updates = self.settings.updates
-        before_it = copy.deepcopy((self.map.encoder.state_dict(), self._lagrangian.duals))
+        weights = copy.deepcopy(self.map.encoder.state_dict())
         if self.map.learned == 0:
             self.map.encoder.standardise_by(replay.observations)
         else:
@@ -88,7 +78,6 @@ class FeatureLearner:
             losses.append(self._update(replay))
         self.n_trajectories = n_trajectories
         if not all(weight.isfinite().all() for weight in self.map.encoder.parameters()):
-            weights, self._lagrangian.duals = before_it
             self.map.encoder.load_state_dict(weights)
             self._optimizer.state.clear()
             raise ValueError(
@@ -97,30 +86,13 @@ class FeatureLearner:
             )
         self.loss = float(np.mean(losses[-100:]))
         self.map.scale = np.ones(self.map.size)
-        if self.map.name == "laplacian":
-            self.map.scale = 1.0 / np.sqrt(np.maximum(self.eigenvalues(), LEAST_EIGENVALUE))
-            self.map.scale[len(replay) - 1 :] = 0.0
         self.map.scale /= self._step_length(replay, before, after)
         self.map.learned += 1
 
-    def eigenvalues(self) -> FloatArray:
-        """Of the Laplacian of single steps, (d,), for ``laplacian``.
-
-        With λ an eigenvalue of I − P, that of the pairs is λ / (1 − γ + γ λ), with the same eigenvector.
-        """
-        gamma = 1.0 - 1.0 / self.settings.horizon
-        of_pairs = np.clip(self._lagrangian.eigenvalues.numpy().astype(np.float64), 0.0, 1.0)
-        values: FloatArray = (1.0 - gamma) * of_pairs / (1.0 - gamma * of_pairs)
-        return values
-
     def _update(self, replay: Replay) -> float:
         s = self.settings
-        rows = [*replay.sample(s.batch_size, s.horizon, self._generator)]
-        if self.map.name == "laplacian":
-            rows.append(torch.cat(replay.sample(s.batch_size, s.horizon, self._generator)))
-            loss = self._lagrangian.loss(*(of[:, : len(replay) - 1] for of in replay.encoded(self.map.encoder, *rows)))
-        else:
-            loss = contrastive_loss(*replay.encoded(self.map.encoder, *rows))
+        rows = replay.sample(s.batch_size, s.horizon, self._generator)
+        loss = contrastive_loss(*replay.encoded(self.map.encoder, *rows))
         self._optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]  # torch ships no annotation for it
         self._optimizer.step()

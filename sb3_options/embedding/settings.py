@@ -6,12 +6,13 @@ from typing import Annotated, Literal, TypeAlias
 
 from sb3_options.checked import Field, settings
 
-MapName: TypeAlias = Literal["temporal-distance", "laplacian"]
-"""Feature maps that can be learned."""
+MapName: TypeAlias = Literal["temporal-distance"]
 
-SIZES: dict[MapName, int] = {"temporal-distance": 8, "laplacian": 16}
-"""Dimensions d of their concept spaces. Eight hold the distances of rooms; a doorway between two rooms shows in the
-first eigenvectors, and a step inside a room in the later ones."""
+LEARNED: MapName = "temporal-distance"
+"""Name of the feature map that is learned."""
+
+SIZE = 8
+"""Dimensions d of its concept space, which hold the distances of rooms."""
 
 
 @settings

@@ -15,7 +15,7 @@ from sb3_options.checked import given_as
 from sb3_options.density.groups import FeatureGroup, checked_groups
 from sb3_options.embedding.encoders import ObservationForm, form_of_array
 from sb3_options.embedding.learned_map import LearnedMap
-from sb3_options.embedding.settings import SIZES, MapName
+from sb3_options.embedding.settings import LEARNED, MapName
 from sb3_options.experience.observations import (
     FeatureMap,
     FloatArray,
@@ -29,7 +29,7 @@ from sb3_options.options.file import SpaceSignature
 MAX_FEATURES = 4096
 """Concept spaces with more dimensions than this (images, say) are refused: distances in them mean nothing."""
 
-FeatureKind = Literal["given", "environment", "categorical", "identity", "temporal-distance", "laplacian"]
+FeatureKind = Literal["given", "environment", "categorical", "identity", "temporal-distance"]
 """Where a feature map comes from: the user, the environment, one-hot codes, flat observations, or learning."""
 
 
@@ -70,19 +70,18 @@ def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | MapName | None) ->
 
     Raises:
         TypeError: ``feature_map`` is not callable.
-        ValueError: A given map or the environment's own does not return shape (batch, d), its groups do not fit, or
-            no map of that name can be learned.
+        ValueError: A given map or the environment's own does not return shape (batch, d), or its groups do not fit.
     """
     space = env.observation_space
-    if isinstance(feature_map, str):
-        feature_map = LearnedMap(learned_name(feature_map), form_of(space))
+    if isinstance(feature_map, str) and feature_map == LEARNED:
+        feature_map = LearnedMap(form_of(space))
     if isinstance(feature_map, LearnedMap):
         return Features(feature_map, feature_map.size, feature_map.name)
     if feature_map is not None:
         if not callable(feature_map):
             raise TypeError(
-                "feature_map must be a function from a batch of observations to features (batch, d), or one of "
-                f"{', '.join(map(repr, SIZES))}, got {type(feature_map).__name__}."
+                "feature_map must be a function from a batch of observations to features (batch, d), or "
+                f"{LEARNED!r}, got {feature_map!r:.100}."
             )
         size = _size_of(feature_map, space, "feature_map")
         return Features(feature_map, size, "given", _groups(getattr(feature_map, "concept_groups", None), size))
@@ -111,18 +110,6 @@ def _check_seen(owner: Any, space: spaces.Space[Any]) -> None:
             f"wrapper beneath OptionsWrapper makes {_described(space)} of them: leave that wrapper out, or pass "
             "OptionsWrapper(env, feature_map=...) a function from a batch of these observations to features (batch, d)."
         )
-
-
-def learned_name(name: str) -> MapName:
-    """The name itself, if it is that of a map that can be learned.
-
-    Raises:
-        ValueError: It is not.
-    """
-    for known in SIZES:
-        if name == known:
-            return known
-    raise ValueError(f"feature_map must be a function, or one of {', '.join(map(repr, SIZES))}; got {name!r}.")
 
 
 def form_of(space: gym.Space[Any]) -> ObservationForm:

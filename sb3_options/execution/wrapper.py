@@ -66,7 +66,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         gamma: Discount γ per primitive step, in (0, 1]; must equal the algorithm's.
         feature_map: φ from a batch of observations to concept space, shape (batch, d). By default the environment's
             own ``concept_features``; else a one-hot code for ``Discrete`` observations and the flat observation for
-            ``Box``. A ``Dict`` space has no default. ``"temporal-distance"`` and ``"laplacian"`` are learned by
+            ``Box``. A ``Dict`` space has no default. ``"temporal-distance"`` is learned by
             `SubgoalDiscoveryCallback` while the model trains, from images too.
         options_file: Start with the options of this file, which `OptionBank.save` wrote, or of this ``model.zip``.
         max_runs: How often one option may run in an episode, at least 1; None for any number. Runs that were
@@ -237,7 +237,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             raise ValueError(
                 f"There is no default feature map for {self.observation_space}: pass "
                 "OptionsWrapper(env, feature_map=...) a function from a batch of observations to features (batch, d), "
-                "or the name of one that is learned, 'temporal-distance' or 'laplacian'."
+                "or 'temporal-distance', which is learned."
             )
         return self.features.map(observations)
 

@@ -17,7 +17,7 @@ from safetensors.numpy import save as to_safetensors
 from sb3_options.checked import whole
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import HalfSpace, Region
-from sb3_options.embedding.settings import SIZES
+from sb3_options.embedding.settings import LEARNED
 from sb3_options.options import policies
 from sb3_options.options.archive import Source, content_in, name_of
 from sb3_options.options.option import Option, SubgoalOption
@@ -85,9 +85,9 @@ def check_signature(there: SpaceSignature, here: SpaceSignature, policy_inputs: 
             "options whose policies act on features (policy_input='features') move between tasks that are observed "
             "differently: learn them so, or make both environments give the same observations"
         )
-    given = here.features == "given" and there.features not in SIZES  # of which the file holds the map
+    given = here.features == "given" and there.features != LEARNED  # of which the file holds the map
     if policy_inputs and not given and here.features != there.features:
-        name = f'"{there.features}"' if there.features in SIZES else "..."
+        name = f'"{there.features}"' if there.features == LEARNED else "..."
         raise ValueError(
             f"its subgoals lie in {_OF_KIND[there.features]}, this task's in {_OF_KIND[here.features]}; pass the "
             f"feature map they were made with, OptionsWrapper(env, feature_map={name})"
@@ -100,7 +100,6 @@ _OF_KIND: dict[str | None, str] = {
     "categorical": "one-hot codes of the observations",
     "identity": "the flat observations",
     "temporal-distance": "a learned space of temporal distances",
-    "laplacian": "a learned space of eigenvectors",
     None: "no features at all",
 }
 

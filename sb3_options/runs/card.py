@@ -12,7 +12,7 @@ import yaml
 from pydantic import TypeAdapter
 
 from sb3_options.atomic import atomic_write
-from sb3_options.embedding.settings import SIZES
+from sb3_options.embedding.settings import LEARNED
 from sb3_options.envs.minigrid import is_minigrid
 from sb3_options.experience.trajectories import EpisodeRecord
 from sb3_options.options.option import SubgoalOption
@@ -106,7 +106,7 @@ def _program(config: TrainConfig) -> str:
         module, _, of = config.env_wrapper.partition(":")
         imports.append(f"from {module} import {of}")
         made.append(f"env = {of}(env)")
-    if config.feature_map in SIZES:
+    if config.feature_map == LEARNED:
         arguments += f", feature_map={config.feature_map!r}"
     elif config.feature_map is not None:
         module, _, of = config.feature_map.partition(":")

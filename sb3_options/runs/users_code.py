@@ -9,8 +9,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from sb3_options.embedding.settings import SIZES, MapName
-from sb3_options.execution.features import learned_name
+from sb3_options.embedding.settings import LEARNED, MapName
 from sb3_options.experience.observations import FeatureMap
 
 IMPORTING = {"env": "environment", "env_wrapper": "wrapper", "feature_map": "feature map"}
@@ -20,7 +19,7 @@ IMPORTING = {"env": "environment", "env_wrapper": "wrapper", "feature_map": "fea
 def importing(values: Mapping[str, Any]) -> dict[str, str]:
     """Those of the settings ``values`` that would import a module, by name."""
     texts = {name: str(values.get(name) or "") for name in IMPORTING}
-    if texts["feature_map"] in SIZES:
+    if texts["feature_map"] == LEARNED:
         del texts["feature_map"]  # one that is learned
     # GymV21Environment and GymV26Environment make what their env_id names.
     return {n: t for n, t in texts.items() if (":" in t or t.startswith("GymV") if n == "env" else t)}
@@ -61,10 +60,9 @@ def feature_map_of(text: str | None) -> FeatureMap | MapName | None:
     """
     if text is None:
         return None
-    if text not in SIZES and ":" not in text:
-        learned = " or ".join(SIZES)
-        raise ValueError(f"{flag('feature_map')} takes module:name, or {learned}, which are learned; got {text!r}.")
-    return learned_name(text) if text in SIZES else named(text, flag("feature_map"))
+    if text != LEARNED and ":" not in text:
+        raise ValueError(f"{flag('feature_map')} takes module:name, or {LEARNED}, which is learned; got {text!r}.")
+    return LEARNED if text == LEARNED else named(text, flag("feature_map"))
 
 
 def named(text: str, given_for: str) -> Callable[..., Any]:

@@ -397,7 +397,9 @@ class TestErrors:
 
 def test_where_features_are_learned_observations_are_counted() -> None:
     """What was counted in a map that is learned on would be something else later."""
-    env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0", observation="xy"), 1, gamma=GAMMA, feature_map="laplacian")
+    env = OptionsWrapper(
+        gym.make("sb3_options/TwoRooms-v0", observation="xy"), 1, gamma=GAMMA, feature_map="temporal-distance"
+    )
     bonus = IntrinsicRewardCallback()
     model = DQN("MlpPolicy", env, gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, learning_starts=10_000, seed=0)
     model.learn(200, callback=[PrimitiveStepsCallback(), bonus])

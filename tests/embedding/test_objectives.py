@@ -1,11 +1,10 @@
-"""The two objectives, in numbers that can be worked out by hand, and pairs and encoders."""
+"""The objective, in numbers that can be worked out by hand, and pairs and encoders."""
 
 import numpy as np
 import pytest
 import torch
 
 from sb3_options.embedding.encoders import Encoder, ObservationForm, as_tensor, form_of_array
-from sb3_options.embedding.laplacian import BARRIER, DUAL_RATE, AugmentedLagrangian
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.embedding.pairs import Replay
 from sb3_options.embedding.temporal_distance import SOFT, contrastive_loss, energies
@@ -33,33 +32,6 @@ class TestTemporalDistance:
         contrastive_loss(x, x).backward()  # type: ignore[no-untyped-call]  # torch ships no annotation for it
         assert x.grad is not None
         assert bool(torch.isfinite(x.grad).all())
-
-
-class TestAugmentedLagrangian:
-    U = torch.tensor([[1.0, 1.0], [-1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]])
-
-    def test_eigenvectors_that_fulfil_everything_leave_graph_drawing(self) -> None:
-        """Orthonormal vectors of mean 0: what is left is half of the squares of the steps."""
-        led = self.U * torch.tensor([-1.0, 1.0])
-        lagrangian = AugmentedLagrangian(2)
-        assert lagrangian.loss(self.U, led, self.U).item() == pytest.approx(2.0)
-        assert not lagrangian.duals.any()
-
-    def test_the_duals_follow_the_errors(self) -> None:
-        doubled = self.U * torch.tensor([2.0, 1.0])  # a norm of 4 in place of 1
-        lagrangian = AugmentedLagrangian(2)
-        loss = lagrangian.loss(doubled, doubled, doubled)
-        assert loss.item() == pytest.approx(2 * BARRIER * 3.0**2)
-        assert lagrangian.duals.tolist() == [[0.0, pytest.approx(3 * DUAL_RATE), 0.0], [0.0, 0.0, 0.0]]
-        assert lagrangian.eigenvalues.tolist() == [pytest.approx(-1.5 * DUAL_RATE), 0.0]
-
-    def test_a_vector_makes_way_for_those_before_it_alone(self) -> None:
-        u = (self.U + torch.tensor([0.0, 1.0]) * self.U[:, :1]).requires_grad_()  # the second leans on the first
-        AugmentedLagrangian(2).loss(u, u, u).backward()  # type: ignore[no-untyped-call]  # likewise
-        assert u.grad is not None
-        first, second = u.grad.T
-        assert first.abs().max() < 1e-6
-        assert second.abs().min() > 0.1
 
 
 class TestReplay:
@@ -155,7 +127,7 @@ class TestLearnedMap:
     FORM = ObservationForm("vector", (2,))
 
     def test_an_observation_has_the_same_features_in_every_batch(self) -> None:
-        phi = LearnedMap("temporal-distance", self.FORM)
+        phi = LearnedMap(self.FORM)
         batch = np.random.default_rng(0).normal(size=(700, 2))
         together = phi(batch)
         assert together.shape == (700, phi.size)
@@ -163,7 +135,7 @@ class TestLearnedMap:
         assert phi(batch[:0]).shape == (0, phi.size)
 
     def test_arrays_and_back(self) -> None:
-        one, other = LearnedMap("laplacian", self.FORM, seed=0), LearnedMap("laplacian", self.FORM, seed=1)
+        one, other = LearnedMap(self.FORM, seed=0), LearnedMap(self.FORM, seed=1)
         one.scale, one.learned = one.scale * 3.0, 4
         other.load(one.arrays())
         assert equal(one.arrays(), other.arrays())
@@ -173,15 +145,15 @@ class TestLearnedMap:
     @pytest.mark.parametrize(
         ("made", "message"),
         [
-            (LearnedMap("temporal-distance", FORM), r"^the learned feature map does not fit: .* here 'laplacian' for "),
-            (LearnedMap("laplacian", ObservationForm("vector", (3,))), r"expected \(2,\)\. Observations and name "),
+            (LearnedMap(ObservationForm("vector", (3,))), r"expected \(2,\)\. Observations must be those"),
+            (LearnedMap(ObservationForm("table", (2,))), r"^the learned feature map does not fit: "),
         ],
     )
     def test_arrays_of_another(self, made: LearnedMap, message: str) -> None:
         with pytest.raises(ValueError, match=message):
-            LearnedMap("laplacian", self.FORM).load(made.arrays())
+            LearnedMap(self.FORM).load(made.arrays())
 
     def test_arrays_that_are_not_finite(self) -> None:
-        phi = LearnedMap("laplacian", self.FORM)
+        phi = LearnedMap(self.FORM)
         with pytest.raises(ValueError, match=r"^the learned feature map holds numbers that are not finite$"):
             phi.load(phi.arrays() | {"scale": np.full(phi.size, np.nan)})

@@ -1,4 +1,4 @@
-"""What learned spaces are measured against: shortest paths, and the eigenvectors of the Laplacian."""
+"""What learned spaces are measured against: shortest paths."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from scipy.stats import spearmanr
 from sb3_options.embedding.encoders import ObservationForm
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.embedding.learner import FeatureLearner
-from sb3_options.embedding.settings import EmbeddingSettings, MapName
+from sb3_options.embedding.settings import EmbeddingSettings
 from sb3_options.envs.gridworld.grid_map import Cell, GridMap
-from sb3_options.experience.observations import FloatArray, IntArray
+from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import Trajectory
 
 
@@ -35,11 +35,6 @@ class Walked(NamedTuple):
     def steps(self) -> FloatArray:
         """Shortest paths between all nodes, (n, n)."""
         return np.array(nx.floyd_warshall_numpy(self.graph))
-
-    def eigen(self, size: int) -> tuple[FloatArray, FloatArray]:
-        """The smallest eigenvalues above 0 of I − P, and their eigenvectors, (size,) and (n, size)."""
-        values, vectors = np.linalg.eigh(nx.laplacian_matrix(self.graph).toarray() / self.degree)
-        return values[1 : size + 1], vectors[:, 1 : size + 1]
 
 
 def walked(graph: nx.Graph, degree: int, n_steps: int, seed: int, n_trajectories: int = 8) -> Walked:
@@ -82,10 +77,10 @@ def rooms(text: str, n_steps: int = 30_000, seed: int = 0) -> tuple[Walked, dict
     return walked(graph, 4, n_steps, seed), number
 
 
-def learned(name: MapName, walk: Walked, seed: int = 0, **settings: float) -> FeatureLearner:
+def learned(walk: Walked, seed: int = 0, **settings: float) -> FeatureLearner:
     """A learner that has learned from a walk, in which every node was visited."""
     form = ObservationForm("table", (len(walk.graph),))
-    learner = FeatureLearner(LearnedMap(name, form, seed), EmbeddingSettings(**settings), seed)  # type: ignore[arg-type]  # each of its type
+    learner = FeatureLearner(LearnedMap(form, seed), EmbeddingSettings(**settings), seed)  # type: ignore[arg-type]  # each of its type
     learner.learn(walk.trajectories, len(walk.trajectories))
     return learner
 
@@ -100,22 +95,3 @@ def rank_correlation(one: FloatArray, other: FloatArray) -> float:
     """Spearman's, of the distances above the diagonal."""
     above = np.triu_indices(len(one), 1)
     return float(spearmanr(one[above], other[above]).statistic)
-
-
-def cosines(features: FloatArray, vectors: FloatArray, values: FloatArray, gap: float = 0.1) -> FloatArray:
-    """How much of each learned vector lies where the true one is, up to its sign, (size,) in [0, 1].
-
-    True eigenvalues nearer than ``gap`` of themselves leave any rotation within the span of their vectors.
-
-    Args:
-        features: Learned vectors, (n, size).
-        vectors: True ones, (n, k), k ≥ size; enough that those of an eigenvalue near the last are among them.
-        values: Their eigenvalues, (k,), ascending.
-        gap: Share of an eigenvalue.
-    """
-    centred = features - features.mean(axis=0)
-    centred /= np.linalg.norm(centred, axis=0)
-    new_group = np.diff(values, prepend=-np.inf) > gap * values
-    groups: IntArray = np.cumsum(new_group)
-    projections = (vectors.T @ centred) ** 2
-    return np.sqrt([projections[groups == groups[i], i].sum() for i in range(centred.shape[1])])

@@ -53,7 +53,7 @@ def test_settings_of_groups_are_told_where_they_differ(file: Path) -> None:
             DQNConfig(env_wrapper="mine.here:Wrap", feature_map="mine:phi"),
             ["from mine.here import Wrap", "env = Wrap(env)", "from mine import phi"],
         ),
-        (DQNConfig(feature_map="laplacian"), []),
+        (DQNConfig(feature_map="temporal-distance"), []),
     ],
 )
 def test_wrappers_are_in_the_program(config: DQNConfig, lines: list[str], file: Path) -> None:
@@ -61,7 +61,7 @@ def test_wrappers_are_in_the_program(config: DQNConfig, lines: list[str], file: 
     (program,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     assert set(lines) <= set(program.splitlines())
     assert ("feature_map=phi" in program) == (config.feature_map == "mine:phi")
-    assert ("feature_map='laplacian'" in program) == (config.feature_map == "laplacian")
+    assert ("feature_map='temporal-distance'" in program) == (config.feature_map == "temporal-distance")
 
 
 def test_the_class_of_every_algorithm_can_be_imported() -> None:

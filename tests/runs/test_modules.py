@@ -97,8 +97,8 @@ def test_a_file_that_names_one_is_refused_with_the_flag(tmp_path: Path, capsys: 
     ("flag", "value", "expected"),
     [
         ("--env-wrapper", "users_module", "--env-wrapper takes module:name, got 'users_module'."),
-        ("--feature-map", "laplacien", "--feature-map takes module:name, or temporal-distance or laplacian, which are "
-         "learned; got 'laplacien'."),
+        ("--feature-map", "laplacien", "--feature-map takes module:name, or temporal-distance, which is learned; got "
+         "'laplacien'."),
         ("--env-wrapper", "no_such_module:A", "Error: --env-wrapper: No module named 'no_such_module'. One in the"),
         ("--feature-map", "no_such.module:a", "Error: --feature-map: No module named 'no_such'. One in the current"),
         ("--env", "no_such_module:A-v0", "Error: --env: No module named 'no_such_module'. One in the current folder is "
