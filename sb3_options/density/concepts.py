@@ -255,9 +255,6 @@ class Plane(Concept):
     Attributes:
         steepness: Standard deviation of the prior of v_k, per width of a scaled feature, > 0.
         offset: Standard deviation of the prior of b, > 0.
-
-    Raises:
-        ValueError: An argument is out of its range.
     """
 
     steepness: float = 3.0

@@ -99,11 +99,7 @@ class FeatureGroup:
         return self if not isinstance(self.seen, FeatureGroup) else self.seen
 
     def own(self, features: FloatArray) -> FloatArray:
-        """The group's own features (batch, k) of all features (batch, d).
-
-        Raises:
-            ValueError: There are fewer features than it names.
-        """
+        """The group's own features (batch, k) of all features (batch, d)."""
         if self._last >= features.shape[1]:
             raise ValueError(
                 f"group {self.name!r} names feature {self._last}, the feature map gives {features.shape[1]}"
@@ -138,11 +134,7 @@ class FeatureGroup:
 
 
 def checked_groups(groups: Iterable[FeatureGroup], n_features: int) -> tuple[FeatureGroup, ...]:
-    """The groups themselves.
-
-    Raises:
-        ValueError: One of them names a feature that there is not, or two have one name.
-    """
+    """The groups themselves; a ValueError if one names a feature that there is not, or two have one name."""
     groups = tuple(groups)
     for group in groups:
         for each in (group, group.sees):

@@ -89,13 +89,10 @@ class BagArrays(NamedTuple):
 
 
 def segments_of(bags: BagArrays, *, n_powers: int, width: float, dtype: torch.dtype) -> list[Segment]:
-    """Lay out bags in segments.
+    """Lay out bags in segments, in the units the concept is searched in.
 
-    Args:
-        bags: In the units the concept is searched in, near the origin.
-        n_powers: 1 for coefficients of 1 and x_k, 2 for those of x_k² too.
-        width: Of negative instances: their powers, and so their energies, are divided by its square.
-        dtype: Precision of the powers.
+    ``n_powers`` is 2 where energies have coefficients of x_k². Powers of negative instances, and so their energies, are
+    divided by the square of ``width``.
     """
     return [_segment_of(part, n_powers, width, dtype) for part in bags.split(SEGMENT_INSTANCES)]
 

@@ -86,13 +86,8 @@ class BatchedLBFGS:
     def run(self, steps: int, *, contest: bool = False) -> None:
         """Go on for at most ``steps`` calls of the objective.
 
-        Args:
-            steps: How many.
-            contest: Stop as soon as no start promises to reach the best value so far, or to improve by more than the
-                tolerance. What it promises is twice the decrease of a quadratic: its slope along the direction.
-
-        Raises:
-            ValueError: ``steps`` is no whole number or below 0.
+        With ``contest`` it stops as soon as no start promises to reach the best value so far, or to improve by more
+        than the tolerance. What it promises is twice the decrease of a quadratic: its slope along the direction.
         """
         if not whole(steps, 0):
             raise ValueError(f"steps must be a whole number of at least 0, got {steps!r}")

@@ -55,19 +55,9 @@ def evaluate(
     gradient: bool = True,
     max_pairs: int | None = None,
 ) -> Evaluation:
-    """Log density and gradient of every column.
+    """Log density and gradient of every column, as fresh tensors.
 
-    Args:
-        columns: S concepts.
-        segments: The evidence.
-        likelihood: What it says.
-        workspace: Kept from one evaluation to the next.
-        gradient: Whether it is wanted.
-        max_pairs: Bounds the memory: (instances × starts) at once, unless one bag alone is larger. By default
-            `MAX_PAIRS`.
-
-    Returns:
-        Fresh tensors.
+    ``max_pairs`` bounds (instances × starts) held at once, unless one bag alone is larger; by default `MAX_PAIRS`.
     """
     at_once = MAX_PAIRS if max_pairs is None else max_pairs
     first, *others = (_of_segment(columns, segment, likelihood, workspace, gradient, at_once) for segment in segments)

@@ -19,20 +19,11 @@ def is_one_hot(features: FloatArray) -> bool:
 def one_hot_log_density(
     points: FloatArray, scale: float, bags: Bags, negative_strength: float, leak: float
 ) -> FloatArray:
-    """`log_diverse_density` of one-hot codes, without products of features: it matters only which state is which.
+    """`log_diverse_density` of one-hot codes (m, d), without products of features: which state is which is all.
 
     Every other state is at the same distance, where p = exp(−2 s²). So with n instances in a bag, a positive one has
-    probability 1 if the state is in it, else λ + (1 − λ) (1 − (1 − p)ⁿ).
-
-    Args:
-        points: One-hot codes (m, d).
-        scale: s of all features.
-        bags: Of one-hot codes, without weights.
-        negative_strength: η in (0, 1].
-        leak: λ in [0, 1).
-
-    Returns:
-        Shape (m,), in nats; −inf where a state is in a negative bag at full strength.
+    probability 1 if the state is in it, else λ + (1 − λ) (1 − (1 − p)ⁿ). −inf where a state is in a negative bag at
+    full strength. The bags have no weights.
     """
     log_elsewhere = -2.0 * scale**2
     elsewhere = math.exp(log_elsewhere)

@@ -45,12 +45,7 @@ class ObservationForm(NamedTuple):
 
 
 def form_of_array(shape: tuple[int, ...], dtype: np.dtype[np.generic]) -> ObservationForm:
-    """The form of observations that are one array: an image, if that is what it looks like.
-
-    Args:
-        shape: Of one observation.
-        dtype: Of one observation; images are whole numbers of one byte.
-    """
+    """The form of observations that are one array: an image, if that is what it looks like."""
     for first, channels, sides in ((1, shape[-1:], shape[:2]), (0, shape[:1], shape[1:])):
         if dtype == np.uint8 and len(shape) == 3 and channels[0] in (1, 3, 4, 12) and min(sides) >= MIN_IMAGE:
             return ObservationForm("image", (*channels, *sides), first)
@@ -60,12 +55,7 @@ def form_of_array(shape: tuple[int, ...], dtype: np.dtype[np.generic]) -> Observ
 def as_tensor(observations: Observations, form: ObservationForm) -> torch.Tensor:
     """A batch in the layout that the encoder takes, not yet standardised; bytes stay bytes.
 
-    Args:
-        observations: Batch of n.
-        form: Of one.
-
-    Returns:
-        Numbers of states (n,), images (n, channels, height, width), or rows (n, numbers).
+    Numbers of states (n,), images (n, channels, height, width), or rows (n, numbers).
     """
     if form.kind == "table":
         return torch.from_numpy(np.asarray(observations).reshape(len(observations)).astype(np.int64) - form.first)

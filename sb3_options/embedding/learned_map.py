@@ -72,11 +72,7 @@ class LearnedMap:
         return {**weights, "scale": self.scale.copy(), "learned": np.array(self.learned)}
 
     def load(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Become what `arrays` gave.
-
-        Raises:
-            ValueError: They are for other observations, or not finite.
-        """
+        """Become what `arrays` gave."""
         expected = {name: array.shape for name, array in self.arrays().items()}
         found = {name: np.shape(array) for name, array in arrays.items()}
         if found != expected:

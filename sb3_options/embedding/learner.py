@@ -52,14 +52,10 @@ class FeatureLearner:
         return any((t.visits[1:] != t.visits[:-1]).any() for t in trajectories)
 
     def learn(self, trajectories: Iterable[Trajectory], n_trajectories: int) -> None:
-        """Take gradient steps on pairs of the saved trajectories, and find the scale.
+        """Take gradient steps on pairs of the saved trajectories, oldest first, and find the scale.
 
-        Args:
-            trajectories: The saved ones, oldest first, with one step at least that moves.
-            n_trajectories: How many there have been, those included that are no longer saved.
-
-        Raises:
-            ValueError: No step moves; or gradient steps led to numbers that are not finite, and the map is as it was.
+        ``n_trajectories`` counts those that are no longer saved, too. After steps that led to numbers that are not
+        finite the map is as it was.
         """
         replay = Replay(trajectories, self.map.encoder.form)
         before, after = replay.steps()

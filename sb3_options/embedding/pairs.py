@@ -70,18 +70,12 @@ class Replay:
         return before[moved], after[moved]
 
     def sample(self, n: int, horizon: float, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
-        """Pairs k steps apart, P(k) ∝ γᵏ⁻¹ for k up to the end of the trajectory, γ = 1 − 1/horizon.
+        """Rows of ``n`` pairs k steps apart, earlier and later.
+
+        P(k) ∝ γᵏ⁻¹ for k up to the end of the trajectory, γ = 1 − 1/horizon.
 
         Each distinct observation begins a pair equally often. A walk visits some places a hundred times as often as
         others; drawn by visits, the seldom ones would lie far away from everything, however near they are.
-
-        Args:
-            n: Pairs.
-            horizon: Mean of k where the trajectory is long, above 1.
-            generator: Of the draws.
-
-        Returns:
-            Rows of the earlier and of the later observations, (n,) each.
         """
         which = torch.randint(len(self._counts), (n,), generator=generator)
         visit = torch.rand(n, dtype=torch.float64, generator=generator) * self._counts[which]

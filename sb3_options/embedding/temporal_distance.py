@@ -19,27 +19,14 @@ SOFT = 1e-4
 
 
 def energies(began: torch.Tensor, led: torch.Tensor) -> torch.Tensor:
-    """c(yⱼ) − ‖φ(xᵢ) − φ(yⱼ)‖ of all pairs.
-
-    Args:
-        began: What the encoder makes of x, (n, d + 1): φ, then c.
-        led: Of y, likewise.
-
-    Returns:
-        (n, n), a row for each x.
-    """
+    """c(yⱼ) − ‖φ(xᵢ) − φ(yⱼ)‖ of all pairs, (n, n), from what the encoder makes of x and y, (n, d + 1): φ, then c."""
     x, y = began[:, :-1], led[:, :-1]
     squares = x.square().sum(dim=1)[:, None] + y.square().sum(dim=1) - 2.0 * x @ y.T
     return led[:, -1] - torch.sqrt(squares.clamp(min=0.0) + SOFT)
 
 
 def contrastive_loss(began: torch.Tensor, led: torch.Tensor) -> torch.Tensor:
-    """Symmetric InfoNCE: which y followed which x, and the other way round (Jiang et al. 2025).
-
-    Args:
-        began: What the encoder makes of x, (n, d + 1).
-        led: Of what followed, likewise, in the same order.
-    """
+    """Symmetric InfoNCE: which y followed which x, and the other way round (Jiang et al. 2025)."""
     logits = energies(began, led)
     same = torch.arange(len(logits))
     return 0.5 * (functional.cross_entropy(logits, same) + functional.cross_entropy(logits.T, same))

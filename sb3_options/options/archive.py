@@ -29,12 +29,7 @@ def name_of(source: Source) -> str:
 
 
 def content_in(source: Source) -> bytes:
-    """The content of an options file, wherever it is. It is not checked, and nothing is unpickled.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is a ``model.zip`` without options, or damaged.
-    """
+    """The content of an options file, wherever it is. It is not checked, and nothing is unpickled."""
     if isinstance(source, bytes):
         return source
     path = Path(source)
@@ -66,12 +61,7 @@ def packed_text(content: bytes) -> str:
 
 
 def unpacked_text(text: str) -> bytes:
-    """The inverse of `packed_text`.
-
-    Raises:
-        ValueError: The text is something else, or too long.
-        zlib.error: It is damaged.
-    """
+    """The inverse of `packed_text`."""
     unpacker = zlib.decompressobj()
     content = unpacker.decompress(base64.b64decode(text, validate=True), MAX_BYTES)
     if not unpacker.eof:

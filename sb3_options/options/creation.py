@@ -106,16 +106,6 @@ def where_it_pays(
     The option ends where no action has a value above 0, that of stopping. I is every other place that was visited. A
     network's values are never exactly 0, and often too large, so that it would go on for ever: then the values are
     those of a table of the places.
-
-    Args:
-        reward: What is gained.
-        policy: Learned.
-        trajectories: Where it was learned.
-        n_primitive: Number of primitive actions.
-        settings: ``policy_input``, ``initiation_radius``, ``gamma`` and ``sweeps`` are used.
-
-    Returns:
-        The places where it ends, the highest first, and I.
     """
     trajectories = list(trajectories)
     sums, counts = np.zeros((2, len(reward.points)))
@@ -176,14 +166,8 @@ def joined(option: SubgoalOption, later: SubgoalOption) -> SubgoalOption:
     """An option from elsewhere together with one for the same subgoal that was learned here.
 
     The trajectories that the first was made from are not at hand, so nothing can be learned from all of them: I is the
-    union of both, and π that of the later one in the states that it knows.
-
-    Args:
-        option: From another task.
-        later: Learned in this one.
-
-    Returns:
-        The option; the first one itself if a policy is not a table or they act on different things.
+    union of both, and π that of the later one in the states that it knows. The first one itself if a policy is not a
+    table or they act on different things.
     """
     known, new = option.option_policy, later.option_policy
     same = isinstance(known, TabularPolicy) and isinstance(new, TabularPolicy)
@@ -231,15 +215,9 @@ class OptionGrowth:
         self._learned_from.pop(slot, None)
 
     def is_due(self, slot: int, subgoal: Region, trajectory: LabelledTrajectory) -> bool:
-        """Whether the option in ``slot`` is to be learned anew after one more trajectory.
+        """Whether the option in ``slot`` is to be learned anew after one more trajectory: at every doubling.
 
-        Args:
-            slot: Of the option.
-            subgoal: Of the option.
-            trajectory: The new one.
-
-        Returns:
-            True at every doubling; never for an option that was neither `made` nor `adopted`.
+        Never an option that was neither `made` nor `adopted`.
         """
         if slot not in self._reached:
             return False

@@ -64,19 +64,11 @@ class SpaceSignature(NamedTuple):
 
 
 def check_signature(there: SpaceSignature, here: SpaceSignature, policy_inputs: set[PolicyInput]) -> None:
-    """Refuse options that were made for other observations.
+    """Refuse options that were made for other observations: those of a file, ``there``, and of the bank, ``here``.
 
     A policy that acts on the observation needs the same space, one that acts on features does not. Both need the same
     kind of feature map, because the subgoals lie in its space. A map that the user passed is taken to be that one,
     unless that was learned.
-
-    Args:
-        there: Of the file.
-        here: Of the bank.
-        policy_inputs: What the file's policies act on.
-
-    Raises:
-        ValueError: They do not agree.
     """
     if "observation" in policy_inputs and there.digest != here.digest:
         bounds = "" if there.space != here.space else ", whose bounds differ"
@@ -113,11 +105,7 @@ def content_of(
 ) -> bytes:
     """What a file says: the arrays of the discovered options and the names of the hand-made ones.
 
-    Args:
-        slots: Of the bank.
-        n_primitive: Number of primitive actions.
-        signature: Of the bank's observations.
-        feature_map: What a learned feature map consists of, without which its options are of no use.
+    ``feature_map`` is what a learned map consists of, without which its options are of no use.
     """
     tensors: Arrays = {f"{MAP}.{name}": array for name, array in (feature_map or {}).items()}
     entries: dict[str, Any] = {}
@@ -163,15 +151,7 @@ class OptionsFile(NamedTuple):
     def options(
         self, *, observation_size: int | None = None, feature_size: int | None = None
     ) -> dict[int, SubgoalOption]:
-        """The discovered options by slot, not bound to a feature map.
-
-        Args:
-            observation_size: Numbers in one flat observation; None for any.
-            feature_size: Dimensions of concept space; None for any.
-
-        Raises:
-            ValueError: They make no sense, or are for others.
-        """
+        """The discovered options by slot, not bound to a feature map; a size of None takes any."""
         options = {}
         with _errors_of(self.name):
             for slot, entry in self.entries.items():
@@ -229,19 +209,9 @@ def load(
     feature_size: int | None,
     signature: SpaceSignature | None,
 ) -> dict[int, SubgoalOption]:
-    """The discovered options of `content_of`, by slot, not bound to a feature map; see `OptionBank.load`.
+    """The discovered options of `content_of`, by slot, not bound to a feature map, as `OptionBank.load`.
 
-    Args:
-        source: Of the options.
-        slots: Of the bank that takes the options. A hand-made option of the file must be in its slot.
-        n_primitive: Number of primitive actions.
-        observation_size: Numbers in one flat observation; None for any.
-        feature_size: Dimensions of concept space; None for any.
-        signature: Of the bank's observations; None for any.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: The file is damaged, is something else, or does not fit the bank.
+    A hand-made option of the file must be in its slot.
     """
     file = opened(source)
     with _errors_of(file.name):

@@ -41,7 +41,7 @@ class Displacement(NamedTuple):
 def imagined_farther(
     initiation: Region, transitions: Transitions, policy: TabularPolicy, settings: OptionLearningSettings
 ) -> tuple[Region, TabularPolicy]:
-    """I and policy, extended to where nobody was by imagined steps.
+    """I and policy, extended to where nobody was by imagined steps; the same ones where nothing is to be imagined.
 
     Small rooms show what is near. But where an action displaces a thing that is seen, it does so by the same vector
     wherever the thing is, as long as the other features (the context: what is visible, whether the cell ahead is free)
@@ -49,17 +49,7 @@ def imagined_farther(
     agree on, to states that were never seen. An action there is worth what the best known way on from it is:
     Q(s, a) = r + γ max Q(s', ·), in sweeps until nothing gets better. This is planning with a model in the manner of
     linear Dyna (Sutton, Szepesvári, Geramifard & Bowling 2008); the model is that displacement. States that were seen
-    are left as they are. As many steps are imagined as a run of the option may last; from the farthest states a run
-    takes longer than that, for it goes on from where it enters I.
-
-    Args:
-        initiation: I, on a group of features with ``coordinates``; with others nothing is imagined.
-        transitions: Of the option's own task.
-        policy: A table, learned from them.
-        settings: ``max_duration`` and ``gamma`` are used.
-
-    Returns:
-        I and the policy; the same ones where nothing is to be imagined.
+    are left as they are. As many steps are imagined as a run of the option may last.
     """
     group = initiation.group
     if group is None or not group.coordinates or not len(initiation.points):
@@ -94,12 +84,7 @@ def imagined_farther(
 
 
 def displacements(transitions: Transitions, moving: BoolArray) -> list[Displacement]:
-    """The rules that nearly all saved steps agree on.
-
-    Args:
-        transitions: Of the option's own task, on its features.
-        moving: Which of these are coordinates, (k,).
-    """
+    """The rules that nearly all saved steps agree on, ``moving`` saying which features are coordinates, (k,)."""
     states = flatten(transitions.states) + 0.0
     steps = np.stack([transitions.began, transitions.actions, transitions.led], axis=1)
     distinct, counts = np.unique(steps, axis=0, return_counts=True)

@@ -18,14 +18,8 @@ def initiation_set(
 ) -> Region:
     """The union of the n states before a visit of the subgoal, over all saved trajectories.
 
-    Args:
-        subgoal: In concept space.
-        trajectories: All of them, successful or not.
-        settings: ``initiation_steps``, ``initiation_visits`` and ``initiation_radius`` are used.
-
-    Returns:
-        A region with one centre for every distinct state, in the features that an option for the subgoal sees; empty
-        if no trajectory visits the subgoal.
+    A region with one centre for every distinct state, in the features that an option for the subgoal sees; empty if no
+    trajectory visits the subgoal.
     """
     trajectories = list(trajectories)
     points: list[FloatArray] = [t.features[:0] for t in trajectories[:1]] or [subgoal.points[:0]]
@@ -49,16 +43,7 @@ def initiation_set(
 
 
 def leading(passage: Passage, trajectories: Iterable[LabelledTrajectory], settings: OptionLearningSettings) -> Region:
-    """The states of a passage's I from which saved steps lead to its subgoal without leaving I.
-
-    Args:
-        passage: In concept space.
-        trajectories: All of them, successful or not.
-        settings: ``initiation_radius`` is used.
-
-    Returns:
-        A region with one centre for every distinct state; empty if there is none.
-    """
+    """The states of a passage's I from which saved steps lead to its subgoal without leaving I, as a region."""
     from scipy.sparse import csr_array  # here, because they take a third of a second to import
     from scipy.sparse.csgraph import breadth_first_order
 

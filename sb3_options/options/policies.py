@@ -71,14 +71,7 @@ class TabularPolicy:
         return known
 
     def rows_for(self, observations: Observations) -> tuple[IntArray, FloatArray, FloatArray]:
-        """The table extended by ``observations``.
-
-        Args:
-            observations: Distinct ones, batch of n.
-
-        Returns:
-            The row of each observation, shape (n,); states and values with rows of −∞ for new ones, as copies.
-        """
+        """The table extended by distinct observations: their rows (n,), and copies of states and values."""
         flat = flatten(observations) + 0.0
         rows = np.array([self._row_of.get(key, -1) for key in row_keys(flat)], dtype=np.int64)
         new = np.flatnonzero(rows < 0)
@@ -140,12 +133,7 @@ class NetworkPolicy:
 def from_arrays(
     arrays: dict[str, npt.NDArray[np.float64]], observation_size: int | None, n_primitive: int
 ) -> OptionPolicy:
-    """The inverse of `OptionPolicy.arrays`.
-
-    Args:
-        arrays: By name.
-        observation_size: Numbers in one flat observation, or features of it; None for any.
-        n_primitive: Number of primitive actions.
+    """The inverse of `OptionPolicy.arrays`, for observations of any size where ``observation_size`` is None.
 
     Raises:
         ValueError: Arrays are missing, or do not fit each other, the observations or the actions.

@@ -21,9 +21,6 @@ class Passage:
     Attributes:
         subgoal: Where the option ends.
         initiation: I: where it may start, and go on.
-
-    Raises:
-        TypeError: One of them is no region.
     """
 
     subgoal: Region
@@ -48,10 +45,6 @@ class IntrinsicReward:
         potentials: f there, (n,), finite.
         scale: Factor for every feature that makes one unit one step, (d,).
         radius: Of the regions that the option's I and β are made of, in scaled units.
-
-    Raises:
-        ValueError: Arrays that do not fit each other, no place at all, two states of one place, or a potential that is
-            not finite.
     """
 
     points: FloatArray

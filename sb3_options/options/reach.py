@@ -22,20 +22,11 @@ def reach_probabilities(
     steps: int,
     inside: BoolArray | None = None,
 ) -> FloatArray:
-    """The probability of reaching the subgoal within some steps of the policy, as far as was seen.
+    """The probability of reaching the subgoal within some steps, for each of ``transitions.states``, (m,).
 
     The saved steps in which the policy's action was taken make a Markov chain: P(s) = Σ P(s') / (n + 1) over the n
     steps from s, with P = 1 at the subgoal and 0 where the option ends. The 1 is a step that fails
-    (`IMAGINED_FAILURES`).
-
-    Args:
-        transitions: Of the option's own task.
-        policy: A table.
-        steps: At least 1.
-        inside: In which of ``transitions.states`` the option goes on, (m,); by default in all.
-
-    Returns:
-        P of each of ``transitions.states``, (m,); 0 where the policy's action never was taken.
+    (`IMAGINED_FAILURES`). The option goes on in the states ``inside``, (m,), by default in all.
     """
     chosen = policy.actions(transitions.states)
     taken = chosen[transitions.began] == transitions.actions
@@ -70,9 +61,6 @@ def reliable_part(
         policy: A table.
         least: Probability of `reach_probabilities`, in [0, 1].
         steps: Within which it is to be reached.
-
-    Returns:
-        I with fewer points; possibly none.
     """
     states = flatten(transitions.states) + 0.0  # -0.0 and 0.0 are one state
     inside = np.ones(len(states), dtype=bool)

@@ -30,16 +30,7 @@ def replay_into_table(transitions: Transitions, n_primitive: int, *, gamma: floa
     Every sweep sets Q(s, a) to the mean of r + γ max_a' Q(s', a') over the transitions of (s, a), without the second
     term where the task ends: the fixed point of experience replay. An action that was never tried in a state keeps
     −∞. So does an action that only led to states in which no saved trajectory acted: what follows them is unknown.
-    Where the option may stop, no state is worth less than that.
-
-    Args:
-        transitions: Of the option's own task.
-        n_primitive: Number of primitive actions.
-        gamma: Discount.
-        sweeps: At most this many; fewer if nothing changes any more.
-
-    Returns:
-        The greedy policy.
+    Where the option may stop, no state is worth less than that. It stops when nothing changes, or after ``sweeps``.
     """
     states = flatten(transitions.states)
     n_states = len(states)
@@ -85,15 +76,7 @@ def replay_into_network(
 ) -> NetworkPolicy:
     """Q-learning by replay (Lin 1992) into a network with two hidden layers and a target network.
 
-    Args:
-        transitions: Of the option's own task.
-        n_primitive: Number of primitive actions.
-        gamma: Discount.
-        updates: Gradient steps.
-        generator: Draws the first weights and the batches.
-
-    Returns:
-        The greedy policy.
+    The generator draws the first weights and the batches of the ``updates`` gradient steps.
     """
     states = flatten(transitions.states)
     mean, std = states.mean(axis=0), states.std(axis=0)

@@ -134,13 +134,7 @@ class Climbing:
 def transitions_of(
     task: OwnTask, trajectories: Iterable[LabelledTrajectory], settings: OptionLearningSettings
 ) -> Transitions | None:
-    """Every saved primitive step that belongs to a task; None if there are none.
-
-    Args:
-        task: The option's own.
-        trajectories: The saved ones.
-        settings: ``policy_input`` is used; features are those that count for the task.
-    """
+    """Every saved primitive step that belongs to a task; None if there are none."""
     row_of: dict[bytes, int] = {}
     states: list[Observations] = []
     columns: list[tuple[IntArray, IntArray, FloatArray, IntArray, BoolArray]] = []
