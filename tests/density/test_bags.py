@@ -28,10 +28,6 @@ def test_no_real_numbers(bag: Any, said: str) -> None:
         Bags.pack([[[0.0]], bag])
 
 
-def test_a_mask_that_hides_nothing() -> None:
-    assert Bags.pack([np.ma.array([[1.0], [2.0]])]).instances.tolist() == [[1.0], [2.0]]
-
-
 def test_points_weights_and_scales() -> None:
     bags = Bags.pack([[[0.0]]])
     with pytest.raises(ValueError, match="weights must hold real numbers"):

@@ -44,13 +44,6 @@ def test_value_at_any_distance(distance: float, d: int) -> None:
     assert density(np.zeros((1, d)), 1.0, positive)[0] == pytest.approx(float(expected), rel=1e-9, abs=ROUNDING)
 
 
-def test_order_of_bags_and_instances_does_not_matter() -> None:
-    rng = np.random.default_rng(2)
-    positive, negative, points = random_bags(rng, 5, 2, 2), random_bags(rng, 3, 2, 2), rng.normal(size=(7, 2))
-    shuffled = [rng.permutation(bag) for bag in positive[::-1]], [rng.permutation(bag) for bag in negative[::-1]]
-    np.testing.assert_allclose(density(points, 1.0, *shuffled), density(points, 1.0, positive, negative), rtol=1e-12)
-
-
 def test_an_offset_costs_no_digits() -> None:
     rng = np.random.default_rng(3)
     offset = np.array([1024.0, -4096.0])  # on the grid of the features, so that adding it is exact
@@ -158,31 +151,10 @@ def test_near_a_negative_instance_everything_is_finite() -> None:
         assert value < 0
 
 
-def test_saturation() -> None:
-    bag = np.full((100, 2), 3.0)
-    assert density([[3.0, 3.0]], 1.0, [bag] * 4).tolist() == [0.0]
-    assert density([[3.0, 3.0]], 1.0, [], [bag]).tolist() == [-np.inf]
-    near = [3.0, 3.1]
-    assert density([near], 1.0, [], [bag])[0] == pytest.approx(float(oracle(near, 1.0, [], [bag])), rel=1e-12)
-    value, gradient = value_and_gradient(np.array(near), [bag])
-    assert value == pytest.approx(0.0, abs=ROUNDING)
-    np.testing.assert_allclose(gradient, 0.0, atol=1e-12)
-
-
 def test_duplicates_count() -> None:
     instance = np.array([[1.0, 0.0]])
     once, twice = density([[0.0, 0.0]], 1.0, [instance])[0], density([[0.0, 0.0]], 1.0, [np.tile(instance, (2, 1))])[0]
     assert twice == pytest.approx(np.log1p(-((1 - np.exp(once)) ** 2)))
-
-
-@pytest.mark.parametrize("lengths", [[1], [1, 1, 1], [1, 400, 3], [60] * 3, [33, 31, 35, 1000], [1000] + [2] * 50])
-def test_uneven_bags(lengths: list[int]) -> None:
-    rng = np.random.default_rng(8)
-    positive = [rng.normal(scale=4, size=(n, 2)) for n in lengths]
-    points = rng.normal(scale=6, size=(3, 2))
-    separate = sum(density(points, 0.7, [bag]) for bag in positive)
-    np.testing.assert_allclose(density(points, 0.7, positive), separate, rtol=1e-11, atol=ROUNDING)
-    assert sum(len(segment.powers) for segment in Bags.pack(positive).segments) == sum(lengths)
 
 
 @pytest.mark.parametrize("max_pairs", [1, 50, 333])
@@ -197,15 +169,3 @@ def test_chunks_change_nothing(max_pairs: int, d: int, monkeypatch: pytest.Monke
     np.testing.assert_allclose(density(points, 1.0, positive, negative), whole, rtol=1e-12, atol=ROUNDING)
     for peak, same in zip(peaks, DiverseDensity().search(Bags.pack(positive, negative)), strict=True):
         np.testing.assert_allclose(peak.point, same.point, atol=1e-3)
-
-
-def test_many_features_agree_with_few() -> None:
-    rng = np.random.default_rng(10)
-    positive, negative = random_bags(rng, 5, 2, 2), random_bags(rng, 2, 2, 2)
-    points = np.concatenate([rng.normal(size=(9, 2)), positive[0], positive[1] + 1e-9])
-
-    def widen(x: FloatArray) -> FloatArray:
-        return np.hstack([x, np.full((len(x), 30), 50.0)])
-
-    wide = density(widen(points), 1.0, [widen(b) for b in positive], [widen(b) for b in negative])
-    np.testing.assert_allclose(wide, density(points, 1.0, positive, negative), rtol=1e-9, atol=ROUNDING)

@@ -260,13 +260,3 @@ def test_order_and_origin_change_nothing(
     assert before[0] <= 0
     more = densities(evidence_of(Bags.pack([*positive, np.vstack([*positive, at])], negative)), at, ones)
     np.testing.assert_allclose(more, before, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize("max_pairs", [1, 50, 333])
-def test_chunks_change_nothing(max_pairs: int) -> None:
-    rng = np.random.default_rng(9)
-    bags = Bags.pack(random_bags(rng, 6, 4, 1.0), random_bags(rng, 3, 4, 1.0))
-    theta = theta_of(rng.normal(size=(30, 4)), np.ones(4))
-    whole, parts = evidence_of(bags).loss(theta), evidence_of(bags, max_pairs=max_pairs).loss(theta)
-    for one, other in zip(whole, parts, strict=True):
-        torch.testing.assert_close(one, other, rtol=1e-12, atol=1e-12)

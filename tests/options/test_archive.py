@@ -35,20 +35,6 @@ def test_the_member_goes_before_the_text(tmp_path: Path) -> None:
     assert content_in(zipped(tmp_path / "b", {"data": data, NAME: CONTENT})) == CONTENT
 
 
-def test_nothing_else_in_the_archive_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = zipped(tmp_path / "model.zip", {"data": "no json", "policy.pth": b"no tensors", NAME: CONTENT})
-    read: list[str] = []
-    member = zipfile.ZipFile.read
-
-    def noted(self: zipfile.ZipFile, name: str) -> bytes:
-        read.append(name)
-        return member(self, name)
-
-    monkeypatch.setattr(zipfile.ZipFile, "read", noted)
-    assert content_in(path) == CONTENT
-    assert read == [NAME]
-
-
 @pytest.mark.parametrize(
     "members",
     [

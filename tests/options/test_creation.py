@@ -36,9 +36,6 @@ class TestLearnOption:
         assert np.flatnonzero(bound.termination(places)).tolist() == [5]
         assert bound.policy(places[2:5]).tolist() == [RIGHT] * 3
 
-    def test_any_iterable_of_trajectories(self) -> None:
-        assert learn_option(DOOR, iter(self.trajectories), 2, OptionLearningSettings(), generator()) is not None
-
     def test_none_where_no_trajectory_leads_to_the_subgoal(self) -> None:
         assert self.learn() is None
         assert self.learn(walk([1, 2, 3, 4]), walk([9, 8, 7])) is None
@@ -181,11 +178,6 @@ def test_joined_options_start_where_either_does_and_act_as_the_later_one_where_i
     assert np.flatnonzero(first.bind(flatten).initiation(places)).tolist() == [2, 3, 4]  # unchanged
     network = learned(2, 3, 4, 5).with_policy(NetworkPolicy(np.zeros(1), np.ones(1), [np.eye(1, 2)], [np.zeros(2)]))
     assert joined(network, later) is network
-
-
-def test_an_option_made_elsewhere_stays_what_it_is() -> None:
-    growth = OptionGrowth()
-    assert not any(growth.is_due(3, ball(2.0), REACHES) for _ in range(5))
 
 
 def test_a_closed_option_does_not_grow() -> None:

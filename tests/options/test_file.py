@@ -69,12 +69,6 @@ class TestSpaceSignature:
         swapped = spaces.Dict([("b", spaces.Box(0.0, 1.0, (3,))), ("a", spaces.Discrete(3))])
         assert signature(swapped, None).digest == signature(self.SPACES[14], None).digest
 
-    def test_the_description_can_be_read(self) -> None:
-        assert signature(spaces.Discrete(3), None).space == "Discrete(3)"
-        for space in self.SPACES:
-            assert len(signature(space, None).space) <= 201
-            assert "\n" not in signature(space, None).space
-
 
 class TestOtherObservations:
     def test_coordinates_of_other_rooms(self, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.options.creation import learn_option
 from sb3_options.options.initiation import leading
 from sb3_options.options.option import SubgoalOption
-from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal, everywhere, goal_of
+from sb3_options.options.proposals import IntrinsicReward, Passage, Proposal, everywhere
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.options.tasks import Climbing, Reaching, transitions_of
 from tests.options.corridor import DOOR, LEFT, RIGHT, generator, walk
@@ -86,14 +86,6 @@ class TestIntrinsicReward:
         with pytest.raises(ValueError, match=r"^points, potentials and scale must be \(n, d\), \(n,\) and \(d,\)"):
             IntrinsicReward(np.zeros(points), np.zeros(potentials), np.ones(1), 0.5)
 
-    def test_places_must_be_different(self) -> None:
-        with pytest.raises(ValueError, match=r"^points must be of different places: bins of concept space"):
-            IntrinsicReward(np.array([[0.0], [0.3], [5.0]]), np.array([1.0, 0.0, 0.5]), np.ones(1), 0.5)
-
-    def test_potentials_must_be_finite(self) -> None:
-        with pytest.raises(ValueError, match=r"^potentials must be finite$"):
-            hill(0.0, np.nan)
-
 
 class TestPassage:
     everywhere = Region(PLACES, np.ones(1), 0.5)
@@ -132,12 +124,6 @@ class TestPassage:
         assert inside(passage) == inside(reached)
         for name, array in reached.option_policy.arrays().items():
             np.testing.assert_array_equal(array, passage.option_policy.arrays()[name])
-
-
-def test_goals() -> None:
-    assert goal_of(DOOR) is DOOR
-    assert goal_of(Passage(DOOR, ball(1.0))) is DOOR
-    assert goal_of(hill(0, 3, 1)).points.tolist() == [[1.0]]
 
 
 def test_a_file_says_which_options_stay_as_they_are(tmp_path: object) -> None:
