@@ -67,7 +67,6 @@ class RayVecEnv(VecEnv):
         lost_actors: How often an actor was lost.
 
     Raises:
-        ValueError: ``step_timeout`` <= 0.
         ModuleNotFoundError: Ray is not installed.
         ConnectionError: There is no cluster at ``address``.
         WorkerLostError: The same environments were lost time and again.
@@ -82,8 +81,6 @@ class RayVecEnv(VecEnv):
         num_cpus: float | None = None,
         step_timeout: float | None = 600.0,
     ) -> None:
-        if step_timeout is not None and not step_timeout > 0:
-            raise ValueError(f"step_timeout must be more than 0 s, or None for no limit, got {step_timeout}.")
         self.step_timeout = step_timeout
         self._ray = connect(address)
         self._class = self._ray.remote(HostedEnvironments)

@@ -94,17 +94,6 @@ def test_concepts_are_copied() -> None:
     np.testing.assert_array_equal(observation["concepts"], [0.0, 0.0])
 
 
-def test_keeps_the_keys_of_a_dict() -> None:
-    inner = ConceptsInObservation(blind_rooms(), from_info, size=2)
-    renamed = gym.wrappers.TransformObservation(
-        inner,
-        lambda observation: {"steps": observation["observation"]},
-        spaces.Dict({"steps": inner.observation_space["observation"]}),  # type: ignore[index]
-    )
-    observation, _ = ConceptsInObservation(renamed, from_info, size=2).reset(seed=0)
-    assert set(observation) == {"steps", "concepts"}
-
-
 @pytest.mark.parametrize(
     ("source", "size", "message"),
     [

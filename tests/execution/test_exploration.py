@@ -1,6 +1,5 @@
 """What share of exploratory choices are options."""
 
-import pickle
 from collections import Counter
 from typing import Any, cast
 
@@ -70,17 +69,6 @@ def test_a_choice_without_primitives_is_an_option() -> None:
 
 def test_a_mask_works_as_for_a_plain_space() -> None:
     assert capped(0.0).sample(mask=(np.arange(8) == 5).astype(np.int8)) == 5
-
-
-def test_equals_the_space_whose_place_it_takes() -> None:
-    space = capped(0.5)
-    assert space == spaces.Discrete(8)
-    assert spaces.Discrete(8) == space
-    assert space != spaces.Discrete(9)
-    assert space != spaces.Box(0, 1)
-    again = pickle.loads(pickle.dumps(space))
-    assert again == space
-    assert (again.share, again.filled) == (0.5, tuple(range(6)))
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.5, float("nan")])

@@ -15,26 +15,11 @@ from sb3_options.execution.recording import RecordTrajectories
 from sb3_options.experience import recording
 from sb3_options.experience.recording import RewardPeaks
 from sb3_options.experience.trajectories import Trajectory
-from tests.support.helpers import CountingEnv, DictEnv, place_of, steady_option
+from tests.support.helpers import CountingEnv, steady_option
 
 
 def states_of(segment: Trajectory) -> Any:
     return np.asarray(segment.states)[segment.visits].ravel()
-
-
-def test_dict_observations_by_way_of_the_wrapper() -> None:
-    env = OptionsWrapper(DictEnv(), feature_map=place_of)
-    env.set_slots(record=True)
-    env.reset(seed=0)
-    first = int(env.unwrapped.place)  # type: ignore[attr-defined]  # of DictEnv
-    over, n_steps, info = False, 0, dict[str, Any]()
-    while not over:
-        assert "trajectory" not in info
-        _, _, over, _, info = env.step(1)
-        n_steps += 1
-    trajectory = info["trajectory"]
-    assert place_of(trajectory.states).ravel().tolist() == list(range(first, 10))
-    assert (len(trajectory), trajectory.terminated, trajectory.is_success) == (n_steps, True, None)
 
 
 def test_the_wrapper_records_primitive_steps_inside_options() -> None:
@@ -66,13 +51,6 @@ def test_recording_can_begin_and_end_at_any_time() -> None:
     env.set_slots(record=False)
     env.reset()
     assert all("trajectory" not in env.step(0)[4] for _ in range(4))
-
-
-def test_is_success_of_the_last_step() -> None:
-    env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0", map="SG", success_probability=1.0))
-    env.set_slots(record=True)
-    env.reset(seed=0)
-    assert env.step(3)[4]["trajectory"].is_success is True
 
 
 def test_an_info_dictionary_used_again_does_not_bring_the_trajectory_back() -> None:
@@ -141,16 +119,6 @@ def test_several_while_one_option_runs() -> None:
     assert "segments" not in env.step(0)[4]
 
 
-def test_the_end_of_an_episode_inside_an_option() -> None:
-    env = cut_at_peaks()
-    env.bank.add(steady_option(1, max_duration=100))
-    info = env.step(2)[4]
-    assert info["option"]["termination"] == "truncated"
-    assert [states_of(s)[-1] for s in info["segments"]] == [3, 6, 9, 12]
-    env.reset()
-    assert "segments" not in env.step(0)[4]
-
-
 def test_another_way_to_cut_replaces_the_first() -> None:
     env = cut_at_peaks()
     env.step(0)
@@ -174,14 +142,6 @@ def test_it_stands_beneath_a_monitor_and_is_no_part_of_the_spec() -> None:
     assert isinstance(again.env, RecordTrajectories)
     assert spec is not None
     assert again.spec == OptionsWrapper(gym.make("sb3_options/TwoRooms-v0")).spec
-
-
-def test_what_nobody_took_while_an_option_failed_is_reported_with_the_next_step() -> None:
-    env = cut_at_peaks()
-    env.bank.add(steady_option(1, max_duration=3))
-    for _ in range(4):
-        env.env.step(0)  # as an option does whose policy then raises an error
-    assert [states_of(s).tolist() for s in env.step(0)[4]["segments"]] == [[0, 1, 2, 3]]
 
 
 @pytest.mark.parametrize("name", ["trajectory", "segments"])

@@ -265,11 +265,3 @@ def test_faults_of_environments(nodes: TwoNodes, ray_envs: list[RayVecEnv], monk
         text = r"^Environment 0 of 1: lost 2 times without a step between\. .* memory"
         with pytest.raises(WorkerLostError, match=text):
             venv.step(np.array([0]))
-
-
-@pytest.mark.parametrize("step_timeout", [0.0, -1.0, float("nan")])
-def test_a_limit_that_makes_no_sense(step_timeout: float) -> None:
-    with pytest.raises(
-        ValueError, match=f"step_timeout must be more than 0 s, or None for no limit, got {step_timeout}"
-    ):
-        RayVecEnv([Ends], step_timeout=step_timeout)
