@@ -9,19 +9,27 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator
-from operator import attrgetter
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import wrappers
+from gymnasium.wrappers.utils import RunningMeanStd
 from stable_baselines3.common.monitor import Monitor
 
 from sb3_options.execution.repeating import RecordActions
+from sb3_options.state import FOREIGN, declare, own_state, set_own_state
 
 State = dict[str, Any]
+
+declare(wrappers.TimeLimit, "_elapsed_steps")
+declare(wrappers.OrderEnforcing, "_has_reset")
+declare(wrappers.Autoreset, "autoreset")
+declare(wrappers.NormalizeObservation, "obs_rms")
+declare(wrappers.NormalizeReward, "return_rms", "discounted_reward")
+declare(RunningMeanStd, "mean", "var", "count")
 
 REMEMBER_NOTHING = (
     wrappers.PassiveEnvChecker,  # it checks the first step once more
@@ -30,11 +38,6 @@ REMEMBER_NOTHING = (
     wrappers.TransformReward,
 )
 """Wrappers, with the classes derived from them, that are the same in every step."""
-
-
-class _Layer(NamedTuple):
-    get: Callable[[Any], State]
-    set: Callable[[Any, State], None]
 
 
 def prepare(env: Any, *, just_reset: bool = False) -> Any:
@@ -53,9 +56,7 @@ def prepare(env: Any, *, just_reset: bool = False) -> Any:
         ValueError: A wrapper above `OptionsWrapper` does not tell its state; what is there cannot be repeated.
     """
     layers = list(_layers(env))
-    silent = next(
-        (i for i, layer in enumerate(layers) if isinstance(layer, RecordActions) or _how(layer) is None), None
-    )
+    silent = next((i for i, layer in enumerate(layers) if isinstance(layer, RecordActions) or not _tells(layer)), None)
     if silent is None or isinstance(layers[silent], RecordActions):
         return env
     if any(hasattr(layer, "set_layer_states") for layer in layers[silent:]):  # OptionsWrapper has it
@@ -73,7 +74,7 @@ def prepare(env: Any, *, just_reset: bool = False) -> Any:
 
 def states_of(env: gym.Env[Any, Any]) -> list[State]:
     """The states of an environment and its wrappers, the outermost first, after `prepare`."""
-    return [{"class": type(layer).__name__, **(_how(layer) or _REPEATED).get(layer)} for layer in _layers(env)]
+    return [{"class": type(layer).__name__, **_state_of(layer)} for layer in _layers(env)]
 
 
 def set_states(env: gym.Env[Any, Any], states: list[State]) -> str | None:
@@ -92,7 +93,7 @@ def set_states(env: gym.Env[Any, Any], states: list[State]) -> str | None:
         raise ValueError(f"The environment is {' around '.join(here)}; its checkpoint is of {' around '.join(there)}.")
     failure = None
     for layer, state in zip(layers, states, strict=True):
-        (_how(layer) or _REPEATED).set(layer, state)  # what is beneath a RecordActions comes after it
+        _restore(layer, state)  # what is beneath a RecordActions comes after it
         if isinstance(layer, RecordActions):
             failure = failure or layer.failure()
     return failure
@@ -105,44 +106,38 @@ def _layers(env: Any) -> Iterator[Any]:
     yield env
 
 
-def _how(layer: Any) -> _Layer | None:
-    """How a layer gives and takes its state; None if it does not."""
-    own = hasattr(layer, "get_state") and hasattr(layer, "set_state")
+def _tells(layer: Any) -> bool:
+    """Whether a layer tells its state; beneath a `RecordActions` it need not."""
+    if hasattr(layer, "get_state") and hasattr(layer, "set_state"):
+        return True
     if not isinstance(layer, gym.Wrapper):
-        return _ENVIRONMENT if own else None
-    if own:
-        return _Layer(lambda wrapper: {"own": wrapper.get_state()}, lambda wrapper, s: wrapper.set_state(s["own"]))
-    if isinstance(layer, Monitor):
-        return _MONITOR
-    for cls, names in ATTRIBUTES.items():
-        if type(layer) is cls:
-            return _by_attributes(names)
-    if isinstance(layer, REMEMBER_NOTHING) or getattr(layer, "remembers_nothing", False):
-        return _by_attributes(())
-    return None
+        return False
+    return isinstance(layer, Monitor) or type(layer) in FOREIGN or _remembers_nothing(layer)
 
 
-ATTRIBUTES: dict[type[Any], tuple[str, ...]] = {
-    wrappers.TimeLimit: ("_elapsed_steps",),
-    wrappers.OrderEnforcing: ("_has_reset",),
-    wrappers.Autoreset: ("autoreset",),
-    wrappers.NormalizeObservation: ("obs_rms.mean", "obs_rms.var", "obs_rms.count"),
-    wrappers.NormalizeReward: ("return_rms.mean", "return_rms.var", "return_rms.count", "discounted_reward"),
-}
-"""What wrappers of Gymnasium remember."""
+def _remembers_nothing(layer: Any) -> bool:
+    return isinstance(layer, REMEMBER_NOTHING) or getattr(layer, "remembers_nothing", False)
 
 
-def _by_attributes(names: tuple[str, ...]) -> _Layer:
-    def put(layer: Any, state: State) -> None:
-        for name in names:
-            owner, _, attribute = name.rpartition(".")
-            setattr(getattr(layer, owner) if owner else layer, attribute, state["own"][name])
+def _state_of(layer: Any) -> State:
+    if not _tells(layer):
+        return {}
+    if not isinstance(layer, gym.Wrapper):
+        return _environment_state(layer)
+    if hasattr(layer, "get_state") or type(layer) in FOREIGN:
+        return {"own": own_state(layer)}
+    return _monitor_state(layer) if isinstance(layer, Monitor) else {}
 
-    return _Layer(lambda layer: {"own": {name: attrgetter(name)(layer) for name in names}}, put)
 
-
-_REPEATED = _Layer(lambda layer: {}, lambda layer, state: None)
-"""Of what is beneath a `RecordActions`."""
+def _restore(layer: Any, state: State) -> None:
+    if not _tells(layer):
+        return
+    if not isinstance(layer, gym.Wrapper):
+        _set_environment_state(layer, state)
+    elif hasattr(layer, "set_state") or type(layer) in FOREIGN:
+        set_own_state(layer, state["own"])
+    elif isinstance(layer, Monitor):
+        _set_monitor_state(layer, state)
 
 
 def _environment_state(env: Any) -> State:
@@ -162,9 +157,6 @@ def _set_environment_state(env: Any, state: State) -> None:
     for name, random in state["spaces"].items():
         if random is not None:
             getattr(env, name).np_random.bit_generator.state = random
-
-
-_ENVIRONMENT = _Layer(_environment_state, _set_environment_state)
 
 
 def _monitor_state(monitor: Monitor[Any, Any]) -> State:
@@ -192,6 +184,3 @@ def _set_monitor_state(monitor: Monitor[Any, Any], state: State) -> None:
         file = monitor.results_writer.file_handler
         if Path(file.name).stat().st_size >= state["bytes"]:
             os.truncate(file.name, state["bytes"])  # it is open for appending
-
-
-_MONITOR = _Layer(_monitor_state, _set_monitor_state)

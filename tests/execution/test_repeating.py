@@ -15,7 +15,6 @@ import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import OptionsWrapper
 from sb3_options.envs.minigrid import make as make_minigrid
 from sb3_options.execution import layers, repeating
-from sb3_options.execution.recording import RecordTrajectories
 from sb3_options.execution.repeating import OTHERWISE, UNKNOWN
 from tests.support.sb3_helpers import TAXI, small_rooms
 
@@ -69,21 +68,6 @@ def test_goes_on_in_mid_episode(name: str, steps: int) -> None:
     random.bit_generator.state = drawn
     assert failure is None
     assert advanced(copy, 100, random) == there
-
-
-def test_a_state_without_a_recorder_goes_on_beneath_one() -> None:
-    """Checkpoints were made of evaluation environments that recorded nothing."""
-    name = next(iter(MAKERS))
-    env = layers.prepare(MAKERS[name]())
-    env.reset(seed=3)
-    random = np.random.default_rng(0)
-    advanced(env, 20, random)
-    states, drawn = layers.states_of(env), random.bit_generator.state
-    there = advanced(env, 50, random)
-    copy, failure = another(lambda: RecordTrajectories(MAKERS[name]()), states)
-    random.bit_generator.state = drawn
-    assert failure is None
-    assert advanced(copy, 50, random) == there
 
 
 needs_pybullet = pytest.mark.skipif(find_spec("pybullet") is None, reason="PyBullet is not installed")
