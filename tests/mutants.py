@@ -52,7 +52,7 @@ def population() -> dict[str, list[str]]:
     return {
         folder: [
             get_mutant_name(path, name)
-            for path in sorted(Path("sb3_options", folder).glob("*.py"))
+            for path in sorted(Path("sb3_options", folder).rglob("*.py"))
             for name in mutate_file_contents(str(path), path.read_text("utf-8")).mutant_names
         ]
         for folder in FOLDERS
@@ -94,7 +94,7 @@ class Forks:
         return True
 
     def _tests_of(self, name: str, items: dict[str, pytest.Item]) -> list[str]:
-        _, folder, module, *_ = name.split(".")
+        _, folder, *_, module, _ = name.split(".")
         own = f"tests/{folder}/test_{module}"
         reached = [test for test in self.reached.get(mangled_name_from_mutant_name(name), []) if test in items]
         reached.sort(key=lambda test: (not test.startswith(own), self.seconds[test], test))
