@@ -41,11 +41,7 @@ SETTINGS = ("settings", "option_settings", "embedding")
 
 
 def get_states(root: BaseCallback | None) -> list[State]:
-    """Of every callback in a tree, in order; a progress bar remembers nothing of its own.
-
-    Raises:
-        ValueError: One of them does not tell what it remembers.
-    """
+    """Of every callback in a tree, in order; a progress bar remembers nothing of its own."""
     return [
         {
             "class": type(each).__name__,
@@ -59,21 +55,13 @@ def get_states(root: BaseCallback | None) -> list[State]:
 
 
 def check(root: BaseCallback | None) -> None:
-    """Refuse callbacks that do not tell what they remember.
-
-    Raises:
-        ValueError: There is one.
-    """
+    """Refuse callbacks that do not tell what they remember."""
     for each in _callbacks(root):
         _names(each)
 
 
 def set_states(root: BaseCallback | None, states: list[State]) -> None:
-    """Go on with what `get_states` gave.
-
-    Raises:
-        ValueError: The callbacks are others.
-    """
+    """Go on with what `get_states` gave."""
     callbacks = _callbacks(root)
     here, there = [type(each).__name__ for each in callbacks], [state["class"] for state in states]
     if here != there:
@@ -109,11 +97,7 @@ def _identity(method: object) -> State:
 
 
 def _check_settings(callback: BaseCallback, there: State) -> None:
-    """Refuse a callback that was made with other settings.
-
-    Raises:
-        ValueError: It was.
-    """
+    """Refuse a callback that was made with other settings."""
     here = _settings(callback)
     if "method" in there and "method" not in here:
         raise ValueError(
@@ -141,11 +125,7 @@ def _tells(callback: Any) -> bool:
 
 
 def _names(callback: BaseCallback) -> tuple[str, ...]:
-    """Attributes of a callback of SB3.
-
-    Raises:
-        ValueError: It is no such callback, and does not tell what it remembers.
-    """
+    """Attributes of a callback of SB3."""
     if type(callback) in KNOWN:
         return KNOWN[type(callback)]
     names = next((names for cls, names in KNOWN.items() if names and isinstance(callback, cls)), ())

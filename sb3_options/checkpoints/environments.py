@@ -57,11 +57,7 @@ def prepare(venv: VecEnv, *, just_reset: bool = False) -> None:
 
 
 def get_state(venv: VecEnv) -> State:
-    """Between two steps, after `prepare`.
-
-    Raises:
-        ValueError: Something in it does not tell its state.
-    """
+    """Between two steps, after `prepare`."""
     wrappers = []
     while isinstance(venv, VecEnvWrapper):
         wrappers.append({"class": type(venv).__name__, "state": _wrapper_state(venv)})
@@ -86,14 +82,7 @@ def refusal(venv: VecEnv | None) -> str | None:
 
 
 def set_state(venv: VecEnv, state: State) -> list[str]:
-    """Go on with what `get_state` gave, in environments that were made alike, prepared, and have been reset.
-
-    Returns:
-        Of which of them the episode cannot go on where it was, and why: then all have to be reset.
-
-    Raises:
-        ValueError: They were not made alike.
-    """
+    """Continue from `get_state` in prepared environments; returns in which of them the episode cannot, and why."""
     for wrapper in state["wrappers"]:
         if type(venv).__name__ != wrapper["class"]:
             raise ValueError(f"The checkpoint is of environments in {wrapper['class']}, here is {type(venv).__name__}.")

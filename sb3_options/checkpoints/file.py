@@ -243,11 +243,7 @@ def _joined(about: State, folder: Path) -> npt.NDArray[Any]:
 
 
 def _header(file: Path) -> dict[str, str]:
-    """The text entries of a checkpoint.
-
-    Raises:
-        ValueError: It is none.
-    """
+    """The text entries of a checkpoint."""
     try:
         with file.open("rb") as opened:
             size = int.from_bytes(opened.read(8), "little")

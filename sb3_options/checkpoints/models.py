@@ -36,11 +36,7 @@ LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts")
 
 
 def check(model: BaseAlgorithm) -> None:
-    """Refuse a model of which a checkpoint would not hold everything.
-
-    Raises:
-        ValueError: It is such a model.
-    """
+    """Refuse a model of which a checkpoint would not hold everything."""
     known = type(model).__name__ in SUPPORTED and type(model).__module__.partition(".")[0] in (
         "stable_baselines3",
         "sb3_contrib",
@@ -109,11 +105,7 @@ def prepare(model: BaseAlgorithm, state: State) -> None:
 
 
 def set_state(model: BaseAlgorithm, state: State) -> None:
-    """Go on with what `get_state` gave, in a model that was made with the same arguments.
-
-    Raises:
-        ValueError: It is another model.
-    """
+    """Go on with what `get_state` gave, in a model that was made with the same arguments."""
     if state["class"] != type(model).__name__:
         raise ValueError(f"The checkpoint is of {state['class']}, the model is {type(model).__name__}.")
     for name, value in ((name, state["counters"][name]) for name in COUNTERS if name in state["counters"]):

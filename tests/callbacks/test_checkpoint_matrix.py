@@ -33,11 +33,6 @@ def in_episode(file: Path) -> bool:
     return any(state[-1]["own"]["elapsed"] > 0 for state in states)
 
 
-def in_trial(file: Path) -> bool:
-    (discovery,) = (each["own"] for each in read(file)["callbacks"] if each["class"] == "SubgoalDiscoveryCallback")
-    return bool(discovery["trials"]["trials"])
-
-
 def half_written(files: list[Path], folder: Path) -> Path:
     """What a process that was killed in the middle of writing the last checkpoint lets another go on from."""
     folder.mkdir()
@@ -69,7 +64,6 @@ def test_cut_off_anywhere(name: str, subproc: bool, tmp_path: Path) -> None:
         "inside an episode": first(files, in_episode),
         "right before an option is installed": files[after - 1],
         "right after an option is installed": files[after],
-        "in the middle of a trial": first(files, in_trial),
         "while a checkpoint is written": half_written(files, tmp_path / "half"),
     }
     for file in sorted(set(cuts.values())):

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback, EveryNTimesteps
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
@@ -109,7 +108,7 @@ def check_resumes(
 
 
 @pytest.mark.usefixtures("keep_all")
-@pytest.mark.parametrize("name", [*FAST, *(pytest.param(each, marks=pytest.mark.slow) for each in SLOW)])
+@pytest.mark.parametrize("name", FAST)  # the others are in test_checkpoint_matrix.py
 def test_every_algorithm_goes_on_as_if_never_ended(name: str, tmp_path: Path) -> None:
     check_resumes(lambda: model_of(name, venv_of()), lambda: [discovering()], tmp_path)
 
@@ -136,25 +135,6 @@ def test_runs_that_say_where_options_work(tmp_path: Path) -> None:
     assert discovery._useful._slots
 
 
-@pytest.mark.usefixtures("keep_all")
-@pytest.mark.parametrize("name", ["PPO", *(pytest.param(each, marks=pytest.mark.slow) for each in SLOW[:2])])
-def test_cut_right_before_and_after_an_option_is_installed(name: str, tmp_path: Path) -> None:
-    def make() -> Any:
-        return model_of(name, venv_of())
-
-    callbacks = [discovering(), CheckpointCallback(tmp_path / "whole", 1)]
-    _, whole = trained(make, callbacks)
-    files = sorted((tmp_path / "whole").glob("0*"))
-    found = callbacks[0].discoveries[0].timestep  # type: ignore[attr-defined]  # of discovery
-    before = max((file for file in files if int(file.stem) < found), key=lambda file: file.name)
-    after = min((file for file in files if int(file.stem) >= found), key=lambda file: file.name)
-    assert not filled(before)
-    assert filled(after)
-    for file in (before, after):
-        _, resumed = trained(make, [discovering(), CheckpointCallback(tmp_path / "rest", 10**9)], resume=file)
-        assert differing(whole, resumed) == []
-
-
 def filled(file: Path) -> list[int]:
     (discovery,) = (each["own"] for each in read(file)["callbacks"] if each["class"] == "SubgoalDiscoveryCallback")
     return [i for i, slot in enumerate(discovery["options"]["slots"]) if slot["option"] is not None]
@@ -173,13 +153,6 @@ def filled(file: Path) -> list[int]:
 )
 def test_wrappers_of_vec_envs(name: str, wrap: Callable[[VecEnv], VecEnv], tmp_path: Path) -> None:
     check_resumes(lambda: model_of(name, venv_of(wrap=wrap)), lambda: [discovering()], tmp_path, cuts=(0.5,))
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("keep_all")
-@pytest.mark.parametrize("name", ["OptionDQN", "MaskablePPO"])
-def test_environments_in_worker_processes(name: str, tmp_path: Path) -> None:
-    check_resumes(lambda: model_of(name, venv_of(subproc=True)), lambda: [discovering()], tmp_path, cuts=(0.6,))
 
 
 @pytest.mark.slow
@@ -269,13 +242,3 @@ def test_states_of_other_seeds_differ(tmp_path: Path) -> None:
     wrong = differing(*states)
     assert any(".random.numpy" in each for each in wrong)
     assert any(".model.policy" in each for each in wrong)
-
-
-def test_history_and_discoveries_come_back_as_they_were(tmp_path: Path) -> None:
-    first, again = discovering(), discovering()
-    _, _ = trained(lambda: model_of("A2C", venv_of()), [first, CheckpointCallback(tmp_path, 1)])
-    file = max(tmp_path.glob("0*"))
-    trained(lambda: model_of("A2C", venv_of()), [again, CheckpointCallback(tmp_path / "rest", 10**9)], resume=file)
-    assert again.history == first.history
-    assert [each.slot for each in again.discoveries] == [each.slot for each in first.discoveries]
-    np.testing.assert_array_equal(again.discoveries[0].subgoal, first.discoveries[0].subgoal)

@@ -26,11 +26,9 @@ from sb3_options import OptionsWrapper
 from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback
 from sb3_options.checkpoints import environments
 from sb3_options.checkpoints.environments import refusal
-from sb3_options.checkpoints.file import CheckpointFolder, read
 from sb3_options.discovery.methods.grouped import GroupedPeaks
 from sb3_options.envs.minigrid import make as make_minigrid
 from tests.callbacks.test_checkpoint_resuming import (
-    Callbacks,
     check_resumes,
     discovering,
     keep_all,
@@ -252,18 +250,6 @@ def test_a_worker_process_says_why_it_refuses_and_lives() -> None:
         assert venv.step(np.zeros(2, dtype=np.int64))[2].shape == (2,)
     finally:
         venv.close()
-
-
-def test_checkpoints_change_nothing(tmp_path: Path) -> None:
-    def make() -> Any:
-        return model_of("A2C", vec(optioned(taxi)))
-
-    callbacks: Callbacks = [discovering(), CheckpointCallback(tmp_path, 50)]
-    one = make().learn(600, discovering())
-    other = make().learn(600, callbacks)
-    for name, weights in one.policy.state_dict().items():
-        np.testing.assert_array_equal(weights.numpy(), other.policy.state_dict()[name].numpy())
-    assert read(next(iter(CheckpointFolder(tmp_path))))
 
 
 def test_an_environment_that_was_never_reset_is_stored_without_a_generator() -> None:
