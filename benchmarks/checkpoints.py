@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -21,14 +19,14 @@ from benchmarks.turns import take_turns
 from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.runs import folder as runs
-from sb3_options.runs.algorithms import callback_settings, make_model
-from sb3_options.runs.config import DQNConfig, PPOConfig, TrainConfig
+from sb3_options.runs.algorithms import make_model
+from sb3_options.runs.config import TrainConfig, configure
 from sb3_options.runs.intervals import mean_interval, ratio_interval
 
 BAR = 0.02
 """Largest share of the processor time of training that checkpoints may take."""
 
-CONFIGS: dict[str, Callable[..., TrainConfig]] = {"ppo_checkpoints": PPOConfig, "dqn_checkpoints": DQNConfig}
+CONFIGS = {"ppo_checkpoints": "ppo", "dqn_checkpoints": "dqn"}
 """Algorithms by scenario, with the settings of train.py."""
 
 LARGE = "large_buffer"
@@ -87,7 +85,7 @@ class Contestant:
         self.n_actions = int(cast("Discrete", env.action_space).n)
         self.model: BaseAlgorithm = make_model(config, env)
         self.callbacks: list[BaseCallback] = [
-            SubgoalDiscoveryCallback(config.discovery, config.option, seed=config.seed, **callback_settings(config))
+            SubgoalDiscoveryCallback(config.discovery, config.option, seed=config.seed)
         ]
         self.checkpoints = None if folder is None else TimedCheckpoints(folder, config.checkpoint_freq)
         if self.checkpoints is not None:
@@ -124,7 +122,7 @@ def measure(scenario: str, rounds: int, seed: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         if scenario == LARGE:
             return large_buffer(Path(folder), seed, LARGE_BUFFER)
-        config = CONFIGS[scenario](seed=seed, device="cpu")
+        config = configure(algo=CONFIGS[scenario], seed=seed, device="cpu")
         return race(config, Path(folder), rounds, config.checkpoint_freq, description=scenario)
 
 
@@ -155,12 +153,12 @@ def summarise(turns: dict[str, list[Turn]]) -> dict[str, Any]:
     }
 
 
-def large_buffer(folder: Path, seed: int, n: int) -> dict[str, Any]:
-    """A checkpoint of DQN whose replay buffer holds ``n`` transitions, after `TrainConfig.checkpoint_freq` new ones.
+def large_buffer(folder: Path, seed: int, n: int, freq: int = TrainConfig.checkpoint_freq) -> dict[str, Any]:
+    """A checkpoint of DQN whose replay buffer holds ``n`` transitions, after ``freq`` new ones.
 
     The rows are random numbers: none equals another, as little as in a task with continuous observations.
     """
-    config = replace(DQNConfig(seed=seed, device="cpu"), buffer_size=n)
+    config = configure(algo="dqn", seed=seed, device="cpu", checkpoint_freq=freq, buffer_size=n)
     contestant = Contestant(config, folder)
     contestant.model.learn(1, contestant.callbacks)  # sets everything up
     buffer = cast("OptionReplayBuffer", cast("DQN", contestant.model).replay_buffer)

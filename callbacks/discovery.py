@@ -362,7 +362,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         if (waits := self._features.why_not_ready(self.discovery.diary.n)) is not None:
             return waits
         if len(self.bank) == self.bank.max_options:
-            return "There was no free slot for an option."
+            return "There was no free slot for an option: raise max_options (--max-options)."
         return self.discovery.why_nothing(self.episodes)
 
     def get_state(self) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from sb3_options.callbacks.counting import SCHEDULES
 from sb3_options.callbacks.records import DiscoveredOption
 from sb3_options.callbacks.usefulness import WINDOW
 from sb3_options.discovery.methods import DiscoveryMethod
+from sb3_options.experience.success import learned_at
 from sb3_options.experience.trajectories import EpisodeRecord
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option, SubgoalOption
@@ -63,11 +64,11 @@ def takes_more_than_numbers(log: Logger) -> bool:
 
 
 def steps_to_learn(history: Sequence[EpisodeRecord]) -> int | None:
-    """Primitive steps until `LEARNED` of the `LAST` episodes before had succeeded; None if they never did."""
+    """Primitive steps until `LEARNED` of the `LAST` episodes before had succeeded, twice in a row; None if never."""
     successes = np.cumsum([0, *(episode.success for episode in history)])
     rates = (successes[LAST:] - successes[:-LAST]) / LAST
-    first = np.flatnonzero(rates >= LEARNED)
-    return history[first[0] + LAST - 1].timestep if len(first) else None
+    first = learned_at(rates >= LEARNED)
+    return None if first is None else history[first + LAST - 1].timestep
 
 
 def results_of(history: Sequence[EpisodeRecord]) -> dict[str, float]:

@@ -1,17 +1,21 @@
 """Options for Stable-Baselines3 agents, discovered while they train by differentiable diverse density."""
 
-from sb3_options.density.diverse_density import DiverseDensity
-from sb3_options.execution.concepts import ConceptsInObservation, WithoutConcepts
-from sb3_options.execution.wrapper import OptionsWrapper
-from sb3_options.learning.dqn import OptionDQN
-from sb3_options.learning.expansion import expand_action_space
-from sb3_options.learning.macro_q import MacroQ
-from sb3_options.learning.replay_buffer import OptionReplayBuffer
-from sb3_options.learning.rollout_buffer import OptionDictRolloutBuffer, OptionRolloutBuffer
-from sb3_options.learning.saved_model import load_model, load_options
-from sb3_options.learning.value_snapshot import interrupt_options
-from sb3_options.options.bank import OptionBank
-from sb3_options.options.option import Option
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sb3_options.density.diverse_density import DiverseDensity
+    from sb3_options.execution.concepts import ConceptsInObservation, WithoutConcepts
+    from sb3_options.execution.wrapper import OptionsWrapper
+    from sb3_options.learning.dqn import OptionDQN
+    from sb3_options.learning.expansion import expand_action_space
+    from sb3_options.learning.macro_q import MacroQ
+    from sb3_options.learning.replay_buffer import OptionReplayBuffer
+    from sb3_options.learning.rollout_buffer import OptionDictRolloutBuffer, OptionRolloutBuffer
+    from sb3_options.learning.saved_model import load_model, load_options
+    from sb3_options.learning.value_snapshot import interrupt_options
+    from sb3_options.options.bank import OptionBank
+    from sb3_options.options.option import Option
 
 __version__ = "0.2.0.dev0"
 
@@ -33,3 +37,36 @@ __all__ = [
     "load_model",
     "load_options",
 ]
+
+_MODULES = {
+    "DiverseDensity": "sb3_options.density.diverse_density",
+    "ConceptsInObservation": "sb3_options.execution.concepts",
+    "WithoutConcepts": "sb3_options.execution.concepts",
+    "OptionsWrapper": "sb3_options.execution.wrapper",
+    "OptionDQN": "sb3_options.learning.dqn",
+    "expand_action_space": "sb3_options.learning.expansion",
+    "MacroQ": "sb3_options.learning.macro_q",
+    "OptionReplayBuffer": "sb3_options.learning.replay_buffer",
+    "OptionDictRolloutBuffer": "sb3_options.learning.rollout_buffer",
+    "OptionRolloutBuffer": "sb3_options.learning.rollout_buffer",
+    "load_model": "sb3_options.learning.saved_model",
+    "load_options": "sb3_options.learning.saved_model",
+    "interrupt_options": "sb3_options.learning.value_snapshot",
+    "OptionBank": "sb3_options.options.bank",
+    "Option": "sb3_options.options.option",
+}
+"""The module of each public name. It is imported when the name is asked for, since torch and SB3 take a second."""
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(_MODULES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """The public names, for completion."""
+    return sorted(__all__)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
 from collections.abc import Sequence
 
@@ -24,7 +25,11 @@ def main(program: str = "sb3-options", default: Sequence[str] = ("--help",)) -> 
         sys.exit(f"{program} needs the package {error.name}: {how_to_install('train', 'contrib')}")
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal of another encoding has no φ
-    cli.main(sys.argv[1:] or default)
+    try:
+        cli.main(sys.argv[1:] or default)
+        sys.stdout.flush()
+    except BrokenPipeError:  # as of `sb3-options options RUN | head -1`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it once more at its end
 
 
 if __name__ == "__main__":

@@ -1,360 +1,353 @@
-"""The command line: train a run, resume it, evaluate it, compare runs, show options."""
+"""The command line: train a run, resume it, evaluate it, compare runs, search settings, show options.
+
+What a command runs is imported when it runs, so the help is shown at once.
+"""
 
 from __future__ import annotations
 
-import dataclasses
+import argparse
+import contextlib
+import inspect
+import io
+import re
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import closing, nullcontext, suppress
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
-import gymnasium as gym
-import torch
 import tyro
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback, EveryNTimesteps
-from stable_baselines3.common.vec_env import VecEnv
 
-import sb3_options.envs  # noqa: F401  # registers them
-from sb3_options.atomic import atomic_write
-from sb3_options.callbacks import CheckpointCallback, IntrinsicRewardCallback, SubgoalDiscoveryCallback
-from sb3_options.callbacks.checkpoints import EndedAtCheckpointError, load_checkpoint
-from sb3_options.checkpoints.environments import refusal
-from sb3_options.discovery.figures import subgoals_figure
-from sb3_options.execution.workers import WorkerLostError, end_workers
-from sb3_options.experience.success import success_rule
 from sb3_options.extras import how_to_install
-from sb3_options.options.bank import OptionBank
 from sb3_options.runs import config as configs
-from sb3_options.runs import evaluation
-from sb3_options.runs import folder as runs
-from sb3_options.runs.algorithms import callback_settings, check_algorithm, check_device, make_model, warn_without_gpu
-from sb3_options.runs.budget import KeepToBudget, memory_is_short, rounded_up
-from sb3_options.runs.card import write_card
-from sb3_options.runs.closing import Trained, how_to_resume, program_name, report, unit_of
-from sb3_options.runs.compare import CompareConfig, show_comparison
-from sb3_options.runs.config import TrainConfig
-from sb3_options.runs.eval_callback import eval_callback_class
-from sb3_options.runs.flags import parse
-from sb3_options.runs.hparams import hparams_of
-from sb3_options.runs.inspection import InspectConfig, show_options
-from sb3_options.runs.interrupts import PATIENCE, Interrupts, StopWhenNoted
-from sb3_options.runs.keywords import NUMBERS
-from sb3_options.runs.resume import ResumeConfig, lengthen, mark_finished, resume_run
-from sb3_options.runs.tune_config import TuneConfig
-from sb3_options.runs.under_way import held
-from sb3_options.runs.video import mode_among
+from sb3_options.runs.commands import CompareConfig, EvaluateConfig, InspectConfig, ResumeConfig, TuneConfig
+from sb3_options.runs.config import FIELDS, GROUPS, TrainConfig
+from sb3_options.runs.keywords import NUMBERS, PAIRS, value_of
+from sb3_options.runs.program import program_name
+from sb3_options.runs.users_code import IMPORTING, named_in_errors
 
-console = Console(highlight=False, soft_wrap=True)
-errors = Console(highlight=False, soft_wrap=True, stderr=True)
+if TYPE_CHECKING:
+    from sb3_options.runs.evaluation import Evaluation
+    from sb3_options.runs.interrupts import Interrupts
+
+T = TypeVar("T")
+
+USAGE = 2
+"""Exit status where the command line makes no sense."""
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it."""
 
 TRY_AGAIN = 75
 """Exit status where a worker process was killed: ``EX_TEMPFAIL`` of sysexits.h."""
 
+SHORT_HELP = (
+    "env",
+    "env_kwargs",
+    "n_timesteps",
+    "seed",
+    "n_envs",
+    "options",
+    "max_options",
+    "max_new_options",
+    "discover",
+    "compare",
+    "eval_freq",
+    "tensorboard_log",
+)
+"""What ``--help`` shows."""
+
+DEFAULT_WIDTH = 20
+"""Characters of a default in the help."""
+
+FOREIGN = {"lr": "learning-rate", "timesteps": "n-timesteps", "total-timesteps": "n-timesteps"}
+"""Flags of other programs, and what they are called in this one."""
+
+INTRODUCTION = """Train an agent that discovers its own options, or evaluate one. Or --version.
+  [train] ALGORITHM maskableppo (default), ppo, a2c, trpo, recurrentppo, dqn,
+                    qrdqn, optiondqn
+  evaluate RUN      plays a run again; `resume RUN` goes on with one
+  compare RUN ...   sets runs side by side; `options RUN` shows its options
+  --config FILE     reads settings, flags win over it; `tune FILE` searches them
+  --n-steps 64      any argument of SB3's class is a flag, too
+  --help all        all settings; --help discovery: how --method NAME finds
+                    subgoals; --help option: how options are learned;
+                    --help usefulness: how they are judged
+"""
+
 
 def main(args: Sequence[str] | None = None) -> None:
-    """Run a command line: a command and its arguments, or an algorithm and the flags of its settings.
+    """Run a command line: a command and its arguments, or an algorithm and flags.
 
     Args:
         args: Without the program's name; by default those of the process.
     """
     args = sys.argv[1:] if args is None else list(args)
-    command, prog, interrupts = (args or [""])[0], program_name(), Interrupts()
+    command = args[0] if args else ""
+    status = USAGE
+    noted: Interrupts | None = None
     try:
         if command in COMMANDS:
             of, run = COMMANDS[command]
-            run = partial(resume, interrupts=interrupts) if run is resume else run
-            run(tyro.cli(of, prog=f"{prog} {command}", args=args[1:], registry=NUMBERS))
+            settings = parsed(of, args[1:], f"{program_name()} {command}")
         else:
-            train(parse(args[1:] if command == "train" else args, prog), interrupts)
+            run = train
+            settings = parse(args[1:] if command == "train" else args, program_name())
+        status = 1
+        if run in (train, resume):
+            from sb3_options.runs.interrupts import Interrupts  # which imports SB3
+
+            noted = Interrupts()
+            run = partial(run, interrupts=noted)
+        run(settings)
     except KeyboardInterrupt as interrupt:
-        errors.print(" ".join(["Interrupted", *interrupt.args]) + ".")
-        sys.exit(interrupts.status)
-    except WorkerLostError as error:
+        Console(stderr=True, highlight=False).print(" ".join(["Interrupted", *interrupt.args]) + ".")
+        sys.exit(INTERRUPTED if noted is None else noted.status)
+    except BrokenPipeError:
+        raise  # `__main__` ends quietly
+    except (ValueError, TypeError, OSError, ModuleNotFoundError) as error:
+        _stop(error, str(error), status)
+    except Exception as error:
+        _stop_on(error)
+    if noted is not None and noted.noted:
+        sys.exit(noted.status)
+
+
+def _stop_on(error: Exception) -> NoReturn:
+    """Exit with one line where an error of a library has a known cause; raise any other."""
+    import gymnasium as gym
+
+    from sb3_options.execution.workers import WorkerLostError
+    from sb3_options.runs.budget import memory_is_short
+
+    if isinstance(error, WorkerLostError):
         _stop(error, error.what, TRY_AGAIN if error.killed else 1)
-    except (ValueError, TypeError, OSError, ModuleNotFoundError, gym.error.Error) as error:
-        _stop(error, str(error))
-    except (MemoryError, RuntimeError) as error:
-        if (text := memory_is_short(error)) is None:
-            raise
-        _stop(error, text)
-    if interrupts.noted:
-        sys.exit(interrupts.status)
+    if isinstance(error, gym.error.Error):
+        _stop(error, str(error), 1)
+    if isinstance(error, MemoryError | RuntimeError) and (text := memory_is_short(error)) is not None:
+        _stop(error, text, 1)
+    raise error
 
 
-def _stop(error: BaseException, text: str, status: int = 1) -> NoReturn:
-    """Exit with one line."""
-    errors.print(f"[bold red]Error:[/] {escape(' '.join([text, *getattr(error, '__notes__', ())]).strip())}")
+def _stop(error: BaseException, text: str, status: int) -> NoReturn:
+    notes = getattr(error, "__notes__", ())
+    errors = Console(highlight=False, soft_wrap=True, stderr=True)
+    errors.print(f"[bold red]Error:[/] {escape(' '.join([text, *notes]).strip())}")
     sys.exit(status)
 
 
-def train(config: TrainConfig, interrupts: Interrupts | None = None) -> Path:
-    """Train, and leave a run folder.
+def parsed(of: type[T], args: Sequence[str], prog: str, default: T | None = None) -> T:
+    """Settings that flags describe. Help is printed as tyro has it, errors are raised.
 
-    An interrupt or an error ends training early; what was learned until then is kept. Before the first step there is
-    nothing to keep, and no folder is left.
+    Raises:
+        ValueError: A flag is unknown, or a value is none.
+    """
+    console_text = io.StringIO()
+    given: dict[str, Any] = {} if default is None else {"default": default}
+    try:
+        with contextlib.redirect_stderr(console_text):
+            settings: T = tyro.cli(of, prog=prog, args=args, registry=NUMBERS, **given)
+            return settings
+    except SystemExit as stopped:
+        if not stopped.code:
+            raise
+    raise ValueError(" ".join(re.sub(r"[─-╿]", " ", console_text.getvalue()).split()))
+
+
+def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
+    """The configuration that a command line describes.
 
     Args:
-        config: Of the run.
-        interrupts: Notes them; by default one of its own.
+        args: Without the program's name: the algorithm or nothing, and flags.
+        prog: For the help text.
 
     Returns:
-        The run folder.
+        The configuration: flags over the file of ``--config`` over the defaults of environment and algorithm.
 
     Raises:
-        KeyboardInterrupt: An interrupt came before the first step.
-        ValueError: Something in the configuration does not fit.
-        OSError: The run folder cannot be written.
-        WorkerLostError: A worker process of ``--vec-env subproc`` has ended.
+        ValueError: A flag or a setting makes no sense.
+        OSError: A file cannot be read.
     """
-    return _train(config, interrupts=interrupts).folder
-
-
-def resume(resumed: ResumeConfig, interrupts: Interrupts | None = None) -> None:
-    """Go on with a run that was cut off; see `resume_run`.
-
-    Raises:
-        As `train`, and as `resume_run`.
-    """
-    resume_run(resumed, partial(_train, interrupts=interrupts), console)
-
-
-def _train(
-    config: TrainConfig,
-    *,
-    resumed: Path | None = None,
-    interrupts: Interrupts | None = None,
-) -> Trained:
-    torch.set_num_threads(config.num_threads)
-    runs.check_env_id(config.env)
-    check_device(config.device)
-    warn_without_gpu(config.device)
-    check_algorithm(config)
-    without_discovery: Trained | None = None
-    with interrupts or Interrupts() as interrupts:
-        with closing(runs.make_env(config, 1, config.seed)) as env:  # what cannot be made leaves no folder
-            runs.check_observations(env, config.env)
-            draws = mode_among(env.get_attr("metadata")[0]) is not None
-            bank: OptionBank = env.get_attr("bank")[0]
-            started_with = [f"{slot} ({option.name})" for slot, option in enumerate(bank.slots) if option is not None]
-        discovery = _discovery(config, resumed)
-        trained = _train_once(config, discovery, interrupts, resumed=resumed)
-        if config.compare and config.discover and resumed is None and not interrupts.noted:
-            console.print("Once more, without discovery:")
-            other = dataclasses.replace(config, discover=False, compare=False, options=None)
-            without_discovery = _train_once(other, _discovery(other), interrupts)
-    if not trained.folder.exists():
-        raise KeyboardInterrupt("before the first step: there is nothing to keep")
-    took = f"{discovery.num_timesteps:,} primitive steps, {discovery.episodes:,} {unit_of(config)}s"
-    console.print(f"\n[bold]{'Finished' if trained.finished else 'Interrupted'}[/] after {took}.")
-    if config.options is not None:
-        what = ", ".join(started_with) or "none"
-        console.print(f"Started with the options of {escape(str(config.options))}: {escape(what)}.")
-    _show_discoveries(config, discovery)
-    report(console, trained, without_discovery, draws=draws)
-    return trained
-
-
-def _train_once(
-    config: TrainConfig,
-    discovery: SubgoalDiscoveryCallback,
-    interrupts: Interrupts,
-    *,
-    resumed: Path | None = None,
-) -> Trained:
-    """Train, and leave all of a run folder; none without a step taken, unless it was there before."""
-    folder = runs.new_run_folder(config) if resumed is None else resumed
-    with nullcontext() if resumed else held(folder):  # who resumes holds it already
-        finished = _learn(config, discovery, folder, interrupts, resume=resumed is not None)
-        if folder.exists():
-            _draw(config, discovery, folder)
-            write_card(folder, config, discovery.history, {d.slot: d.timestep for d in discovery.discoveries})
-        if finished:
-            mark_finished(config, folder)  # last: who was killed before does the end again
-    return Trained(config, folder, discovery, finished, interrupts.noted)
-
-
-def _discovery(config: TrainConfig, resumed: Path | None = None) -> SubgoalDiscoveryCallback:
-    options = config.options if resumed is None else runs.options_of(resumed)
-    return SubgoalDiscoveryCallback(
-        config.discovery,
-        config.option,
-        max_new_options=config.max_new_options if config.discover else 0,
-        success=config.success,
-        usefulness=config.usefulness,
-        hparams=hparams_of(config, options),
-        seed=config.seed,
-        verbose=1,
-        **callback_settings(config),
-    )
-
-
-def _learn(
-    config: TrainConfig,
-    discovery: SubgoalDiscoveryCallback,
-    folder: Path,
-    interrupts: Interrupts,
-    *,
-    resume: bool = False,
-) -> bool:
-    """Train, and save what was learned, however training ends; without a step taken, remove a new folder.
-
-    Returns:
-        Whether training came to its end.
-    """
-    interrupts.saving, interrupts.patience = False, 0.0
-    discovery.save_path = folder / runs.OPTIONS
-    model: BaseAlgorithm | None = None
-    envs: list[VecEnv] = []
-    finished = False
+    early = argparse.ArgumentParser(prog=prog, add_help=False, allow_abbrev=False, exit_on_error=False)
+    for name in ("--algo", "--env", "--env-wrapper", "--feature-map", "--config"):
+        early.add_argument(name)
+    early.add_argument("-h", "--help", nargs="?", const="short", choices=(*GROUPS, "short", "all"))
+    early.add_argument("--version", action="version", version=f"sb3-options {_version()}")
+    word, rest = (args[0], args[1:]) if args and not args[0].startswith("-") else (None, args)
     try:
-        monitors = folder / runs.MONITOR
-        envs.append(runs.make_env(config, config.n_envs, config.seed, monitor_dir=monitors, vec_env=config.vec_env))
-        if not resume:
-            configs.save(config, folder / runs.CONFIG)
-        model = make_model(config, envs[0])
-        model.tensorboard_log = str(folder)
-        callbacks: list[BaseCallback] = [discovery]
-        if config.bonus != "none":
-            callbacks.append(IntrinsicRewardCallback(config.bonus, seed=config.seed))
-        if config.eval_freq > 0:
-            limit = config.eval_max_steps
-            seed = evaluation.EVAL_SEED + config.seed
-            envs.append(runs.make_env(config, 1, seed, vec_env=config.vec_env, max_steps=limit))
-            how = {"n_eval_episodes": config.eval_episodes, "eval_freq": 1, "verbose": 0}
-            # What is success of a segment is none of an episode.
-            rule = success_rule(config.success) if config.discovery.segmentation == "episodes" else None
-            evaluation_callback = eval_callback_class(config.algo)(interrupts, folder, rule, envs[1], **how)
-            # EvalCallback counts calls of step, of which one may be many primitive steps.
-            callbacks.append(EveryNTimesteps(config.eval_freq, evaluation_callback))
-        callbacks += [KeepToBudget(), StopWhenNoted(interrupts)]
-        if config.checkpoint_freq > 0:
-            callbacks += _checkpoints(config, folder, model, callbacks, interrupts, resume=resume)
-        interrupts.ended = interrupts.noted
-        if not interrupts.noted:
-            what = f"{config.algo.upper()} on {config.env} for {config.n_timesteps:,} primitive steps"
-            console.print(f"Training {escape(what)}.")
-            if not resume and (text := rounded_up(config)):
-                console.print(escape(text))
-            if not resume and config.compare and config.discover:
-                console.print("Afterwards once more without discovery; --no-compare leaves that out.")
-            # A model that was not trained yet counts from 0 all the same, but goes on in the same TensorBoard folder.
-            log: dict[str, Any] = {"tb_log_name": "tensorboard", "reset_num_timesteps": not resume}
-            model.learn(config.n_timesteps, callbacks, progress_bar=config.progress, **log)
-        finished = not interrupts.ended
-    except EndedAtCheckpointError:
-        interrupts.ended = True
-    except KeyboardInterrupt:
-        interrupts.noted = interrupts.ended = True
-    except Exception as error:
-        # An interrupt that was sent to the worker processes, too, has ended them.
-        if not (interrupts.noted and isinstance(error, WorkerLostError | EOFError | ConnectionError)):
-            if model is not None and model.num_timesteps > 0:
-                error.add_note(f"What was learned until then is kept in {folder}.")
-            if isinstance(error, WorkerLostError) and (resume or (model is not None and model.num_timesteps > 0)):
-                error.add_note(how_to_resume(config, folder))
-            raise
-        interrupts.ended = True
-    finally:
-        interrupts.saving = True  # before anything else: from now on no interrupt is raised
-        try:
-            if model is None or model.num_timesteps == 0:
-                if not resume:
-                    runs.discard(folder)
-            else:
-                runs.save(model, discovery.bank, folder)
-        except OSError as error:
-            error.add_note(how_to_resume(config, folder))
-            raise
-        finally:
-            for env in envs:
-                if finished:
-                    with suppress(WorkerLostError):  # it was not needed any more
-                        env.close()
-                else:
-                    end_workers(env)  # which may be in the middle of a step
-    return finished
+        given, words = early.parse_known_args(rest)
+    except argparse.ArgumentError as error:
+        raise ValueError(str(error)) from None
+    if word is not None and given.algo is not None and word.lower() != given.algo.lower():
+        raise ValueError(f"One algorithm is trained at a time: {word} or {given.algo}?")
+    trusted = {name: value for name in IMPORTING if (value := getattr(given, name)) is not None}
+    values = {} if given.config is None else _read(Path(given.config), trusted)
+    values |= trusted
+    if (asked := given.algo or word) is not None:
+        if values.get("algo", asked.lower()) != asked.lower():
+            values = {name: value for name, value in values.items() if name in FIELDS and name not in configs.OWN}
+        values["algo"] = asked.lower()
+    default = configs.build(values, given.config or prog)
+    flags, own = _apart(words, default.algo)
+    if own:
+        own = {"algo_kwargs": configs.merged(default.algo_kwargs, own)}
+        default = configs.build(configs.as_values(default) | own, prog)
+    if given.help is not None:
+        _show_help(default, given.help, prog)
+    config = parsed(TrainConfig, flags, f"{prog} {default.algo}", default)
+    if config.algo_kwargs != default.algo_kwargs:  # --algo-kwargs adds to the defaults
+        more = configs.merged(default.algo_kwargs, config.algo_kwargs)
+        config = configs.build(configs.as_values(config) | {"algo_kwargs": more}, prog)
+    return config
 
 
-def _checkpoints(
-    config: TrainConfig,
-    folder: Path,
-    model: BaseAlgorithm,
-    callbacks: list[BaseCallback],
-    interrupts: Interrupts,
-    *,
-    resume: bool,
-) -> list[BaseCallback]:
-    """The callback that writes them, if the environment allows it; training goes on from the last one to ``resume``."""
-    why = refusal(model.get_env())
-    if why is not None and not resume:
-        console.print(f"[yellow]No checkpoints:[/] {escape(why)}")
-        return []
-    interrupts.patience = PATIENCE
-    where = folder / runs.CHECKPOINTS
-    checkpoints = CheckpointCallback(where, config.checkpoint_freq, end_when=lambda: interrupts.noted)
-    if resume:
-        steps = load_checkpoint(where, model, [*callbacks, checkpoints])
-        anew = "" if steps else " There is no later checkpoint."
-        console.print(f"Going on after {steps:,} primitive steps.{anew}")
-        lengthen(folder, config.n_timesteps)
-    return [checkpoints]
+def _apart(words: Sequence[str], algo: str) -> tuple[list[str], dict[str, Any]]:
+    """Flags of `TrainConfig`, and arguments of the algorithm's class that were given as flags."""
+    flags: list[str] = []
+    own: dict[str, Any] = {}
+    arguments: Mapping[str, Any] | None = None
+    i = 0
+    while i < len(words):
+        name, equals, value = words[i].partition("=")
+        values = [value] if equals else []
+        i += 1
+        while i < len(words) and not words[i].startswith("--") and not equals:
+            values.append(words[i])
+            i += 1
+        key = name.removeprefix("--").replace("-", "_")
+        if name == "--method":
+            name = "--discovery.method"
+        elif key in FOREIGN or key.replace("_", "-") in FOREIGN:
+            raise ValueError(f"There is no flag {name}. Did you mean --{FOREIGN[key.replace('_', '-')]}?")
+        elif name.startswith("--") and "." not in key and key.removeprefix("no_") not in FIELDS:
+            if arguments is None:
+                from sb3_options.runs.algorithms import arguments_of  # which imports SB3
+
+                arguments = arguments_of(algo)
+            if key in arguments and values:
+                read = [value_of(key, each) for each in values]
+                own[key] = read if len(read) > 1 or key == "net_arch" else read[0]
+                continue
+            raise ValueError(f"{algo}: {configs.unknown(key, arguments)}")
+        flags += [f"{name}={value}"] if equals else [name, *values]
+    return flags, own
 
 
-def _show_discoveries(config: TrainConfig, discovery: SubgoalDiscoveryCallback) -> None:
-    if discovery.discoveries:
-        table = Table("option", "subgoal", f"found after {unit_of(config)}", "primitive steps", "initiation states")
-        for found in discovery.discoveries:
-            table.add_row(
-                str(found.slot),
-                found.where,
-                str(found.episode),
-                f"{found.timestep:,}",
-                str(found.initiation_states),
-            )
-        console.print("Subgoals discovered:")
-        console.print(table)
-    elif discovery.max_new_options == 0:  # else the callback has said why
-        console.print(discovery.why_nothing())
+def _read(path: Path, trusted: Mapping[str, str]) -> dict[str, Any]:
+    """The settings of ``--config``: a file, or a run folder that has one."""
+    file = path / configs.CONFIG if path.is_dir() else path
+    if path.is_dir() and not file.is_file():
+        raise FileNotFoundError(f"--config {path} is no run folder: it lacks {configs.CONFIG}.")
+    with named_in_errors("--config", file):
+        return configs.read(file, trusted)
 
 
-def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path) -> None:
-    assert discovery.discovery is not None  # training has started
-    bank = discovery.bank
-    if config.vec_env != "dummy":  # φ was in a process that has ended
-        env = runs.make_env(config, 1, config.seed)
-        bank.bind(lambda observations: env.env_method("concept_features", observations)[0])
-    with atomic_write(folder / runs.SUBGOALS) as temporary:
-        figure = subgoals_figure(discovery.discovery, bank, discovery.why_nothing())
-        figure.savefig(temporary, dpi=110)
+def _version() -> str:
+    try:
+        return version("sb3-options")
+    except PackageNotFoundError:
+        return "that is not installed"
+
+
+def _show_help(default: TrainConfig, section: str, prog: str) -> NoReturn:
+    """Print the flags of a section with their defaults, and exit: whole texts for a group, else a line for each."""
+    rows: list[tuple[str, str, str]] = []
+    if section not in GROUPS:
+        texts = _texts_of(TrainConfig)
+        names = SHORT_HELP if section == "short" else [name for name in FIELDS if name not in ("algo", *GROUPS)]
+        rows += [_row(name, getattr(default, name), texts[name]) for name in names]
+    for group, of in GROUPS.items():
+        if section in (group, "all"):
+            part = vars(getattr(default, group))
+            rows += [_row(f"{group}.{name}", part[name], text) for name, text in _texts_of(of).items()]
+    table = Table(box=None, show_header=False, pad_edge=False, expand=True)
+    one_line = section not in GROUPS
+    table.add_column(min_width=max(len(name) for name, _, _ in rows), no_wrap=True)
+    table.add_column(no_wrap=True)
+    table.add_column(no_wrap=one_line, overflow="ellipsis" if one_line else "fold", ratio=1)
+    for name, value, text in rows:
+        value = value if len(value) <= DEFAULT_WIDTH else f"{value[: DEFAULT_WIDTH - 1]}…"
+        table.add_row(name, escape(value), escape(text if not one_line else text.partition(". ")[0]))
+    Console(highlight=False).print(f"usage: {prog} [ALGORITHM] [--FLAG VALUE ...]\n\n{escape(INTRODUCTION)}", table)
+    sys.exit(0)
+
+
+def _row(name: str, value: Any, text: str) -> tuple[str, str, str]:
+    if isinstance(value, dict):
+        value = " ".join(PAIRS.str_from_instance(value))
+    group, dot, inner = name.replace("_", "-").rpartition(".")
+    words = f"--{group}{dot}no-{inner}" if value is True else f"--{group}{dot}{inner}"
+    return words, "" if isinstance(value, bool) else str(value), text
+
+
+def _texts_of(settings: type[Any]) -> dict[str, str]:
+    """What the docstring of a class of settings says of each."""
+    attributes = inspect.cleandoc(settings.__doc__ or "").partition("Attributes:\n")[2]
+    entries = re.split(r"\n(?=    \w)", attributes)
+    return {name.strip(): " ".join(text.split()) for name, _, text in (entry.partition(": ") for entry in entries)}
+
+
+def train(config: TrainConfig, interrupts: Interrupts | None = None) -> Path:
+    """Train, and leave a run folder; see `runs.training.train`."""
+    from sb3_options.runs import training
+
+    return training.train(config, interrupts).folder
+
+
+def resume(config: ResumeConfig, interrupts: Interrupts | None = None) -> None:
+    """Go on with a run that was cut off; see `runs.training.resume`."""
+    from sb3_options.runs import training
+
+    training.resume(config, interrupts)
+
+
+def evaluate(config: EvaluateConfig) -> Evaluation:
+    """Evaluate a run; see `runs.evaluation.show_evaluation`."""
+    from sb3_options.runs.evaluation import show_evaluation
+
+    return show_evaluation(config, _console())
+
+
+def compare(config: CompareConfig) -> None:
+    """Set runs side by side; see `runs.compare.show_comparison`."""
+    from sb3_options.runs.compare import show_comparison
+
+    show_comparison(config, _console())
 
 
 def tune(config: TuneConfig) -> None:
-    """Search for settings.
+    """Search for settings; see `runs.tune.tune`.
 
     Raises:
         ModuleNotFoundError: Optuna is not installed.
-        Otherwise as `sb3_options.runs.tune.tune`.
     """
     try:
         from sb3_options.runs import tune as tuning  # Optuna is in an extra
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(f"{error}. Searching takes Optuna: {how_to_install('tune')}.") from error
-    tuning.tune(config, console=console)
+    tuning.tune(config, _console())
 
 
-evaluate = partial(evaluation.show_evaluation, console=console)
+def options(config: InspectConfig) -> None:
+    """Show what is in an options file; see `runs.report.show_options`."""
+    from sb3_options.runs.report import show_options
+
+    show_options(config, _console())
+
+
+def _console() -> Console:
+    return Console(highlight=False, soft_wrap=True)
+
 
 COMMANDS: dict[str, tuple[type[Any], Callable[[Any], object]]] = {
-    "evaluate": (evaluation.EvaluateConfig, evaluate),
+    "evaluate": (EvaluateConfig, evaluate),
     "resume": (ResumeConfig, resume),
-    "compare": (CompareConfig, partial(show_comparison, console=console)),
+    "compare": (CompareConfig, compare),
     "tune": (TuneConfig, tune),
-    "options": (InspectConfig, partial(show_options, console=console)),
+    "options": (InspectConfig, options),
 }
 """What a command takes, and what it does."""

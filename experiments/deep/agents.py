@@ -21,6 +21,7 @@ from experiments.deep.repeats import RandomRepeat
 from experiments.deep.settings import GAMMA, DeepSettings, family
 from experiments.deep.tasks import Task
 from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper
+from sb3_options.experience.success import learned_at
 from sb3_options.runs.evaluation import greedy_episodes
 
 ALGORITHMS: dict[str, tuple[Any, Any]] = {
@@ -112,10 +113,8 @@ class Evaluations(BaseCallback):
 
 def reached_at(steps: Sequence[int], success: Sequence[float]) -> int | None:
     """Primitive steps at the first of two evaluations in a row with a success rate of `REACHED`; None if never."""
-    for at, first, second in zip(steps, success, success[1:], strict=False):
-        if min(first, second) >= REACHED:
-            return at
-    return None
+    at = learned_at([rate >= REACHED for rate in success])
+    return None if at is None else steps[at]
 
 
 def greedy(model: BaseAlgorithm, venv: VecEnv, seed: int) -> tuple[float, float]:

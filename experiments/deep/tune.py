@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import tyro
+from optuna.distributions import BaseDistribution, FloatDistribution
 from optuna.trial import TrialState
 from rich.console import Console
 from rich.json import JSON
@@ -28,38 +29,37 @@ from experiments.deep.agents import reached_at
 from experiments.deep.conditions import train, train_source
 from experiments.deep.settings import DeepSettings
 from experiments.deep.tasks import TASKS, Task
-from sb3_options.runs.search import Search, best_of, opened, work
-from sb3_options.runs.search_space import Choices, Range
+from sb3_options.runs.search import Search, best_of, choices, opened, work
 
 STEPS_AFTER = 1000
 """Training ends here, primitive steps after the first success: only steps to 90 % count."""
 
-Space: TypeAlias = dict[str, Range | Choices]
+Space: TypeAlias = dict[str, BaseDistribution]
 
 NET_ARCHS: dict[str, list[int]] = {"none": [], "64, 64": [64, 64], "256": [256]}
 SPACES: dict[str, Space] = {
     "ppo": {
-        "learning_rate": Range(5e-4, 5e-3, log=True),
-        "n_steps": Choices((16, 32, 64)),
-        "batch_size": Choices((64, 128)),
-        "n_epochs": Choices((4, 8, 16)),
-        "gae_lambda": Choices((0.8, 0.9, 0.95, 0.98)),
-        "ent_coef": Range(3e-4, 3e-2, log=True),
-        "normalize_advantage": Choices((False, True)),
-        "net_arch": Choices(tuple(NET_ARCHS)),
+        "learning_rate": FloatDistribution(5e-4, 5e-3, log=True),
+        "n_steps": choices((16, 32, 64)),
+        "batch_size": choices((64, 128)),
+        "n_epochs": choices((4, 8, 16)),
+        "gae_lambda": choices((0.8, 0.9, 0.95, 0.98)),
+        "ent_coef": FloatDistribution(3e-4, 3e-2, log=True),
+        "normalize_advantage": choices((False, True)),
+        "net_arch": choices(tuple(NET_ARCHS)),
     },
     "dqn": {
-        "learning_rate": Range(2e-4, 4e-3, log=True),
-        "batch_size": Choices((32, 64, 128)),
-        "target_update_interval": Choices((50, 100, 200, 500)),
-        "exploration_fraction": Choices((0.1, 0.2, 0.4)),
-        "exploration_final_eps": Choices((0.02, 0.05, 0.1)),
-        "net_arch": Choices(tuple(NET_ARCHS)),
+        "learning_rate": FloatDistribution(2e-4, 4e-3, log=True),
+        "batch_size": choices((32, 64, 128)),
+        "target_update_interval": choices((50, 100, 200, 500)),
+        "exploration_fraction": choices((0.1, 0.2, 0.4)),
+        "exploration_final_eps": choices((0.02, 0.05, 0.1)),
+        "net_arch": choices(tuple(NET_ARCHS)),
     },
 }
 """Of an algorithm; both sides share them."""
 
-OF_OPTIONS: Space = {"max_option_exploration": Choices((0.25, 0.5, 0.75))}
+OF_OPTIONS: Space = {"max_option_exploration": choices((0.25, 0.5, 0.75))}
 
 
 @dataclass(frozen=True)

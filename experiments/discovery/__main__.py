@@ -19,7 +19,7 @@ from experiments.common.study import Flags, show, write
 from experiments.discovery.conditions import run
 from experiments.discovery.plots import draw
 from experiments.discovery.summary import EARLY, summarise
-from sb3_options.runs.config import DQNConfig
+from sb3_options.runs.config import TrainConfig, configure
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,12 +31,12 @@ class Study(Flags):
     """
 
     runs: int = 20
-    n_timesteps: int = DQNConfig.n_timesteps
+    n_timesteps: int = TrainConfig.n_timesteps
 
 
 def main(study: Study) -> None:
     """Run the study, and write and print what it found."""
-    config = DQNConfig(n_timesteps=study.n_timesteps)
+    config = configure(algo="dqn", n_timesteps=study.n_timesteps)
     results = run_seeds(
         partial(run, config),
         study.seeds(),

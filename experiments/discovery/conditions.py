@@ -11,12 +11,12 @@ from experiments.common.seeds import Result
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import make_model
-from sb3_options.runs.config import DQNConfig
+from sb3_options.runs.config import TrainConfig
 
 LAST_EPISODES = 20
 
 
-def run(config: DQNConfig, seed: int) -> Result:
+def run(config: TrainConfig, seed: int) -> Result:
     """Train once.
 
     Args:

@@ -26,7 +26,7 @@ from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.experience.recording import RewardPeaks
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.settings import OptionLearningSettings
-from sb3_options.runs.config import DQNConfig, MaskablePPOConfig
+from sb3_options.runs.config import TrainConfig
 
 Found = list[npt.NDArray[Any]]
 """Numbers that a computation gave."""
@@ -43,8 +43,7 @@ SETTINGS: dict[str, Callable[..., Any]] = {
         DiverseDensity,
         Point,
         Plane,
-        DQNConfig,
-        MaskablePPOConfig,
+        TrainConfig,
         SubgoalDiscoveryCallback,
         IntrinsicRewardCallback,
     )

@@ -7,7 +7,6 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple, cast
 
@@ -26,10 +25,9 @@ from sb3_options.discovery.static_filter import near_start_and_goal
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.trajectories import EpisodeRecord
-from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
-from sb3_options.runs.algorithms import callback_settings, make_model
-from sb3_options.runs.config import TrainConfig
+from sb3_options.runs.algorithms import make_model
+from sb3_options.runs.config import configure
 
 ROOMS = "sb3_options/TwoRooms-v0"
 COMPETENT_EPISODES = 20
@@ -121,9 +119,9 @@ def made_as_train(task: str, condition: str, n_timesteps: int | None, seed: int)
     """What ``train.py`` trains by default, in one of `TASKS`."""
     env_id, keywords = TASKS[task]
     algo, told = CONDITIONS[condition]
-    config: TrainConfig = replace(configs.tuned(env_id, algo), env_kwargs=keywords, seed=seed)
+    config = configure(env=env_id, algo=algo, env_kwargs=keywords, seed=seed)
     model = make_model(config, runs.make_env(config, config.n_envs, seed))
-    given = {"max_new_options": config.max_new_options, "seed": seed, **callback_settings(config), **told}
+    given = {"max_new_options": config.max_new_options, "seed": seed, **told}
     discovery = SubgoalDiscoveryCallback(config.discovery, config.option, **given)
     return Training(model, discovery, n_timesteps or config.n_timesteps)
 

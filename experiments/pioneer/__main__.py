@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import tyro
 from rich.table import Table
@@ -24,7 +24,7 @@ from experiments.pioneer import conditions
 from experiments.pioneer.plots import draw
 from experiments.pioneer.settings import MAIN_TASK, PioneerSettings
 from experiments.pioneer.summary import numbers_of
-from sb3_options.runs.config import DQNConfig, tuned
+from sb3_options.runs.config import TrainConfig, configure
 
 FigureName = Literal["figure7", "figure8", "learning", "transfer", "dqn"]
 
@@ -54,7 +54,7 @@ class Study(Flags):
     transfer_runs: int | None = None
     dqn_runs: int = 5
     settings: PioneerSettings = field(default_factory=PioneerSettings)
-    dqn: DQNConfig = field(default_factory=lambda: cast("DQNConfig", tuned(MAIN_TASK)))
+    dqn: TrainConfig = field(default_factory=lambda: configure(env=MAIN_TASK))
 
 
 def main(study: Study) -> None:

@@ -17,7 +17,7 @@ from experiments.pioneer.settings import MAIN_TASK, TASKS, PioneerSettings
 from sb3_options.atomic import atomic_write
 from sb3_options.cli import train
 from sb3_options.envs.pioneer.env import DEPOSIT_REWARD, STEP_REWARD, TOUCH_REWARD
-from sb3_options.runs.config import DQNConfig
+from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.evaluation import evaluate_run
 from sb3_options.runs.folder import MONITOR
 
@@ -71,7 +71,7 @@ def transfer(settings: PioneerSettings, artifacts: Path, seed: int) -> Result:
     return result
 
 
-def dqn(config: DQNConfig, artifacts: Path, seed: int) -> Result:
+def dqn(config: TrainConfig, artifacts: Path, seed: int) -> Result:
     """DQN as `train.py` trains and evaluates it, with its defaults for the robot: with and without discovery."""
     result: Result = {}
     for name, discover in (("primitive", False), ("discovery", True)):

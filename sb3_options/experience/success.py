@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, MutableMapping, MutableSequence
+from collections.abc import Callable, Iterable, Mapping, MutableMapping, MutableSequence, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from sb3_options.checked import is_number
 from sb3_options.experience.trajectories import Trajectory
@@ -143,3 +144,17 @@ def tell_success(
 
 def _terminated(trajectory: Trajectory) -> bool:
     return trajectory.terminated
+
+
+def learned_at(reached: Sequence[bool] | npt.NDArray[np.bool_]) -> int | None:
+    """When a task counts as learned: at the first of two entries in a row that reach the goal.
+
+    Args:
+        reached: Of every evaluation, or entry of a log, whether it reached the goal.
+
+    Returns:
+        The index of that entry; None if there is none.
+    """
+    entries = np.asarray(reached, dtype=bool)
+    first = np.flatnonzero(entries[:-1] & entries[1:])
+    return int(first[0]) if len(first) else None

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal, Protocol, TypeAlias
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from sb3_options.density.arrays import row_keys
 from sb3_options.experience.observations import FloatArray, IntArray, Observations, flatten
+from sb3_options.options.settings import PolicyInput as PolicyInput
 from sb3_options.state import storable
-
-PolicyInput: TypeAlias = Literal["observation", "features"]
-"""What a policy acts on: the observation, or its features φ in concept space."""
 
 
 class OptionPolicy(Protocol):

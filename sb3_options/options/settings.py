@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 from sb3_options.checked import Field, settings
-from sb3_options.options.policies import PolicyInput
+
+PolicyInput: TypeAlias = Literal["observation", "features"]
+"""What a policy acts on: the observation, or its features φ in concept space."""
 
 
 @settings

@@ -7,7 +7,7 @@ import math
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 
-from sb3_options.runs.config import OnPolicyConfig, TrainConfig
+from sb3_options.runs.config import OFF_POLICY, TrainConfig
 
 TOLERATED = 0.05
 """Share of a budget by which whole rollouts may exceed it without a word."""
@@ -52,15 +52,16 @@ def rounded_up(config: TrainConfig) -> str:
     Args:
         config: Of the run.
     """
-    if not isinstance(config, OnPolicyConfig):
+    if config.algo in OFF_POLICY:
         return ""
-    rollout = config.n_steps * config.n_envs
+    n_steps = config.algo_kwargs["n_steps"]
+    rollout = n_steps * config.n_envs
     taken = math.ceil(config.n_timesteps / rollout) * rollout
     if taken <= (1.0 + TOLERATED) * config.n_timesteps:
         return ""
     return (
         f"--n-timesteps {config.n_timesteps:,} is rounded up to {taken:,}, for {config.algo} learns from whole "
-        f"rollouts: --n-steps {config.n_steps:,} times --n-envs {config.n_envs:,}. Smaller ones come closer."
+        f"rollouts: --n-steps {n_steps:,} times --n-envs {config.n_envs:,}. Smaller ones come closer."
     )
 
 

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Literal, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
-import tyro
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from sb3_options.experience.observations import FloatArray
+from sb3_options.experience.success import learned_at
+from sb3_options.runs.commands import AUTO, CompareConfig
 from sb3_options.runs.intervals import Interval, band, interval_of, iqm_interval, probability_of_improvement
 from sb3_options.runs.logged import TAGS, Curve, Measure, Run, groups_of, lacking_of
 from sb3_options.runs.pictures import format_of, save_picture
@@ -25,9 +24,6 @@ N_POINTS = 200
 
 END = 0.1
 """Share of training whose mean is what an agent has learned at the end."""
-
-AUTO = "auto"
-"""Of ``--reach``: success, or a length where success comes at once."""
 
 USUAL = "success=0.9"
 """What `AUTO` takes first, and what a search waits for."""
@@ -43,26 +39,7 @@ CAPTION = (
 UNITS: dict[Measure, str] = {"success": "success rate", "return": "return", "length": "primitive steps of an episode"}
 
 
-@dataclass(frozen=True)
-class CompareConfig:
-    """Compare runs, or groups of runs, by what they logged to TensorBoard: a table and a picture.
-
-    Attributes:
-        runs: Run folders, or folders that hold some. Those that differ in their seed alone make a group; NAME=PATTERN
-            makes a group by hand.
-        out: The picture.
-        reach: What is waited for: "success", "return" or "length" and a value. It counts from the first of two
-            entries in a row that have it. "auto": success=0.9; where most runs have that from the start, a length.
-        source: Evaluations or training episodes; by default evaluations if every run has them.
-    """
-
-    runs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")]
-    out: Path = Path("compare.png")
-    reach: str = AUTO
-    source: Literal["auto", "eval", "rollout"] = "auto"
-
-
-def show_comparison(config: CompareConfig, *, console: Console) -> None:
+def show_comparison(config: CompareConfig, console: Console) -> None:
     """Print a table of runs side by side, and draw them.
 
     Args:
@@ -115,13 +92,26 @@ class Goal(NamedTuple):
         """Number of the first of two entries in a row that have it; None if there is none."""
         wanted = float(np.float32(self.value))  # as TensorBoard keeps numbers: its 0.9 is a little less than 0.9
         there = curve.values <= wanted if self.measure == "length" else curve.values >= wanted
-        first = np.flatnonzero(there[:-1] & there[1:])
-        return int(first[0]) if len(first) else None
+        return learned_at(there)
 
     def __str__(self) -> str:
         sign = "≤" if self.measure == "length" else "≥"
         what = "episode length" if self.measure == "length" else UNITS[self.measure]
         return f"{what} {sign} {self.value:g}"
+
+
+def learned_after(curve: Curve | None, goal: Goal) -> float | None:
+    """Primitive steps after which a run has learned: the first of two entries in a row that reach the goal.
+
+    Args:
+        curve: Of the goal's measure; None where the run did not log it.
+        goal: What is waited for.
+
+    Returns:
+        None if the run never did.
+    """
+    at = None if curve is None else goal.reached(curve)
+    return None if curve is None or at is None else float(curve.steps[at])
 
 
 def goal_of(asked: Goal | None, groups: Mapping[str, Sequence[Run]], source: str) -> tuple[Goal, str]:

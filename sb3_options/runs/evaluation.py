@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
-import tyro
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import track
@@ -20,6 +19,7 @@ from rich.table import Table
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
+import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options.atomic import atomic_write
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.recording import LONGEST_EPISODE
@@ -31,42 +31,15 @@ from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
 from sb3_options.runs import yaml_file
 from sb3_options.runs.algorithms import make_model
-from sb3_options.runs.closing import how_to_resume
-from sb3_options.runs.config import DQNConfig, TrainConfig, made
+from sb3_options.runs.commands import EvaluateConfig
+from sb3_options.runs.config import OFF_POLICY, TrainConfig
 from sb3_options.runs.intervals import Interval, mean_interval, share_interval
-from sb3_options.runs.users_code import importing
+from sb3_options.runs.report import how_to_resume
+from sb3_options.runs.users_code import IMPORTING, importing
 from sb3_options.runs.video import RecordFrames, Video, render_mode_of, video_file
-
-EVAL_SEED = 10_000
-"""Evaluation environments count their seeds from here, so that none equals a training seed."""
 
 VIDEO_EPISODES = 10
 """A video shows this many episodes at most."""
-
-
-@dataclass(frozen=True)
-class EvaluateConfig:
-    """Load a run in a new process and act greedily: mean return, success rate and primitive steps an episode.
-
-    Attributes:
-        run: The run folder that training named.
-        episodes: How many to play.
-        seed: Of the environment.
-        env: Environment to play in; by default the run's.
-        env_wrapper: Wrapper for it, module:Class, where the run had one.
-        feature_map: Feature map φ, module:function; likewise.
-        video: Write the first ten episodes to this file, MP4 or GIF.
-        best: Play the best model of --eval-freq, not the last.
-    """
-
-    run: Annotated[Path, tyro.conf.Positional]
-    episodes: int = 100
-    seed: int = EVAL_SEED
-    env: str | None = None
-    env_wrapper: str | None = None
-    feature_map: str | None = None
-    video: Path | None = None
-    best: bool = False
 
 
 class Evaluation(NamedTuple):
@@ -123,8 +96,7 @@ def show_evaluation(config: EvaluateConfig, console: Console) -> Evaluation:
         ValueError: Something does not fit.
         OSError: A file of the run is missing, or the video cannot be written.
     """
-    how = {name: value for name, value in asdict(config).items() if name != "run"}
-    result = evaluate_run(config.run, **how)
+    result = evaluate_run(**asdict(config))
     console.print(table(result, escape(str(config.run))))
     file = config.run / "evaluation.json"
     try:
@@ -184,59 +156,39 @@ def greedy_episodes(
                 )
 
 
-def evaluate_run(
-    run: Path,
-    *,
-    episodes: int = 100,
-    seed: int = 10_000,
-    env: str | None = None,
-    env_wrapper: str | None = None,
-    feature_map: str | None = None,
-    video: Path | None = None,
-    best: bool = False,
-) -> Evaluation:
+def evaluate_run(run: Path, **settings: Any) -> Evaluation:
     """Load a run folder and act greedily in its environment, with options interrupted as in training.
 
     Weights and options are read as arrays only; nothing in the folder can run code.
 
     Args:
         run: The run folder.
-        episodes: How many to play, at least 1.
-        seed: Of the environment.
-        env: Id of the environment to play in; by default the run's, unless it names a module.
-        env_wrapper: Wrapper of the environment, ``module:Class``, which the run must have been trained with.
-        feature_map: Feature map, ``module:function``; likewise.
-        video: Where to write the first `VIDEO_EPISODES` episodes, which are played for it beforehand: an .mp4 or .gif
-            file. None writes nothing.
-        best: The model that did best in an evaluation while training, with the options of that time, instead of the
-            last one.
-
-    Returns:
-        The evaluation.
+        **settings: Of `EvaluateConfig`.
 
     Raises:
         FileNotFoundError: The folder lacks a file of a run.
-        ValueError: ``episodes`` < 1, a file does not fit, the environment draws no pictures, or an episode does not
-            end.
+        ValueError: A setting is out of its range, a file does not fit, the environment draws no pictures, or an
+            episode does not end.
     """
-    if episodes < 1:
-        raise ValueError(f"--episodes must be at least 1, got {episodes}.")
-    model = runs.BEST if best else runs.MODEL
-    if best and (run / runs.CONFIG).is_file() and not (run / model).is_file():
+    asked = EvaluateConfig(run, **settings)
+    if asked.episodes < 1:
+        raise ValueError(f"--episodes must be at least 1, got {asked.episodes}.")
+    model = runs.BEST if asked.best else runs.MODEL
+    if asked.best and (run / runs.CONFIG).is_file() and not (run / model).is_file():
         raise FileNotFoundError(f"{run} has no {model}: train with --eval-freq, which keeps it.")
     _check_complete(run, model)
-    if video is not None and video.suffix.lower() not in (".mp4", ".gif"):
-        raise ValueError(f"--video must end in .mp4 or .gif, got {video}.")
+    if asked.video is not None and asked.video.suffix.lower() not in (".mp4", ".gif"):
+        raise ValueError(f"--video must end in .mp4 or .gif, got {asked.video}.")
+    trusted = {name: getattr(asked, name) for name in IMPORTING}
     # What the run started with is in its own options file, too.
-    trusted = {"env": env, "env_wrapper": env_wrapper, "feature_map": feature_map}
     config = replace(configs.load(run / runs.CONFIG, trusted), options=None)
     runs.check_env_id(config.env)
     _check_spaces(run, config)
-    if video is not None:
+    if asked.video is not None:
         mode, fps = render_mode_of(config.env, config.env_kwargs)
-        with video_file(video, fps) as film:
-            _play(run / model, config, min(episodes, VIDEO_EPISODES), seed, film, mode)
-    return _play(run / model, config, episodes, seed)
+        with video_file(asked.video, fps) as film:
+            _play(run / model, config, min(asked.episodes, VIDEO_EPISODES), asked.seed, film, mode)
+    return _play(run / model, config, asked.episodes, asked.seed)
 
 
 def _check_complete(run: Path, model: str) -> None:
@@ -252,7 +204,7 @@ def _check_complete(run: Path, model: str) -> None:
         raise FileNotFoundError(f"{run} is no run folder: it lacks {runs.CONFIG}.")
     error = FileNotFoundError(f"{run} has no {lacking[0]}: its training was cut off, or has not ended yet.")
     with suppress(ValueError):  # what is in its configuration is refused elsewhere
-        how = how_to_resume(made(yaml_file.read_mapping(run / runs.CONFIG), run / runs.CONFIG), run)
+        how = how_to_resume(configs.build(yaml_file.read_mapping(run / runs.CONFIG), run / runs.CONFIG), run)
         error.add_note(how or "There is no checkpoint to go on from: train anew.")
     raise error
 
@@ -313,7 +265,7 @@ def _play(
         bank.load(saved.with_name(runs.OPTIONS) if saved.name == runs.MODEL else saved)
         if not bank.filled:
             venv.env_method("set_slots", expect_empty=True)  # the model has no others, so nothing is missing
-        if isinstance(config, DQNConfig) and config.interruption:
+        if config.algo in OFF_POLICY and config.interruption:
             interrupt_options(model, venv)
         venv.env_method("set_slots", record=True)
         played = greedy_episodes(model, venv, episodes, masked=config.algo == "maskableppo")

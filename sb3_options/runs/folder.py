@@ -30,15 +30,15 @@ from sb3_options.options import file as option_file
 from sb3_options.options.archive import NAME
 from sb3_options.options.bank import OptionBank
 from sb3_options.runs import yaml_file
-from sb3_options.runs.config import MaskablePPOConfig, TrainConfig
+from sb3_options.runs.config import CONFIG as CONFIG
+from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.eval_callback import BEST as BEST
 from sb3_options.runs.interrupts import ignore_interrupts
+from sb3_options.runs.logged import MONITOR as MONITOR
 from sb3_options.runs.users_code import feature_map_of, imported, named, named_in_errors
 
-CONFIG = "config.yml"
 MODEL = "model.zip"
 OPTIONS = NAME
-MONITOR = "monitor"
 CHECKPOINTS = "checkpoints"
 SUBGOALS = "subgoals.png"
 
@@ -244,7 +244,6 @@ def make_env(
         # Beneath the Monitor, for SB3 counts the episodes that a Monitor reports.
         keywords = keywords | {"max_episode_steps": max_steps if own is None else min(own, max_steps)}
     options = options_file(config)
-    max_runs = config.max_runs if isinstance(config, MaskablePPOConfig) else None
 
     elsewhere, classes = vec_env != "dummy", {"dummy": DummyVecEnv, "subproc": watched_workers, "ray": RayVecEnv}
     override = monitor_dir is None or not monitor_dir.exists()
@@ -263,7 +262,7 @@ def make_env(
             gamma=config.gamma,
             feature_map=feature_map_of(config.feature_map),
             options_file=options,
-            max_runs=max_runs,
+            max_runs=config.max_runs,
             check_finite=True,
         )
 

@@ -14,8 +14,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from sb3_options.experience.observations import FloatArray
 from sb3_options.runs import yaml_file
-from sb3_options.runs.config import HOW_IT_RAN
-from sb3_options.runs.folder import CONFIG, MONITOR
+from sb3_options.runs.config import CONFIG, HOW_IT_RAN
 
 Measure: TypeAlias = Literal["success", "return", "length"]
 
@@ -35,6 +34,7 @@ NO_SETTING = HOW_IT_RAN | {"seed"}
 MOST_NAMED = 3
 """Settings that are named where groups differ in more."""
 
+MONITOR = "monitor"
 EVENTS = "**/*tfevents*"
 MONITOR_HEADING = 2
 """Lines of a monitor's file before its episodes."""

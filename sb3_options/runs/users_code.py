@@ -1,4 +1,4 @@
-"""Code and files of the user's that the command line names: who may name code, how it is found, what is said of it."""
+"""Code and files that a user names on the command line."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from sb3_options.embedding.settings import LEARNED, MapName
-from sb3_options.experience.observations import FeatureMap
+from sb3_options.embedding.settings import LEARNED
 
 IMPORTING = {"env": "environment", "env_wrapper": "wrapper", "feature_map": "feature map"}
-"""The settings that may import a module, and what each of them is: the command line alone is trusted with them."""
+"""Settings that may import a module, and what each is: only the command line is trusted with them."""
 
 
 def importing(values: Mapping[str, Any]) -> dict[str, str]:
@@ -25,25 +24,25 @@ def importing(values: Mapping[str, Any]) -> dict[str, str]:
     return {n: t for n, t in texts.items() if (":" in t or t.startswith("GymV") if n == "env" else t)}
 
 
-def with_trusted(values: Mapping[str, Any], given: Mapping[str, str | None], where: str | Path) -> dict[str, Any]:
+def with_trusted(values: Mapping[str, Any], trusted: Mapping[str, str | None], source: str | Path) -> dict[str, Any]:
     """Settings of a file, with those that the command line names in their place.
 
     Args:
         values: Of the file.
-        given: ``env``, ``env_wrapper`` and ``feature_map`` of the command line; None leaves the file's own.
-        where: The file.
+        trusted: ``env``, ``env_wrapper`` and ``feature_map`` of the command line; None leaves the file's own.
+        source: The file.
 
     Raises:
         ValueError: The file names what would import a module, and the command line does not.
     """
-    trusted = {name: value for name, value in given.items() if value is not None}
+    named = {name: value for name, value in trusted.items() if value is not None}
     for name, text in importing(values).items():
-        if name not in trusted:
+        if name not in named:
             raise ValueError(
-                f"{where} names the {IMPORTING[name]} {text!r}, which would import a module. If you trust it, pass "
+                f"{source} names the {IMPORTING[name]} {text!r}, which would import a module. If you trust it, pass "
                 f"{flag(name)} {text}."
             )
-    return {**values, **trusted}
+    return {**values, **named}
 
 
 def flag(name: str) -> str:
@@ -51,26 +50,26 @@ def flag(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-def feature_map_of(text: str | None) -> FeatureMap | MapName | None:
+def feature_map_of(text: str | None) -> Any:
     """The feature map that ``--feature-map`` names: of a module, or one that is learned, by its name.
 
     Raises:
         ModuleNotFoundError: There is no such module.
         ValueError: It names nothing that can be called.
     """
-    if text is None:
-        return None
-    if text != LEARNED and ":" not in text:
-        raise ValueError(f"{flag('feature_map')} takes module:name, or {LEARNED}, which is learned; got {text!r}.")
-    return LEARNED if text == LEARNED else named(text, flag("feature_map"))
+    if text is None or text == LEARNED:
+        return text
+    if ":" not in text:
+        raise ValueError(f"--feature-map takes module:name, or {LEARNED}, which is learned; got {text!r}.")
+    return named(text, "--feature-map")
 
 
-def named(text: str, given_for: str) -> Callable[..., Any]:
+def named(text: str, source: str) -> Callable[..., Any]:
     """What ``module:name`` names.
 
     Args:
         text: From the command line, for it imports the module.
-        given_for: The flag.
+        source: The flag.
 
     Raises:
         ModuleNotFoundError: There is no such module.
@@ -78,22 +77,18 @@ def named(text: str, given_for: str) -> Callable[..., Any]:
     """
     module, _, name = text.partition(":")
     if not (module and name):
-        raise ValueError(f"{given_for} takes module:name, got {text!r}.")
-    found = getattr(imported(module, given_for), name, None)
+        raise ValueError(f"{source} takes module:name, got {text!r}.")
+    found = getattr(imported(module, source), name, None)
     if not callable(found):
-        raise ValueError(f"{given_for}: the module {module} has nothing named {name} that can be called.")
+        raise ValueError(f"{source}: the module {module} has nothing named {name} that can be called.")
     return found  # type: ignore[no-any-return]  # of a user's module
 
 
-def imported(module: str, given_for: str) -> ModuleType:
-    """Import a module that the command line names. The folder one is in is not searched for it without being asked to.
-
-    Args:
-        module: Its name.
-        given_for: The flag.
+def imported(module: str, source: str) -> ModuleType:
+    """Import a module that the command line names. The current folder is not searched.
 
     Raises:
-        ModuleNotFoundError: There is no such module, or it needs one that there is not.
+        ModuleNotFoundError: There is no such module, or it imports one that is missing.
     """
     try:
         return importlib.import_module(module)
@@ -101,20 +96,15 @@ def imported(module: str, given_for: str) -> ModuleType:
         if error.name is None or not f"{module}.".startswith(f"{error.name}."):
             raise  # it was found, and imports another
         raise ModuleNotFoundError(
-            f"{given_for}: {error}. One in the current folder is found with PYTHONPATH=. before the command, or by "
+            f"{source}: {error}. One in the current folder is found with PYTHONPATH=. before the command, or by "
             "`python -m sb3_options`.",
             name=error.name,
         ) from error
 
 
 @contextmanager
-def named_in_errors(given_for: str, path: Path, what: str = "cannot be read") -> Iterator[None]:
-    """Say of an error of the operating system what the user named the file for.
-
-    Args:
-        given_for: The flag, or the command.
-        path: What was given.
-        what: Cannot be done with it.
+def named_in_errors(source: str, path: Path, problem: str = "cannot be read") -> Iterator[None]:
+    """Say of an error of the operating system which flag or command named the file.
 
     Raises:
         OSError: In place of another one, of the same class.
@@ -124,5 +114,5 @@ def named_in_errors(given_for: str, path: Path, what: str = "cannot be read") ->
     except OSError as error:
         # The system may have stumbled over another one, such as a folder above.
         at = "" if error.filename is None or Path(error.filename) == path else f" ({error.filename})"
-        text = f"{given_for} {path} {what}: {error.strerror or error}{at}. Name another one."
+        text = f"{source} {path} {problem}: {error.strerror or error}{at}. Name another one."
         raise type(error)(text) from error

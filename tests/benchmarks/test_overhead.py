@@ -1,14 +1,13 @@
 """The overhead benchmark, small: its arithmetic, and that it runs."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from benchmarks import checkpoints, overhead
 from benchmarks.checkpoints import Turn
-from sb3_options.runs.config import DQNConfig, PPOConfig, TrainConfig
+from sb3_options.runs.config import configure
 
 
 def test_ratios_are_taken_within_turns() -> None:
@@ -41,17 +40,16 @@ def test_shares_are_of_all_turns() -> None:
     assert found["checkpoints_written"] == 2
 
 
-@pytest.mark.parametrize("config", [PPOConfig, DQNConfig])
-def test_every_turn_has_a_checkpoint(config: Callable[..., TrainConfig], tmp_path: Path) -> None:
-    small = config(seed=0, device="cpu", checkpoint_freq=600)
+@pytest.mark.parametrize("algo", ["ppo", "dqn"])
+def test_every_turn_has_a_checkpoint(algo: str, tmp_path: Path) -> None:
+    small = configure(algo=algo, seed=0, device="cpu", checkpoint_freq=600)
     found = checkpoints.race(small, tmp_path, 2, small.checkpoint_freq, description="")
     assert found["checkpoints_written"] == 2
     assert 0 < found["share_of_processor_time"]["mean"] < 1
 
 
-def test_a_large_buffer_is_written_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(checkpoints, "DQNConfig", lambda **kwargs: DQNConfig(**kwargs, checkpoint_freq=300))
-    found = checkpoints.large_buffer(tmp_path, 0, 20_000)
+def test_a_large_buffer_is_written_once(tmp_path: Path) -> None:
+    found = checkpoints.large_buffer(tmp_path, 0, 20_000, freq=300)
     assert found["checkpoints_written"] == checkpoints.LATER
     assert found["seconds_of_one"] < found["seconds_of_the_first"]
     assert found["megabytes"] > 1

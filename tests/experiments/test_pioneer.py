@@ -17,7 +17,7 @@ from experiments.pioneer.report import Report
 from experiments.pioneer.report import main as fill_in
 from experiments.pioneer.settings import MAIN_TASK, TASKS, PioneerSettings
 from sb3_options.envs.pioneer.env import DISPLACEMENT, GRIPPING, VISIBLE, WIDTH
-from sb3_options.runs.config import DQNConfig, tuned
+from sb3_options.runs.config import configure
 
 TINY = PioneerSettings(
     trials=5,
@@ -35,9 +35,7 @@ def test_all_figures_with_their_numbers_and_again_from_what_was_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(conditions, "DQN_EVALUATION_EPISODES", 5)
-    tuned_dqn = tuned(MAIN_TASK)
-    assert isinstance(tuned_dqn, DQNConfig)
-    dqn = dataclasses.replace(tuned_dqn, n_timesteps=300, learning_starts=100, env_kwargs={"max_steps": 20})
+    dqn = configure(env=MAIN_TASK, n_timesteps=300, learning_starts=100, env_kwargs={"max_steps": 20})
     study = Study(
         figure="all", out=tmp_path, runs=2, transfer_runs=1, dqn_runs=1, first_seed=0, jobs=1, settings=TINY, dqn=dqn
     )

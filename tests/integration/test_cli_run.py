@@ -16,10 +16,10 @@ import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from sb3_options import OptionBank, cli
+from sb3_options.cli import parse
 from sb3_options.options.file import read
 from sb3_options.runs import config as configs
-from sb3_options.runs.evaluation import EVAL_SEED, EvaluateConfig
-from sb3_options.runs.flags import parse
+from sb3_options.runs.commands import EVAL_SEED, EvaluateConfig
 from sb3_options.runs.video import CAPTION_HEIGHT
 from tests.support import processes
 from tests.support.sb3_helpers import SMALL_ROOMS, n_colours, read_video
@@ -103,7 +103,7 @@ class TestTrain:
 
     def test_with_the_resolved_configuration(self, run: Run) -> None:
         config = configs.load(run.folder / "config.yml")
-        assert (config.seed, config.eval_freq, config.n_timesteps, config.net_arch) == (1, 700, 8000, (32,))
+        assert (config.seed, config.eval_freq, config.n_timesteps) == (1, 700, 8000)
         assert config.discovery.goal_radius == 4.0
         assert str(config.env_kwargs["map"]).strip() == SMALL_ROOMS.strip()
 
@@ -134,7 +134,7 @@ class TestTrain:
     def test_says_what_it_found_and_what_to_do_next(self, run: Run) -> None:
         assert "Training DQN on sb3_options/TwoRooms-v0 for 8,000 primitive steps." in run.printed
         assert re.search(r"Finished after 8,\d\d\d primitive steps, \d+ episodes\.", run.printed)
-        row = re.search(r"0 +│ (\d), (\d) +│ (\d+) +│ ([\d,]+) +│ (\d+)", run.printed)
+        row = re.search(r"0 +│ reach \d, \d +│ (\d), (\d) +│ ([\d,]+) +│ (\d+)", run.printed)
         assert row is not None
         bank = OptionBank(4, 4)
         bank.load(run.folder / "options.safetensors")

@@ -12,12 +12,13 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from sb3_options import OptionBank, cli
 from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.cli import parse
 from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
-from sb3_options.runs.config import CLASSES, DQNConfig
-from sb3_options.runs.evaluation import EvaluateConfig
-from sb3_options.runs.flags import parse
+from sb3_options.runs import training
+from sb3_options.runs.commands import EvaluateConfig
+from sb3_options.runs.config import ALGORITHMS, configure
 from tests.integration.test_cli_run import CONFIG
 from tests.support.sb3_helpers import DOORWAY
 
@@ -29,7 +30,7 @@ class TestTrain:
             (["--n-timesteps", "30"], "No subgoal was discovered: no episode has ended. Train for longer"),
             (["--algo", "dqn", "--env", "CliffWalking-v1"], "No subgoal was discovered: none of the"),
             (["--no-discover"], "Discovery was switched off."),
-            (["--max-options", "0"], "There was no free slot for an option."),
+            (["--max-options", "0"], "There was no free slot for an option"),
         ],
     )
     def test_says_why_there_is_no_option_as_the_picture_does(
@@ -42,22 +43,22 @@ class TestTrain:
             drawn.append(text)
             return subgoals_figure(discovery, bank, text)
 
-        monkeypatch.setattr(cli, "subgoals_figure", draw)
+        monkeypatch.setattr(training, "subgoals_figure", draw)
         cli.main(["--n-timesteps", "1500", "--no-progress", "--tensorboard-log", str(tmp_path), *args])
         printed = capsys.readouterr().out
         assert text in drawn[0]
         assert f"{drawn[0]}\n" in printed
 
     def test_makes_a_new_folder_each_time(self, tmp_path: Path) -> None:
-        config = DQNConfig(tensorboard_log=tmp_path, env="a/B-v0")
+        config = configure(algo="dqn", tensorboard_log=tmp_path, env="a/B-v0")
         names = [runs.new_run_folder(config).relative_to(tmp_path).as_posix() for _ in range(3)]
         assert names == ["dqn/a-B-v0_1", "dqn/a-B-v0_2", "dqn/a-B-v0_3"]
 
-    @pytest.mark.parametrize("algo", [name for name in CLASSES if name != "dqn"])
+    @pytest.mark.parametrize("algo", [name for name in ALGORITHMS if name != "dqn"])
     @pytest.mark.filterwarnings("ignore:You have specified a mini-batch size")  # 2 environments, not 8
     def test_other_algorithms_and_several_environments(self, algo: str, tmp_path: Path) -> None:
         args = ["--algo", algo, "--n-envs", "2", "--n-timesteps", "400", "--tensorboard-log", str(tmp_path)]
-        args += ["--no-progress", "--no-discover", "--eval-freq", "200", "--eval-episodes", "1", "--num-threads", "1"]
+        args += ["--no-progress", "--no-discover", "--eval-freq", "200", "--eval-episodes", "1"]
         args += ["--learning-starts", "300"] if "dqn" in algo else ["--n-steps", "64"]
         args += ["--n-epochs", "1"] if "ppo" in algo else []
         cli.main([*args, "--env-kwargs", "max_steps:30"])
@@ -69,7 +70,11 @@ class TestTrain:
 
     @pytest.mark.parametrize("algo", ["ppo", "maskableppo"])
     def test_on_policy_discovery(self, algo: str, tmp_path: Path) -> None:
-        text = CONFIG.replace("learning_starts: 200\n", "n_envs: 4\nn_steps: 64\n").replace("4000", "7000")
+        text = (
+            CONFIG.replace("learning_starts: 200\n", "n_envs: 4\nn_steps: 64\n")
+            .replace("algo: dqn", f"algo: {algo}")
+            .replace("4000", "7000")
+        )
         (tmp_path / "config.yml").write_text(text)
         args = ["--config", str(tmp_path / "config.yml"), "--algo", algo, "--tensorboard-log", str(tmp_path)]
         args += ["--n-epochs", "2"]
@@ -108,7 +113,7 @@ class TestTrain:
                 super()._init_callback()
                 made.append(self)
 
-        monkeypatch.setattr(cli, "SubgoalDiscoveryCallback", Remembered)
+        monkeypatch.setattr(training, "SubgoalDiscoveryCallback", Remembered)
         args = ["--n-timesteps", "600", "--no-progress", "--tensorboard-log", str(tmp_path), "--eval-episodes", "1"]
         cli.main(["dqn", *args, "--no-interruption"])
         cli.main(["dqn", *args, "--max-option-exploration", "0.25"])

@@ -15,8 +15,7 @@ import tyro
 from experiments.deep import report as deep_report
 from experiments.paper import report as paper_report
 from experiments.pioneer import report as pioneer_report
-from sb3_options.cli import COMMANDS
-from sb3_options.runs.flags import parse
+from sb3_options.cli import COMMANDS, parse
 from tests.support import processes
 from tests.support.documents import (
     PAGES,

@@ -26,7 +26,7 @@ MADE: dict[str, tuple[Callable[..., Any], Callable[..., Any], dict[str, Any]]] =
 }
 
 ALIASES = {
-    **{name: name.replace("_", "-") for name in ("env_kwargs", "n_steps", "n_envs", "batch_size")},
+    **{name: name.replace("_", "-") for name in ("env_kwargs", "algo_kwargs", "max_runs", "n_envs")},
     "groups": "FeatureGroup",
     "settings": "DiscoverySettings",
     "option_settings": "OptionLearningSettings",

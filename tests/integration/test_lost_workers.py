@@ -13,6 +13,7 @@ from sb3_options import cli
 from sb3_options.callbacks.checkpoints import CheckpointCallback
 from sb3_options.execution.workers import WorkerLostError
 from sb3_options.runs import folder as runs
+from sb3_options.runs import training
 
 FLAGS = (
     "ppo --n-envs 2 --vec-env subproc --n-timesteps 1024 --n-steps 64 --batch-size 64 --n-epochs 1 --net-arch 8 "
@@ -43,7 +44,7 @@ def test_resumed_after_a_worker_was_killed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     alone, victim = tmp_path / "alone", tmp_path / "the victim"
-    monkeypatch.setattr(cli, "CheckpointCallback", KillsOnce)
+    monkeypatch.setattr(training, "CheckpointCallback", KillsOnce)
     monkeypatch.setattr(KillsOnce, "killed", [0])  # that was that
     cli.main([*FLAGS.split(), "--tensorboard-log", str(alone)])
     monkeypatch.setattr(KillsOnce, "killed", [])
@@ -69,7 +70,7 @@ def test_a_worker_that_an_error_ended_is_nothing_to_try_again(
     def lost(*_: Any, **__: Any) -> None:
         raise WorkerLostError("Environment 0 of 2 is gone.", "Make new ones.")
 
-    monkeypatch.setattr(cli, "_train", lost)
+    monkeypatch.setattr(training, "train", lost)
     with pytest.raises(SystemExit) as stopped:
         cli.main(FLAGS.split())
     assert stopped.value.code == 1

@@ -17,7 +17,8 @@ from sb3_options.callbacks import CheckpointCallback
 from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
-from sb3_options.runs.resume import is_finished
+from sb3_options.runs import training
+from sb3_options.runs.training import is_finished
 from sb3_options.runs.under_way import held
 
 CONFIG = """
@@ -127,8 +128,8 @@ def test_an_interrupted_run_goes_on_where_it_ended(
             return super()._on_step()
 
     Interrupted.__name__ = CheckpointCallback.__name__  # which checkpoints hold
-    monkeypatch.setattr(cli, "CheckpointCallback", Interrupted)
-    monkeypatch.setattr(cli, "PATIENCE", 600.0)  # the machine may be busy
+    monkeypatch.setattr(training, "CheckpointCallback", Interrupted)
+    monkeypatch.setattr(training, "PATIENCE", 600.0)  # the machine may be busy
     for args in ([algo, *flags, "--tensorboard-log", str(victim.parents[1])], ["resume", str(victim), "--no-progress"]):
         capsys.readouterr()
         wait_for_the_next_second()

@@ -14,7 +14,7 @@ from sb3_options.callbacks import PrimitiveStepsCallback
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.runs.algorithms import check_device
 from sb3_options.runs.budget import KeepToBudget, memory_is_short, rounded_up
-from sb3_options.runs.config import A2CConfig, DQNConfig, PPOConfig, TrainConfig
+from sb3_options.runs.config import TrainConfig, configure
 from tests.support.helpers import CountingEnv, steady_option
 
 
@@ -81,7 +81,7 @@ def test_what_cannot_be_is_said_in_one_line(flags: list[str], said: str, tmp_pat
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
-@pytest.mark.parametrize(("flag", "value"), [("--seed", str(2**32)), ("--num-threads", "9" * 20), ("--net-arch", "-1")])
+@pytest.mark.parametrize(("flag", "value"), [("--seed", str(2**32)), ("--n-envs", "9" * 20), ("--net-arch", "-1")])
 def test_numbers_that_are_too_large_are_named(flag: str, value: str, capsys: Any) -> None:
     with pytest.raises(SystemExit):
         cli.main(["dqn", flag, value])
@@ -92,14 +92,17 @@ def test_numbers_that_are_too_large_are_named(flag: str, value: str, capsys: Any
     ("config", "said"),
     [
         (
-            PPOConfig(n_timesteps=500),
+            configure(algo="ppo", n_timesteps=500),
             "--n-timesteps 500 is rounded up to 1,024, for ppo learns from whole rollouts: --n-steps 128 times "
             "--n-envs 8. Smaller ones come closer.",
         ),
-        (A2CConfig(n_timesteps=1_200), "--n-timesteps 1,200 is rounded up to 1,280, for a2c learns from whole"),
-        (PPOConfig(n_timesteps=1_024), ""),
-        (PPOConfig(n_timesteps=60_000), ""),
-        (DQNConfig(n_timesteps=501), ""),
+        (
+            configure(algo="a2c", n_timesteps=1_200),
+            "--n-timesteps 1,200 is rounded up to 1,280, for a2c learns from whole",
+        ),
+        (configure(algo="ppo", n_timesteps=1_024), ""),
+        (configure(algo="ppo", n_timesteps=60_000), ""),
+        (configure(algo="dqn", n_timesteps=501), ""),
     ],
 )
 def test_a_budget_that_whole_rollouts_make_larger_is_told(config: TrainConfig, said: str) -> None:
@@ -108,8 +111,15 @@ def test_a_budget_that_whole_rollouts_make_larger_is_told(config: TrainConfig, s
 
 
 def test_training_tells_it_and_keeps_to_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    config = A2CConfig(
-        n_timesteps=40, n_steps=30, n_envs=1, max_options=0, progress=False, device="cpu", tensorboard_log=tmp_path
+    config = configure(
+        algo="a2c",
+        n_timesteps=40,
+        n_steps=30,
+        n_envs=1,
+        max_options=0,
+        progress=False,
+        device="cpu",
+        tensorboard_log=tmp_path,
     )
     cli.train(config)
     said = capsys.readouterr().out

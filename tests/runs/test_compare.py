@@ -10,8 +10,8 @@ import yaml
 from rich.console import Console
 from stable_baselines3.common.logger import TensorBoardOutputFormat
 
+from sb3_options.runs.commands import CompareConfig
 from sb3_options.runs.compare import (
-    CompareConfig,
     Goal,
     compared,
     figure_of,
@@ -279,6 +279,6 @@ def test_where_nothing_tells_runs_apart_that_is_said(tmp_path: Path) -> None:
     run = logged(tmp_path / "run", [1.0, 1.0])  # no length was logged
     console = Console(width=200, no_color=True)
     with console.capture() as captured:
-        show_comparison(CompareConfig((str(run),), tmp_path / "a.png"), console=console)
+        show_comparison(CompareConfig((str(run),), tmp_path / "a.png"), console)
     assert "primitive steps to success rate ≥ 0.9" in captured.get()
     assert "so it does not tell them apart: choose another --reach." in captured.get()

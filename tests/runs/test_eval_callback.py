@@ -16,7 +16,8 @@ from stable_baselines3 import DQN
 from sb3_options import OptionBank, cli
 from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.runs import folder as runs
-from sb3_options.runs.config import DQNConfig, MaskablePPOConfig, TrainConfig
+from sb3_options.runs import training
+from sb3_options.runs.config import configure
 from sb3_options.runs.evaluation import evaluate_run
 from sb3_options.runs.logged import read_run
 from tests.support.helpers import CountingEnv
@@ -43,9 +44,9 @@ def register() -> Iterator[Register]:
     gym.registry.pop("Evaluated-v0", None)
 
 
-def settings(tmp_path: Path, of: type[TrainConfig] = DQNConfig, **kwargs: Any) -> Any:
+def settings(tmp_path: Path, algo: str = "dqn", **kwargs: Any) -> Any:
     common: dict[str, Any] = {"eval_freq": 50, "progress": False, "device": "cpu", "tensorboard_log": tmp_path}
-    return of(env="Evaluated-v0", **(common | kwargs))
+    return configure(algo=algo, env="Evaluated-v0", **(common | kwargs))
 
 
 @pytest.mark.parametrize(
@@ -99,15 +100,15 @@ def test_the_limit_is_for_evaluation_only(register: Register, tmp_path: Path) ->
     ] * 2
 
 
-@pytest.mark.parametrize("of", [DQNConfig, MaskablePPOConfig])
+@pytest.mark.parametrize("algo", ["dqn", "maskableppo"])
 def test_the_progress_bar_says_where_an_evaluation_is(
-    of: type[TrainConfig], register: Register, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    algo: str, register: Register, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     said: list[str] = []
     bar = "stable_baselines3.common.callbacks.tqdm.set_description"
     monkeypatch.setattr(bar, lambda self, text, refresh=True: said.append(text))
     register(ends_after=150)
-    cli.train(settings(tmp_path, of, n_envs=1, n_timesteps=110, eval_freq=100, eval_episodes=2, progress=True))
+    cli.train(settings(tmp_path, algo, n_envs=1, n_timesteps=110, eval_freq=100, eval_episodes=2, progress=True))
     assert said == [
         "evaluating: episode 1 of 2, decision 0",
         "evaluating: episode 1 of 2, decision 100",
@@ -137,7 +138,7 @@ def test_a_short_evaluation_is_waited_for_to_write_a_checkpoint(
             os.kill(os.getpid(), signal.SIGINT)
         time.sleep(0.01 * (step > 75))
 
-    monkeypatch.setattr(cli, "PATIENCE", patience)
+    monkeypatch.setattr(training, "PATIENCE", patience)
     register(ends_after=10, in_step=slow)
     folder = cli.train(settings(tmp_path, eval_episodes=10))
     assert DQN.load(folder / "model.zip").num_timesteps == ends

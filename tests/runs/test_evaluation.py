@@ -10,7 +10,7 @@ from gymnasium.envs.registration import EnvSpec
 from sb3_options import cli
 from sb3_options.runs import evaluation
 from sb3_options.runs import folder as runs
-from sb3_options.runs.config import DQNConfig, MaskablePPOConfig
+from sb3_options.runs.config import configure
 from sb3_options.runs.evaluation import evaluate_run
 from tests.support.helpers import CountingEnv
 
@@ -24,8 +24,8 @@ def test_a_configuration_that_would_import_a_module_is_refused(tmp_path: Path) -
 
 
 def test_an_episode_that_never_ends_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    config = DQNConfig(
-        env_kwargs={"continuing": True, "max_steps": None}, n_timesteps=50, discover=False, progress=False,
+    config = configure(
+        algo="dqn", env_kwargs={"continuing": True, "max_steps": None}, n_timesteps=50, discover=False, progress=False,
         tensorboard_log=tmp_path, device="cpu",
     )  # fmt: skip
     run = cli.train(config)
@@ -40,7 +40,7 @@ def test_an_episode_that_never_ends_is_an_error(tmp_path: Path, monkeypatch: pyt
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs")
-    config = DQNConfig(n_timesteps=50, progress=False, device="cpu", tensorboard_log=folder)
+    config = configure(algo="dqn", n_timesteps=50, progress=False, device="cpu", tensorboard_log=folder)
     return cli.train(config)
 
 
@@ -87,7 +87,9 @@ def test_of_an_environment_that_draws_nothing_no_video_is_proposed_or_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(gym.registry, "Blank-v0", EnvSpec("Blank-v0", blank))  # type: ignore[arg-type]  # no arguments
-    run = cli.train(DQNConfig(env="Blank-v0", n_timesteps=50, progress=False, device="cpu", tensorboard_log=tmp_path))
+    run = cli.train(
+        configure(algo="dqn", env="Blank-v0", n_timesteps=50, progress=False, device="cpu", tensorboard_log=tmp_path)
+    )
     (proposed,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("Evaluate:")]
     words = shlex.split(proposed)
     assert "--video" not in words
@@ -108,7 +110,8 @@ def blank() -> CountingEnv:
 
 
 def test_a_run_without_options_lacks_none(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    config = MaskablePPOConfig(
+    config = configure(
+        algo="maskableppo",
         n_timesteps=64, n_steps=64, n_envs=1, discover=False, progress=False, device="cpu", tensorboard_log=tmp_path,
         env_kwargs={"max_steps": 50},
     )  # fmt: skip

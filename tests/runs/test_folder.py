@@ -11,15 +11,15 @@ import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import cli
 from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import make_model
-from sb3_options.runs.config import A2CConfig, DQNConfig, MaskablePPOConfig, TrainConfig
+from sb3_options.runs.config import configure
 
 
-@pytest.mark.parametrize("of", [DQNConfig, A2CConfig])
+@pytest.mark.parametrize("algo", ["dqn", "a2c"])
 @pytest.mark.parametrize("n_envs", [1, 3])
-def test_runs_of_different_seeds_share_no_environment(of: type[TrainConfig], n_envs: int) -> None:
+def test_runs_of_different_seeds_share_no_environment(algo: str, n_envs: int) -> None:
     seeds: list[int] = []
     for seed in range(3):
-        config = of(seed=seed, n_envs=n_envs, device="cpu")  # type: ignore[call-arg]  # algo has a default
+        config = configure(algo=algo, seed=seed, n_envs=n_envs, device="cpu")
         env = runs.make_env(config, n_envs, seed)
         make_model(config, env)
         env.reset()
@@ -51,7 +51,7 @@ def test_an_unknown_environment(env_id: str, hint: str, monkeypatch: pytest.Monk
 def test_minigrid_is_ready_for_training_and_its_workers_know_it() -> None:
     for env_id in ("MiniGrid-Empty-5x5-v0", "minigrid:MiniGrid-Empty-5x5-v0"):
         runs.check_env_id(env_id)
-        config = MaskablePPOConfig(env=env_id, device="cpu")
+        config = configure(algo="maskableppo", env=env_id, device="cpu")
         env = runs.make_env(config, 1, 0, vec_env="subproc" if env_id.startswith("minigrid:") else "dummy")
         runs.check_observations(env, env_id)
         assert env.get_attr("traits")[0].feature_kind == "environment"
@@ -67,7 +67,7 @@ def test_minigrid_that_is_not_installed_names_the_extra(monkeypatch: pytest.Monk
 def test_a_place_that_holds_no_folders_is_named_with_its_flag(tmp_path: Path) -> None:
     (tmp_path / "a file").touch()
     with pytest.raises(NotADirectoryError) as error:
-        runs.new_run_folder(DQNConfig(tensorboard_log=tmp_path / "a file"))
+        runs.new_run_folder(configure(algo="dqn", tensorboard_log=tmp_path / "a file"))
     assert str(error.value) == (
         f"--tensorboard-log {tmp_path / 'a file'} cannot hold run folders: Not a directory "
         f"({tmp_path / 'a file' / 'dqn'}). Name another one."
@@ -75,7 +75,7 @@ def test_a_place_that_holds_no_folders_is_named_with_its_flag(tmp_path: Path) ->
 
 
 def test_a_run_folder_that_is_discarded_takes_an_empty_one_along(tmp_path: Path) -> None:
-    first, second = (runs.new_run_folder(DQNConfig(tensorboard_log=tmp_path)) for _ in range(2))
+    first, second = (runs.new_run_folder(configure(algo="dqn", tensorboard_log=tmp_path)) for _ in range(2))
     runs.discard(first)
     assert second.is_dir()
     runs.discard(second)
@@ -100,7 +100,7 @@ def test_an_algorithm_that_is_not_installed_leaves_no_folder(
 )
 def test_an_id_with_its_module_can_have_shorter_episodes(env_id: str) -> None:
     """As those of an evaluation are."""
-    venv = runs.make_env(MaskablePPOConfig(env=env_id), 1, 0, max_steps=3)
+    venv = runs.make_env(configure(algo="maskableppo", env=env_id), 1, 0, max_steps=3)
     venv.reset()
     ends = [venv.step(np.array([0]))[2][0] for _ in range(3)]
     assert ends == [False, False, True]

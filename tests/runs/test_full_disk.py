@@ -16,7 +16,7 @@ from sb3_options import OptionBank, cli
 from sb3_options.atomic import atomic_write
 from sb3_options.checkpoints.file import CheckpointFolder, read
 from sb3_options.runs import folder as runs
-from sb3_options.runs.config import DQNConfig
+from sb3_options.runs.config import TrainConfig, configure
 from tests.support.helpers import CountingEnv
 
 resource = pytest.importorskip("resource", reason="limits are of POSIX")
@@ -56,9 +56,9 @@ def when() -> Iterator[Callable[[dict[int, Callable[[], None]]], None]]:
     gym.registry.pop("Full-v0", None)
 
 
-def settings(tmp_path: Path, **kwargs: Any) -> DQNConfig:
+def settings(tmp_path: Path, **kwargs: Any) -> TrainConfig:
     common: dict[str, Any] = {"progress": False, "device": "cpu", "tensorboard_log": tmp_path, "n_timesteps": BUDGET}
-    return DQNConfig(env="Full-v0", **(common | kwargs))
+    return configure(algo="dqn", env="Full-v0", **(common | kwargs))
 
 
 def test_options_are_saved_where_the_model_cannot_be(limit: Any, when: Any, tmp_path: Path, capsys: Any) -> None:

@@ -8,10 +8,10 @@ import pytest
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import cli
+from sb3_options.cli import parse
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
 from sb3_options.runs import yaml_file
-from sb3_options.runs.flags import parse
 from tests.support.processes import HANGING
 
 BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
@@ -69,7 +69,7 @@ HOSTILE = {
     "an environment's entry point": ("env_kwargs: {{entry_point: 'evil_module:Env'}}\n", "'entry_point'"),
     "NaN as a share": ("gamma: .nan\n", "gamma should be"),
     "infinity as a rate": ("learning_rate: .inf\n", "learning_rate should be"),
-    "more threads than there are": ("num_threads: 1000000000000\n", "num_threads should be"),
+    "more environments than there are": ("n_envs: 100000000\n", "n_envs should be"),
     "more slots than there can be": ("max_options: 1000000000000000000\n", "max_options"),
     "a seed beyond NumPy's": ("seed: 4294967296\n", "seed should be"),
     "a negative size": ("net_arch: [-1]\n", "net_arch.0 should be"),

@@ -19,7 +19,8 @@ from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.execution.workers import WorkerLostError
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
-from sb3_options.runs.config import DQNConfig
+from sb3_options.runs import training
+from sb3_options.runs.config import configure
 from sb3_options.runs.interrupts import TERMINAL, Interrupts, raised
 from tests.support.helpers import CountingEnv
 
@@ -70,7 +71,9 @@ def command_line(tmp_path: Path, *more: str) -> list[str]:
 
 
 def train(tmp_path: Path, **kwargs: Any) -> Path:
-    return cli.train(DQNConfig(env="Interrupted-v0", progress=False, device="cpu", tensorboard_log=tmp_path, **kwargs))
+    return cli.train(
+        configure(algo="dqn", env="Interrupted-v0", progress=False, device="cpu", tensorboard_log=tmp_path, **kwargs)
+    )
 
 
 @pytest.mark.parametrize("number", SIGNALS)
@@ -108,7 +111,7 @@ def test_a_signal_ends_training_at_a_checkpoint(
 def test_a_rollout_that_takes_too_long_is_not_waited_for(
     counting: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cli, "PATIENCE", 0.2)
+    monkeypatch.setattr(training, "PATIENCE", 0.2)
     counting(lambda step: send() if step == AT_STEP else time.sleep(0.05 * (step > AT_STEP)))
     folder = train(tmp_path, train_freq=50)
     said = capfd.readouterr().out
@@ -218,7 +221,7 @@ def test_before_the_first_step_nothing_is_left(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     counting(lambda step: pytest.fail("took a step"))
-    module: Any = configs if where == "save" else cli
+    module: Any = configs if where == "save" else training
     original = getattr(module, where)
 
     def interrupted(*args: Any, **kwargs: Any) -> Any:

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from sb3_options import OptionBank, cli
+from sb3_options.cli import parse
 from sb3_options.runs import config as configs
-from sb3_options.runs.flags import parse
 
 MODULE = """
 import gymnasium as gym

@@ -15,7 +15,7 @@ from sb3_options.runs.evaluation import Evaluation
 from sb3_options.runs.intervals import Interval
 from sb3_options.runs.logged import Curve, Run
 from sb3_options.runs.video import video_file
-from tests.runs.test_inspection import file as file
+from tests.runs.test_report import file as file
 
 
 @pytest.fixture(autouse=True)
@@ -68,7 +68,7 @@ def test_an_evaluation_is_shown_all_the_same(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     one = Interval(1.0, 0.5, 1.5)
-    monkeypatch.setattr(evaluation, "evaluate_run", lambda run, **how: Evaluation(7, one, one, one))
+    monkeypatch.setattr(evaluation, "evaluate_run", lambda **asked: Evaluation(7, one, one, one))
     cli.main(["evaluate", str(tmp_path)])
     printed = " ".join(capsys.readouterr().out.split())
     assert "0.500 to 1.500" in printed

@@ -1,12 +1,8 @@
 import io
-import json
 import math
-import re
 import signal
-import socket
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -17,18 +13,20 @@ import pytest
 import yaml
 from matplotlib import rcParams
 from matplotlib.colors import to_hex
+from optuna.distributions import FloatDistribution
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 from rich.console import Console
 
 from sb3_options.runs import config as configs
-from sb3_options.runs import scored, search, tune
+from sb3_options.runs import search, tune
+from sb3_options.runs.commands import TuneConfig
 from sb3_options.runs.compare import Goal
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.logged import Curve, Run
-from sb3_options.runs.search_space import Choices, Range, read_space
-from sb3_options.runs.tune_config import TuneConfig
+from sb3_options.runs.search import choices
+from sb3_options.runs.tune import read_space
 
 BASE = {"algo": "ppo", "env": "CartPole-v1", "n_timesteps": 300, "n_envs": 1, "discover": False}
 SEARCH: dict[str, Any] = {
@@ -56,7 +54,7 @@ def trained(monkeypatch: pytest.MonkeyPatch) -> list[TrainConfig]:
 
     def score(run: TrainConfig, *_: object) -> float:
         runs.append(run)
-        return abs(math.log(run.learning_rate / 1e-3)) + 0.01 * run.seed
+        return abs(math.log(run.algo_kwargs["learning_rate"] / 1e-3)) + 0.01 * run.seed
 
     monkeypatch.setattr(tune, "score", score)
     return runs
@@ -70,14 +68,15 @@ def study_in(folder: Path) -> optuna.Study:
 def test_a_space_is_read(tmp_path: Path) -> None:
     space = read_space(written(tmp_path), {})
     assert space.search == {
-        "learning_rate": Range(1e-4, 1e-2, log=True),
-        "n_steps": Choices((32, 64)),
-        "net_arch": Choices(([8], [16, 16])),
-        "discovery.decay": Range(0.5, 0.9),
+        "learning_rate": FloatDistribution(1e-4, 1e-2, log=True),
+        "n_steps": choices((32, 64)),
+        "net_arch": choices(([8], [16, 16])),
+        "discovery.decay": FloatDistribution(0.5, 0.9),
     }
     run = space.config({"n_steps": 64, "net_arch": [16, 16], "discovery.decay": 0.6}, 7, tmp_path)
-    assert (run.seed, run.net_arch, run.discovery.decay, run.tensorboard_log) == (7, (16, 16), 0.6, tmp_path)
-    assert vars(run)["n_steps"] == 64
+    assert (run.seed, run.discovery.decay, run.tensorboard_log) == (7, 0.6, tmp_path)
+    assert run.algo_kwargs["n_steps"] == 64
+    assert run.algo_kwargs["policy_kwargs"] == {"net_arch": [16, 16]}
 
 
 @pytest.mark.parametrize(
@@ -85,19 +84,19 @@ def test_a_space_is_read(tmp_path: Path) -> None:
     [
         ({}, "`search:` names nothing"),
         ({"learning_rat": [1, 2]}, "there is no setting 'learning_rat'. Did you mean 'learning_rate'"),
-        ({"learning_rate": [1e-3]}, "learning_rate has 1 value to choose from; two are the fewest"),
+        ({"learning_rate": [1e-3]}, "learning_rate takes .* or a list of two values or more"),
         ({"learning_rate": 1e-3}, r"learning_rate takes \{low: 0.0001, high: 0.01, log: true\} or a list"),
         ({"learning_rate": {"low": 0.1}}, "learning_rate takes"),
         ({"learning_rate": {"low": "a", "high": 1}}, "learning_rate takes"),
-        ({"learning_rate": {"low": 1.0, "high": 0.1}}, "needs low < high"),
-        ({"learning_rate": {"low": 0, "high": 0.1, "log": True}}, "low > 0 where log is true"),
-        ({"learning_rate": {"low": 0.01, "high": 0.1, "log": True, "step": 0.01}}, "a step > 0, and none where log"),
+        ({"learning_rate": {"low": 1.0, "high": 0.1}}, "learning_rate takes"),
+        ({"learning_rate": {"low": 0, "high": 0.1, "log": True}}, "learning_rate takes"),
+        ({"learning_rate": {"low": 0.01, "high": 0.1, "log": True, "step": 0.01}}, "learning_rate takes"),
         ({"gamma": {"low": 0.9, "high": 1.1}}, "gamma"),
         ({"seed": [0, 1]}, "seed cannot be varied"),
-        ({"learning_rat": [0.1]}, "there is no setting 'learning_rat'. Did you mean 'learning_rate'"),
-        ({"discovery.decai": [0.1]}, "there is no setting 'discovery.decai'. Did you mean 'discovery.decay'"),
+        ({"learning_rat": [0.1, 0.2]}, "there is no setting 'learning_rat'. Did you mean 'learning_rate'"),
+        ({"discovery.decai": [0.1, 0.2]}, "there is no setting 'discovery.decai'. Did you mean 'discovery.decay'"),
         ({"env": ["CartPole-v1", "Acrobot-v1"]}, "env cannot be varied"),
-        ({"buffer_size": [10, 20]}, "--buffer-size has no effect on ppo"),
+        ({"buffer_size": [10, 20]}, "there is no setting 'buffer_size'"),
     ],
 )
 def test_a_space_that_is_wrong_is_refused(search: Any, text: str, tmp_path: Path) -> None:
@@ -120,16 +119,16 @@ def test_a_file_imports_no_module(tmp_path: Path) -> None:
 
 def test_the_best_is_found_and_kept(tmp_path: Path, trained: list[TrainConfig]) -> None:
     console = quiet()
-    best = tune.tune(TuneConfig(written(tmp_path), tmp_path / "out", trials=20, seeds=2), console=console)
+    best = tune.tune(TuneConfig(written(tmp_path), tmp_path / "out", trials=20, seeds=2), console)
     assert len(trained) <= 40
     assert {run.seed for run in trained} == {0, 1}
-    rates = [run.learning_rate for run in trained]
-    assert best.learning_rate == min(rates, key=lambda rate: abs(math.log(rate / 1e-3)))
+    rates = [run.algo_kwargs["learning_rate"] for run in trained]
+    assert best.algo_kwargs["learning_rate"] == min(rates, key=lambda rate: abs(math.log(rate / 1e-3)))
     assert configs.load(tmp_path / "out" / tune.BEST) == best
     for name in tune.PICTURES:
         assert (tmp_path / "out" / name).stat().st_size > 5_000
     said = console.file.getvalue()  # type: ignore[attr-defined]  # a StringIO
-    assert "Trial 20 of 20" in said
+    assert "Trial 20: " in said
     assert f"sb3-options train --config {tmp_path / 'out' / tune.BEST} --seed 2" in said
     assert to_hex(rcParams["axes.edgecolor"]) == "#000000", "the style of Optuna's pictures is that of no other"
 
@@ -138,181 +137,90 @@ def test_the_table_says_how_many_trials_never_got_there(tmp_path: Path, monkeypa
     rates: list[float] = []
 
     def score(run: TrainConfig, *_: object) -> float:
-        rates.append(run.learning_rate)
-        return math.log(run.n_timesteps if run.learning_rate > 1e-3 else 100)
+        rates.append(run.algo_kwargs["learning_rate"])
+        return math.log(run.n_timesteps if run.algo_kwargs["learning_rate"] > 1e-3 else 100)
 
     monkeypatch.setattr(tune, "score", score)
     space, console = written(tmp_path, {"learning_rate": SEARCH["learning_rate"]}), quiet()
-    tune.tune(TuneConfig(space, tmp_path / "out", trials=8, seeds=1), console=console)
+    tune.tune(TuneConfig(space, tmp_path / "out", trials=8, seeds=1), console)
     n_never = sum(rate > 1e-3 for rate in rates)
     assert 0 < n_never < 8
     said = " ".join(console.file.getvalue().split())  # type: ignore[attr-defined]  # a StringIO
     assert f"In {n_never} of these trials no run reached success rate ≥ 0.9: they count with all their steps." in said
 
 
-def test_a_goal_that_is_there_at_once_is_warned_of(
-    tmp_path: Path, trained: list[TrainConfig], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(tune, "was_there_at_once", lambda _: True)
-    console, config = quiet(), TuneConfig(written(tmp_path), tmp_path / "out", trials=3, seeds=2)
-    tune.tune(config, console=console)
-    said = console.file.getvalue()  # type: ignore[attr-defined]  # a StringIO
-    assert said.count("success rate ≥ 0.9 was there at the first log entry of") == 1
-    assert "choose another --reach, length=40 say, and another --out." in said
-
-
-def test_a_score_says_whether_the_goal_was_there_at_once(tmp_path: Path) -> None:
-    run = configs.made({**BASE, "tensorboard_log": str(tmp_path)}, tmp_path)
-    assert not scored.was_there_at_once(run)
-    for content, expected in (({"score": 1.0}, False), ({"score": 1.0, "at_once": True}, True)):
-        (tmp_path / scored.SCORE).write_text(json.dumps(content))
-        assert scored.was_there_at_once(run) is expected
-
-
 def test_the_command_that_judges_names_what_is_trusted(tmp_path: Path, trained: list[TrainConfig]) -> None:
     console, trusted = quiet(), "gymnasium.wrappers:RecordEpisodeStatistics"
     config = TuneConfig(written(tmp_path), tmp_path / "out", trials=1, seeds=1, env_wrapper=trusted)
-    tune.tune(config, console=console)
+    tune.tune(config, console)
     assert f"--seed 1 --env-wrapper {trusted}\n" in console.file.getvalue()  # type: ignore[attr-defined]  # a StringIO
 
 
 def test_one_seed_one_search(tmp_path: Path, trained: list[TrainConfig]) -> None:
     for out in "ab":
-        tune.tune(TuneConfig(written(tmp_path), tmp_path / out, trials=10, seeds=1), console=quiet())
-    rates = [run.learning_rate for run in trained]
+        tune.tune(TuneConfig(written(tmp_path), tmp_path / out, trials=10, seeds=1), quiet())
+    rates = [run.algo_kwargs["learning_rate"] for run in trained]
     assert rates[:10] == rates[10:]
-    tune.tune(TuneConfig(written(tmp_path), tmp_path / "c", trials=10, seeds=1, worker=1), console=quiet())
-    assert not set(rates) & {run.learning_rate for run in trained[20:]}
 
 
 def test_a_search_goes_on(tmp_path: Path, trained: list[TrainConfig]) -> None:
     config = TuneConfig(written(tmp_path), tmp_path / "out", trials=3, seeds=1)
-    tune.tune(config, console=quiet())
-    tune.tune(config, console=quiet())
+    tune.tune(config, quiet())
+    tune.tune(config, quiet())
     assert len(trained) == 3, "there are three already"
-    tune.tune(TuneConfig(config.space, config.out, trials=5, seeds=1), console=quiet())
-    assert len({run.learning_rate for run in trained}) == 5, "and none is drawn again"
+    tune.tune(TuneConfig(config.space, config.out, trials=5, seeds=1), quiet())
+    assert len({run.algo_kwargs["learning_rate"] for run in trained}) == 5, "and none is drawn again"
     with pytest.raises(ValueError, match=r"holds a search with seeds 1, not 2\. Give another --out"):
-        tune.tune(TuneConfig(config.space, config.out, trials=5, seeds=2), console=quiet())
+        tune.tune(TuneConfig(config.space, config.out, trials=5, seeds=2), quiet())
     written(tmp_path, gamma=0.5)
     with pytest.raises(ValueError, match="holds a search with file "):
-        tune.tune(config, console=quiet())
+        tune.tune(config, quiet())
 
 
-def test_a_trial_that_was_killed_is_tried_again_where_it_was(tmp_path: Path, trained: list[TrainConfig]) -> None:
+def test_a_trial_that_was_killed_is_tried_again(tmp_path: Path, trained: list[TrainConfig]) -> None:
     config = TuneConfig(written(tmp_path), tmp_path / "out", trials=2, seeds=1)
-    tune.tune(config, console=quiet())
+    tune.tune(config, quiet())
     study = study_in(config.out)
-    killed = study.ask()
-    process = subprocess.Popen([sys.executable, "-c", ""])
-    process.wait()
-    killed.set_user_attr("by", [socket.gethostname(), process.pid])
-    space = read_space(config.space, {})
-    params = {name: search.suggested(killed, name, of) for name, of in space.search.items()}
-    tune.tune(TuneConfig(config.space, config.out, trials=3, seeds=1), console=quiet())
-    assert trained[-1].learning_rate == params["learning_rate"]
-    assert trained[-1].tensorboard_log == config.out / "runs" / f"{killed.number:04}" / "0"
+    killed = study.ask(dict(read_space(config.space, {}).search))
+    tune.tune(TuneConfig(config.space, config.out, trials=3, seeds=1), quiet())
+    assert trained[-1].algo_kwargs["learning_rate"] == killed.params["learning_rate"]
     states = [trial.state for trial in study_in(config.out).trials]
     assert states == [TrialState.COMPLETE, TrialState.COMPLETE, TrialState.FAIL, TrialState.COMPLETE]
 
 
 def test_what_is_worse_ends_early(tmp_path: Path, trained: list[TrainConfig]) -> None:
-    tune.tune(TuneConfig(written(tmp_path), tmp_path / "out", trials=12, seeds=12), console=quiet())
+    tune.tune(TuneConfig(written(tmp_path), tmp_path / "out", trials=12, seeds=12), quiet())
     states = [trial.state for trial in study_in(tmp_path / "out").trials]
     assert TrialState.PRUNED in states
     assert len(trained) < 12 * 12
 
 
-def test_trials_that_fail_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("first", "trials", "n_failed"), [(False, 30, 3), (True, 5, 8)])
+def test_a_search_ends_where_trials_fail(
+    first: bool, trials: int, n_failed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Soon where none was completed."""
     runs: list[TrainConfig] = []
 
     def score(run: TrainConfig, *_: object) -> float:
         runs.append(run)
-        raise scored.RunFailedError(f"Error: no such thing as {len(runs)}.")
+        if first and len(runs) == 1:
+            return 1.0
+        raise ValueError("no such thing.")
 
     monkeypatch.setattr(tune, "score", score)
-    with pytest.raises(ValueError, match=r"5 trials failed. The last one: Error: no such thing as 5\."):
-        tune.tune(TuneConfig(written(tmp_path), tmp_path / "out", trials=5, seeds=1), console=quiet())
-
-
-def test_a_search_ends_when_its_first_trials_fail_for_the_same_reason(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def score(run: TrainConfig, *_: object) -> float:
-        raise scored.RunFailedError(f"Error: no such thing. Its output is in {run.tensorboard_log / 'output.txt'}.")
-
-    monkeypatch.setattr(tune, "score", score)
-    console = quiet()
-    with pytest.raises(ValueError, match="The first 3 trials all failed") as error:
-        tune.tune(TuneConfig(written(tmp_path), tmp_path / "out", trials=30, seeds=1), console=console)
-    assert str(error.value) == (
-        "The first 3 trials all failed, and for the same reason: Error: no such thing. Its output is in "
-        f"{tmp_path / 'out' / tune.RUNS / '0002' / '0' / 'output.txt'}."
-    )
-
-
-def test_a_search_that_completes_trials_ends_well_though_one_of_its_jobs_gave_up(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The first five fail beside one that takes longer, and is the first to be completed."""
-    failed, begun = [0], threading.Barrier(2)
-    gave_up = threading.Event()
-
-    def score(run: TrainConfig, *_: object) -> float:
-        number = int(run.tensorboard_log.parent.name)
-        if number < 2:
-            begun.wait(60)
-        if number == 0:
-            assert gave_up.wait(60)
-        if number in range(1, search.N_FAILED + 1):
-            failed[0] += 1
-            raise scored.RunFailedError("no memory")
-        return 1.0
-
-    check = search._check_failures
-
-    def checked(*args: Any) -> None:
-        try:
-            check(*args)
-        except ValueError:
-            gave_up.set()
-            raise
-
-    monkeypatch.setattr(tune, "score", score)
-    monkeypatch.setattr(search, "_check_failures", checked)
-    best = tune.tune(TuneConfig(written(tmp_path), tmp_path / "out", trials=3, seeds=1, jobs=2), console=quiet())
-    assert failed[0] == search.N_FAILED
-    assert best.env == BASE["env"]
-
-
-def test_trials_in_place_of_those_that_failed_have_no_number_above_what_was_asked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    runs: list[TrainConfig] = []
-
-    def score(run: TrainConfig, *_: object) -> float:
-        runs.append(run)
-        if 1 < len(runs) < 6:
-            raise scored.RunFailedError("Error: no such thing.")
-        return float(len(runs))
-
-    monkeypatch.setattr(tune, "score", score)
-    console = quiet()
-    tune.tune(TuneConfig(written(tmp_path), tmp_path / "out", trials=2, seeds=1), console=console)
-    said = console.file.getvalue()  # type: ignore[attr-defined]  # a StringIO
-    assert re.findall(r"^Trial .+?: ", said, re.MULTILINE) == [
-        *("Trial 1 of 2: ", "Trial 2 of 2: "),
-        *("Trial 3: ", "Trial 4: ", "Trial 5: ", "Trial 6: "),
-    ], "one was complete, so that failures end no search so soon"
+    with pytest.raises(ValueError, match=rf"{n_failed} trials failed. The last one: no such thing\."):
+        tune.tune(TuneConfig(written(tmp_path), tmp_path / "out", trials=trials, seeds=1), quiet())
 
 
 def test_a_budget_in_which_no_episode_ends_is_named(tmp_path: Path) -> None:
     endless = {"env": "sb3_options/TwoRooms-v0", "env_kwargs": {"max_steps": 1000, "goal": [20, 0]}}
-    run = configs.made(
-        {**BASE, **endless, "n_timesteps": 64, "n_steps": 64, "tensorboard_log": str(tmp_path)}, tmp_path
+    run = configs.build(
+        {**BASE, **endless, "n_timesteps": 64, "n_steps": 64, "batch_size": 64, "tensorboard_log": str(tmp_path)},
+        tmp_path,
     )
-    with pytest.raises(scored.RunFailedError) as error:
-        scored.score(run, Goal("return", 1.0), "steps", {}, scored.Processes())
+    with pytest.raises(ValueError, match="No training episode") as error:
+        tune.score(run, Goal("return", 1.0), "steps")
     assert str(error.value) == (
         "No training episode ended within the budget of 64 primitive steps. Give a larger n_timesteps, or the "
         "environment a shorter time limit."
@@ -333,33 +241,11 @@ def run_with(values: list[float], source: str = "eval") -> Run:
 def test_scores() -> None:
     goal = Goal("success", 0.9)
     learned = run_with([0.0, 0.95, 0.5, 0.9, 1.0, 1.0, 1.0, 1.0, 0.8, 0.6])
-    assert scored.score_of(learned, goal, "steps", 1000) == pytest.approx(math.log(400))
-    assert scored.score_of(learned, goal, "end", 1000) == pytest.approx(0.7)
-    assert scored.score_of(run_with([0.0, 0.1], "rollout"), goal, "steps", 1000) == pytest.approx(math.log(1000))
+    assert tune.score_of(learned, goal, "steps", 1000) == pytest.approx(math.log(400))
+    assert tune.score_of(learned, goal, "end", 1000) == pytest.approx(0.7)
+    assert tune.score_of(run_with([0.0, 0.1], "rollout"), goal, "steps", 1000) == pytest.approx(math.log(1000))
     with pytest.raises(ValueError, match="run did not log return: choose --reach success"):
-        scored.score_of(learned, Goal("return", 1.0), "steps", 1000)
-
-
-def test_processes_are_ended(tmp_path: Path) -> None:
-    processes = scored.Processes()
-    ended: list[type[BaseException]] = []
-
-    def sleep() -> None:
-        try:
-            processes.run([sys.executable, "-c", "import time; print('on', flush=True); time.sleep(600)"], log)
-        except KeyboardInterrupt as interrupt:
-            ended.append(type(interrupt))
-
-    log = tmp_path / "log"
-    thread = threading.Thread(target=sleep)
-    thread.start()
-    while not (log.exists() and log.read_text()):
-        time.sleep(0.05)
-    processes.end()
-    thread.join()
-    assert ended == [KeyboardInterrupt]
-    with pytest.raises(KeyboardInterrupt):
-        processes.run([sys.executable, "-c", ""], log)
+        tune.score_of(learned, Goal("return", 1.0), "steps", 1000)
 
 
 def test_the_search_needs_optuna(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -380,23 +266,17 @@ def test_a_search_from_the_command_line(number: signal.Signals, tmp_path: Path) 
     space = written(tmp_path, {"learning_rate": [1e-3, 1e-2], "n_steps": [32, 64]})
     command = [sys.executable, "-m", "sb3_options", "tune", str(space), "--out", str(tmp_path / "out")]
     command += ["--trials", "3", "--seeds", "2", "--reach", "return=15", "--jobs", "2"]
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # as in the background of a script; children inherit it
     first = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    signal.signal(signal.SIGINT, before)
-    while not list((tmp_path / "out").glob(f"runs/*/*/{scored.SCORE}")):
+    while not list((tmp_path / "out").glob(f"runs/*/*/{tune.LOG}")):
         assert first.poll() is None
         time.sleep(0.1)
     first.send_signal(number)
     _, said = first.communicate()
     assert first.returncode == 130, said
     assert "Interrupted" in said
-    done = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").glob(f"runs/*/*/{scored.SCORE}")}
     second = subprocess.run(command, capture_output=True, text=True, check=False)
     assert second.returncode == 0, second.stderr
     assert "stopped early" in second.stdout
-    assert {path: path.stat().st_mtime_ns for path in done} == done, "what was done is not done again"
     states = [trial.state for trial in study_in(tmp_path / "out").trials]
     assert sum(state in (TrialState.COMPLETE, TrialState.PRUNED) for state in states) == 3
     assert TrialState.RUNNING not in states
-    score = json.loads(next(iter(done)).read_text())["score"]
-    assert 0 < score <= math.log(300) + 1e-9

@@ -10,8 +10,8 @@ import pytest
 from sb3_options import cli
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
-from sb3_options.runs.card import CARD
-from sb3_options.runs.resume import FINISHED
+from sb3_options.runs.report import CARD
+from sb3_options.runs.training import FINISHED
 from tests.runs.test_interrupts import command_line, counting, handlers, send
 
 __all__ = ["counting", "handlers"]  # fixtures

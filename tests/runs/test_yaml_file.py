@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from sb3_options.runs.config import MaskablePPOConfig, load
+from sb3_options.runs.config import configure, load
 from sb3_options.runs.yaml_file import dump, parse
 
 
@@ -39,7 +39,7 @@ def test_a_text_stays_a_text() -> None:
 
 def test_a_configuration_may_have_them(tmp_path: Path) -> None:
     (tmp_path / "run.yaml").write_text("algo: maskableppo\nn_timesteps: 2e4\nlearning_rate: 1e-4\n")
-    assert load(tmp_path / "run.yaml") == MaskablePPOConfig(n_timesteps=20_000, learning_rate=1e-4)
+    assert load(tmp_path / "run.yaml") == configure(algo="maskableppo", n_timesteps=20_000, learning_rate=1e-4)
 
 
 @pytest.mark.parametrize(

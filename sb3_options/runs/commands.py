@@ -1,0 +1,133 @@
+"""What each command of the command line takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+EVAL_SEED = 10_000
+"""Evaluation environments count their seeds from here, so that none equals a training seed."""
+
+AUTO = "auto"
+"""Of ``--reach``: success, or a length where success comes at once."""
+
+
+@dataclass(frozen=True)
+class EvaluateConfig:
+    """Load a run in a new process and act greedily: mean return, success rate and primitive steps an episode.
+
+    Attributes:
+        run: The run folder that training named.
+        episodes: How many to play.
+        seed: Of the environment.
+        env: Environment to play in; by default the run's.
+        env_wrapper: Wrapper for it, module:Class, where the run had one.
+        feature_map: Feature map φ, module:function, where the run had one.
+        video: Write the first ten episodes to this file, MP4 or GIF.
+        best: Play the best model of --eval-freq, not the last.
+    """
+
+    run: Annotated[Path, tyro.conf.Positional]
+    episodes: int = 100
+    seed: int = EVAL_SEED
+    env: str | None = None
+    env_wrapper: str | None = None
+    feature_map: str | None = None
+    video: Path | None = None
+    best: bool = False
+
+
+@dataclass(frozen=True)
+class ResumeConfig:
+    """Go on with a run that was killed or interrupted, from its last checkpoint, as if it had never ended.
+
+    Attributes:
+        run: The run folder that training named.
+        n_timesteps: Primitive steps in all; more than before lengthens a run, also a finished one.
+        env: Environment, module:Id, where the run had such a one.
+        env_wrapper: Wrapper for it, module:Class, where the run had one.
+        feature_map: Feature map φ, module:function, where the run had one.
+        progress: Show a progress bar.
+    """
+
+    run: Annotated[Path, tyro.conf.Positional]
+    n_timesteps: int | None = None
+    env: str | None = None
+    env_wrapper: str | None = None
+    feature_map: str | None = None
+    progress: bool = True
+
+
+@dataclass(frozen=True)
+class CompareConfig:
+    """Compare runs, or groups of runs, by what they logged to TensorBoard: a table and a picture.
+
+    Attributes:
+        runs: Run folders, or folders that hold some. Those that differ in their seed alone make a group; NAME=PATTERN
+            makes a group by hand.
+        out: The picture.
+        reach: When a run has learned: "success", "return" or "length" and a value, at the first of two entries in a
+            row that have it. "auto": success=0.9; where most runs have that from the start, a length.
+        source: Evaluations or training episodes; by default evaluations if every run has them.
+    """
+
+    runs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")]
+    out: Path = Path("compare.png")
+    reach: str = AUTO
+    source: Literal["auto", "eval", "rollout"] = "auto"
+
+
+@dataclass(frozen=True)
+class TuneConfig:
+    """Search for settings of training with Optuna: a file says what stays (base) and what varies (search).
+
+    Attributes:
+        space: YAML file with ``base`` (settings) and ``search`` (name: [values] or {low, high, log}).
+        out: Folder for trials, runs, pictures and best.yml. A search in it goes on.
+        trials: Sets of settings to try, earlier ones included.
+        seeds: Each is run on this many seeds, or until it proves worse than the best.
+        first_seed: Seeds count up from here. Judge what was chosen on others.
+        objective: "steps": fewest primitive steps to --reach, mean of logarithms; "end": best of the measure of
+            --reach over the last tenth of training.
+        reach: As of ``compare``: success=0.9, return=1.5 or length=40; nothing that runs have from their start.
+        jobs: Trials at a time.
+        cluster: Train on the Ray cluster at HOST:PORT, or "auto". All machines share the folder.
+        env: Environment, module:Id, where the file names such a one.
+        env_wrapper: Wrapper for it, module:Class, where the file names one.
+        feature_map: Feature map φ, module:function, where the file names one.
+    """
+
+    space: Annotated[Path, tyro.conf.Positional]
+    out: Path
+    trials: int = 30
+    seeds: int = 3
+    first_seed: int = 0
+    objective: Literal["steps", "end"] = "steps"
+    reach: str = "success=0.9"
+    jobs: int = 1
+    cluster: str | None = None
+    env: str | None = None
+    env_wrapper: str | None = None
+    feature_map: str | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that are too small."""
+        for name, least in {"trials": 1, "seeds": 1, "first_seed": 0, "jobs": 1}.items():
+            if getattr(self, name) < least:
+                raise ValueError(f"--{name.replace('_', '-')} must be at least {least}, got {getattr(self, name)}.")
+
+
+@dataclass(frozen=True)
+class InspectConfig:
+    """Show the options of a run folder, an options file or a model.zip, without loading the model.
+
+    Attributes:
+        file: Which.
+        out: A picture of subgoals and initiation sets.
+    """
+
+    file: Annotated[Path, tyro.conf.Positional]
+    out: Path | None = None
