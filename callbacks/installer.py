@@ -23,6 +23,7 @@ from sb3_options.learning.saved_model import keep_options, put_back
 from sb3_options.learning.value_snapshot import Interrupter
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option, SubgoalOption
+from sb3_options.state import state_of
 
 MIN_ODDS = 1e-3
 """Odds that any option opens with: a head of probability 0 would never be learned."""
@@ -190,7 +191,7 @@ class OptionInstaller:
             "pending": list(self._pending),
             "new": list(self._new),
             "closing": sorted(self._closing),
-            "interrupter": None if self.interrupter is None else self.interrupter.get_state(),
+            "interrupter": None if self.interrupter is None else state_of(self.interrupter),
         }
 
     def set_state(self, state: dict[str, Any]) -> None:

@@ -26,12 +26,14 @@ from sb3_options.execution.interruption import Interruption
 from sb3_options.experience.observations import FloatArray, batch_of_one, flatten
 from sb3_options.learning import heads
 from sb3_options.learning.families import family_of
+from sb3_options.state import restore, storable
 
 REFRESH = 500
 """Primitive steps after which `Interrupter` sends newer values."""
 
 
-class _Scale(NamedTuple):
+@storable
+class Scale(NamedTuple):
     """What ``VecNormalize`` does to an observation."""
 
     mean: FloatArray
@@ -39,16 +41,17 @@ class _Scale(NamedTuple):
     clip: float
 
     def __call__(self, batch: Any) -> Any:
+        """A normalised batch."""
         return np.clip((batch - self.mean) / self.std, -self.clip, self.clip).astype(np.float32)
 
 
-def _scales(normalizer: VecNormalize | None) -> dict[str, _Scale]:
+def _scales(normalizer: VecNormalize | None) -> dict[str, Scale]:
     """The normalised observations by key; the empty key where observations are no ``Dict``."""
     if normalizer is None or not normalizer.norm_obs:
         return {}
     statistics = normalizer.obs_rms if isinstance(normalizer.obs_rms, dict) else {"": normalizer.obs_rms}
     return {
-        key: _Scale(np.array(rms.mean), np.sqrt(rms.var + normalizer.epsilon), normalizer.clip_obs)
+        key: Scale(np.array(rms.mean), np.sqrt(rms.var + normalizer.epsilon), normalizer.clip_obs)
         for key, rms in statistics.items()
     }
 
@@ -64,6 +67,8 @@ class ValueSnapshot:
         venv: In place of its environment, where it has none.
     """
 
+    STATE = ("_layers", "_scales", "_network")
+
     def __init__(self, model: BaseAlgorithm, venv: VecEnv | None = None) -> None:
         network = heads.networks(model.policy)[0]
         _, self._outputs = heads.option_outputs(model.policy)[0]
@@ -73,18 +78,6 @@ class ValueSnapshot:
         self._layers = _numpy_layers(network, self._outputs)
         self._states = int(model.observation_space.n) if isinstance(model.observation_space, spaces.Discrete) else 0
         self._network = None if self._layers else copy.deepcopy(network).cpu().eval()
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        network = None if self._network is None else dict(self._network.state_dict())
-        return {"layers": self._layers, "scales": {k: tuple(s) for k, s in self._scales.items()}, "network": network}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Give the values that `get_state` was asked for."""
-        self._layers = state["layers"]
-        self._scales = {key: _Scale(*scale) for key, scale in state["scales"].items()}
-        if self._network is not None:
-            self._network.load_state_dict(state["network"])
 
     def __call__(self, observation: Any) -> FloatArray:
         """Q(s, ·) of one observation as `OptionsWrapper` sees it, (n_actions,)."""
@@ -146,6 +139,8 @@ class Interrupter:
         eval_envs: Where choices are greedy, and every option is interrupted.
     """
 
+    STATE = ("_refreshed", "_values")
+
     def __init__(self, model: BaseAlgorithm, venv: VecEnv, eval_envs: Sequence[VecEnv]) -> None:
         self.model, self.venv, self.eval_envs = model, venv, eval_envs
         self._refreshed: int | None = None
@@ -164,16 +159,11 @@ class Interrupter:
         for eval_env in self.eval_envs:
             interrupt_options(self.model, eval_env, values=values)
 
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint: the values that are in the environments, which are older than the model's."""
-        return {"refreshed": self._refreshed, "values": None if self._values is None else self._values.get_state()}
-
     def set_state(self, state: dict[str, Any]) -> None:
-        """Put the values of `get_state` into the environments."""
-        self._refreshed = state["refreshed"]
-        if state["values"] is not None:
-            self._values = ValueSnapshot(self.model)
-            self._values.set_state(state["values"])
+        """Put the values of a checkpoint into the environments; they are older than the model's."""
+        self._values = None if state["_values"] is None else ValueSnapshot(self.model)
+        restore(self, state)
+        if self._values is not None:
             self._send(self._values)
 
 

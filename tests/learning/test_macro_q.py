@@ -25,8 +25,6 @@ from tests.support.helpers import CountingEnv, steady_option, table_option
 from tests.support.sb3_helpers import (
     DOORWAY,
     FAST_DISCOVERY,
-    SMALL_ROOMS,
-    env_of,
     fast_callback,
     optioned_rooms,
     small_rooms,
@@ -307,14 +305,6 @@ def test_a_seed_gives_one_curve_alone_among_others_and_in_another_process() -> N
     assert among[0] != alone
 
 
-def test_several_environments_learn_one_table() -> None:
-    model = MacroQ(DummyVecEnv([lambda: small_rooms(max_steps=60) for _ in range(3)]), seed=0)
-    model.learn(3000)
-    assert model.num_timesteps == 3000
-    assert table_of(model).any()
-    assert env_of(model).num_envs == 3
-
-
 @pytest.mark.parametrize("name", ["gamma", "epsilon", "learning_rate"])
 def test_refuses_values_out_of_range(name: str) -> None:
     with pytest.raises(ValueError, match=r"gamma and epsilon must be in \[0, 1\] and learning_rate positive, got"):
@@ -328,10 +318,6 @@ def test_refuses_what_it_cannot_learn() -> None:
     env.action_space = spaces.Box(-1.0, 1.0, (1,))
     with pytest.raises(TypeError, match="MacroQ needs a Discrete action space, got Box"):
         MacroQ(env)
-
-
-def test_the_map_is_the_one_that_the_helpers_name() -> None:
-    assert GridWorld(SMALL_ROOMS).doorways == [DOORWAY]
 
 
 class Entries(KVWriter):
@@ -374,17 +360,6 @@ def test_the_share_of_successes_is_logged() -> None:
             return *result, {"is_success": result[2]}  # type: ignore[return-value]  # the same five
 
     assert [entry["rollout/success_rate"] for entry in logged(Succeeding(terminate_at=2), 8, 4)] == [1.0]
-
-
-def test_the_constructor_hands_on_what_is_sb3s() -> None:
-    model = MacroQ(Script(), verbose=1, seed=7, tensorboard_log="logs")
-    assert (model.verbose, model.seed, model.tensorboard_log) == (1, 7, "logs")
-    assert model.device.type == "cpu"
-
-
-def test_the_folder_of_tensorboards_log_has_its_name(tmp_path: Path) -> None:
-    MacroQ(Script(terminate_at=2), tensorboard_log=str(tmp_path)).learn(2)
-    assert [path.name for path in tmp_path.iterdir()] == ["MacroQ_1"]
 
 
 class Ring(gym.Env[int, int]):
