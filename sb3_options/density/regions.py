@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
 from sb3_options.density.arrays import BoolArray, FloatArray, row_keys
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.state import storable
+
+
+@cache
+def _cdist() -> Callable[[FloatArray, FloatArray], FloatArray]:
+    from scipy.spatial.distance import cdist  # here, because it takes a third of a second to import
+
+    return cdist
 
 
 @storable
@@ -44,26 +52,19 @@ class Region:
             return np.zeros(len(points), dtype=bool)
         if len(points) == 1:
             return np.array([self._covers_one(points[0] * self.scale)])
-        nearest = self._distances(points * self.scale).min(axis=1)
-        inside: BoolArray = nearest <= self.radius
-        return inside
+        nearest: FloatArray = _cdist()(points * self.scale, self._scaled).min(axis=1)
+        return nearest <= self.radius
 
     def _covers_one(self, scaled: FloatArray) -> bool:
         """`covers` for one place, in scaled units: in every step of an agent, where a call of scipy costs the most."""
         if len(self._scaled) > 1:
             if (scaled + 0.0).tobytes() in self._keys:  # a centre itself
                 return True
-            return bool(self._distances(scaled[None]).min() <= self.radius)
+            return bool((_cdist()(scaled[None], self._scaled) <= self.radius).any())
         square = 0.0
         for x, centre in zip(scaled.tolist(), self._first, strict=True):
             square += (x - centre) * (x - centre)
         return math.sqrt(square) <= self.radius
-
-    def _distances(self, scaled: FloatArray) -> FloatArray:
-        from scipy.spatial.distance import cdist  # here, because it takes a third of a second to import
-
-        distances: FloatArray = cdist(scaled, self._scaled)
-        return distances
 
     @cached_property
     def _scaled(self) -> FloatArray:

@@ -57,7 +57,8 @@ class TabularPolicy:
     def _rows(self, observations: Observations) -> IntArray:
         """The row of each observation, or of the nearest one in the table, shape (batch,)."""
         rows = flatten(observations) + 0.0
-        known = np.array([self._row_of.get(key, -1) for key in row_keys(rows)], dtype=np.int64)
+        keys = row_keys(rows) if len(rows) > 1 else [row.tobytes() for row in rows]
+        known = np.array([self._row_of.get(key, -1) for key in keys], dtype=np.int64)
         new = np.flatnonzero(known < 0)
         if len(new) == 1:
             known[new] = self._nearest(rows[new[0]])

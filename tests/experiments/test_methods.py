@@ -14,7 +14,6 @@ from experiments.methods import conditions, tune
 from experiments.methods.__main__ import Study, main, table
 from experiments.methods.conditions import Entry, run
 from experiments.methods.entrants import (
-    EM_DD,
     ENTRANTS,
     HAND_MADE,
     NONE,
@@ -94,7 +93,7 @@ class TestEntrants:
         task = task_for("TwoRooms", 0)
         for entrant in ENTRANTS:
             settings, method = discovery_of(entrant, {}, task, 0)
-            alone = settings.method == entrant or entrant in (EM_DD, NONE)
+            alone = settings.method == entrant or entrant == NONE
             assert (method is None) == alone
         assert isinstance(discovery_of(HAND_MADE, {}, task, 0)[1], GivenPlaces)
 
