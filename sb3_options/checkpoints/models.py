@@ -10,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.logger import Logger
 
 from sb3_options.checked import is_number, whole
@@ -129,7 +130,10 @@ def set_state(model: BaseAlgorithm, state: State) -> None:
         buffer.extend(state[there])
     _set_random(model.action_space, state["action_space"])
     if "replay_buffer" in state:
-        buffer_state.set_state(model.replay_buffer, state["replay_buffer"])  # type: ignore[attr-defined]  # as there
+        replay: ReplayBuffer = model.replay_buffer  # type: ignore[attr-defined]  # as there
+        buffer_state.set_state(replay, state["replay_buffer"])
+        if not (whole(replay.pos, 0) and replay.pos < replay.buffer_size):
+            raise ValueError(f"The checkpoint writes to row {replay.pos!r} of a buffer of {replay.buffer_size}.")
     if model.use_sde:
         noise: Any = model.policy.action_dist
         noise.exploration_mat, noise.exploration_matrices = (each.to(model.device) for each in state["noise"])

@@ -242,3 +242,12 @@ def test_states_of_other_seeds_differ(tmp_path: Path) -> None:
     wrong = differing(*states)
     assert any(".random.numpy" in each for each in wrong)
     assert any(".model.policy" in each for each in wrong)
+
+
+@pytest.mark.usefixtures("keep_all")
+def test_options_that_are_interrupted(tmp_path: Path) -> None:
+    """The values in the environments are older than the model's."""
+    callbacks, _ = check_resumes(
+        lambda: model_of("OptionDQN", venv_of()), lambda: [discovering(interruption=True)], tmp_path, cuts=(0.9,)
+    )
+    assert callbacks[0]._options.interrupter._refreshed  # type: ignore[attr-defined]  # of discovery

@@ -10,6 +10,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback, load_checkpoint
+from sb3_options.checkpoints.file import read
 from sb3_options.discovery.methods import DiscoveryMethod
 from sb3_options.discovery.methods.graphs import Betweenness, LCut
 from tests.callbacks.test_checkpoint_resuming import Callbacks, discovering, model_of, venv_of
@@ -147,3 +148,15 @@ class TestLoadCheckpoint:
         load_checkpoint(tmp_path, model, same)
         with pytest.raises(ValueError, match=r"^The checkpoint is of 2 environments, here are 4 in DummyVecEnv\.$"):
             model.learn(64, same)
+
+
+@pytest.mark.parametrize("pos", [-1, 10**9, 0.5])
+def test_refuses_a_row_outside_the_replay_buffer(pos: Any, tmp_path: Path) -> None:
+    model_of("DQN", venv_of()).learn(64, CheckpointCallback(tmp_path))
+    (file,) = tmp_path.glob("0*")
+    state = read(file)
+    state["model"]["replay_buffer"]["counters"] = (pos, *state["model"]["replay_buffer"]["counters"][1:])
+    callback = CheckpointCallback(tmp_path / "rest")
+    callback.resume_from(state)
+    with pytest.raises(ValueError, match=rf"^The checkpoint writes to row {pos} of a buffer of \d+"):
+        model_of("DQN", venv_of()).learn(64, callback)
