@@ -7,6 +7,7 @@ from typing import Annotated, Literal, TypeAlias
 from sb3_options.checked import Field, settings
 
 MapName: TypeAlias = Literal["temporal-distance"]
+"""Feature maps that can be learned."""
 
 LEARNED: MapName = "temporal-distance"
 """Name of the feature map that is learned."""

@@ -31,7 +31,7 @@ class OptionRun(NamedTuple):
         actions: Of an option, its primitive actions, (k,). Of a slot that ran a primitive instead, that one, (1,).
         rewards: Of an option, the undiscounted rewards of its primitive steps, (k,).
         available: Which slots may start in each of the k observations arrived in, (k, max_options); None unless
-            `SlotState.report_availability` asked for it and there are options.
+            ``SlotState.report_availability`` asked for it and there are options.
         inside: Of an option, whether it began in its initiation set; outside it is a single step.
     """
 
