@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
@@ -20,7 +19,7 @@ from stable_baselines3.common.vec_env import (
 )
 
 from sb3_options.callbacks.counting import all_callbacks, check_every_step
-from sb3_options.checked import given_as, whole
+from sb3_options.checked import whole
 from sb3_options.density.groups import FeatureGroup, checked_groups
 from sb3_options.execution.above import wrappers_above
 from sb3_options.execution.slots import Traits
@@ -36,16 +35,13 @@ logger = logging.getLogger("sb3_options")
 
 def check_arguments(
     success: object,
-    static_filter: object,
     max_new_options: int | None,
-    save_path: object,
-    hparams: object,
     seed: int,
 ) -> None:
     """Refuse arguments of `SubgoalDiscoveryCallback` that are something else, or out of their range.
 
     Raises:
-        TypeError: The rule of success or the static filter cannot be called, the path is none, or hparams no mapping.
+        TypeError: The rule of success cannot be called.
         ValueError: Another one is out of its range.
     """
     if not (callable(success) or isinstance(success, str)):
@@ -53,34 +49,13 @@ def check_arguments(
             f"success must be a function from a Trajectory to whether it succeeded, got {success!r}: success_by_return"
             "(threshold) of sb3_options.experience.success is one. Or 'terminated', or 'return:30'."
         )
-    if static_filter is not None and not callable(static_filter):
-        raise TypeError(
-            "static_filter must be a function of the features of a trajectory's states (m, d), the features of its "
-            f"first and of its last state, (d,) each, to which states may be subgoals, (m,), got {static_filter!r}."
-        )
-    if save_path is not None and not isinstance(save_path, str | os.PathLike):
-        raise TypeError(f"save_path must be a path, or None, got {save_path!r}.")
-    if hparams is not None and not isinstance(hparams, Mapping):
-        raise TypeError(f"hparams must be a mapping from names to settings, or None, got {hparams!r}.")
     if max_new_options is not None and not whole(max_new_options, 0):
         raise ValueError(f"max_new_options must be at least 0, got {max_new_options!r}.")
     if not whole(seed, 0):
         raise ValueError(f"seed must be at least 0, a whole number, got {seed!r}.")
 
 
-def groups_given(groups: Iterable[FeatureGroup | Mapping[str, Any]] | None) -> tuple[FeatureGroup, ...] | None:
-    """The groups of features that a user gave; None where none were given.
-
-    Raises:
-        TypeError: They are something else, or a mapping has an unknown field.
-        ValueError: A field is out of its range.
-    """
-    if not isinstance(groups, Iterable | None):
-        raise TypeError(f"groups must be FeatureGroups, or mappings of their fields, got {groups!r}.")
-    return None if groups is None else tuple(given_as(FeatureGroup, group) for group in groups)
-
-
-def groups_here(given: tuple[FeatureGroup, ...] | None, venv: VecEnv) -> tuple[FeatureGroup, ...]:
+def groups_here(given: Any, venv: VecEnv) -> tuple[FeatureGroup, ...]:
     """The groups of features to search: those given, or else those that the environment or φ names.
 
     Raises:
@@ -104,7 +79,7 @@ def check_training(callback: SubgoalDiscoveryCallback, before: BaseAlgorithm | N
             are two such callbacks.
     """
     check_every_step(callback)
-    model, venv, made = callback.model, callback.training_env, callback._made_here
+    model, venv, made = callback.model, callback.training_env, callback._keeper.made
     check_discovery(model, venv)
     # A model that was loaded again has the options that the callback made.
     again = before is None or before is model or (made and made <= set(venv.get_attr("bank", [0])[0].filled))

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import Figure, Logger
 
-from sb3_options.callbacks.summaries import NUMBERS_ONLY, takes_more_than_numbers
+from sb3_options.callbacks.keeper import OptionKeeper
+from sb3_options.callbacks.summaries import NUMBERS_ONLY, describe_options, takes_more_than_numbers
 from sb3_options.discovery.budget import STEP_SECONDS, TABLE_STEP_SECONDS
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.figures import discovery_figures, options_figure
 from sb3_options.learning.families import Table, family_of
-from sb3_options.options.bank import OptionBank
 
 logger = logging.getLogger("sb3_options")
 
@@ -60,35 +60,41 @@ class DiscoveryClock:
 
 
 def log_discovery(
-    record: Callable[[str, Any], None], search: Discovery, share: float, others: Mapping[str, float]
+    record: Callable[[str, Any], None], keeper: OptionKeeper, clock: DiscoveryClock, n_timesteps: int
 ) -> None:
     """Log how discovery goes.
 
     Args:
         record: Of SB3's logger.
-        search: Discovery.
-        share: Of the time.
-        others: By tag.
+        keeper: Of the options.
+        clock: Measures discovery's share of the time.
+        n_timesteps: Primitive steps so far.
     """
-    record("discovery/seconds", search.diary.seconds)
-    record("discovery/share", share)
-    record("discovery/searches_left_out", search.diary.skipped)
-    for tag, value in {**search.method.values(), **others}.items():
+    search = keeper.search
+    values: dict[str, float] = {
+        "discovery/seconds": search.diary.seconds,
+        "discovery/share": clock.share(search),
+        "discovery/searches_left_out": search.diary.skipped,
+        "options/count": len(keeper.options.bank),
+        "options/closed": len(keeper.closed),
+        "time/primitive_steps": n_timesteps,
+    }
+    for tag, value in {
+        **values,
+        **search.method.values(),
+        **keeper.statistics.values(),
+        **keeper.features.values(),
+    }.items():
         record(tag, value)
 
 
-def draw_discovery(log: Logger, search: Discovery, bank: OptionBank, newest: int | None) -> None:
-    """Draw the pictures of discovery for TensorBoard, with the next dump of the log; without TensorBoard, none.
-
-    Args:
-        log: SB3's.
-        search: Discovery.
-        bank: The present options.
-        newest: Slot of the option that was discovered last.
-    """
+def draw_discovery(log: Logger, keeper: OptionKeeper) -> None:
+    """Draw discovery for TensorBoard, and describe the options, with the next dump of the log."""
     if not takes_more_than_numbers(log):
         return
+    search, bank, made = keeper.search, keeper.options.bank, keeper.discoveries
     figures = discovery_figures(search, bank)
-    options = options_figure(search, bank, newest)
+    options = options_figure(search, bank, made[-1].slot if made else None)
     for name, figure in (figures if options is None else {**figures, "options": options}).items():
         log.record(f"discovery/{name}", Figure(figure, close=True), exclude=NUMBERS_ONLY)
+    describe_options(log, bank.slots, made, keeper.statistics.values())

@@ -14,7 +14,7 @@ from sb3_options.discovery.anchors import moved, nearest_observations
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.embedding.learned_map import LearnedMap
-from sb3_options.embedding.learner import FeatureLearner
+from sb3_options.embedding.learner import FIRST_TRAJECTORIES, FeatureLearner
 from sb3_options.embedding.settings import EmbeddingSettings
 from sb3_options.experience.observations import FloatArray, Observations, take
 from sb3_options.options.option import SubgoalOption
@@ -84,12 +84,12 @@ class LearnedFeatures(GivenFeatures):
 
     def why_not_ready(self, n: int) -> str | None:
         """Why nothing is searched yet after ``n`` trajectories, in a sentence; None where something is."""
-        least = self.learner.settings.first_trajectories
+        least = FIRST_TRAJECTORIES
         if self.ready or n >= least:
             return None
         return (
             f"No subgoal was discovered: the feature map is learned after {least} trajectories, and {n} have ended. "
-            "Train for longer, or choose a smaller first_trajectories of EmbeddingSettings."
+            "Train for longer."
         )
 
     def values(self) -> dict[str, float]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
+from typing import Any
 
 from stable_baselines3.common.callbacks import EvalCallback
 
@@ -17,11 +19,20 @@ class ZooDiscoveryCallback(SubgoalDiscoveryCallback):
     """Discovers options, and keeps them in the folder of the run that rl-zoo3 trains, beside the model.
 
     There `ZooOptionsWrapper` finds them when the run is played. Everything else is `SubgoalDiscoveryCallback`, whose
-    arguments it takes; ``save_path`` is another place for the file.
+    arguments it takes.
+
+    Args:
+        *args: Of `SubgoalDiscoveryCallback`.
+        save_path: Another place for the file.
+        **kwargs: Of `SubgoalDiscoveryCallback`.
 
     Raises:
         ValueError: When training starts, if the environment is not wrapped in `ZooOptionsWrapper`.
     """
+
+    def __init__(self, *args: Any, save_path: str | os.PathLike[str] | None = None, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.save_path = save_path
 
     def _on_training_start(self) -> None:
         if all(self.training_env.env_is_wrapped(ZooOptionsWrapper)):

@@ -147,7 +147,7 @@ def in_minigrid() -> Training:
     env = gym.Wrapper(make("MiniGrid-MultiRoom-N2-S4-v0"))
     venv = DummyVecEnv([lambda: OptionsWrapper(env, 2, gamma=0.99)])
     model = MaskablePPO("MlpPolicy", venv, gamma=0.99, seed=1, **deepcopy(SAMPLED))
-    callback = SubgoalDiscoveryCallback(**DISCOVERY, max_new_options=1, primitive_rollouts=True)
+    callback = SubgoalDiscoveryCallback(**DISCOVERY, max_new_options=1, use={"primitive_rollouts": True})
     return model, callback, 4_000
 
 
@@ -157,7 +157,7 @@ def learned_map(name: str) -> Training:
     return with_options(
         "dqn",
         env={"feature_map": name},
-        callback={"embedding": embedding, "settings": {"goal_radius": 1.5}},
+        callback={"concepts": {"embedding": embedding}, "settings": {"goal_radius": 1.5}},
     )
 
 

@@ -91,7 +91,7 @@ def train(
             settings.discovery,
             settings.option,
             max_new_options=settings.max_new_options if options is None else 0,
-            max_option_exploration=settings.max_option_exploration[family(algo)],
+            use={"max_option_exploration": settings.max_option_exploration[family(algo)]},
             seed=seed,
             **settings.callback,
         )

@@ -80,7 +80,7 @@ class TimedDiscovery(SubgoalDiscoveryCallback):
     def _on_training_start(self) -> None:
         super()._on_training_start()
         self.watch = Stopwatch()
-        search = self._search
+        search = self._keeper.search
         search.add = self.watch.timed(search.add)  # type: ignore[method-assign]  # of this one
         search.search = self.watch.timed(search.search)  # type: ignore[method-assign]
 
@@ -186,9 +186,9 @@ def make_discovery(entry: Entry, task: RaceTask, seed: int, *, discovers: bool) 
         settings,
         {**SETTINGS.option, **task.option},
         method=method,
-        static_filter=task.static_filter,
+        concepts={"static_filter": task.static_filter},
         max_new_options=SETTINGS.max_new_options if discovers and entry.entrant != NONE else 0,
-        max_option_exploration=SETTINGS.max_option_exploration[family(entry.learner)],
+        use={"max_option_exploration": SETTINGS.max_option_exploration[family(entry.learner)]},
         seed=seed,
         **SETTINGS.callback,
     )

@@ -140,8 +140,7 @@ def _callbacks(arm: Arm, seed: int, stage: int, *, is_last: bool, primitive_roll
             settings.options_of(stage),
             method="random" if arm in settings.RANDOM else drawn,
             max_new_options=0 if is_last and stage else None,
-            opening_share=settings.OPENING_SHARE,
-            primitive_rollouts=primitive_rollouts,
+            use={"opening_share": settings.OPENING_SHARE, "primitive_rollouts": primitive_rollouts},
             seed=seed,
         )
         callbacks.append(discovery)

@@ -24,13 +24,13 @@ class LearningOn(SubgoalDiscoveryCallback):
 
     def _learn_from(self, trajectory: Trajectory, success: bool) -> None:
         if self.step_size:
-            labelled = LabelledTrajectory(trajectory, self._options.features_of(trajectory.states), success)
-            for slot in self._options.installed():
-                option = self._options.bank[slot]
+            labelled = LabelledTrajectory(trajectory, self._keeper.options.features_of(trajectory.states), success)
+            for slot in self._keeper.options.installed():
+                option = self._keeper.options.bank[slot]
                 if isinstance(option, SubgoalOption):
                     later = learn_further(option, labelled, self.option_settings, self.step_size)
                     if later is not option:
-                        self._replace(slot, later)
+                        self._keeper.replace(slot, later)
         super()._learn_from(trajectory, success)
 
 

@@ -91,7 +91,7 @@ def discoverer(settings: PioneerSettings, seed: int, *, max_new_options: int) ->
     return SubgoalDiscoveryCallback(
         settings.discovery(),
         settings.option(),
-        static_filter=ball_in_sight,
+        concepts={"static_filter": ball_in_sight},
         max_new_options=max_new_options,
         seed=seed,
     )

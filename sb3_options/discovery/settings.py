@@ -32,7 +32,7 @@ class DiscoverySettings:
 
     Attributes:
         method: How: by ``diverse-density``, or by another of `methods.METHODS`, for which of the settings below only
-            the static filter, `spacing`, `subgoal_radius`, `scale`, `capacity`, `max_bytes`, `max_share` and the
+            the static filter, `spacing`, `subgoal_radius`, `scale`, `capacity`, `max_share` and the
             segmentation count. Eigenoptions and covering options may do harm to MaskablePPO and OptionDQN.
         segmentation: What a trajectory is: one of the ``episodes``, or, for continuing tasks, a segment between two
             ``peaks`` of reward (`recording.RewardPeaks`).
@@ -42,7 +42,6 @@ class DiscoverySettings:
             None for any. A search that took more makes the next ones rarer. Training is taken to last 40,000 steps at
             least, for searches are wanted early.
         capacity: How many trajectories are kept: the last n.
-        max_bytes: How much memory they may take, 1 GiB; with large observations fewer than n are kept.
         min_positive: Positive bags needed before the first search: over a few bags, accidents tie with bottlenecks.
         loops: ``erase`` makes the bag of a successful trajectory of the way it took, without its loops
             (`ways.loop_erased`); ``keep`` makes it of all it visited, as the paper does.
@@ -53,7 +52,6 @@ class DiscoverySettings:
             state is visited twice, every state is taken; so it is with 0, and where ``min_passing`` is 0.
         min_contrast: Where φ has groups of features: by how much more of the successful trajectories than of the others
             must visit a state, or it is no instance (`contrast.Contrast`).
-        equal_time: Whether that counts of unsuccessful trajectories what they visited in the time that a success takes.
         salient_share: Where φ has groups of features, and fewer than ``min_positive`` trajectories have succeeded: one
             that comes upon a thing which at most this share of all come upon counts as successful, up to that moment
             (`salience.Salience`). 0: none does.
@@ -75,7 +73,6 @@ class DiscoverySettings:
         cut_threshold: Likewise of a state that is known to cut off ``min_cut`` of its surroundings, because more than
             one trajectory visited it. It is hardly an accident, so that a smaller share does.
         peak_radius: A peak belongs to the nearest known concept within this distance.
-        peak_tolerance: Peaks whose log diverse density is within this of the best one count as found, in nats.
         max_places: If the best diverse density is shared by more separate places than this, none counts as found: they
             are accidents of few or long trajectories. None sets no limit.
         max_extent: A plateau of tied peaks that reaches farther than this from its middle is open space that all
@@ -89,13 +86,11 @@ class DiscoverySettings:
     max_segment: Annotated[int, Field(ge=1)] = 10_000
     max_share: Annotated[float, Field(gt=0, le=1)] | None = 0.05
     capacity: Annotated[int, Field(ge=1)] = 100
-    max_bytes: Annotated[int, Field(ge=1)] = 1 << 30
     min_positive: Annotated[int, Field(ge=1)] = 4
     loops: Literal["erase", "keep"] = "erase"
     min_passing: Annotated[float, Field(ge=0, lt=1)] = 0.7
     min_cut: Annotated[float, Field(ge=0, lt=0.5)] = 0.1
     min_contrast: Annotated[float, Field(ge=-1, lt=1)] = 0.3
-    equal_time: bool = True
     salient_share: Annotated[float, Field(ge=0, lt=1)] = 0.0
     negative_bags: bool = True
     negative_strength: Annotated[float, Field(gt=0, le=1)] = 0.1
@@ -109,7 +104,6 @@ class DiscoverySettings:
     threshold: Annotated[float, Field(ge=0, lt=1)] = 0.6
     cut_threshold: Annotated[float, Field(ge=0, lt=1)] = 0.4
     peak_radius: Annotated[float, Field(ge=0)] = 1.5
-    peak_tolerance: Annotated[float, Field(ge=0)] = 1e-3
     max_places: Annotated[int, Field(ge=1)] | None = None
     max_extent: Annotated[float, Field(ge=0)] = math.inf
     subgoal_radius: Annotated[float, Field(ge=0)] = 0.5

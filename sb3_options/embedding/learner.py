@@ -15,6 +15,9 @@ from sb3_options.embedding.settings import EmbeddingSettings
 from sb3_options.embedding.temporal_distance import contrastive_loss
 from sb3_options.experience.trajectories import Trajectory
 
+FIRST_TRAJECTORIES = 8
+"""Trajectories before the map is learned first: eight random walks in two rooms visit most of what they will."""
+
 MOST_STEPS = 20_000
 """Steps whose median length becomes the unit."""
 
@@ -44,8 +47,8 @@ class FeatureLearner:
         self.n_trajectories = 0
 
     def is_due(self, n_trajectories: int) -> bool:
-        """Whether to learn, after so many trajectories: first at ``first_trajectories``, then at every doubling."""
-        return n_trajectories >= max(self.settings.first_trajectories, 2 * self.n_trajectories)
+        """Whether to learn, after so many trajectories: first at `FIRST_TRAJECTORIES`, then at every doubling."""
+        return n_trajectories >= max(FIRST_TRAJECTORIES, 2 * self.n_trajectories)
 
     def can_learn(self, trajectories: Iterable[Trajectory]) -> bool:
         """Whether any step of these leads to another observation."""

@@ -21,8 +21,6 @@ class EmbeddingSettings:
     """How a feature map is learned (`learner.FeatureLearner`).
 
     Attributes:
-        first_trajectories: Trajectories before the map is learned first. It is learned on each time there have been
-            twice as many.
         updates: Gradient steps the first time; half as many each time it is learned on.
         batch_size: Pairs of observations in a gradient step.
         learning_rate: Of Adam, when it begins to learn; it falls to 0 in a straight line.
@@ -30,7 +28,6 @@ class EmbeddingSettings:
             distributed, with γ = 1 − 1/horizon.
     """
 
-    first_trajectories: Annotated[int, Field(ge=1)] = 8
     updates: Annotated[int, Field(ge=1)] = 500
     batch_size: Annotated[int, Field(ge=2)] = 256
     learning_rate: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 5e-3

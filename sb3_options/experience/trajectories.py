@@ -131,8 +131,8 @@ class TrajectoryDatabase:
             if not self._warned:
                 self._warned = True
                 logger.warning(
-                    "The last %d trajectories take all of max_bytes, %s: fewer than capacity=%d are kept. Raise it if "
-                    "there is memory (DiscoverySettings(max_bytes=...)), or let φ see smaller observations.",
+                    "The last %d trajectories take all of their memory, %s bytes: fewer than capacity=%d are kept. Let "
+                    "the environment give smaller observations.",
                     len(trajectories),
                     f"{self.max_bytes:,}",
                     self.capacity,

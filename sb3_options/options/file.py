@@ -41,7 +41,7 @@ MAP = "feature_map"
 FORMATS = (FILE_FORMAT, FILE_FORMAT_HALF_SPACE, FILE_FORMAT_GROUP)
 
 FEWER_FEATURES = (
-    "Discover options on groups that both tasks have, SubgoalDiscoveryCallback(groups=...). In MiniGrid what a mission "
+    "Discover options on groups that both tasks have, ConceptSettings(groups=...). In MiniGrid what a mission "
     "asks for is such a group: discover with make(..., asked=False), train.py --env-kwargs asked:False"
 )
 """What to do about an option whose features a task does not have."""

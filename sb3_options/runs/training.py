@@ -167,14 +167,13 @@ def _train_once(config: TrainConfig, interrupts: Interrupts, resumed: Path | Non
         config.discovery,
         config.option,
         max_new_options=config.max_new_options if config.discover else 0,
-        max_option_exploration=config.max_option_exploration,
-        interruption=config.interruption,
+        use={"max_option_exploration": config.max_option_exploration, "interruption": config.interruption},
         success=config.success,
         usefulness=config.usefulness,
-        hparams=_hparams_of(config, options),
         seed=config.seed,
         verbose=1,
     )
+    discovery.hparams = _hparams_of(config, options)
     folder = runs.new_run_folder(config) if resumed is None else resumed
     with nullcontext() if resumed else held(folder):  # `resume` holds it already
         finished = _learn(config, discovery, folder, interrupts, resume=resumed is not None)

@@ -52,7 +52,7 @@ def test_values_that_interrupt_do_not_outlive_the_training_that_asked_for_them()
     model = model_of(env)
     model.learn(200, callback=SubgoalDiscoveryCallback(max_new_options=0))
     assert env.slot_state.interruption is not None
-    model.learn(200, callback=SubgoalDiscoveryCallback(max_new_options=0, interruption=False))
+    model.learn(200, callback=SubgoalDiscoveryCallback(max_new_options=0, use={"interruption": False}))
     assert env.slot_state.interruption is None
 
 
@@ -68,9 +68,9 @@ def test_a_closed_option_makes_room_for_another() -> None:
     callback = fast_callback()
     model_of(optioned_rooms(2)).learn(5000, callback=callback)
     assert len(callback.discoveries) == 1
-    assert not callback._may_discover()
+    assert not callback._keeper.may_make()
     callback._close_option(callback.discoveries[0].slot, "is not needed")
-    assert callback._may_discover()
+    assert callback._keeper.may_make()
 
 
 def test_macro_q_serves_the_environment_of_a_sibling() -> None:

@@ -116,7 +116,10 @@ def test_every_algorithm_goes_on_as_if_never_ended(name: str, tmp_path: Path) ->
 @pytest.mark.usefixtures("keep_all")
 def test_rollouts_in_primitive_steps(tmp_path: Path) -> None:
     callbacks, _ = check_resumes(
-        lambda: model_of("PPO", venv_of()), lambda: [discovering(primitive_rollouts=True)], tmp_path, cuts=(0.1, 0.95)
+        lambda: model_of("PPO", venv_of()),
+        lambda: [discovering(use={"primitive_rollouts": True})],
+        tmp_path,
+        cuts=(0.1, 0.95),
     )
     model: Any = callbacks[0].model
     assert model.n_steps == 32
@@ -132,7 +135,7 @@ def test_runs_that_say_where_options_work(tmp_path: Path) -> None:
     )
     discovery = callbacks[0]
     assert isinstance(discovery, SubgoalDiscoveryCallback)
-    assert discovery._useful._slots
+    assert discovery._keeper.useful._slots
 
 
 def filled(file: Path) -> list[int]:

@@ -254,7 +254,7 @@ def test_a_setting_that_is_none_is_told_with_the_nearest() -> None:
     with pytest.raises(TypeError, match=r"DiscoverySettings: there is no setting 'min_pos'. Did you mean 'min_posi"):
         SubgoalDiscoveryCallback({"min_pos": 3})
     with pytest.raises(TypeError, match=r"FeatureGroup: there is no setting 'feature'. Did you mean 'features'\?"):
-        SubgoalDiscoveryCallback(groups=[{"name": "a", "feature": [0]}])
+        SubgoalDiscoveryCallback(concepts={"groups": [{"name": "a", "feature": [0]}]})
 
 
 def test_masks_of_the_environments_own_actions_are_refused_above_options() -> None:
@@ -313,6 +313,6 @@ def test_the_options_of_a_training_are_changed_in_its_environments() -> None:
     assert not callback.bank.filled
     assert not env.bank.filled
     assert heads.is_closed(model.policy, env.n_primitive + slot)
-    assert not callback._made_here
+    assert not callback._keeper.made
     with pytest.raises(ValueError, match="slot must be between 0 and 1, got 7"):
         env.set_option(7, None)

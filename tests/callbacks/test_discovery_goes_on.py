@@ -66,7 +66,7 @@ class TestGoesOn:
         model.learn(STEPS, callback=[callback, evaluation])
         assert callback.bank[1] is env.bank[1] is banks(evaluation.eval_env)[0][1] is hand_made
         assert [d.slot for d in callback.discoveries] == [0]
-        assert callback._statistics.values()["options/slot_1/mean_duration"] > 1
+        assert callback._keeper.statistics.values()["options/slot_1/mean_duration"] > 1
 
     @pytest.mark.parametrize("most", [0, 1])
     def test_until_it_has_made_as_many_as_it_may(self, most: int) -> None:
@@ -124,7 +124,7 @@ def test_an_option_whose_runs_go_on_for_ever_is_closed(monkeypatch: pytest.Monke
     right, left = Direction.RIGHT, Direction.LEFT
     env.bank.add(to_the_doorway(right, (3, 2)))
     env.bank.add(to_the_doorway(left, (0, 2)))
-    callback = SubgoalDiscoveryCallback(max_new_options=0, interruption=False)
+    callback = SubgoalDiscoveryCallback(max_new_options=0, use={"interruption": False})
     model_of(env, seed=0).learn(6000, callback=callback)
     assert [(closed.slot, closed.why) for closed in callback.closed] == [(1, "goes in circles")]
     assert callback.bank.filled == env.bank.filled == (0,)
@@ -134,7 +134,7 @@ def test_an_option_is_no_longer_offered_where_it_goes_on_for_ever() -> None:
     """To the right of (3, 0) is a wall."""
     env = optioned_rooms()
     env.bank.add(to_the_doorway(Direction.RIGHT, (3, 2), (3, 0)))
-    callback = SubgoalDiscoveryCallback(max_new_options=0, interruption=False)
+    callback = SubgoalDiscoveryCallback(max_new_options=0, use={"interruption": False})
     model_of(env, seed=0).learn(6000, callback=callback)
     assert not callback.closed
     for bank in (callback.bank, env.bank):
@@ -163,7 +163,7 @@ def test_runs_of_a_closed_option_do_not_count_for_the_next_one_in_its_slot() -> 
     callback = fast_callback(max_new_options=1)
     for _ in range(MIN_RUNS):
         run = OptionRun(0, 1, 0.9, 0.9, "max_duration", np.eye(45)[:1], inside=True)
-        callback._useful.add(run, 0, success=None)
+        callback._keeper.useful.add(run, 0, success=None)
     model_of(seed=0).learn(2 * STEPS, callback=callback)
     assert [found.slot for found in callback.discoveries] == [0]
     assert not callback.closed

@@ -58,7 +58,7 @@ def test_uses_the_option_once_it_has_it() -> None:
     model, callback = model_of(), fast_callback()
     model.learn(STEPS, callback=callback)
     stored = model.replay_buffer.actions[: model.replay_buffer.size(), 0]
-    uses = callback._statistics.values()["options/slot_0/uses"]
+    uses = callback._keeper.statistics.values()["options/slot_0/uses"]
     assert (stored == N_PRIMITIVE).sum() == uses > 5
     assert not (stored > N_PRIMITIVE).any()
 
@@ -135,7 +135,7 @@ class TestSuccess:
         def only_right(features: Any, start: Any, end: Any) -> Any:
             return features[:, 0] > 5.5
 
-        callback, model = fast_callback(static_filter=only_right), model_of()
+        callback, model = fast_callback(concepts={"static_filter": only_right}), model_of()
         model.learn(STEPS, callback=callback)
         assert [d.subgoal[0] > 5.5 for d in callback.discoveries] == [True]
 
@@ -174,7 +174,7 @@ def test_other_observations(observation: str) -> None:
 def test_dict_observations() -> None:
     env = OptionsWrapper(DictEnv(), gamma=0.9, feature_map=place_of)
     model = OptionDQN("MultiInputPolicy", env, gamma=0.9, learning_starts=50, buffer_size=1000, seed=0, **RANDOM)
-    callback = fast_callback(static_filter=lambda f, s, e: np.abs(f[:, 0] - 5) < 2)
+    callback = fast_callback(concepts={"static_filter": lambda f, s, e: np.abs(f[:, 0] - 5) < 2})
     model.learn(1500, callback=callback)
     assert [abs(d.subgoal[0] - 5) < 2 for d in callback.discoveries] == [True]
 
@@ -234,7 +234,7 @@ def test_saved_and_loaded_in_a_new_process_acts_the_same(tmp_path: Path) -> None
 def test_groups_that_do_not_fit_are_refused_before_the_first_step(groups: list[Any], message: str) -> None:
     model = model_of()
     with pytest.raises(ValueError, match=message):
-        model.learn(STEPS, callback=fast_callback(groups=groups))
+        model.learn(STEPS, callback=fast_callback(concepts={"groups": groups}))
     assert model.num_timesteps == 0
 
 

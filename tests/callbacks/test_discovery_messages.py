@@ -48,7 +48,7 @@ def test_failures_before_the_first_reported_success_are_logged_with_it(n_envs: i
 
 def test_a_subgoal_that_nothing_leads_to_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
     groups = [{"name": "place", "features": [0, 1], "labels": ["row", "column"]}]
-    callback = fast_callback(groups=groups, option_settings={"min_reach": 1.0, "value_function": "table"})
+    callback = fast_callback(concepts={"groups": groups}, option_settings={"min_reach": 1.0, "value_function": "table"})
     with caplog.at_level(logging.WARNING, "sb3_options"):
         model_of(seed=0).learn(8 * STEPS, callback=callback)
     assert callback.discovery is not None
@@ -62,7 +62,8 @@ class TestSavePath:
     def test_is_written_at_each_new_option(self, tmp_path: Path) -> None:
         path = tmp_path / "deep" / "options.safetensors"
         written: list[tuple[bool, int]] = []
-        callback = fast_callback(save_path=path)
+        callback = fast_callback()
+        callback.save_path = path
 
         class Look(BaseCallback):
             def _on_step(self) -> bool:
@@ -77,7 +78,8 @@ class TestSavePath:
 
     def test_holds_in_the_end_what_options_have_become(self, tmp_path: Path) -> None:
         path = tmp_path / "options.safetensors"
-        callback = fast_callback(save_path=path, option_settings={"grow": True, "value_function": "table"})
+        callback = fast_callback(option_settings={"grow": True, "value_function": "table"})
+        callback.save_path = path
         model_of().learn(3 * STEPS, callback=callback)
         bank = optioned_rooms().bank
         bank.load(path)

@@ -26,8 +26,14 @@ from tests.support.sb3_helpers import DOORWAY, FAST_DISCOVERY, RANDOM, TINY, sma
 
 __all__ = ["keep_all"]
 
-LEARNING = {"first_trajectories": 4, "updates": 200, "batch_size": 128}
+LEARNING = {"updates": 200, "batch_size": 128}
 """Enough for the distances of two small rooms."""
+
+
+@pytest.fixture(autouse=True)
+def _learned_early(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sb3_options.embedding.learner.FIRST_TRAJECTORIES", 4)
+
 
 NEARER = {**FAST_DISCOVERY, "goal_radius": 1.5}
 
@@ -37,7 +43,7 @@ def temporal_rooms(**kwargs: Any) -> OptionsWrapper:
 
 
 def callback_with(discovery: Mapping[str, Any] | None = None, **kwargs: Any) -> SubgoalDiscoveryCallback:
-    return SubgoalDiscoveryCallback({**NEARER, **(discovery or {})}, **{"embedding": LEARNING, **kwargs})
+    return SubgoalDiscoveryCallback({**NEARER, **(discovery or {})}, **{"concepts": {"embedding": LEARNING}, **kwargs})
 
 
 def dqn(env: Any, **kwargs: Any) -> DQN:
@@ -50,9 +56,11 @@ def places(env: OptionsWrapper, observations: Any) -> Any:
     return world.concept_features(np.asarray(observations))
 
 
-def test_what_a_map_waits_for_is_said_and_its_time_is_logged(tmp_path: Path) -> None:
+def test_what_a_map_waits_for_is_said_and_its_time_is_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in ("sb3_options.embedding.learner", "sb3_options.callbacks.learned_features"):
+        monkeypatch.setattr(f"{module}.FIRST_TRAJECTORIES", 10_000)
     env = temporal_rooms()
-    callback = callback_with(embedding={**LEARNING, "first_trajectories": 10_000})
+    callback = callback_with()
     assert callback.why_nothing() == "No training has started."
     model = dqn(env, learning_starts=10_000, buffer_size=200)
     model.set_logger(configure(str(tmp_path), ["csv"]))
@@ -62,7 +70,7 @@ def test_what_a_map_waits_for_is_said_and_its_time_is_logged(tmp_path: Path) -> 
     assert n >= 1
     assert callback.why_nothing() == (
         f"No subgoal was discovered: the feature map is learned after 10000 trajectories, and {n} have ended. Train "
-        "for longer, or choose a smaller first_trajectories of EmbeddingSettings."
+        "for longer."
     )
     callback.max_new_options = 0
     assert callback.why_nothing() == "Discovery was switched off."
@@ -103,14 +111,14 @@ def test_options_move_along() -> None:
     (found,) = callback.discoveries
     before = env.bank[found.slot]
     assert isinstance(before, SubgoalOption)
-    search, features = callback.discovery, callback._features
+    search, features = callback.discovery, callback._keeper.features
     assert search is not None
     states = np.unique(np.concatenate([np.asarray(t.trajectory.states) for t in search.database]), axis=0)
     centres = before.initiation_set.points
     own = [any((row == centres).all(axis=1)) for row in env.concept_features(states)]
     was_inside = before.initiation(states)
     features.learner.n_trajectories = 0  # type: ignore[attr-defined]  # so that it is due
-    assert features.learn_if_due(search, callback._options)
+    assert features.learn_if_due(search, callback._keeper.options)
     after = env.bank[found.slot]
     assert isinstance(after, SubgoalOption)
     assert np.abs(after.subgoal.points - before.subgoal.points).max() > 0.01
@@ -128,7 +136,7 @@ def test_a_narrowed_initiation_set_keeps_its_observations() -> None:
     (found,) = callback.discoveries
     option = env.bank[found.slot]
     assert isinstance(option, SubgoalOption)
-    search, features = callback.discovery, callback._features
+    search, features = callback.discovery, callback._keeper.features
     assert search is not None
     assert isinstance(features, LearnedFeatures)
     points = option.initiation_set.points
@@ -145,7 +153,8 @@ def test_a_narrowed_initiation_set_keeps_its_observations() -> None:
 
 def test_a_file_holds_the_map(tmp_path: Path) -> None:
     env = temporal_rooms()
-    callback = callback_with(max_new_options=1, save_path=tmp_path / "options.safetensors")
+    callback = callback_with(max_new_options=1)
+    callback.save_path = tmp_path / "options.safetensors"
     model = dqn(env, learning_starts=10_000, buffer_size=200)
     model.learn(1_500, callback)
     assert callback.discoveries
@@ -173,7 +182,7 @@ def test_worker_processes_and_this_one_learn_the_same() -> None:
         callback = callback_with(max_new_options=1)
         model.learn(1_200, callback)
         learned.append(venv.env_method("concept_features", states))
-        assert callback._features.map.learned  # type: ignore[attr-defined]  # a learned one
+        assert callback._keeper.features.map.learned  # type: ignore[attr-defined]  # a learned one
         venv.close()
     for each in learned[1:]:
         np.testing.assert_array_equal(learned[0], each)
@@ -185,7 +194,7 @@ def test_cut_and_resumed_is_never_interrupted(tmp_path: Path) -> None:
     brief = {**LEARNING, "updates": 40}
     callbacks, _ = check_resumes(
         lambda: dqn(DummyVecEnv([temporal_rooms])),
-        lambda: [callback_with(embedding=brief, option_settings={"grow": True})],
+        lambda: [callback_with(concepts={"embedding": brief}, option_settings={"grow": True})],
         tmp_path,
         cuts=(0.3, 0.6),
         steps=1_500,
@@ -193,7 +202,7 @@ def test_cut_and_resumed_is_never_interrupted(tmp_path: Path) -> None:
     callback = callbacks[0]
     assert isinstance(callback, SubgoalDiscoveryCallback)
     assert callback.discoveries
-    assert callback._features.map.learned > 1  # type: ignore[attr-defined]  # a learned one
+    assert callback._keeper.features.map.learned > 1  # type: ignore[attr-defined]  # a learned one
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,8 @@ def test_an_option_is_made_of_what_a_method_proposes(
     tmp_path: Path, method: MethodName | DiscoveryMethod, n_timesteps: int
 ) -> None:
     env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0"), 4, gamma=0.97)
-    callback = SubgoalDiscoveryCallback(method=method, max_new_options=1, save_path=tmp_path / "options.safetensors")
+    callback = SubgoalDiscoveryCallback(method=method, max_new_options=1)
+    callback.save_path = tmp_path / "options.safetensors"
     model = DQN(
         "MlpPolicy",
         env,

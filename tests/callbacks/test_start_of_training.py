@@ -102,7 +102,7 @@ class TestEmptied:
     def test_is_explored_no_longer(self, callback: Any) -> None:
         env = with_option()
         model = model_of(env)
-        model.learn(50, callback=SubgoalDiscoveryCallback(max_new_options=0, max_option_exploration=0.0))
+        model.learn(50, callback=SubgoalDiscoveryCallback(max_new_options=0, use={"max_option_exploration": 0.0}))
         env.set_option(0, None)
         env.set_option(1, steady_option(2, max_duration=2))
         go_on(model, callback(), 50)

@@ -60,7 +60,6 @@ RANGES: list[tuple[str, tuple[Any, ...], str]] = [
             "start_radius",
             "goal_radius",
             "peak_radius",
-            "peak_tolerance",
             "max_extent",
             "subgoal_radius",
             "spacing",
@@ -72,7 +71,6 @@ RANGES: list[tuple[str, tuple[Any, ...], str]] = [
     ("negative_strength", (0.0, -0.5, 1.5, math.nan), "should be (greater than 0|less than or equal to 1)"),
     ("leak", (-0.1, 1.0, math.nan), "should be (greater than or equal to 0|less than 1)"),
     ("search", ("random", None), "should be 'gradient' or 'exhaustive'"),
-    ("max_bytes", (0, -1), "should be greater than or equal to 1"),
     ("max_share", (0.0, -0.1, 1.1, math.nan), "should be (greater than 0|less than or equal to 1)"),
     ("method", ("hand", None), "should be 'diverse-density', 'first-visits',"),
     ("segmentation", ("lives", None), "should be 'episodes' or 'peaks'"),
@@ -95,5 +93,5 @@ def test_settings_out_of_range(name: str, values: tuple[Any, ...], message: str)
 
 def test_every_setting_has_a_range() -> None:
     """A new field needs a row above."""
-    switches = {"negative_bags", "equal_time"}
+    switches = {"negative_bags"}
     assert {f.name for f in dataclasses.fields(DiscoverySettings)} == {name for name, *_ in RANGES} | switches

@@ -79,9 +79,7 @@ def test_a_state_goes_on() -> None:
 
 
 def test_due_at_first_and_at_every_doubling() -> None:
-    learner = FeatureLearner(
-        LearnedMap(ObservationForm("table", (N,))), EmbeddingSettings(first_trajectories=8, updates=1)
-    )
+    learner = FeatureLearner(LearnedMap(ObservationForm("table", (N,))), EmbeddingSettings(updates=1))
     assert not learner.is_due(7)
     assert learner.is_due(8)
     learner.learn(LINE.trajectories, 9)

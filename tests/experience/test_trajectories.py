@@ -42,7 +42,7 @@ def test_the_database_counts_bytes(caplog: pytest.LogCaptureFixture) -> None:
             database.add(trajectory)
     assert [id(t) for t in database] == [id(t) for t in trajectories[4:]]
     assert len(caplog.records) == 1
-    assert caplog.records[0].getMessage().startswith("The last 3 trajectories take all of max_bytes, ")
+    assert caplog.records[0].getMessage().startswith("The last 3 trajectories take all of their memory, ")
     large = line(range(1_000))
     database.add(large)
     assert list(map(id, database)) == [id(large)]

@@ -6,7 +6,12 @@ import pytest
 from experiments.learned_spaces.__main__ import Study, main
 from experiments.learned_spaces.conditions import ARMS, NAMES, TASKS, run
 
-BRIEF = {"updates": 2, "batch_size": 16, "first_trajectories": 2}
+BRIEF = {"updates": 2, "batch_size": 16}
+
+
+@pytest.fixture(autouse=True)
+def _learned_early(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sb3_options.embedding.learner.FIRST_TRAJECTORIES", 2)
 
 
 @pytest.mark.parametrize("arm", ARMS)

@@ -118,9 +118,9 @@ class TestTrain:
         cli.main(["dqn", *args, "--no-interruption"])
         cli.main(["dqn", *args, "--max-option-exploration", "0.25"])
         switched, usual = made
-        assert not switched.interruption
-        assert usual.interruption
-        assert usual.max_option_exploration == 0.25
+        assert not switched.use.interruption
+        assert usual.use.interruption
+        assert usual.use.max_option_exploration == 0.25
 
     def test_an_interrupt_keeps_what_was_learned(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

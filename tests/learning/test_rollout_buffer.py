@@ -349,7 +349,7 @@ def test_the_opening_shares_of_several_options_add_up_as_documented() -> None:
     with torch.no_grad():
         model.policy.action_net.weight.zero_()
         model.policy.action_net.bias.zero_()
-    callback = SubgoalDiscoveryCallback(max_new_options=0, opening_share=0.5, max_option_exploration=0.1)
+    callback = SubgoalDiscoveryCallback(max_new_options=0, use={"opening_share": 0.5, "max_option_exploration": 0.1})
     callback.init_callback(model)
     callback.on_training_start({}, {})
     probabilities = model.policy.get_distribution(torch.zeros((1, 2))).distribution.probs[0].detach()

@@ -150,7 +150,7 @@ def test_an_option_that_waits_for_a_rollout_is_saved(tmp_path: Path) -> None:
     class Installs(SubgoalDiscoveryCallback):
         def _on_step(self) -> bool:
             if self.num_timesteps == 10:
-                self._options.install(0, option())
+                self._keeper.options.install(0, option())
                 assert env_of(self.model).get_attr("bank")[0].filled == (SLOT,)
                 self.model.save(tmp_path / "model.zip")
             return super()._on_step()

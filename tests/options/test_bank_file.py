@@ -23,7 +23,7 @@ from tests.support.helpers import steady_option
 
 ONE_FEATURE = (
     "does not fit: the option in slot 0, 'subgoal': its group 'second' names feature 1, the feature map gives 1. "
-    "Discover options on groups that both tasks have, SubgoalDiscoveryCallback(groups=...). In MiniGrid what a mission "
+    "Discover options on groups that both tasks have, ConceptSettings(groups=...). In MiniGrid what a mission "
     "asks for is such a group: discover with make(..., asked=False), train.py --env-kwargs asked:False."
 )
 

@@ -62,7 +62,7 @@ class GroupedPeaks(Method):
         for group in sorted(groups, key=lambda group: len(group.features)):
             parts = [c for part, c in contrasts.items() if set(part.features) < set(group.features)]
             radius = own.subgoal_radius / (own.scale or 1.0)
-            contrasts[group] = Contrast(group, radius, parts, equal_time=own.equal_time)
+            contrasts[group] = Contrast(group, radius, parts)
         self._contrasts = list(contrasts.values())
         self._members = [PersistentPeaks(contrasts[group]) for group in groups]
         for group, member in zip(groups, self._members, strict=True):

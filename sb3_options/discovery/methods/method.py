@@ -219,7 +219,7 @@ class Method:
         if groups:
             raise ValueError(
                 f"{self.name} works on all features together, and the feature map has groups: use diverse density, or "
-                "the control 'random'; or, in a script, pass groups=() to SubgoalDiscoveryCallback."
+                "the control 'random'; or, in a script, pass ConceptSettings(groups=()) as concepts."
             )
 
     def note(self, labelled: LabelledTrajectory) -> None:

@@ -26,7 +26,8 @@ def venv_of(env_id: str, *, workers: bool = False, **slots: Any) -> Any:
 def discover(path: Path | None = None, *, workers: bool = False, **how: Any) -> SubgoalDiscoveryCallback:
     venv = venv_of("MiniGrid-Empty-Random-5x5-v0", workers=workers)
     model = MaskablePPO("MlpPolicy", venv, n_steps=128, batch_size=64, n_epochs=1, seed=0, device="cpu")
-    callback = SubgoalDiscoveryCallback(SOON, save_path=path, **how)
+    callback = SubgoalDiscoveryCallback(SOON, **how)
+    callback.save_path = path
     model.learn(2_500, callback=callback)
     venv.close()
     return callback
@@ -79,6 +80,6 @@ def runs(env: OptionsWrapper, slot: int, n_episodes: int) -> list[bool]:
 def test_groups_can_be_given_or_left_out() -> None:
     first = FEATURES.index("goal_visible")
     group = {"name": "mine", "features": range(first, first + 3), "present": [[first]], "scale": [10, 1, 1]}
-    callback = discover(groups=[group], max_new_options=1)
+    callback = discover(concepts={"groups": [group]}, max_new_options=1)
     assert callback.discoveries[0].where == "mine at 1, 1, 0"
-    assert not discover(groups=[], max_new_options=0).discovery.groups  # type: ignore[union-attr]  # it has trained
+    assert not discover(concepts={"groups": []}, max_new_options=0).discovery.groups  # type: ignore[union-attr]  # it has trained

@@ -1,0 +1,177 @@
+"""`OptionKeeper`: makes options of subgoals, learns them further, and closes them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import ClassVar
+
+import torch
+
+from sb3_options.callbacks.installer import OptionInstaller
+from sb3_options.callbacks.learned_features import GivenFeatures
+from sb3_options.callbacks.records import ClosedOption, DiscoveredOption, OptionStatistics, saved_for
+from sb3_options.callbacks.usefulness import Usefulness, Verdict
+from sb3_options.density.regions import Region
+from sb3_options.discovery.discovery import Discovery
+from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
+from sb3_options.options.creation import OptionGrowth, joined, learn_option
+from sb3_options.options.option import SubgoalOption
+from sb3_options.options.policies import PolicyInput
+from sb3_options.options.proposals import Proposal
+from sb3_options.options.settings import OptionLearningSettings, UsefulnessSettings
+
+
+class OptionKeeper:
+    """The options that a training makes, with all that is known of them by slot.
+
+    Args:
+        settings: How options are learned.
+        usefulness: How they are judged.
+        seed: Of policies that are networks.
+
+    Attributes:
+        discoveries: When and where each option was made.
+        closed: Which were closed again.
+        made: Slots with options that were made here.
+        features: Moves them along with a feature map that is learned.
+    """
+
+    STATE: ClassVar[tuple[str, ...]] = (
+        "discoveries", "closed", "made", "generator", "statistics", "useful", "growth", "features",
+    )  # fmt: skip
+
+    options: OptionInstaller
+    search: Discovery
+
+    def __init__(self, settings: OptionLearningSettings, usefulness: UsefulnessSettings, seed: int) -> None:
+        self.settings = settings
+        self.most: int | None = None  # options to make, not counting closed ones
+        self.discoveries: list[DiscoveredOption] = []
+        self.closed: list[ClosedOption] = []
+        self.made: set[int] = set()
+        self.generator = torch.Generator().manual_seed(seed)
+        self.statistics = OptionStatistics()
+        self.useful = Usefulness(usefulness)
+        self.growth = OptionGrowth()
+        self.features = GivenFeatures()
+
+    def begin(self, options: OptionInstaller, search: Discovery, most: int | None) -> None:
+        """Adopt the options that are there when training starts."""
+        self.options = options
+        self.search = search
+        self.most = most
+        self.made &= set(self.options.bank.filled)  # a user may have taken some out
+        for slot, option in enumerate(self.options.bank.slots):
+            if isinstance(option, SubgoalOption) and slot not in self.made and not option.fixed:
+                self.growth.adopted(slot)
+
+    def may_make(self) -> bool:
+        """Whether another option may be made now."""
+        bank = self.options.bank
+        most = bank.max_options if self.most is None else self.most
+        return len(self.made) < most and len(bank) < bank.max_options
+
+    def wants_slot(self) -> bool:
+        """Whether another option would be made if a slot were free."""
+        full = len(self.options.installed()) == self.options.bank.max_options
+        return full and (self.most is None or len(self.made) < self.most)
+
+    def learn_from(self, trajectory: Trajectory, success: bool, episode: int, timestep: int) -> DiscoveredOption | None:
+        """Let discovery and the options learn from a trajectory; the option that was made, if any."""
+        options, search = self.options, self.search
+        discovers = self.may_make()
+        if success and self.wants_slot() and self.useful.counts_needs(options):
+            self.useful.succeeded(options, options.features_of(trajectory.states))
+        if not (discovers or (self.settings.grow and len(options.bank))):
+            return None
+        labelled = search.add(trajectory, options.features_of(trajectory.states), success=success)
+        if self.features.learn_if_due(search, options):
+            self.useful.forget_places()
+            *_, labelled = search.database
+        if self.settings.grow:
+            self._learn_further(labelled)
+        may_lead = labelled.success or search.method.learns_from_failures
+        if not (discovers and self.features.ready and may_lead):
+            return None
+        subgoal = search.search()
+        return None if subgoal is None else self._make(subgoal, episode, timestep)
+
+    def _make(self, subgoal: Region, episode: int, timestep: int) -> DiscoveredOption | None:
+        """Learn an option for the subgoal that was found last, and install it; None where none can be learned."""
+        found = self.search.found[-1]
+        where = found.where(self.search.kind)
+        try:
+            option = self._learn(found.proposal or subgoal, f"reach {where}", self.settings.policy_input)
+        except ValueError:
+            self.search.withdraw()
+            raise
+        if option is None:
+            self.search.diary.no_option(where, self.search.method.leads)
+            self.search.withdraw()
+            return None
+        slot = self.options.bank.slots.index(None)
+        self.options.install(slot, option)
+        self.features.remember(slot, option, self.search)
+        self.statistics.forget(slot)  # a closed option went on to the end of its rollout, after it was forgotten
+        self.useful.forget(slot)
+        self.made.add(slot)
+        if not option.fixed:
+            self.growth.made(slot, subgoal, self.search.database)
+        about = (found.log_density, len(option.initiation_set.points), *saved_for(subgoal, self.search.database))
+        self.discoveries.append(DiscoveredOption(slot, episode, timestep, found.centre, where, *about))
+        return self.discoveries[-1]
+
+    def _learn_further(self, labelled: LabelledTrajectory) -> None:
+        """Learn options anew for which a trajectory is worth it."""
+        for slot in self.options.installed():
+            option = self.options.bank[slot]
+            if not isinstance(option, SubgoalOption) or option.fixed:
+                continue
+            if not self.growth.is_due(slot, option.subgoal, labelled):
+                continue
+            later = self._learn(option.subgoal, option.name, option.policy_input)
+            if later is not None and slot not in self.made:
+                later = joined(option, later)
+            later = later and self.useful.learned_anew(slot, later)
+            if later is not None and later is not option:
+                self.replace(slot, later)
+
+    def judge(self, close: Callable[[int, Verdict], None]) -> None:
+        """Narrow options that are of no use everywhere, and close those that are of none."""
+        for slot, later in self.useful.judged(self.options):
+            if isinstance(later, SubgoalOption):
+                self.replace(slot, later)
+            else:
+                close(slot, later)
+        if self.wants_slot() and (unneeded := self.useful.unneeded(self.options)) is not None:
+            close(unneeded, "is not needed")
+
+    def close(self, closed: ClosedOption) -> None:
+        """Take an option out of its slot."""
+        slot = closed.slot
+        self.options.uninstall(slot)
+        self.made.discard(slot)
+        for of_slots in (self.features, self.statistics, self.useful, self.growth):
+            of_slots.forget(slot)
+        self.closed.append(closed)
+
+    def why_nothing(self, episodes: int) -> str | None:
+        """Why no option was made in so many episodes; None where one was."""
+        if self.discoveries:
+            return None
+        if (waits := self.features.why_not_ready(self.search.diary.n)) is not None:
+            return waits
+        if len(self.options.bank) == self.options.bank.max_options:
+            return "There was no free slot for an option: raise max_options (--max-options)."
+        return self.search.why_nothing(episodes)
+
+    def _learn(self, proposal: Proposal, name: str, policy_input: PolicyInput) -> SubgoalOption | None:
+        settings = dataclasses.replace(self.settings, policy_input=policy_input)
+        n_primitive = self.options.n_primitive
+        return learn_option(proposal, self.search.database, n_primitive, settings, self.generator, name=name)
+
+    def replace(self, slot: int, later: SubgoalOption) -> None:
+        """Put a later version of an option into its slot."""
+        self.options.replace(slot, later)
+        self.features.remember(slot, later, self.search)

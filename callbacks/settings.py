@@ -1,0 +1,73 @@
+"""Settings of `SubgoalDiscoveryCallback` that belong together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+from sb3_options.checked import Field, given_as, settings
+from sb3_options.density.groups import FeatureGroup
+from sb3_options.discovery.static_filter import StaticFilter
+from sb3_options.embedding.settings import EmbeddingSettings
+
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+@settings
+class OptionUse:
+    """How an algorithm uses options.
+
+    Attributes:
+        max_option_exploration: Largest share of all options among the random choices of DQN, QRDQN and OptionDQN.
+        opening_share: MaskablePPO: share of the probability that the first option opens with where primitives are
+            equally likely. The odds of the k-th against the primitives are 1/k of those. It is no cap on all options
+            together: three at 0.5 open with 0.65. None takes ``max_option_exploration``.
+        interruption: Whether options of DQN, QRDQN and OptionDQN end where going on is worth less than the best
+            alternative (`execution.interruption`).
+        primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps, not decisions.
+    """
+
+    max_option_exploration: Share = 0.5
+    opening_share: Share | None = None
+    interruption: bool = True
+    primitive_rollouts: bool = False
+
+    @property
+    def opens_with(self) -> float:
+        """`opening_share`, or what takes its place."""
+        return self.max_option_exploration if self.opening_share is None else self.opening_share
+
+
+@dataclass(frozen=True)
+class ConceptSettings:
+    """The space in which subgoals are searched.
+
+    Attributes:
+        groups: The features that make a concept together, each a `FeatureGroup` or a mapping of its fields; None takes
+            those that the environment or φ names. Without any, all features do.
+        static_filter: What may be a subgoal; None leaves out what is near the start and end of a trajectory.
+        embedding: How a map is learned, for environments in ``OptionsWrapper(feature_map="temporal-distance")``:
+            an `EmbeddingSettings`, or a mapping of its fields.
+
+    Raises:
+        TypeError: ``groups`` are no groups, the filter cannot be called, or a mapping has an unknown field.
+        ValueError: A field of a group is out of its range.
+    """
+
+    groups: Iterable[FeatureGroup | Mapping[str, Any]] | None = None
+    static_filter: StaticFilter | None = None
+    embedding: EmbeddingSettings | Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Make groups of mappings."""
+        if not isinstance(self.groups, Iterable | None):
+            raise TypeError(f"groups must be FeatureGroups, or mappings of their fields, got {self.groups!r}.")
+        if self.static_filter is not None and not callable(self.static_filter):
+            raise TypeError(
+                "static_filter must be a function of the features of a trajectory's states (m, d), the features of its "
+                "first and of its last state, (d,) each, to which states may be subgoals, (m,), got "
+                f"{self.static_filter!r}."
+            )
+        if self.groups is not None:
+            object.__setattr__(self, "groups", tuple(given_as(FeatureGroup, group) for group in self.groups))
