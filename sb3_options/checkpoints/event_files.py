@@ -19,17 +19,10 @@ def sizes(logger: Logger) -> dict[str, int]:
 
 
 def cut(logger: Logger, before: dict[str, int]) -> None:
-    """Remove what was logged after a checkpoint by processes that have ended.
-
-    Only files beside those of the logger are touched; if none of them is known, it is another folder, and none is.
-
-    Args:
-        logger: As training goes on.
-        before: What `sizes` gave for the checkpoint.
-    """
+    """Remove what was logged after a checkpoint by processes that have ended."""
     files = _files(logger)
     if not any(file.name in before for file in files):
-        return
+        return  # the logger writes to another folder than before: nothing in it is touched
     own = {
         Path(output.writer.file_writer.event_writer._file_name).name  # type: ignore[attr-defined]  # a writer that was not closed has it
         for output in logger.output_formats

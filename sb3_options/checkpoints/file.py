@@ -99,12 +99,7 @@ class CheckpointFolder:
         return file
 
     def newest(self) -> tuple[Path, State]:
-        """The newest checkpoint that is whole.
-
-        Raises:
-            FileNotFoundError: There is no checkpoint.
-            ValueError: None is whole; the text says what is wrong with the newest.
-        """
+        """The newest checkpoint that is whole."""
         wrong: ValueError | None = None
         for file in self:
             try:
@@ -146,12 +141,7 @@ class CheckpointFolder:
 
 
 def read(file: Path) -> State:
-    """The state in a checkpoint. Nothing of the file is run.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is damaged, incomplete or something else.
-    """
+    """The state in a checkpoint. Nothing of the file is run."""
     content = file.read_bytes()
     try:
         header = _header(file)

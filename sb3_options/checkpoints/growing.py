@@ -33,12 +33,7 @@ class KnownBlocks:
         self._written: dict[int, _Written] = {}
 
     def unchanged(self, rows: npt.NDArray[Any], per_block: int) -> dict[int, str]:
-        """Names of the blocks whose rows are what they were, by their first row.
-
-        Args:
-            rows: The array, or the rows at its beginning.
-            per_block: Rows of a block.
-        """
+        """Names of the blocks whose rows are what they were, by their first row."""
         now, then = self._growing.get(_address(rows)), self._before.get(_address(rows))
         if now is None or then is None or then.array() is not now.array or then.per_block != per_block:
             return {}

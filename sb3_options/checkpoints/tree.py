@@ -38,21 +38,13 @@ ITEMS: dict[str, type[Any]] = {"tuple": tuple, "set": set, "frozenset": frozense
 
 
 def encode(state: Any) -> tuple[Any, Arrays]:
-    """A state as JSON and arrays by number; an object that occurs twice is stored once.
-
-    Raises:
-        TypeError: Something in it cannot be stored; the text says where.
-    """
+    """A state as JSON and arrays by number; an object that occurs twice is stored once."""
     encoder = _Encoder()
     return encoder.encoded(state, ""), encoder.arrays
 
 
 def decode(content: Any, arrays: Arrays) -> Any:
-    """The inverse of `encode`; arrays are taken over, not copied.
-
-    Raises:
-        ValueError: The content was not made by `encode`, or arrays are missing.
-    """
+    """The inverse of `encode`; arrays are taken over, not copied."""
     try:
         return _Decoder(arrays).decoded(content)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError) as error:
