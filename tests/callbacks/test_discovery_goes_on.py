@@ -75,7 +75,7 @@ class TestGoesOn:
         assert len(callback.discoveries) == len(callback.bank) == most
 
     def test_until_every_slot_is_filled(self) -> None:
-        callback = fast_callback(max_new_options=None, max_option_exploration=0.05)
+        callback = fast_callback(max_new_options=None, use={"max_option_exploration": 0.05})
         model_of(optioned_rooms(1)).learn(5 * STEPS, callback=callback)
         assert len(callback.discoveries) == 1
 
@@ -151,7 +151,7 @@ def test_an_option_that_no_success_needs_gives_its_slot_to_one_that_is_discovere
     elsewhere = Region(np.full((1, 2), 99.0), np.ones(2), 0.5)
     option = to_the_doorway(Direction.LEFT, (3, 2))
     env.bank.add(option.with_regions(elsewhere, option.initiation_set))
-    callback = fast_callback(max_new_options=1, max_option_exploration=0.05)
+    callback = fast_callback(max_new_options=1, use={"max_option_exploration": 0.05})
     model_of(env, seed=0).learn(3 * STEPS, callback=callback)
     assert [(closed.slot, closed.why) for closed in callback.closed] == [(0, "is not needed")]
     assert [found.slot for found in callback.discoveries] == [0]
