@@ -24,9 +24,6 @@ class OutcomeDatabase(TrajectoryDatabase):
 
     Attributes:
         n_entered: How many entered as successes so far.
-
-    Raises:
-        ValueError: ``capacity`` < 1.
     """
 
     STATE = ("_successful", "_salience", "n_entered")

@@ -22,9 +22,6 @@ def near_start_and_goal(start_radius: float = 2.0, goal_radius: float = 2.0) -> 
     Args:
         start_radius: In scaled units of concept space, ≥ 0.
         goal_radius: Likewise.
-
-    Raises:
-        ValueError: A radius is negative.
     """
     if not (start_radius >= 0 and goal_radius >= 0):
         raise ValueError(f"start_radius and goal_radius must be at least 0, got {start_radius} and {goal_radius}.")
@@ -84,9 +81,6 @@ def kept_by(static_filter: StaticFilter, features: FloatArray, last: int, scale:
         features: φ of the trajectory's distinct observations, in order of first visit, shape (m, d).
         last: Row of the last state.
         scale: Factor for every feature, shape (d,).
-
-    Raises:
-        ValueError: The filter returned another shape.
     """
     keep = np.asarray(static_filter(features * scale, features[0] * scale, features[last] * scale), dtype=bool)
     if keep.shape != (len(features),):

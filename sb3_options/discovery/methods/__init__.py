@@ -52,9 +52,6 @@ def method_with(name: MethodName, given: DiscoveryMethod | None, *, grouped: boo
         given: One of the library, or a user's own.
         grouped: Whether features are in groups.
         seed: For the controls.
-
-    Raises:
-        TypeError: ``given`` is no method.
     """
     if given is not None:
         return given if isinstance(given, Method) else OwnMethod(given)

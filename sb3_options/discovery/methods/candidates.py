@@ -29,33 +29,21 @@ PLACE_SECONDS = 2e-7
 
 
 def check_counts(least: int = 1, /, **counts: object) -> None:
-    """Refuse what is no whole number of at least ``least``, by its name.
-
-    Raises:
-        ValueError: There is such a one.
-    """
+    """Refuse what is no whole number of at least ``least``, by its name."""
     for name, count in counts.items():
         if not whole(count, least):
             raise ValueError(f"{name} must be a whole number of at least {least}, got {count!r}.")
 
 
 def check_shares(**shares: object) -> None:
-    """Refuse what is no number in (0, 1), by its name.
-
-    Raises:
-        ValueError: There is such a one.
-    """
+    """Refuse what is no number in (0, 1), by its name."""
     for name, share in shares.items():
         if not (is_number(share) and 0 < share < 1):  # type: ignore[operator]  # it is a number
             raise ValueError(f"{name} must be in (0, 1), got {share!r}.")
 
 
 def check_positive(**numbers: object) -> None:
-    """Refuse what is no finite number above 0, by its name.
-
-    Raises:
-        ValueError: There is such a one.
-    """
+    """Refuse what is no finite number above 0, by its name."""
     for name, number in numbers.items():
         if not (is_number(number) and 0 < number < np.inf):  # type: ignore[operator]  # it is a number
             raise ValueError(f"{name} must be a finite number above 0, got {number!r}.")
@@ -67,9 +55,6 @@ def often_enough(min_seen: int, min_share: float) -> Accept:
     Args:
         min_seen: t_o.
         min_share: t_p, in (0, 1).
-
-    Raises:
-        ValueError: An argument is out of its range.
     """
     check_counts(min_seen=min_seen)
     check_shares(min_share=min_share)
@@ -89,9 +74,6 @@ def more_likely(p_target: float, p_other: float, odds: float) -> Accept:
         p_target: p: how often a subgoal is a candidate when it is seen.
         p_other: q: how often any other state is.
         odds: λ_fa/λ_miss · p(N)/p(T): cost of false alarms to that of misses, times the prior odds of other states.
-
-    Raises:
-        ValueError: An argument is out of its range, or subgoals are to be candidates no oftener than others.
     """
     check_shares(p_target=p_target, p_other=p_other)
     check_positive(odds=odds)

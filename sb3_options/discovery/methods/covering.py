@@ -32,9 +32,6 @@ class CoveringOptions(LaplacianMethod):
         n_pairs: Of places, each of which makes two options.
         min_trajectories: Before the first proposals, so that the graph is that of the task, and not of a few ways.
         max_places: Most places in the graph.
-
-    Raises:
-        ValueError: An argument is out of its range.
     """
 
     STATE: ClassVar[tuple[str, ...]] = ("_joined", "_proposed", "_n_solved")

@@ -23,9 +23,6 @@ class Eigenoptions(LaplacianMethod):
         n_vectors: Eigenvectors; each makes two options.
         min_trajectories: Before the first proposals, so that the graph is that of the task, and not of a few ways.
         max_places: Most places in the graph.
-
-    Raises:
-        ValueError: An argument is out of its range.
     """
 
     def __init__(self, *, n_vectors: int = 4, min_trajectories: int = 10, max_places: int = MAX_PLACES) -> None:

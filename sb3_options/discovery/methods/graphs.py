@@ -39,9 +39,6 @@ class LCut(CandidateMethod):
         max_cut: t_c, of 2.
         min_seen: t_o.
         min_share: t_p, in (0, 1).
-
-    Raises:
-        ValueError: An argument is out of its range.
     """
 
     def __init__(
@@ -88,9 +85,6 @@ class Betweenness(CandidateMethod):
         horizon: h, in transitions.
         min_seen: t_o.
         min_share: t_p, in (0, 1).
-
-    Raises:
-        ValueError: An argument is out of its range.
     """
 
     def __init__(self, *, horizon: int = 1000, min_seen: int = 10, min_share: float = 0.5) -> None:

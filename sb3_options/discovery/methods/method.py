@@ -86,11 +86,7 @@ class Experience:
 
     @cached_property
     def trajectory(self) -> Trajectory:
-        """Itself: ``actions`` and ``rewards`` of every step, and the observation behind each row of ``features``.
-
-        Raises:
-            AttributeError: It was made without.
-        """
+        """Itself: ``actions`` and ``rewards`` of every step, and the observation behind each row of ``features``."""
         known = self._trajectory
         if known is None:
             raise AttributeError("this experience was made of features and visits alone: it has no trajectory.")
@@ -211,11 +207,7 @@ class Method:
     learns_from_failures: bool = True
 
     def begin(self, settings: DiscoverySettings, filters: Filters, groups: Sequence[FeatureGroup]) -> None:
-        """Get what discovery was made with, before the first trajectory.
-
-        Raises:
-            ValueError: There are groups of features, and the method needs all features together.
-        """
+        """Get what discovery was made with, before the first trajectory."""
         if groups:
             raise ValueError(
                 f"{self.name} works on all features together, and the feature map has groups: use diverse density, or "
@@ -296,13 +288,7 @@ class OwnMethod(Method):
         self._seconds = 0.0
 
     def update(self, experience: Experience) -> list[Proposal]:
-        """Ask the user's method, and check what it proposes.
-
-        Raises:
-            TypeError: It returns something else than proposals.
-            ValueError: A proposal has arrays of another shape.
-            RuntimeError: It raised a ValueError, which would pass for an episode that cannot be used.
-        """
+        """Ask the user's method, and check what it proposes."""
         began = time.process_time()
         try:
             proposals = self.method.update(experience)
@@ -324,11 +310,7 @@ class OwnMethod(Method):
         return list(proposals)
 
     def seconds(self, experience: Experience) -> float:
-        """Nominal seconds of the last update: the user's estimate, or as measured.
-
-        Raises:
-            ValueError: The estimate is no finite number of at least 0.
-        """
+        """Nominal seconds of the last update: the user's estimate, or as measured."""
         if not hasattr(self.method, "seconds"):
             return self._seconds
         seconds = self.method.seconds(experience)
@@ -337,11 +319,7 @@ class OwnMethod(Method):
         return float(seconds)
 
     def get_state(self) -> dict[str, Any]:
-        """For a checkpoint.
-
-        Raises:
-            ValueError: The method has no state.
-        """
+        """For a checkpoint."""
         if not (hasattr(self.method, "get_state") and hasattr(self.method, "set_state")):
             raise ValueError(
                 f"Checkpoints of discovery by {self.name} are not supported: give it get_state() and set_state(state)."
@@ -363,11 +341,7 @@ class OwnMethod(Method):
 
 
 def checked_method(method: Any) -> DiscoveryMethod | None:
-    """A method that is no name; None for a name, or for nothing.
-
-    Raises:
-        TypeError: It is a class, or has no ``update``.
-    """
+    """A method that is no name; None for a name, or for nothing."""
     if method is None or isinstance(method, str):
         return None
     container = isinstance(method, (Mapping, Set))  # which have an update of their own
@@ -384,9 +358,6 @@ def kept(proposal: Proposal, name: str) -> Proposal:
     Args:
         proposal: What was proposed.
         name: Of the method.
-
-    Raises:
-        ValueError: It has numbers that are not finite, or a radius below 0.
     """
     for region in _regions_of(proposal):
         if not (np.isfinite(region.points).all() and np.isfinite(region.scale).all() and 0 <= region.radius < np.inf):

@@ -122,9 +122,6 @@ class LaplacianMethod(Method):
         n_solved: How many times an update solves for eigenvectors.
         min_trajectories: Before the first proposals, so that the graph is that of the task, and not of a few ways.
         max_places: Most places in the graph.
-
-    Raises:
-        ValueError: An argument is out of its range.
     """
 
     STATE: ClassVar[tuple[str, ...]] = ("_graph", "_n")

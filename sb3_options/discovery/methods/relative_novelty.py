@@ -24,9 +24,6 @@ class RelativeNovelty(CandidateMethod):
         p_target: p, how often a subgoal is a candidate when it is visited.
         p_other: q, how often another state is.
         odds: λ_fa/λ_miss · p(N)/p(T): cost of false alarms to that of misses, and prior odds of other states, 100 each.
-
-    Raises:
-        ValueError: An argument is out of its range.
     """
 
     def __init__(

@@ -32,9 +32,6 @@ class VisitFrequency(Method):
         threshold: Share of the limit λ/(1−λ).
         min_successes: Successful trajectories before the first place counts.
         radius: Places within this distance of each other are one, in scaled units.
-
-    Raises:
-        ValueError: An argument is out of its range.
     """
 
     STATE = ("_successes", "_visited", "_tracker")
@@ -98,9 +95,6 @@ class RandomPlaces(Method):
     Args:
         min_successes: Successful trajectories before the first proposal.
         seed: Of the generator that draws.
-
-    Raises:
-        ValueError: An argument is out of its range.
     """
 
     STATE = ("_successes", "_random")
@@ -128,9 +122,6 @@ class GivenPlaces(Method):
 
     Args:
         points: φ of each, (n, d), the first one first.
-
-    Raises:
-        ValueError: ``points`` has another shape, or is not finite.
     """
 
     def __init__(self, points: ArrayLike) -> None:
