@@ -192,11 +192,7 @@ def evaluate_run(run: Path, **settings: Any) -> Evaluation:
 
 
 def _check_complete(run: Path, model: str) -> None:
-    """Refuse a folder that lacks a file.
-
-    Raises:
-        FileNotFoundError: It does; a note says how to go on with a run that was cut off.
-    """
+    """Refuse a folder that lacks a file."""
     lacking = [name for name in (runs.CONFIG, model, runs.OPTIONS) if not (run / name).is_file()]
     if not lacking:
         return
@@ -210,11 +206,7 @@ def _check_complete(run: Path, model: str) -> None:
 
 
 def _check_spaces(run: Path, config: TrainConfig) -> None:
-    """Refuse an environment whose spaces are not those of the run's own, where that can be made.
-
-    Raises:
-        ValueError: They are others.
-    """
+    """Refuse an environment whose spaces are not those of the run's own, where that can be made."""
     own = yaml_file.read_mapping(run / runs.CONFIG).get("env", config.env)
     if own == config.env or importing({"env": own}):
         return

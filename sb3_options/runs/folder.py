@@ -59,11 +59,7 @@ OWN_NAMESPACE = "sb3_options/"
 
 
 def new_run_folder(config: TrainConfig) -> Path:
-    """Make the next free folder ``ALGO/ENV_N`` below ``tensorboard_log``; clean those of killed runs.
-
-    Raises:
-        OSError: It cannot be made.
-    """
+    """Make the next free folder ``ALGO/ENV_N`` below ``tensorboard_log``; clean those of killed runs."""
     with named_in_errors("--tensorboard-log", config.tensorboard_log, "cannot hold run folders"):
         return _new_folder(config.tensorboard_log / config.algo, config.env.replace("/", "-"))
 
@@ -84,23 +80,14 @@ def _new_folder(parent: Path, name: str) -> Path:
 
 
 def discard(folder: Path) -> None:
-    """Remove a run folder that nothing was trained in, and that of the algorithm where it is the only one.
-
-    Raises:
-        OSError: It cannot be removed.
-    """
+    """Remove a run folder that nothing was trained in, and that of the algorithm where it is the only one."""
     shutil.rmtree(folder)
     with suppress(OSError):  # there are other runs
         folder.parent.rmdir()
 
 
 def check_env_id(env_id: str) -> None:
-    """Refuse an id that Gymnasium does not know, and name the package that registers it, or one that is alike.
-
-    Raises:
-        ValueError: The id is not registered.
-        ModuleNotFoundError: It is one of MiniGrid's, which is not installed, or names a module that there is not.
-    """
+    """Refuse an id that Gymnasium does not know, and name the package that registers it, or a similar id."""
     if minigrid.is_minigrid(env_id):
         minigrid.require()
     # An id may name the module that registers it, as in "module:Env-v0".
@@ -126,11 +113,7 @@ def _spec_of(env_id: str) -> EnvSpec:
 
 
 def check_observations(venv: VecEnv, env_id: str) -> None:
-    """Refuse observations that SB3 cannot learn from.
-
-    Raises:
-        ValueError: The environment has such observations.
-    """
+    """Refuse observations that SB3 cannot learn from."""
     try:
         get_obs_shape(venv.observation_space)
     except NotImplementedError as error:
@@ -141,12 +124,7 @@ def check_observations(venv: VecEnv, env_id: str) -> None:
 
 
 def options_file(config: TrainConfig) -> Path | None:
-    """The file behind ``--options``; None where there is none.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is damaged, or has more slots than ``--max-options``.
-    """
+    """The file behind ``--options``, if it fits ``--max-options``; None where there is none."""
     if config.options is None:
         return None
     path = config.options / OPTIONS if config.options.is_dir() else config.options
@@ -168,17 +146,9 @@ def options_of(run: Path) -> Path | None:
 
 
 def save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
-    """Save model and options; where one cannot be written, the other is.
+    """Save model and options; where one cannot be written, the other is, and a note says which is missing.
 
     Where there is no room for the model, older checkpoints make room.
-
-    Args:
-        model: Trained.
-        bank: Its options.
-        folder: The run folder.
-
-    Raises:
-        OSError: One of them cannot be written; a note says which is missing.
     """
 
     def save_model(path: Path) -> None:
@@ -303,11 +273,7 @@ def _begin_monitors(folder: Path, n_envs: int, env_id: str) -> None:
 def _wrapped(
     config: TrainConfig, wrapper: Callable[..., gym.Env[Any, Any]], env_id: str, keywords: dict[str, Any]
 ) -> gym.Env[Any, Any]:
-    """An environment in the wrapper of ``--env-wrapper``.
-
-    Raises:
-        TypeError: That is none.
-    """
+    """An environment in the wrapper of ``--env-wrapper``, if that is one."""
     env, flag = gym.make(env_id, **keywords), f"--env-wrapper {config.env_wrapper}"
     advice = "Name a gymnasium.Wrapper that takes the environment alone."
     try:
