@@ -1,3 +1,4 @@
+import dataclasses
 import re
 import shlex
 import shutil
@@ -8,6 +9,7 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 
 from sb3_options import cli
+from sb3_options.runs import config as configs
 from sb3_options.runs import evaluation
 from sb3_options.runs import folder as runs
 from sb3_options.runs.config import configure
@@ -55,8 +57,9 @@ def test_an_environment_with_other_spaces_is_named_with_them(run: Path) -> None:
 def test_weights_that_do_not_fit_are_named_in_one_line(run: Path, tmp_path: Path) -> None:
     copy = tmp_path / "run"
     shutil.copytree(run, copy)
-    settings = (copy / runs.CONFIG).read_text()
-    (copy / runs.CONFIG).write_text(settings.replace("net_arch:\n- 64\n- 64", "net_arch: [3]"))
+    config = configs.load(copy / runs.CONFIG)
+    others = config.algo_kwargs | {"policy_kwargs": {"net_arch": [3]}}
+    configs.save(dataclasses.replace(config, algo_kwargs=others), copy / runs.CONFIG)
     with pytest.raises(ValueError, match=r"model\.zip is damaged, or does not fit \S+config\.yml: .+q_net") as error:
         evaluate_run(copy)
     assert "\n" not in str(error.value)
