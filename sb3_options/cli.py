@@ -194,7 +194,6 @@ def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
     default = configs.build(values, given.config or prog)
     flags, own = _apart(words, default.algo)
     if own:
-        own = {"algo_kwargs": configs.merged(default.algo_kwargs, own)}
         default = configs.build(configs.as_values(default) | own, prog)
     if given.help is not None:
         _show_help(default, given.help, prog)
