@@ -251,6 +251,9 @@ def test_states_of_other_seeds_differ(tmp_path: Path) -> None:
 def test_options_that_are_interrupted(tmp_path: Path) -> None:
     """The values in the environments are older than the model's."""
     callbacks, _ = check_resumes(
-        lambda: model_of("OptionDQN", venv_of()), lambda: [discovering(interruption=True)], tmp_path, cuts=(0.9,)
+        lambda: model_of("OptionDQN", venv_of()),
+        lambda: [discovering(use={"interruption": True})],
+        tmp_path,
+        cuts=(0.9,),
     )
-    assert callbacks[0]._options.interrupter._refreshed  # type: ignore[attr-defined]  # of discovery
+    assert callbacks[0]._installer.interrupter._refreshed  # type: ignore[attr-defined]  # of discovery
