@@ -7,8 +7,8 @@ ARGS ?=
 
 .PHONY: train paper test test-slow docs lint check format architecture upgrade clean
 
-train: $(TRAINS)  ## Train in two rooms, with discovery and without; pass flags as ARGS="dqn --seed 1"
-	$(BIN)/python train.py $(ARGS) --compare
+train: $(TRAINS)  ## Show the gain: discover an option, move the goal, train with it and without; ARGS="--video"
+	$(BIN)/python train.py demo $(ARGS)
 
 paper: $(READY)  ## The paper's gridworld figures, 30 runs each, into out/paper
 	$(BIN)/python -m experiments.paper all --runs 30 --out out/paper $(ARGS)

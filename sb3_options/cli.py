@@ -24,7 +24,7 @@ from rich.table import Table
 
 from sb3_options.extras import how_to_install
 from sb3_options.runs import config as configs
-from sb3_options.runs.commands import CompareConfig, EvaluateConfig, InspectConfig, ResumeConfig, TuneConfig
+from sb3_options.runs.commands import CompareConfig, DemoConfig, EvaluateConfig, InspectConfig, ResumeConfig, TuneConfig
 from sb3_options.runs.config import FIELDS, GROUPS, TrainConfig
 from sb3_options.runs.keywords import NUMBERS, PAIRS, value_of
 from sb3_options.runs.program import program_name
@@ -70,6 +70,7 @@ FOREIGN = {"lr": "learning-rate", "timesteps": "n-timesteps", "total-timesteps":
 INTRODUCTION = """Train an agent that discovers its own options, or evaluate one. Or --version.
   [train] ALGORITHM maskableppo (default), ppo, a2c, trpo, recurrentppo, dqn,
                     qrdqn, optiondqn
+  demo              shows the gain in two minutes: a picture, a film (--video)
   evaluate RUN      plays a run again; `resume RUN` goes on with one
   compare RUN ...   sets runs side by side; `options RUN` shows its options
   --config FILE     reads settings, flags win over it; `tune FILE` searches them
@@ -304,6 +305,13 @@ def resume(config: ResumeConfig, interrupts: Interrupts | None = None) -> None:
     training.resume(config, interrupts)
 
 
+def demo(config: DemoConfig) -> None:
+    """Show the gain; see `runs.demo.show_demo`."""
+    from sb3_options.runs.demo import show_demo
+
+    show_demo(config, _console())
+
+
 def evaluate(config: EvaluateConfig) -> Evaluation:
     """Evaluate a run; see `runs.evaluation.show_evaluation`."""
     from sb3_options.runs.evaluation import show_evaluation
@@ -343,6 +351,7 @@ def _console() -> Console:
 
 
 COMMANDS: dict[str, tuple[type[Any], Callable[[Any], object]]] = {
+    "demo": (DemoConfig, demo),
     "evaluate": (EvaluateConfig, evaluate),
     "resume": (ResumeConfig, resume),
     "compare": (CompareConfig, compare),

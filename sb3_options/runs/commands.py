@@ -16,6 +16,29 @@ AUTO = "auto"
 
 
 @dataclass(frozen=True)
+class DemoConfig:
+    """Show the gain: discover an option in one task, then learn a harder task with it and without it.
+
+    Both agents have the same algorithm (MaskablePPO), settings and seeds.
+
+    Attributes:
+        task: "rooms" and "key" (a locked door) take two minutes, "minigrid" ten.
+        out: Folder for the table, the picture and the film.
+        seeds: Number of repetitions.
+        seed: Random seed of the first.
+        video: Film both agents of the first seed side by side.
+        progress: Show a progress bar.
+    """
+
+    task: Annotated[Literal["rooms", "key", "minigrid"], tyro.conf.Positional] = "rooms"
+    out: Path = Path("runs/demo")
+    seeds: int = 3
+    seed: int = 0
+    video: bool = False
+    progress: bool = True
+
+
+@dataclass(frozen=True)
 class EvaluateConfig:
     """Load a run in a new process and act greedily: mean return, success rate and primitive steps an episode.
 

@@ -47,7 +47,7 @@ ONLY_FOR = {
 }
 """Settings that have no effect on the other algorithms."""
 
-COMMANDS = ("train", "evaluate", "resume", "compare", "tune", "options")
+COMMANDS = ("train", "demo", "evaluate", "resume", "compare", "tune", "options")
 """The other first words of a command line."""
 
 MAX_SEED = 2**32 - 1

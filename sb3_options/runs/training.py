@@ -82,6 +82,20 @@ def train(config: TrainConfig, interrupts: Interrupts | None = None, *, resumed:
     return trained
 
 
+def discovery_callback(config: TrainConfig, *, verbose: int = 0) -> SubgoalDiscoveryCallback:
+    """The callback that a run trains with."""
+    return SubgoalDiscoveryCallback(
+        config.discovery,
+        config.option,
+        max_new_options=config.max_new_options if config.discover else 0,
+        use={"max_option_exploration": config.max_option_exploration, "interruption": config.interruption},
+        success=config.success,
+        usefulness=config.usefulness,
+        seed=config.seed,
+        verbose=verbose,
+    )
+
+
 def resume(resumed: ResumeConfig, interrupts: Interrupts | None = None) -> None:
     """Go on with a run. A finished run is left as it is.
 
@@ -163,16 +177,7 @@ def _lengthen(run: Path, n_timesteps: int) -> None:
 def _train_once(config: TrainConfig, interrupts: Interrupts, resumed: Path | None = None) -> Trained:
     """Train, and leave all of a run folder; none without a step taken, unless it was there before."""
     options = config.options if resumed is None else runs.options_of(resumed)
-    discovery = SubgoalDiscoveryCallback(
-        config.discovery,
-        config.option,
-        max_new_options=config.max_new_options if config.discover else 0,
-        use={"max_option_exploration": config.max_option_exploration, "interruption": config.interruption},
-        success=config.success,
-        usefulness=config.usefulness,
-        seed=config.seed,
-        verbose=1,
-    )
+    discovery = discovery_callback(config, verbose=1)
     discovery.hparams = _hparams_of(config, options)
     folder = runs.new_run_folder(config) if resumed is None else resumed
     with nullcontext() if resumed else held(folder):  # `resume` holds it already

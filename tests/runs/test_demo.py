@@ -1,0 +1,63 @@
+"""The demonstration, on a small map: what it prints and leaves."""
+
+import io
+import json
+from pathlib import Path
+
+import imageio.v3 as iio
+import pytest
+from rich.console import Console
+
+from sb3_options.options.bank import OptionBank
+from sb3_options.runs import demo
+from sb3_options.runs.commands import DemoConfig
+from tests.support.sb3_helpers import SMALL_ROOMS
+
+SMALL = demo.CLAIMS["rooms"]._replace(
+    source={"env": "sb3_options/TwoRooms-v0", "env_kwargs": {"map": SMALL_ROOMS, "max_steps": 100}},
+    target={"env": "sb3_options/TwoRooms-v0", "env_kwargs": {"map": SMALL_ROOMS, "max_steps": 40}},
+    source_steps=6_000,
+    target_steps=3_000,
+    evaluate_every=1_000,
+    cells=(9, 5),
+)
+
+
+@pytest.mark.parametrize(
+    ("success", "after"),
+    [([0.0, 0.9, 0.95], 2), ([0.9, 0.5, 1.0], None), ([], None), ([1.0, 0.0, 1.0, 1.0], 3)],
+)
+def test_a_task_is_learned_at_the_first_of_two_evaluations(success: list[float], after: int | None) -> None:
+    assert demo.learned_after(list(range(1, len(success) + 1)), success) == after
+
+
+def test_a_demonstration_leaves_table_picture_film_and_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(demo.CLAIMS, "rooms", SMALL)
+    printed = io.StringIO()
+    config = DemoConfig(out=tmp_path / "demo", seeds=1, seed=3, video=True, progress=False)
+    demo.show_demo(config, Console(file=printed, width=120))
+    with_option, without = json.loads((tmp_path / "demo/demo.json").read_text())
+    assert (with_option["arm"], without["arm"]) == (demo.WITH, demo.WITHOUT)
+    assert with_option["seed"] == without["seed"] == 3
+    assert all(len(each["steps"]) == len(each["success"]) > 0 for each in (with_option, without))
+    bank = OptionBank(4, 4)
+    bank.load(tmp_path / "demo/options-3.safetensors")
+    assert len(bank) == 1
+    assert with_option["subgoals"] in printed.getvalue()
+    assert iio.imread(tmp_path / "demo/demo.png").std() > 0
+    film = iio.imread(tmp_path / "demo/demo.gif")
+    assert len(film) > 2
+    assert film.shape[2] > 2 * film.shape[1]  # two wide maps side by side
+
+
+def test_both_agents_have_the_same_settings(tmp_path: Path) -> None:
+    target = demo.CLAIMS["rooms"].target
+    one = demo._config(target, 1_000, 0, tmp_path / "options.safetensors")
+    other = demo._config(target, 1_000, 0)
+    different = {name for name, value in vars(one).items() if getattr(other, name) != value}
+    assert different == {"options"}
+
+
+def test_a_demonstration_needs_a_seed() -> None:
+    with pytest.raises(ValueError, match="--seeds must be at least 1, got 0"):
+        demo.show_demo(DemoConfig(seeds=0), Console())
