@@ -132,12 +132,12 @@ class TestSuccess:
         assert callback.discoveries == []
 
     def test_so_is_the_static_filter(self) -> None:
-        def only_right(features: Any, start: Any, end: Any) -> Any:
-            return features[:, 0] > 5.5
+        def beyond_the_doorway(features: Any, start: Any, end: Any) -> Any:
+            return features[:, 0] > 4.5
 
-        callback, model = fast_callback(concepts={"static_filter": only_right}), model_of()
+        callback, model = fast_callback(concepts={"static_filter": beyond_the_doorway}), model_of()
         model.learn(STEPS, callback=callback)
-        assert [d.subgoal[0] > 5.5 for d in callback.discoveries] == [True]
+        assert [d.subgoal[0] > 4.5 for d in callback.discoveries] == [True]
 
 
 def test_one_seed_one_result() -> None:
@@ -243,7 +243,9 @@ def test_a_share_is_refused_out_of_range() -> None:
         SubgoalDiscoveryCallback(usefulness={"min_reached": 2})
 
 
-@pytest.mark.parametrize("name", ["success", "static_filter", "save_path", "hparams"])
-def test_what_is_no_such_thing_is_refused_when_the_callback_is_made(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "kwargs"), [("success", {"success": 3}), ("static_filter", {"concepts": {"static_filter": 3}})]
+)
+def test_a_rule_that_cannot_be_called_is_refused_when_the_callback_is_made(name: str, kwargs: dict[str, Any]) -> None:
     with pytest.raises(TypeError, match=f"^{name} must be .*, got 3"):
-        SubgoalDiscoveryCallback(**{name: 3})  # type: ignore[arg-type]
+        SubgoalDiscoveryCallback(**kwargs)

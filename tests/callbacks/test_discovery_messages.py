@@ -169,7 +169,7 @@ class TestTensorBoard:
         *_, last = accumulator.Tensors("options/slot_0/text_summary")
         assert last.step == model.num_timesteps
         (text,) = last.tensor_proto.string_val
-        assert b"| option | reach 5, 2 |" in text
+        assert b"| option | reach 4, 2 |" in text
         assert re.search(rb"% of the last runs, 100 at most: the subgoal was reached", text)
         told = accumulator.PluginTagToContent("hparams")
         assert "_hparams_/experiment" not in told, "TensorBoard would show the columns of one run for all"

@@ -170,7 +170,7 @@ def test_a_file_holds_the_map(tmp_path: Path) -> None:
     loaded = load_model(DQN, tmp_path / "model.zip", temporal_rooms())
     again = callback_with(max_new_options=0)
     loaded.learn(600, again)
-    assert again._features.map.fixed  # type: ignore[attr-defined]  # a learned one
+    assert again._keeper.features.map.fixed  # type: ignore[attr-defined]  # a learned one
     np.testing.assert_array_equal(again.bank.available(states), env.available(states))
 
 
@@ -216,7 +216,10 @@ def test_cut_and_resumed_is_never_interrupted(tmp_path: Path) -> None:
             {"method": "betweenness"},
             r"^A learned feature map moves .* pass OptionsWrapper\(feature_map=\.\.\.\) a funct",
         ),
-        ({"groups": [{"name": "one", "features": [0]}]}, r"^A learned feature map moves .* need features that stay: "),
+        (
+            {"concepts": {"groups": [{"name": "one", "features": [0]}]}},
+            r"^A learned feature map moves .* need features that stay: ",
+        ),
     ],
 )
 def test_what_does_not_go_together(kwargs: dict[str, Any], message: str) -> None:

@@ -157,13 +157,3 @@ def test_training_may_end_twice() -> None:
     model.learn(64, callback=callback)
     callback.on_training_end()
     assert model.n_steps == 64
-
-
-@pytest.mark.parametrize("primitive_rollouts", [False, True])
-def test_a_model_that_an_earlier_version_saved_in_a_short_rollout_has_its_own_length(primitive_rollouts: bool) -> None:
-    model = PPO("MlpPolicy", counting(), gamma=0.9, n_steps=48, batch_size=16, n_epochs=1, seed=0, device="cpu")
-    vars(model)["n_primitive_steps"] = 128
-    rollouts = Rollouts()
-    model.learn(300, callback=[PrimitiveStepsCallback(primitive_rollouts=primitive_rollouts), rollouts])
-    assert (rollouts.sizes[0][0], model.n_steps) == (128, 128)
-    assert not hasattr(model, "n_primitive_steps")

@@ -32,7 +32,9 @@ PEAKS: dict[str, Any] = {
 def learned(env: Any, settings: dict[str, Any] = PEAKS, **kwargs: Any) -> SubgoalDiscoveryCallback:
     """A callback that has seen 4,000 random steps."""
     callback = SubgoalDiscoveryCallback(settings, max_new_options=1)
-    model = DQN("MlpPolicy", env, gamma=0.9, replay_buffer_class=OptionReplayBuffer, **TINY | RANDOM | kwargs)
+    model = DQN(
+        "MlpPolicy", env, gamma=0.9, replay_buffer_class=OptionReplayBuffer, **TINY | RANDOM | {"seed": 1} | kwargs
+    )
     model.learn(4000, callback=callback)
     return callback
 

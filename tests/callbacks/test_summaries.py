@@ -21,8 +21,8 @@ def history_of(successes: list[bool]) -> list[EpisodeRecord]:
 @pytest.mark.parametrize(
     ("successes", "steps"),
     [
-        ([True] * 99, None),
-        ([True] * 100, 1000),
+        ([True] * 100, None),  # one rate, and two in a row are needed
+        ([True] * 101, 1000),
         ([True] * 89 + [False] * 500, None),
         ([False] * 30 + [True] * 200, 1200),  # after 30 failures and 90 successes
         ([True, False] * 100, None),
