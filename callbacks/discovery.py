@@ -81,14 +81,14 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         seed: int = 0,
         verbose: int = 0,
     ) -> None:
-        self.use = given_as(OptionUse, use or {})
+        self.use = given_as(OptionUse, {} if use is None else use)
         super().__init__(verbose, primitive_rollouts=self.use.primitive_rollouts)
         self.settings = given_as(DiscoverySettings, {} if settings is None else settings)
         if isinstance(method, str):
             self.settings = dataclasses.replace(self.settings, method=method)
         self.method = checked_method(method)
         self.option_settings = given_as(OptionLearningSettings, {} if option_settings is None else option_settings)
-        self.concepts = given_as(ConceptSettings, concepts or {})
+        self.concepts = given_as(ConceptSettings, {} if concepts is None else concepts)
         self.embedding = given_as(EmbeddingSettings, self.concepts.embedding)
         check_arguments(success, max_new_options, seed)
         self.success = success_rule(success)

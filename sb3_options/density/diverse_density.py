@@ -144,7 +144,7 @@ class DiverseDensity:
 
     def __post_init__(self) -> None:
         """Refuse arguments out of range, by name."""
-        known_scale = self.concept == POINT
+        known_scale = isinstance(self.concept, Concept) and self.concept == POINT
         if self.method is None:
             object.__setattr__(self, "method", "gradient" if known_scale else "thorough")
         features = self.features

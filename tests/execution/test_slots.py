@@ -129,7 +129,7 @@ def test_gamma(gamma: float) -> None:
 
 
 def test_feature_map() -> None:
-    with pytest.raises(TypeError, match=r"^feature_map must be a function from a batch.+got int\.$"):
+    with pytest.raises(TypeError, match=r"^feature_map must be a function from a batch.+got 3\.$"):
         OptionsWrapper(CountingEnv(), feature_map=3)  # type: ignore[arg-type]  # the point of the test
 
 

@@ -28,6 +28,7 @@ MADE: dict[str, tuple[Callable[..., Any], Callable[..., Any], dict[str, Any]]] =
 ALIASES = {
     **{name: name.replace("_", "-") for name in ("env_kwargs", "algo_kwargs", "max_runs", "n_envs")},
     "groups": "FeatureGroup",
+    "use": "OptionUse",
     "concepts": "ConceptSettings",
     "settings": "DiscoverySettings",
     "option_settings": "OptionLearningSettings",

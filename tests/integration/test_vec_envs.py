@@ -254,7 +254,7 @@ class TestEvaluationEnvironment:
                 assert all(state == states[0] for state in states)
                 versions.add(states[0])
 
-            model.learn(2000, callback=[evaluation, discovery, Spy(compare)])
+            model.learn(3000, callback=[evaluation, discovery, Spy(compare)])
             assert len(discovery.discoveries) == 1
             assert len(versions) > 2  # none, the first, one that has learned further
 
