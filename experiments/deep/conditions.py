@@ -91,9 +91,8 @@ def train(
             settings.discovery,
             settings.option,
             max_new_options=settings.max_new_options if options is None else 0,
-            use={"max_option_exploration": settings.max_option_exploration[family(algo)]},
+            use={"max_option_exploration": settings.max_option_exploration[family(algo)], **settings.callback},
             seed=seed,
-            **settings.callback,
         )
         callbacks = [discovery, *callbacks, Served(eval_env)]
     elif arm == "repeats":

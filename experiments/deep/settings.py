@@ -71,7 +71,7 @@ class DeepSettings:
         max_new_options: Most options to discover.
         discovery: Other than the defaults of `DiscoverySettings`.
         option: Other than the defaults of `OptionLearningSettings`.
-        callback: Switches of `SubgoalDiscoveryCallback`: ``interruption``.
+        callback: Switches of `OptionUse`: ``interruption``.
         n_steps: Decisions of the n-step returns, stock and with options.
         brought_exploration: Share of training over which DQN's ε falls where options are brought along, which explore
             themselves; None takes the algorithm's own.

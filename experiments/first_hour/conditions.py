@@ -49,7 +49,7 @@ CONDITIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "dqn": ("dqn", {}),
     "dqn, no discovery": ("dqn", {"max_new_options": 0}),
     "optiondqn": ("optiondqn", {}),
-    "maskableppo, filter by distances": ("maskableppo", {"static_filter": near_start_and_goal()}),
+    "maskableppo, filter by distances": ("maskableppo", {"concepts": {"static_filter": near_start_and_goal()}}),
 }
 """Algorithm, and what its callback is told, by the name of the condition."""
 
