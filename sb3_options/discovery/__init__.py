@@ -1,6 +1,6 @@
 """From trajectories to subgoals. Pure.
 
-`DiscoverySettings` and `Discovery` are what users name.
+`DiscoverySettings` and ``Discovery`` are what users name.
 """
 
 from typing import TYPE_CHECKING, Any

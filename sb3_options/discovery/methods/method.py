@@ -186,7 +186,7 @@ class DiscoveryMethod(Protocol):
 
 
 class Method:
-    """A `DiscoveryMethod` of the library, with what `Discovery` asks besides.
+    """A `DiscoveryMethod` of the library, with what ``Discovery`` asks besides.
 
     Attributes:
         needs_success: Whether it proposes nothing before a success.
