@@ -63,6 +63,11 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     `bank` holds the options, `discoveries` says when and where each was found, `closed` which were closed again, and
     `history` how episodes went. Set `save_path` to have the options written each time one is made, and `hparams` to the
     settings for TensorBoard's HParams tab, by default those of the algorithm and of discovery.
+
+    Raises:
+        ValueError: A setting is out of its range; or, when training starts, something does not fit: the sentence says
+            what to change.
+        TypeError: An argument is of the wrong kind.
     """
 
     STATE = ("episodes", "history", "discovery", "_keeper")

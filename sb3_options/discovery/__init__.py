@@ -20,3 +20,8 @@ def __getattr__(name: str) -> Any:
     from sb3_options.discovery.discovery import Discovery
 
     return Discovery
+
+
+def __dir__() -> list[str]:
+    """The public names, for completion and the reference."""
+    return sorted(__all__)
