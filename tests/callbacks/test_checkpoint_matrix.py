@@ -15,8 +15,8 @@ from tests.support.sb3_helpers import fast_callback
 
 __all__ = ["keep_all"]
 
-STEPS = 2600
-"""Primitive steps, after which every algorithm tries an option."""
+STEPS = {"DQN": 6000}
+"""Primitive steps after which an algorithm tries an option, where 2,600 are too few: DQN explores empty slots."""
 
 
 def eager() -> SubgoalDiscoveryCallback:
@@ -55,7 +55,8 @@ def test_cut_off_anywhere(name: str, subproc: bool, tmp_path: Path) -> None:
     def make() -> Any:
         return model_of(name, venv_of(subproc=subproc))
 
-    _, whole = trained(make, [eager(), CheckpointCallback(tmp_path / "whole", 1)], steps=STEPS)
+    steps = STEPS.get(name, 2600)
+    _, whole = trained(make, [eager(), CheckpointCallback(tmp_path / "whole", 1)], steps=steps)
     files = sorted((tmp_path / "whole").glob("0*"))
     after = files.index(first(files, filled))
     cuts = {
@@ -67,6 +68,6 @@ def test_cut_off_anywhere(name: str, subproc: bool, tmp_path: Path) -> None:
         "while a checkpoint is written": half_written(files, tmp_path / "half"),
     }
     for file in sorted(set(cuts.values())):
-        _, resumed = trained(make, [eager(), CheckpointCallback(tmp_path / "rest", 10**9)], resume=file, steps=STEPS)
+        _, resumed = trained(make, [eager(), CheckpointCallback(tmp_path / "rest", 10**9)], resume=file, steps=steps)
         where = [name for name, each in cuts.items() if each == file]
         assert differing(whole, resumed) == [], f"{' and '.join(where)}, after {int(file.stem)} steps"

@@ -54,7 +54,7 @@ def test_a_search_for_settings(nodes: TwoNodes, tmp_path: Path, monkeypatch: pyt
     }
     Path("space.yml").write_text(yaml.safe_dump(space))
     out = str(tmp_path / "out")  # workers are in another folder
-    words = ["--trials", "2", "--seeds", "1", "--reach", "return=5", "--jobs", "2", "--cluster", nodes.address]
+    words = ["--trials", "2", "--seeds", "1", "--reach", "return=5", "--jobs", "1", "--cluster", nodes.address]
     cli.main(["tune", str(tmp_path / "space.yml"), "--out", out, *words])
     assert configs.load(Path("out/best.yml")).algo == "ppo"
     assert len(list(tmp_path.glob("out/runs/*/0/output.txt"))) == 2

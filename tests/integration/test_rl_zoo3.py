@@ -23,7 +23,7 @@ RUN = "sb3_options-TwoRooms-v0_1"
 # So that the option is chosen now and then in play, whatever these few steps have taught.
 EXPLORING = {"dqn": ["exploration_final_eps:0.5"], "qrdqn": ["exploration_final_eps:0.5"]}
 # Eight environments at once end fewer episodes each, and options move in between rollouts.
-N_TIMESTEPS = {"dqn": 2500, "qrdqn": 2500, "ppo": 8000}
+N_TIMESTEPS = {"dqn": 5000, "qrdqn": 2500, "ppo": 8000}
 FILES = sorted(EXAMPLES.glob("*.yml"))
 
 needs_zoo = pytest.mark.skipif(
