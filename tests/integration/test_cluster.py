@@ -47,14 +47,22 @@ def test_train_and_resume(nodes: TwoNodes, tmp_path: Path) -> None:
 
 def test_a_search_for_settings(nodes: TwoNodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Trainings run in Ray's workers."""
+    nodes.add_second()  # two jobs need two processors
     monkeypatch.chdir(tmp_path)
     space = {
-        "base": {"algo": "ppo", "env": "CartPole-v1", "n_timesteps": 300, "n_envs": 1, "discover": False},
+        "base": {
+            "algo": "ppo",
+            "env": "CartPole-v1",
+            "n_timesteps": 300,
+            "n_envs": 1,
+            "batch_size": 32,
+            "discover": False,
+        },
         "search": {"n_steps": [32, 64]},
     }
     Path("space.yml").write_text(yaml.safe_dump(space))
     out = str(tmp_path / "out")  # workers are in another folder
-    words = ["--trials", "2", "--seeds", "1", "--reach", "return=5", "--jobs", "1", "--cluster", nodes.address]
+    words = ["--trials", "2", "--seeds", "1", "--reach", "return=5", "--jobs", "2", "--cluster", nodes.address]
     cli.main(["tune", str(tmp_path / "space.yml"), "--out", out, *words])
     assert configs.load(Path("out/best.yml")).algo == "ppo"
     assert len(list(tmp_path.glob("out/runs/*/0/output.txt"))) == 2
