@@ -258,16 +258,16 @@ def table_of(results: Mapping[str, list[Learning]], found: Found, first_seed: in
     """Primitive steps until the task is learned, a row for each seed."""
     table = Table("seed", "subgoals discovered", *results, title="Primitive steps until 90 % of the episodes succeed")
     for i, options in enumerate(found):
-        cells = [_told(learnings[i]) for learnings in results.values()]
-        table.add_row(str(first_seed + i), _named(options), *cells)
+        cells = [_steps_text(learnings[i]) for learnings in results.values()]
+        table.add_row(str(first_seed + i), _subgoals_text(options), *cells)
     return table
 
 
-def _named(options: list[DiscoveredOption]) -> str:
+def _subgoals_text(options: list[DiscoveredOption]) -> str:
     return "; ".join(option.where for option in options) or "none"
 
 
-def _told(learning: Learning) -> str:
+def _steps_text(learning: Learning) -> str:
     after = learned_after(learning.steps, learning.success)
     if after is None:
         return f"not within {learning.steps[-1]:,} (success rate {learning.success[-1]:.0%})"
@@ -280,7 +280,7 @@ def _numbers(results: Mapping[str, list[Learning]], found: Found, first_seed: in
         {
             "seed": first_seed + i,
             "arm": arm,
-            "subgoals": _named(options),
+            "subgoals": _subgoals_text(options),
             "learned_after": learned_after(each.steps, each.success),
             "steps": each.steps,
             "success": each.success,
