@@ -308,8 +308,11 @@ def figure_of(
     left.set_title("the harder task", fontsize="medium")
     if claim.cells is not None and options:
         size = np.array([task.shape[1], task.shape[0]]) / claim.cells
-        x, y = (np.array([option.subgoal for option in options]) + 0.5).T * size[:, None]
-        left.plot(x, y, "*", color=COLOURS[WITH], markersize=14, label="subgoal of the option")
+        cells = np.array(
+            [option.subgoal[:2] for option in options]
+        )  # column and row; on a map with a key, also the key
+        x, y = (cells + 0.5).T * size[:, None]
+        left.plot(x, y, "*", color=COLOURS[WITH], markersize=14, label="subgoal of an option")
         left.legend(loc="lower right", fontsize="small")
     right.set_title("success rate while training", fontsize="medium")
     _draw_curves(right, results, claim.target_steps)

@@ -3,11 +3,14 @@
 import io
 import json
 from pathlib import Path
+from typing import Any, cast
 
 import imageio.v3 as iio
+import numpy as np
 import pytest
 from rich.console import Console
 
+from sb3_options.callbacks import DiscoveredOption
 from sb3_options.options.bank import OptionBank
 from sb3_options.runs import demo
 from sb3_options.runs.commands import DemoConfig
@@ -48,6 +51,14 @@ def test_a_demonstration_leaves_table_picture_film_and_options(tmp_path: Path, m
     film = iio.imread(tmp_path / "demo/demo.gif")
     assert len(film) > 2
     assert film.shape[2] > 2 * film.shape[1]  # two wide maps side by side
+
+
+def test_subgoals_on_a_map_with_a_key_are_marked_at_their_cells() -> None:
+    key = DiscoveredOption(0, 1, 100, np.array([0.0, 7.0, 5.0]), "0, 7, 5", log_density=0.0, initiation_states=9)
+    learning = demo.Learning([1000], [1.0], cast("Any", None))
+    results = {demo.WITH: [learning], demo.WITHOUT: [learning]}
+    figure = demo.figure_of(results, demo.CLAIMS["key"], [key], np.zeros((80, 130, 3), np.uint8))
+    assert np.array_equal(figure.axes[0].lines[0].get_xydata(), [[5.0, 75.0]])
 
 
 def test_both_agents_have_the_same_settings(tmp_path: Path) -> None:
