@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
+from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 
 from sb3_options.callbacks.counting import all_callbacks, check_every_step
-from sb3_options.checked import given_as, is_number, whole
+from sb3_options.checked import is_number, whole
 from sb3_options.embedding.settings import LEARNED
 from sb3_options.execution.features import MAX_FEATURES
 from sb3_options.execution.vec_env import as_wrapper_sees, space_of_environments
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.observations import (
-    FeatureMap,
     FloatArray,
     Observations,
     batch_of_one,
@@ -28,18 +26,14 @@ from sb3_options.experience.observations import (
     take,
 )
 from sb3_options.experience.option_run import OptionRun
-from sb3_options.learning.bonus_replay import set_bonus
 from sb3_options.learning.novelty import (
     Keys,
-    Novelty,
     NoveltyKind,
     RandomNetworkDistillation,
     ReturnScale,
-    RNDSettings,
     StateCounts,
     bin_widths,
     binned_keys,
-    checked_features,
     exact_keys,
     is_table_like,
 )
@@ -56,24 +50,20 @@ class IntrinsicRewardCallback(BaseCallback):
     gets Σ γⁱ bᵢ over all of them, also those inside.
 
     Advantages and returns of PPO, A2C and the other algorithms with rollouts are those of rewards with the bonus
-    (`add_bonuses`). DQN and the other algorithms with a replay buffer get it when they sample a batch, as it is by
-    then: what was new when it was stored may be well known. Environments, monitors and evaluations see the rewards of
-    the task alone. It works without options, and with them beside `SubgoalDiscoveryCallback` or
-    `PrimitiveStepsCallback`, in any order.
+    (`add_bonuses`). DQN and the other algorithms with an `OptionReplayBuffer` get it when they sample a batch, as it is
+    by then: what was new when it was stored may be well known. Environments, monitors and evaluations see the rewards
+    of the task alone. It works beside `SubgoalDiscoveryCallback` or `PrimitiveStepsCallback`, in any order, and with
+    rollouts also without options.
 
     There is one value function for both rewards, so a bonus ends with the episode, which that of Burda et al. (2018)
     does not.
 
     Args:
-        kind: ``counts``, 1 / √N of the visits to a state; or ``rnd``, random network distillation.
+        kind: ``counts``, 1 / √N of the visits to a state; or ``rnd``, random network distillation. Observations of
+            whole numbers are counted as they are, images among them. Of others the environment's ``concept_features``,
+            or the feature map of `OptionsWrapper`, are rounded to whole numbers, or else the flat observation to
+            twentieths of its range. ``rnd`` sees the flat observation.
         weight: w, at least 0.
-        feature_map: What is counted or predicted, φ from a batch of observations to (batch, d). By default ``rnd`` sees
-            the flat observation. ``counts`` counts observations of whole numbers as they are, images among them; of
-            others the environment's ``concept_features`` or the feature map of `OptionsWrapper`, or else the flat
-            observation, in bins.
-        bin_width: Of the features that are counted, which are rounded to whole multiples of it. By default 1, and for
-            the numbers of a flat observation a twentieth of their range, where the space bounds it.
-        rnd: Settings of the networks, or a mapping of them.
         seed: Of the networks' weights.
 
     Attributes:
@@ -82,8 +72,7 @@ class IntrinsicRewardCallback(BaseCallback):
     Raises:
         ValueError: An argument is out of its range; or, when training starts, there is nothing that can be counted, or
             γ is 1.
-        TypeError: ``feature_map`` is no function, or ``rnd`` is no settings or has an unknown field; or, when training
-            starts, the algorithm has no buffer that a bonus could be added to, or one of a class that is not known.
+        TypeError: When training starts, the algorithm has no buffer that a bonus could be added to.
     """
 
     STATE = ("novelty", "scale", "_bonus_weight")
@@ -93,9 +82,6 @@ class IntrinsicRewardCallback(BaseCallback):
         kind: NoveltyKind = "counts",
         *,
         weight: float = 0.1,
-        feature_map: FeatureMap | None = None,
-        bin_width: float | None = None,
-        rnd: RNDSettings | Mapping[str, Any] | None = None,
         seed: int = 0,
     ) -> None:
         super().__init__()
@@ -103,16 +89,12 @@ class IntrinsicRewardCallback(BaseCallback):
             raise ValueError(f"kind must be 'counts' or 'rnd', got {kind!r}.")
         if not (is_number(weight) and 0.0 <= weight < math.inf):
             raise ValueError(f"weight must be at least 0 and finite, got {weight!r}.")
-        if bin_width is not None and not (is_number(bin_width) and 0.0 < bin_width < math.inf):
-            raise ValueError(f"bin_width must be above 0, got {bin_width!r}.")
-        if feature_map is not None and not callable(feature_map):
-            raise TypeError(f"feature_map must be a function of a batch of observations, got {feature_map!r}.")
         if not whole(seed, 0):
             raise ValueError(f"seed must be a whole number of at least 0, got {seed!r}.")
-        self.kind, self.weight, self.bin_width, self.seed = kind, weight, bin_width, seed
-        self.feature_map = feature_map
-        self.rnd = None if rnd is None else given_as(RNDSettings, rnd)
-        self.novelty: Novelty | None = None
+        self.kind = kind
+        self.weight = weight
+        self.seed = seed
+        self.novelty: StateCounts | RandomNetworkDistillation | None = None
         self.scale: ReturnScale | None = None
         self._sums: list[list[float]] = []
         self._bonus_weight = 0.0
@@ -131,7 +113,6 @@ class IntrinsicRewardCallback(BaseCallback):
             self.novelty = StateCounts(self._keys(space_of_environments(self.training_env)))
         self._has_options = any(self.training_env.env_is_wrapped(OptionsWrapper))
         if self._replay is not None:
-            set_bonus(self._replay, None)  # refuses classes that are not known
             both = [each for each in all_callbacks(self.locals.get("callback")) if isinstance(each, type(self))]
             if len(both) > 1:
                 raise ValueError(
@@ -142,41 +123,38 @@ class IntrinsicRewardCallback(BaseCallback):
     def set_state(self, state: dict[str, Any]) -> None:
         """Continue from a checkpoint, once training has started."""
         if self.novelty is None and state["novelty"] is not None:  # networks are made at the first step
-            self.novelty = self._networks(len(state["novelty"].state["statistics"].state["mean"]))
+            size = len(state["novelty"].state["statistics"].state["mean"])
+            self.novelty = RandomNetworkDistillation(size, self.seed)
         restore(self, state)
-
-    def _networks(self, size: int) -> RandomNetworkDistillation:
-        return RandomNetworkDistillation(size, self.feature_map or flatten, self.rnd, self.seed)
 
     def _check_buffers(self) -> None:
         """Refuse an algorithm without a buffer, or with one that does not hold what a bonus is for."""
-        if not isinstance(getattr(self.model, "rollout_buffer", self._replay), RolloutBuffer | ReplayBuffer):
+        if not isinstance(getattr(self.model, "rollout_buffer", self._replay), RolloutBuffer | OptionReplayBuffer):
             raise TypeError(
-                f"{type(self.model).__name__} has no rollout or replay buffer of Stable-Baselines3 that a bonus could "
-                "be added to: IntrinsicRewardCallback is for PPO, A2C, DQN and the like."
+                f"{type(self.model).__name__} has no rollout buffer and no OptionReplayBuffer, which a bonus could be "
+                "added to: IntrinsicRewardCallback is for PPO, A2C, DQN and the like; pass "
+                "replay_buffer_class=OptionReplayBuffer."
             )
-        if isinstance(self._replay, OptionReplayBuffer) and not self._replay.macro_q:
+        if self._replay is not None and not self._replay.macro_q:
             raise ValueError(
                 "The bonus of an option is that of the primitive steps inside it, which a replay buffer with "
                 "macro_q=False does not store: leave out replay_buffer_kwargs={'macro_q': False}."
             )
 
     @property
-    def _replay(self) -> ReplayBuffer | None:
+    def _replay(self) -> OptionReplayBuffer | None:
         return getattr(self.model, "replay_buffer", None)
 
     def _keys(self, space: spaces.Space[Any]) -> Keys:
-        if self.feature_map is not None:
-            return binned_keys(self.feature_map, self.bin_width or 1.0)
         if is_table_like(space):
             return exact_keys(space)
         if self.training_env.has_attr("concept_features") and not self._learns_features():
-            return binned_keys(self._concept_features, self.bin_width or 1.0)
+            return binned_keys(self._concept_features)
         if isinstance(space, spaces.Box) and np.prod(space.shape) <= MAX_FEATURES:
-            return binned_keys(flatten, self.bin_width or bin_widths(space))
+            return binned_keys(flatten, bin_widths(space))
         raise ValueError(
-            f"There is nothing to count in {space}: pass IntrinsicRewardCallback(feature_map=...) a function from a "
-            "batch of observations to features (batch, d), or choose 'rnd'."
+            f"There is nothing to count in {space}: pass OptionsWrapper(feature_map=...) a function from a batch of "
+            "observations to features (batch, d), or choose 'rnd'."
         )
 
     def _learns_features(self) -> bool:
@@ -192,7 +170,7 @@ class IntrinsicRewardCallback(BaseCallback):
         self._sums.clear()
         if self._replay is not None:
             # Nothing is sampled in a rollout; what an exception ends there leaves the buffer as it was.
-            set_bonus(self._replay, None)
+            self._replay.bonus = None
 
     def _on_step(self) -> bool:
         runs = [OptionRun.from_info(info) if self._has_options else None for info in self.locals["infos"]]
@@ -204,14 +182,14 @@ class IntrinsicRewardCallback(BaseCallback):
 
     def _on_rollout_end(self) -> None:
         if self._replay is not None:
-            set_bonus(self._replay, self._bonus_now)
+            self._replay.bonus = self._bonus_now
         else:
             buffer: RolloutBuffer = self.model.rollout_buffer  # type: ignore[attr-defined]  # checked at the start
             add_bonuses(buffer, self._bonus_weight * np.array(self._sums))
 
     def _on_training_end(self) -> None:
         if self._replay is not None:
-            set_bonus(self._replay, None)
+            self._replay.bonus = None
 
     def _bonus_now(self, observations: Observations) -> FloatArray:
         """The present bonus of observations as a replay buffer stores them: not normalised."""
@@ -236,9 +214,8 @@ class IntrinsicRewardCallback(BaseCallback):
     def _visit(self, arrived: list[Observations]) -> list[FloatArray]:
         """The bonuses of the primitive steps of each environment, not yet weighted, (k,) each."""
         together = concatenate(arrived)
-        if self.novelty is None:  # only now is the size of observations, or of the user's features, known for certain
-            features = self.feature_map or flatten
-            self.novelty = self._networks(checked_features(features, together).shape[1])
+        if self.novelty is None:  # only now is the size of observations known for certain
+            self.novelty = RandomNetworkDistillation(flatten(together).shape[1], self.seed)
         ends = np.cumsum([batch_size(each) for each in arrived])[:-1]
         return np.split(self.novelty.visit(together), ends)
 

@@ -22,4 +22,6 @@ BONUS: dict[Arm, NoveltyKind] = {"count-bonus": "counts", "rnd": "rnd", "options
 
 def has_arm(algo: str, arm: Arm) -> bool:
     """Whether there is such an arm of an algorithm."""
-    return arm not in N_STEP or not algo.startswith("ppo")
+    if arm in N_STEP:
+        return not algo.startswith("ppo")
+    return not (arm in BONUS and arm in STOCK) or algo.startswith("ppo")  # bonuses need a replay buffer of ours

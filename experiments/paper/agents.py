@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from typing import Any, cast
 
 import gymnasium as gym
@@ -161,7 +162,8 @@ class Replay(BaseCallback):
         cells = trajectory.states.argmax(axis=1)  # type: ignore[union-attr]  # one-hot vectors
         ended = np.zeros(len(began), dtype=bool)
         ended[-1] = trajectory.terminated
-        self._agent.replay(
+        replay(
+            self._agent,
             cells[began[steps]].tolist(),
             trajectory.actions[steps].tolist(),
             trajectory.rewards[steps].tolist(),
@@ -169,6 +171,33 @@ class Replay(BaseCallback):
             ended[steps].tolist(),
         )
         self.backups += len(steps)
+
+
+def replay(
+    agent: MacroQ,
+    began: Sequence[int],
+    actions: Sequence[int],
+    rewards: Sequence[float],
+    led: Sequence[int],
+    ended: Sequence[bool],
+) -> None:
+    """Q-learning of primitive actions from earlier steps, in the given order (experience replay, Lin 1992).
+
+    Args:
+        agent: Over a table.
+        began: State where each step began, (n,); likewise all others.
+        actions: Primitive actions.
+        rewards: Of each step.
+        led: State where it led.
+        ended: Whether nothing follows.
+    """
+    table = agent.policy.table()
+    step_size, n_primitive = cast("float", agent.learning_rate), wrapper_of(agent).n_primitive
+    rows: list[list[float]] = table.tolist()  # five times faster to write to than an array
+    for state, action, reward, next_state, over in zip(began, actions, rewards, led, ended, strict=True):
+        target = reward if over else reward + agent.gamma * max(rows[next_state][:n_primitive])
+        rows[state][action] += step_size * (target - rows[state][action])
+    table[:] = rows
 
 
 def steps_in_initiation_set(option: SubgoalOption, features: FloatArray) -> BoolArray:

@@ -10,12 +10,10 @@ import gymnasium as gym
 import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.logger import Logger
 
 from sb3_options.checked import is_number, whole
 from sb3_options.checkpoints.tree import State
-from sb3_options.learning import buffer_state
 from sb3_options.learning.families import family_of
 from sb3_options.learning.replay_buffer import Growing, OptionReplayBuffer
 from sb3_options.learning.rollout_buffer import option_rollout_buffer
@@ -47,6 +45,11 @@ def check(model: BaseAlgorithm) -> None:
         raise ValueError(
             f"Checkpoints of {type(model).__name__} are not supported yet; those of {', '.join(SUPPORTED)} are."
         )
+    buffer = getattr(model, "replay_buffer", None)
+    if not isinstance(buffer, OptionReplayBuffer | None):
+        raise ValueError(
+            f"Checkpoints of {type(buffer).__name__} are not supported: pass replay_buffer_class=OptionReplayBuffer."
+        )
 
 
 def get_state(model: BaseAlgorithm) -> State:
@@ -68,7 +71,7 @@ def get_state(model: BaseAlgorithm) -> State:
     }
     buffer = getattr(model, "replay_buffer", None)
     if buffer is not None:
-        state["replay_buffer"] = buffer_state.get_state(buffer)
+        state["replay_buffer"] = buffer.get_state()
     if model.use_sde:  # the noise of the rollout that begins is drawn already
         noise: Any = model.policy.action_dist
         state["noise"] = noise.exploration_mat.detach(), noise.exploration_matrices.detach()
@@ -78,7 +81,7 @@ def get_state(model: BaseAlgorithm) -> State:
 def growing(model: BaseAlgorithm) -> list[Growing]:
     """The large arrays in `get_state` that tell how they have grown."""
     buffer = getattr(model, "replay_buffer", None)
-    return buffer.growing() if isinstance(buffer, OptionReplayBuffer) else []
+    return [] if buffer is None else buffer.growing()
 
 
 def _rollout(model: BaseAlgorithm) -> State:
@@ -130,8 +133,8 @@ def set_state(model: BaseAlgorithm, state: State) -> None:
         buffer.extend(state[there])
     _set_random(model.action_space, state["action_space"])
     if "replay_buffer" in state:
-        replay: ReplayBuffer = model.replay_buffer  # type: ignore[attr-defined]  # as there
-        buffer_state.set_state(replay, state["replay_buffer"])
+        replay: OptionReplayBuffer = model.replay_buffer  # type: ignore[attr-defined]  # as there
+        replay.set_state(state["replay_buffer"])
         if not (whole(replay.pos, 0) and replay.pos < replay.buffer_size):
             raise ValueError(f"The checkpoint writes to row {replay.pos!r} of a buffer of {replay.buffer_size}.")
     if model.use_sde:

@@ -13,17 +13,19 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.buffers import BaseBuffer
+from stable_baselines3.common.buffers import BaseBuffer, DictReplayBuffer, NStepReplayBuffer, ReplayBuffer
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, is_vecenv_wrapped
 
 from sb3_options.learning import heads
-from sb3_options.learning.bonus_replay import WITH_BONUS
 from sb3_options.learning.macro_q import MacroQ
 from sb3_options.learning.masked import MaskedPrediction
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 
 logger = logging.getLogger("sb3_options")
+
+STOCK_BUFFERS = (ReplayBuffer, DictReplayBuffer, NStepReplayBuffer)
+"""Replay buffers of SB3 whose transitions an `OptionReplayBuffer` takes over."""
 
 KEPT_KWARGS = frozenset({"handle_timeout_termination", "n_steps", "gamma"})
 """What a stock replay buffer was made with that `OptionReplayBuffer` takes too."""
@@ -268,11 +270,13 @@ class ValueBased(Networks):
         """Also refuse a replay buffer whose transitions could not be taken over."""
         super().check_can_widen()
         buffer = self.model.replay_buffer
-        if buffer is not None and type(buffer) not in WITH_BONUS and self.replay_buffer is None:
+        if buffer is None or self.replay_buffer is not None:
+            return
+        if type(buffer) not in STOCK_BUFFERS or buffer.optimize_memory_usage:
             raise TypeError(
                 f"The transitions of a {type(buffer).__name__} cannot be taken over, only those of "
-                f"{', '.join(each.__name__ for each in WITH_BONUS)}: set model.replay_buffer = None to go on with an "
-                "empty one."
+                f"{', '.join(each.__name__ for each in STOCK_BUFFERS)} without optimize_memory_usage: set "
+                "model.replay_buffer = None to go on with an empty one."
             )
 
     def widen(self, actions: spaces.Discrete) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, Self, cast
+from typing import Any, ClassVar, Protocol, Self, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -14,13 +14,49 @@ from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback
 from stable_baselines3.common.utils import safe_mean
 
 from sb3_options.execution.wrapper import OptionsWrapper
-from sb3_options.experience.observations import BoolArray, FloatArray
+from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 from sb3_options.experience.option_run import OptionRun
-from sb3_options.learning.linear_features import LinearFeatures, OneHot
 from sb3_options.learning.masked import MaskedPrediction, n_actions_of
 
 LONGEST_ROLLOUT = 1000
 """Decisions of each environment after which a rollout ends though no episode has: of tasks without episodes, say."""
+
+
+class LinearFeatures(Protocol):
+    """Which of ``n_features`` binary features are 1 in an observation; always ``n_active`` of them.
+
+    Attributes:
+        n_features: How many there are.
+        n_active: How many of them are 1.
+    """
+
+    n_features: int
+    n_active: int
+
+    def active(self, observations: npt.NDArray[Any]) -> IntArray:
+        """Indices of the features that are 1, for a batch of observations: shape (batch, n_active)."""
+
+
+class OneHot:
+    """One feature per state: a linear value function over it is a table.
+
+    Args:
+        n_features: Number of states.
+        coded: Whether observations are one-hot vectors (batch, n_features) rather than indices (batch,).
+    """
+
+    n_active = 1
+
+    def __init__(self, n_features: int, *, coded: bool) -> None:
+        self.n_features = n_features
+        self.coded = coded
+
+    def active(self, observations: npt.NDArray[Any]) -> IntArray:
+        """The state's index, shape (batch, 1)."""
+        if self.coded:
+            index: IntArray = observations.reshape(-1, self.n_features).argmax(axis=1, keepdims=True)
+            return index
+        return observations.reshape(-1, 1).astype(np.int64)
 
 
 class LinearPolicy(BasePolicy):
@@ -209,33 +245,6 @@ class MacroQ(MaskedPrediction):
         callback.on_training_end()
         return self
 
-    def replay(
-        self,
-        began: Sequence[int],
-        actions: Sequence[int],
-        rewards: Sequence[float],
-        led: Sequence[int],
-        ended: Sequence[bool],
-    ) -> None:
-        """Q-learning from earlier primitive steps, in the given order (experience replay, Lin 1992).
-
-        Only for features of which one is active, such as `OneHot`; the maximum is taken over primitive actions.
-
-        Args:
-            began: Active feature where each step began, shape (n,).
-            actions: Primitive actions, shape (n,).
-            rewards: Shape (n,).
-            led: Active feature where each step led, shape (n,).
-            ended: Whether nothing follows, shape (n,).
-        """
-        table = self.policy.table()
-        step_size, gamma, n_primitive = cast("float", self.learning_rate), self.gamma, self._n_primitive
-        rows: list[list[float]] = table.tolist()  # five times faster to write to than an array
-        for state, action, reward, next_state, over in zip(began, actions, rewards, led, ended, strict=True):
-            target = reward if over else reward + gamma * max(rows[next_state][:n_primitive])
-            rows[state][action] += step_size * (target - rows[state][action])
-        table[:] = rows
-
     def _learn_from(
         self,
         began: list[int],
@@ -371,6 +380,5 @@ def default_features(space: spaces.Space[Any]) -> LinearFeatures:
     if isinstance(space, spaces.Box) and len(space.shape) == 1 and (space.low == 0).all() and (space.high == 1).all():
         return OneHot(space.shape[0], coded=True)
     raise ValueError(
-        f"There are no default features for {space}: pass features=TileCoding(low, high, tiles) or "
-        "OneHot(n, coded=...)."
+        f"There are no default features for {space}: pass features=OneHot(n, coded=...), or your own LinearFeatures."
     )

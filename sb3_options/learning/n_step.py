@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-Rows = npt.NDArray[np.int64]
+Indices = npt.NDArray[np.int64]
+
+Column: TypeAlias = Callable[[Indices], npt.NDArray[np.float32]]
+"""Some rows of a replay buffer, (batch,) → a number of each."""
 
 END = -1
 """Nothing is stored that follows: the episode ended, or the newest decision."""
-
-
-class Column(Protocol):
-    """A number of each row of a replay buffer."""
-
-    def __getitem__(self, rows: Rows, /) -> npt.NDArray[np.float32]:
-        """Of some rows."""
 
 
 class NStepReturns(NamedTuple):
@@ -29,7 +26,7 @@ class NStepReturns(NamedTuple):
         discounts: γ to the power of all their primitive steps, (batch,).
     """
 
-    last: Rows
+    last: Indices
     rewards: npt.NDArray[np.float32]
     discounts: npt.NDArray[np.float32]
 
@@ -40,29 +37,29 @@ class Successors:
     The steps inside an option are rows too: each is followed by the next one inside, the last by the next decision.
 
     Args:
-        buffer_size: Rows of the replay buffer.
+        buffer_size: Indices of the replay buffer.
         n_envs: Number of parallel environments, whose rows are stored in one sequence.
     """
 
     def __init__(self, buffer_size: int, n_envs: int) -> None:
-        self.following: Rows = np.full(buffer_size, END, dtype=np.int64)
+        self.following: Indices = np.full(buffer_size, END, dtype=np.int64)
         self.begin(n_envs)
 
     def begin(self, n_envs: int) -> None:
         """Let nothing that is stored be followed by a new decision, of so many environments."""
         self._newest = [np.zeros(0, dtype=np.int64)] * n_envs
 
-    def newest(self, env: int) -> Rows:
+    def newest(self, env: int) -> Indices:
         """The newest decision of an environment whose episode goes on, (1,); or nothing, (0,)."""
         return self._newest[env][-1:]
 
-    def add(self, env: int, decision: int, inner: Rows, *, follows: bool, done: bool) -> None:
+    def add(self, env: int, decision: int, inner: Indices, *, follows: bool, done: bool) -> None:
         """Enter the newest decision of an environment.
 
         Args:
             env: Which.
             decision: Its row.
-            inner: Rows of the steps inside it, in order, (k,) or empty.
+            inner: Indices of the steps inside it, in order, (k,) or empty.
             follows: Whether it began where the `newest` one ended. A reset in mid-episode comes between them otherwise.
             done: Whether the episode ended with it.
         """
@@ -76,23 +73,7 @@ class Successors:
         self._newest = [rows[~np.isin(rows, written)] for rows in self._newest]
         self._newest[env] = written[:0] if done else written[max(len(inner) - 1, 0) :]
 
-    def link(self, dones: npt.NDArray[np.float32], pos: int) -> None:
-        """Enter rows that were stored in turn: one decision of each environment, then the next of each.
-
-        Args:
-            dones: Of all stored rows, 1 where the episode ended.
-            pos: The row behind the newest one.
-        """
-        if not len(dones):
-            return
-        n_envs, size = len(self._newest), len(self.following)
-        rows = np.arange(len(dones))
-        newest = (pos - n_envs + np.arange(n_envs)) % size
-        goes_on = (dones == 0) & ~np.isin(rows, newest)
-        self.following[rows] = np.where(goes_on, (rows + n_envs) % size, END)
-        self._newest = [row[dones[row] == 0] for row in newest[:, None]]
-
-    def cut(self, rows: Rows) -> None:
+    def cut(self, rows: Indices) -> None:
         """End every return before and after rows that now hold other transitions."""
         self.following[np.isin(self.following, rows)] = END
         self.following[rows] = END
@@ -107,20 +88,20 @@ class Successors:
         self.following[: len(state["following"])] = state["following"]
         self._newest = state["newest"]
 
-    def returns(self, rows: Rows, n: int, rewards: Column, discounts: npt.NDArray[np.float32]) -> NStepReturns:
+    def returns(self, rows: Indices, n: int, rewards_of: Column, discounts: npt.NDArray[np.float32]) -> NStepReturns:
         """The n-step returns from some rows.
 
         Args:
             rows: First decisions, (batch,).
             n: Most decisions.
-            rewards: Of all rows of the buffer.
+            rewards_of: The rewards of some rows.
             discounts: γᵏ of all rows of the buffer.
         """
-        last, total, discount = rows, rewards[rows], discounts[rows]
+        last, total, discount = rows, rewards_of(rows), discounts[rows]
         for _ in range(n - 1):
             following = self.following[last]
             goes_on = following != END
             last = np.where(goes_on, following, last)
-            total = total + np.where(goes_on, discount * rewards[last], np.float32(0))
+            total = total + np.where(goes_on, discount * rewards_of(last), np.float32(0))
             discount = np.where(goes_on, discount * discounts[last], discount)
         return NStepReturns(last, total, discount)

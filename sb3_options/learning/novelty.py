@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, Literal, Protocol, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import torch
@@ -14,7 +14,6 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from torch import nn
 from torch.nn import functional
 
-from sb3_options.checked import Field, settings
 from sb3_options.density.arrays import short_key
 from sb3_options.experience.observations import FeatureMap, FloatArray, Observations, batch_size, flatten
 from sb3_options.state import declare
@@ -33,18 +32,23 @@ CLIP = 5.0
 SMALLEST = 1e-8
 """Added to variances before their root is divided by."""
 
+BINS = 20.0
+"""A bounded number of a flat observation has so many bins from its lowest to its highest value."""
 
-class Novelty(Protocol):
-    """What `IntrinsicRewardCallback` adds to rewards, before it is scaled."""
+LARGEST_SPAN = 1e6
+"""A wider range than this (the largest float, say) is no bound."""
 
-    def visit(self, observations: Observations) -> FloatArray:
-        """How new each observation is that was arrived in, (batch,); from now on it is less so."""
+N_FEATURES = 64
+"""Numbers that the random network makes of an observation."""
 
-    def of(self, observations: Observations) -> FloatArray:
-        """How new each observation is by now, (batch,), without a visit."""
+HIDDEN = 128
+"""Units of a hidden layer; the predictor has one such layer more."""
 
-    def records(self) -> dict[str, float]:
-        """What is logged of it, by name."""
+LEARNING_RATE = 1e-3
+"""Of Adam."""
+
+BATCH = 64
+"""The predictor takes a gradient step each time this many observations were visited."""
 
 
 class StateCounts:
@@ -68,7 +72,7 @@ class StateCounts:
         return 1.0 / np.sqrt(counts)
 
     def of(self, observations: Observations) -> FloatArray:
-        """1 / √N, (batch,); 1 of what was never visited."""
+        """1 / √N, (batch,), without a visit; 1 of what was never visited."""
         counts = [self.visits.get(key, 1) for key in self.keys(observations)]
         return 1.0 / np.sqrt(np.array(counts, dtype=np.float64))
 
@@ -85,11 +89,7 @@ def is_table_like(space: spaces.Space[Any]) -> bool:
 
 
 def exact_keys(space: spaces.Space[Any]) -> Keys:
-    """Each observation is counted as itself.
-
-    Args:
-        space: Of the observations; `is_table_like`.
-    """
+    """Each observation of a space that `is_table_like` is counted as itself."""
     parts = space.spaces if isinstance(space, spaces.Dict) else {"": space}
 
     def keys(observations: Observations) -> list[bytes]:
@@ -100,113 +100,63 @@ def exact_keys(space: spaces.Space[Any]) -> Keys:
     return keys
 
 
-BINS = 20.0
-"""A bounded feature of a flat observation has so many bins from its lowest to its highest value."""
-
-
 def bin_widths(space: spaces.Box) -> FloatArray:
     """Widths of the bins of a flat observation, (d,): the range of each number in `BINS` parts, 1 where it has none."""
     spans = space.high.ravel().astype(np.float64) - space.low.ravel()
     return np.where(np.isfinite(spans) & (spans > 0.0) & (spans < LARGEST_SPAN), spans / BINS, 1.0)
 
 
-LARGEST_SPAN = 1e6
-"""A wider range than this (the largest float, say) is no bound."""
-
-
 def binned_keys(features: FeatureMap, bin_width: float | FloatArray = 1.0) -> Keys:
-    """Each observation is counted as the bin its features are in: the nearest whole multiples of ``bin_width``.
-
-    Args:
-        features: φ, a batch of observations → (batch, d).
-        bin_width: In units of concept space, one for all features or (d,).
-
-    Raises:
-        ValueError: From the keys: φ does not return (batch, d), or a feature is not finite.
-    """
+    """Each observation is counted as the bin of its features, (batch, d): the nearest multiples of ``bin_width``."""
 
     def keys(observations: Observations) -> list[bytes]:
-        bins = np.rint(checked_features(features, observations) / bin_width).astype(np.int64)
-        return [short_key(row.tobytes()) for row in bins]
+        rows = np.asarray(features(observations), dtype=np.float64)
+        if not np.isfinite(rows).all():
+            raise ValueError("The feature map of the bonus gave NaN or infinite features.")
+        return [short_key(row.tobytes()) for row in np.rint(rows / bin_width).astype(np.int64)]
 
     return keys
-
-
-def checked_features(features: FeatureMap, observations: Observations) -> FloatArray:
-    """φ of a batch, (batch, d).
-
-    Raises:
-        ValueError: It has another shape, or a feature is not finite.
-    """
-    made = np.asarray(features(observations), dtype=np.float64)
-    if made.ndim != 2 or len(made) != batch_size(observations):
-        raise ValueError(f"The feature map of the bonus must return shape (batch, d), it gave {made.shape}.")
-    if not np.isfinite(made).all():
-        raise ValueError("The feature map of the bonus gave NaN or infinite features.")
-    return made
-
-
-@settings
-class RNDSettings:
-    """Settings of `RandomNetworkDistillation`.
-
-    Attributes:
-        features: Numbers that the random network makes of an observation.
-        hidden: Units of the hidden layer; the predictor has one such layer more.
-        learning_rate: Of Adam.
-        batch_size: The predictor takes a gradient step each time this many observations were visited.
-    """
-
-    features: Annotated[int, Field(ge=1)] = 64
-    hidden: Annotated[int, Field(ge=1)] = 128
-    learning_rate: Annotated[float, Field(gt=0)] = 1e-3
-    batch_size: Annotated[int, Field(ge=1)] = 64
 
 
 class RandomNetworkDistillation:
     """How badly a network predicts what a random one makes of an observation (Burda et al. 2018, §2.2).
 
-    Features are normalised by their running mean and standard deviation, and clipped. The error is the mean of squares
-    over what the random network makes of them. Each visited observation is learned from once, as in the paper (4 epochs
-    of a quarter of the batch).
+    Flat observations are normalised by their running mean and standard deviation, and clipped. The error is the mean of
+    squares over what the random network makes of them. Each visited observation is learned from once, as in the paper
+    (4 epochs of a quarter of the batch).
 
     Args:
-        size: How many features there are.
-        features: Of a batch of observations, (batch, size): `flatten`, or a feature map.
-        settings: Of the networks.
-        seed: Of their weights.
+        size: Numbers of a flat observation.
+        seed: Of the networks' weights.
     """
 
     STATE = ("statistics", "loss", "target", "predictor", "_optimizer", "_visited")
 
-    def __init__(
-        self, size: int, features: FeatureMap = flatten, settings: RNDSettings | None = None, seed: int = 0
-    ) -> None:
-        self.features, self.settings = features, settings or RNDSettings()
+    def __init__(self, size: int, seed: int = 0) -> None:
         self.statistics = RunningMeanStd(shape=(size,))
         self.loss = math.nan
         with torch.random.fork_rng(devices=[]):  # the model's own draws stay as they are without a bonus
             torch.manual_seed(seed)
-            self.target = _network(size, self.settings, n_hidden=1).requires_grad_(requires_grad=False)
-            self.predictor = _network(size, self.settings, n_hidden=2)
-        self._optimizer = torch.optim.Adam(self.predictor.parameters(), lr=self.settings.learning_rate)
+            self.target = _network(size, n_hidden=1).requires_grad_(requires_grad=False)
+            self.predictor = _network(size, n_hidden=2)
+        self._optimizer = torch.optim.Adam(self.predictor.parameters(), lr=LEARNING_RATE)
         self._visited: list[torch.Tensor] = []
 
     def visit(self, observations: Observations) -> FloatArray:
         """The error before the predictor learns from these observations, (batch,)."""
-        rows = checked_features(self.features, observations)
+        rows = flatten(observations)
         self.statistics.update(rows)
         normalized = self._normalized(rows)
         errors = self._errors(normalized)
         self._visited.append(normalized)
-        if sum(map(len, self._visited)) >= self.settings.batch_size:
+        if sum(map(len, self._visited)) >= BATCH:
             self._learn(torch.cat(self._visited))
             self._visited.clear()
         return errors
 
     def of(self, observations: Observations) -> FloatArray:
-        """The present error, (batch,)."""
-        return self._errors(self._normalized(np.asarray(self.features(observations), dtype=np.float64)))
+        """The present error, (batch,), without a visit."""
+        return self._errors(self._normalized(flatten(observations)))
 
     def records(self) -> dict[str, float]:
         """The predictor's last loss; nothing before the first."""
@@ -230,17 +180,17 @@ class RandomNetworkDistillation:
         self.loss = loss.item()
 
 
-def _network(size: int, settings: RNDSettings, *, n_hidden: int) -> nn.Sequential:
-    widths = [size, *[settings.hidden] * n_hidden]
+def _network(size: int, *, n_hidden: int) -> nn.Sequential:
+    widths = [size, *[HIDDEN] * n_hidden]
     layers: list[nn.Module] = []
     for before, after in itertools.pairwise(widths):
         layers += [nn.Linear(before, after), nn.ReLU()]
-    made = nn.Sequential(*layers, nn.Linear(settings.hidden, settings.features))
-    for layer in made:
+    network = nn.Sequential(*layers, nn.Linear(HIDDEN, N_FEATURES))
+    for layer in network:
         if isinstance(layer, nn.Linear):
             nn.init.orthogonal_(layer.weight, math.sqrt(2.0))
             nn.init.zeros_(layer.bias)
-    return made
+    return network
 
 
 class ReturnScale:

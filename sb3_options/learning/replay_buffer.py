@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Self, cast
+from collections.abc import Callable
+from typing import Any, NamedTuple, Self, TypeAlias, cast
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from gymnasium import spaces
-from stable_baselines3.common.buffers import BaseBuffer, DictReplayBuffer, ReplayBuffer
+from stable_baselines3.common.buffers import BaseBuffer, ReplayBuffer
 from stable_baselines3.common.preprocessing import is_image_space
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.common.vec_env import VecNormalize
 
 from sb3_options.checked import whole
-from sb3_options.experience.observations import BoolArray, Observations, take
+from sb3_options.experience.observations import BoolArray, FloatArray, Observations, take
 from sb3_options.experience.option_run import OptionRun
-from sb3_options.learning.bonus_replay import RowBonuses
-from sb3_options.learning.n_step import Successors
+from sb3_options.learning.n_step import Column, Indices, NStepReturns, Successors
 
 NO_ROWS: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)
 
 Rows = dict[str, npt.NDArray[Any]]
 """Observations by key; of a space that is no ``Dict`` the key is empty."""
+
+Bonus: TypeAlias = Callable[[Observations], FloatArray]
+"""Observations as the VecEnv gave them, (batch, ...) → the present bonus of having arrived there, (batch,)."""
 
 
 class OptionReplayBufferSamples(NamedTuple):
@@ -78,6 +81,9 @@ class OptionReplayBuffer(ReplayBuffer):
 
     The rows of all environments are stored in one sequence, because their options take different numbers of steps.
 
+    With a `bonus` sampled rewards have it added, as it is by then. The row of an option is worth Σ γⁱ bᵢ over the steps
+    inside it, which Macro-Q has stored in the rows behind it.
+
     Args:
         buffer_size: Most transitions it holds.
         observation_space: Also ``Dict``.
@@ -89,6 +95,9 @@ class OptionReplayBuffer(ReplayBuffer):
         macro_q: Whether the steps inside options are stored.
         n_steps: Decisions of an n-step return, each with its own γᵏ. Steps inside options count as one each.
         gamma: Unused, as for SB3's ``NStepReplayBuffer``: every transition has its own discount.
+
+    Attributes:
+        bonus: For arriving in an observation, as long as there is one; not pickled.
 
     Raises:
         ValueError: ``optimize_memory_usage`` is set, or ``n_steps`` is no whole number of at least 1.
@@ -121,7 +130,8 @@ class OptionReplayBuffer(ReplayBuffer):
         self.macro_q = macro_q
         self.n_steps = n_steps
         self._successors = Successors(buffer_size, n_envs) if n_steps > 1 else None
-        self.row_bonuses = RowBonuses(buffer_size)
+        self.bonus: Bonus | None = None
+        self.inner_steps = np.zeros(buffer_size, dtype=np.int64)  # how many rows behind each are the steps inside it
         self.written = 0
         self.copies = 0
         self._spaces = (
@@ -142,17 +152,14 @@ class OptionReplayBuffer(ReplayBuffer):
 
     @classmethod
     def from_stock(cls, stock: ReplayBuffer, action_space: spaces.Space[Any], gamma: float) -> Self:
-        """A buffer with the transitions and ``n_steps`` of one of SB3's own, `bonus_replay.WITH_BONUS`.
-
-        SB3 keeps rows of (steps, environments). They are stored one after the other here, so that the oldest are still
-        the first to be overwritten. The arrays are taken over and not copied: ``stock`` must not be used any more.
+        """A buffer with the transitions and ``n_steps`` of one of SB3's own, the oldest first.
 
         Args:
-            stock: One of SB3's own.
+            stock: One of SB3's own; it has stored next observations.
             action_space: Augmented actions.
             gamma: Discount γ of each transition; all are single primitive steps.
         """
-        made = cls(
+        buffer = cls(
             stock.buffer_size * stock.n_envs,
             stock.observation_space,
             action_space,
@@ -162,28 +169,15 @@ class OptionReplayBuffer(ReplayBuffer):
             n_steps=getattr(stock, "n_steps", 1),
         )
 
-        def flat(rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
-            return rows.reshape(made.buffer_size, *rows.shape[2:])
+        def at(observations: Any, row: int) -> Any:
+            return {k: v[row] for k, v in observations.items()} if isinstance(observations, dict) else observations[row]
 
-        observations: Any = stock.observations
-        # A buffer that saves memory keeps a step's next observation as the observation of the step behind it.
-        following: Any = np.roll(observations, -1, axis=0) if stock.optimize_memory_usage else stock.next_observations
-        if not isinstance(stock, DictReplayBuffer):
-            observations, following = {"": observations}, {"": following}
-        made._observations = {key: flat(rows) for key, rows in observations.items()}
-        made._next_observations = {key: flat(rows) for key, rows in following.items()}
-        made.actions, made.rewards = flat(stock.actions), flat(stock.rewards)
-        made.dones, made.timeouts = flat(stock.dones), flat(stock.timeouts)
-        made.discounts[:] = gamma
-        made.pos, made.full = stock.pos * stock.n_envs, stock.full
-        if stock.optimize_memory_usage and stock.full:
-            # The oldest rows, which SB3 does not sample, have lost their observations to the newest.
-            for column in made._columns():
-                column[:] = np.roll(column, -made.pos - stock.n_envs, axis=0)
-            made.pos, made.full = made.buffer_size - stock.n_envs, False
-        if made._successors is not None:
-            made._successors.link(made.dones[: made.size()], made.pos)
-        return made
+        run = {"index": -1, "duration": 1, "discount": gamma}
+        for row in np.roll(np.arange(stock.size()), -stock.pos if stock.full else 0).tolist():
+            infos = [{"option": run, "TimeLimit.truncated": bool(timeout)} for timeout in stock.timeouts[row]]
+            obs, next_obs = at(stock.observations, row), at(stock.next_observations, row)
+            buffer.add(obs, next_obs, stock.actions[row], stock.rewards[row], stock.dones[row], infos)
+        return buffer
 
     def track_availability(self, max_options: int) -> None:
         """Also keep, for each transition, which of ``max_options`` slots may start in its next observation."""
@@ -272,7 +266,7 @@ class OptionReplayBuffer(ReplayBuffer):
             self._write(here, there, chosen[None], reward[this], done[this], timeout, run.discount, last)
             if self.macro_q and run.index >= 0 and run.actions is not None:
                 inner = (self.pos + np.arange(run.duration)) % self.buffer_size
-                self.row_bonuses.inner_steps[decision] = run.duration
+                self.inner_steps[decision] = run.duration
                 self._write_inner(run, there, bool(done[i]), timeout)
             if self._successors is not None:
                 self._successors.add(i, decision, inner, follows=follows, done=bool(done[i]))
@@ -332,7 +326,7 @@ class OptionReplayBuffer(ReplayBuffer):
         if self.handle_timeout_termination:
             self.timeouts[rows] = timeouts
         self.discounts[rows] = discounts
-        self.row_bonuses.inner_steps[rows] = 0
+        self.inner_steps[rows] = 0
         if self.tracks_availability:
             self.next_available[rows] = False if available is None else available
         self.written += n
@@ -357,15 +351,10 @@ class OptionReplayBuffer(ReplayBuffer):
             seen: Any = self._normalize_obs(cast("Any", take(stored.get("", stored), rows)), env)
             return {k: self.to_torch(v) for k, v in seen.items()} if isinstance(seen, dict) else self.to_torch(seen)
 
-        if self._successors is None:
-            last, rewards, discounts = batch_inds, self.rewards[batch_inds], self.discounts[batch_inds]
-        else:
-            last, rewards, discounts = self._successors.returns(batch_inds, self.n_steps, self.rewards, self.discounts)
+        last, rewards, discounts = self._returns(batch_inds, self.rewards.__getitem__)
         rewards = self._normalize_reward(rewards.reshape(-1, 1), env)
-        if self.row_bonuses.bonus is not None:
-            rewards += self.row_bonuses.sampled(
-                batch_inds, self._arrived_in, self.discounts, self._successors, self.n_steps
-            )
+        if self.bonus is not None:
+            rewards += self._returns(batch_inds, self._bonuses).rewards[:, None]
         dones = self.dones[last] * (1 - self.timeouts[last])
         samples = OptionReplayBufferSamples(
             observations=tensors(self._observations, batch_inds),
@@ -378,6 +367,25 @@ class OptionReplayBuffer(ReplayBuffer):
         )
         return cast("ReplayBufferSamples", samples)
 
+    def _returns(self, rows: Indices, rewards_of: Column) -> NStepReturns:
+        if self._successors is None:
+            return NStepReturns(rows, rewards_of(rows), self.discounts[rows])
+        return self._successors.returns(rows, self.n_steps, rewards_of, self.discounts)
+
+    def _bonuses(self, rows: Indices) -> npt.NDArray[np.float32]:
+        """Σ γⁱ bᵢ over the primitive steps of each row."""
+        assert self.bonus is not None  # or it is not asked
+        inner_steps = self.inner_steps[rows]
+        steps = np.maximum(inner_steps, 1)
+        which = np.repeat(np.arange(len(rows)), steps)
+        i = np.arange(len(which)) - np.repeat(np.cumsum(steps) - steps, steps)
+        primitive = (np.repeat(rows + (inner_steps > 0), steps) + i) % self.buffer_size
+        discounted = self.discounts[primitive].astype(np.float64) ** i * self.bonus(self._arrived_in(primitive))
+        return np.bincount(which, weights=discounted, minlength=len(rows)).astype(np.float32)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "bonus": None}
+
     def _split(self, observations: Any) -> Rows:
         rows = observations if isinstance(observations, dict) else {"": observations}
         # A Discrete observation is a scalar to the environment and a vector of one to SB3.
@@ -387,7 +395,7 @@ class OptionReplayBuffer(ReplayBuffer):
         """Every array with one row per transition."""
         columns = [self.actions, self.rewards, self.dones, self.timeouts, self.discounts, self.next_available]
         observations = [*self._observations.values(), *self._next_observations.values()]
-        return [*columns, self.row_bonuses.inner_steps, *observations]
+        return [*columns, self.inner_steps, *observations]
 
     def growing(self) -> list[Growing]:
         """The observations, of which a checkpoint need not read again what it has: they are most of the memory."""

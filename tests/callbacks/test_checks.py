@@ -19,7 +19,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from sb3_options import MacroQ, OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.learning import heads
-from sb3_options.learning.linear_features import OneHot
+from sb3_options.learning.macro_q import OneHot
 from sb3_options.options.option import SubgoalOption
 from tests.learning.test_replay_buffer import all_samples
 from tests.support.helpers import CountingEnv, DictEnv, place_of, steady_option

@@ -16,11 +16,11 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger
 from stable_baselines3.common.vec_env import DummyVecEnv
 
+from experiments.pioneer.tiles import TileCoding
 from sb3_options import MacroQ, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.envs import GridWorld
-from sb3_options.learning.linear_features import OneHot, TileCoding
-from sb3_options.learning.macro_q import LONGEST_ROLLOUT
+from sb3_options.learning.macro_q import LONGEST_ROLLOUT, OneHot
 from tests.support.helpers import CountingEnv, steady_option, table_option
 from tests.support.sb3_helpers import (
     DOORWAY,
@@ -187,18 +187,16 @@ def test_greedy_ties_are_broken_evenly_and_epsilon_explores_all() -> None:
     assert np.bincount(chosen).tolist() == pytest.approx([1000, 4000, 1000], abs=150)
 
 
+def test_one_hot_names_the_state() -> None:
+    assert OneHot(4, coded=False).active(np.array([2, 0])).tolist() == [[2], [0]]
+    assert OneHot(3, coded=True).active(np.eye(3)[[1, 2]]).tolist() == [[1], [2]]
+
+
 def test_without_options_the_wrapper_changes_nothing() -> None:
     plain = MacroQ(small_rooms(), seed=4).learn(3000)
     wrapped = MacroQ(optioned_rooms(2), seed=4).learn(3000)
     assert (table_of(plain) == table_of(wrapped)[:, :4]).all()
     assert (table_of(wrapped)[:, 4:] == 0).all()
-
-
-def test_replay_is_q_learning_from_the_same_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    lived, _ = scripted(Script(terminate_at=3), [0, 1, 1], monkeypatch)
-    replayed, _ = scripted(Script(), [], monkeypatch)
-    replayed.replay([0, 1, 2], [0, 1, 1], [1.0, 2.0, 3.0], [1, 2, 3], [False, False, True])
-    assert (table_of(replayed) == table_of(lived)).all()
 
 
 def value_iteration(world: GridWorld) -> npt.NDArray[np.float64]:

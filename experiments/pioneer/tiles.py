@@ -1,56 +1,15 @@
-"""Binary features for linear value functions: one-hot (tabular) and tile coding (CMAC)."""
+"""Binary features of the robot's senses for `MacroQ`: tile coding (CMAC)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sb3_options.experience.observations import FloatArray, IntArray
-
-
-class LinearFeatures(Protocol):
-    """Which of ``n_features`` binary features are 1 in an observation; always ``n_active`` of them.
-
-    Attributes:
-        n_features: How many there are.
-        n_active: How many of them are 1.
-    """
-
-    n_features: int
-    n_active: int
-
-    def active(self, observations: npt.NDArray[Any]) -> IntArray:
-        """Indices of the features that are 1, for a batch of observations: shape (batch, n_active)."""
-
-
-class OneHot:
-    """One feature per state: a linear value function over it is a table.
-
-    Args:
-        n_features: Number of states.
-        coded: Whether observations are one-hot vectors (batch, n_features) rather than indices (batch,).
-
-    Raises:
-        ValueError: ``n_features`` < 1.
-    """
-
-    n_active = 1
-
-    def __init__(self, n_features: int, *, coded: bool) -> None:
-        if n_features < 1:
-            raise ValueError(f"n_features must be at least 1, got {n_features}.")
-        self.n_features = n_features
-        self.coded = coded
-
-    def active(self, observations: npt.NDArray[Any]) -> IntArray:
-        """The state's index, shape (batch, 1)."""
-        if self.coded:
-            index: IntArray = observations.reshape(-1, self.n_features).argmax(axis=1, keepdims=True)
-            return index
-        return observations.reshape(-1, 1).astype(np.int64)
+from sb3_options.learning.macro_q import LinearFeatures
 
 
 class TileCoding:
@@ -65,9 +24,6 @@ class TileCoding:
         high: Upper bounds, > low, shape (d,).
         tiles: Tiles along each dimension within the bounds, at least 1 each, shape (d,).
         n_tilings: Number of tilings, at least 1.
-
-    Raises:
-        ValueError: Shapes differ, or a value is out of its range.
     """
 
     def __init__(
@@ -81,15 +37,6 @@ class TileCoding:
         self.low = np.asarray(low, dtype=np.float64)
         self.high = np.asarray(high, dtype=np.float64)
         self.tiles = np.asarray(tiles, dtype=np.int64)
-        if not self.low.shape == self.high.shape == self.tiles.shape or self.low.ndim != 1:
-            raise ValueError(
-                f"low, high and tiles must have one entry per dimension, got shapes {self.low.shape}, "
-                f"{self.high.shape} and {self.tiles.shape}."
-            )
-        if not (np.isfinite(self.low).all() and np.isfinite(self.high).all() and (self.low < self.high).all()):
-            raise ValueError(f"low must be below high, both finite, got {self.low} and {self.high}.")
-        if (self.tiles < 1).any() or n_tilings < 1:
-            raise ValueError(f"tiles and n_tilings must be at least 1, got {tiles} and {n_tilings}.")
         self.n_active = n_tilings
         dimension, tiling = np.arange(len(self.low)), np.arange(n_tilings)[:, None]
         self._offsets: FloatArray = (tiling * (2 * dimension + 1)) % n_tilings / n_tilings
@@ -117,14 +64,9 @@ class Concatenated:
 
     Args:
         parts: Pairs of the numbers' indices in the flat observation, and features of these numbers.
-
-    Raises:
-        ValueError: There is no part.
     """
 
     def __init__(self, parts: Sequence[tuple[Sequence[int], LinearFeatures]]) -> None:
-        if not parts:
-            raise ValueError("parts must not be empty.")
         self.parts = [(np.asarray(columns, dtype=np.int64), features) for columns, features in parts]
         sizes = [features.n_features for _, features in self.parts]
         self.n_features = sum(sizes)

@@ -1,16 +1,8 @@
 """Features against tiles worked out by hand."""
 
-from typing import Any
-
 import numpy as np
-import pytest
 
-from sb3_options.learning.linear_features import Concatenated, OneHot, TileCoding
-
-
-def test_one_hot_names_the_state() -> None:
-    assert OneHot(4, coded=False).active(np.array([2, 0])).tolist() == [[2], [0]]
-    assert OneHot(3, coded=True).active(np.eye(3)[[1, 2]]).tolist() == [[1], [2]]
+from experiments.pioneer.tiles import Concatenated, TileCoding
 
 
 def test_one_tiling_is_a_grid() -> None:
@@ -30,12 +22,6 @@ def test_tilings_are_shifted_by_the_first_odd_integers() -> None:
         assert tiles.active(np.array([[x, y]])).tolist() == [by_hand]
     assert tiles.active(np.array([[0.3, 0.3]])).tolist() == [[0, 25 + 1, 50, 75 + 5]]
     assert tiles.n_features == 100
-
-
-def test_neighbours_share_tiles_in_proportion_to_their_nearness() -> None:
-    tiles = TileCoding([0.0], [8.0], [8], n_tilings=8)
-    here, *others = tiles.active(np.array([[3.0], [3.25], [3.5], [3.75], [4.0]]))
-    assert [int((here == other).sum()) for other in others] == [6, 4, 2, 0]
 
 
 def test_what_lies_beyond_a_bound_falls_into_the_tile_at_the_bound() -> None:
@@ -58,24 +44,3 @@ def test_parts_see_their_own_numbers_and_have_features_of_their_own() -> None:
     observations = np.array([[2.5, 99.0, 1.5], [0.0, 99.0, 0.0]])
     assert both.active(observations).tolist() == [[1, 3 + 2], [0, 3 + 0]]
     assert both.active(observations.reshape(2, 3, 1)).tolist() == [[1, 5], [0, 3]]
-    with pytest.raises(ValueError, match="parts must not be empty"):
-        Concatenated([])
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (([0.0], [1.0, 2.0], [4]), r"one entry per dimension, got shapes \(1,\), \(2,\) and \(1,\)"),
-        (([0.0], [0.0], [4]), "low must be below high, both finite"),
-        (([0.0], [np.inf], [4]), "low must be below high, both finite"),
-        (([0.0], [1.0], [0]), "tiles and n_tilings must be at least 1"),
-    ],
-)
-def test_refuses_bad_tilings(arguments: tuple[Any, Any, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        TileCoding(*arguments)
-
-
-def test_refuses_no_states() -> None:
-    with pytest.raises(ValueError, match="n_features must be at least 1, got 0"):
-        OneHot(0, coded=False)
