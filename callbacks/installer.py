@@ -33,7 +33,7 @@ class OptionInstaller:
     """Keeps the options of all environments, the heads of the network and the replay buffer equal to its `bank`.
 
     What the environments hold when it is made counts: what was learned of slots that are empty is forgotten, and what
-    an earlier training left behind is put right. The model's ``save`` writes that bank, too.
+    an earlier training left behind is put right. The model carries the bank, so that SB3's ``save`` writes it too.
 
     Off-policy algorithms get an option at once. Algorithms that sample actions from a policy without masks get it when
     the next rollout starts: with a head that was closed at the start of a rollout and open at its end, the update
@@ -90,7 +90,6 @@ class OptionInstaller:
             self._set_slots(interruption=None)  # an earlier training may have left its own
         opens = open_untrained and isinstance(self.family, Networks) and self.family.is_untrained(self.n_primitive)
         self._set_slots(expect_empty=True)
-        keep_options(model, self.bank)
         for slot, option in enumerate(present.slots):
             if option is None:
                 forget_empty(model, slot, self.n_primitive)
@@ -100,6 +99,7 @@ class OptionInstaller:
             self._install_now(slot, option, present=True)
         if earlier is not None and earlier.model is model:
             self._take_over(earlier)
+        keep_options(model, self.bank)
 
     def _take_over(self, earlier: OptionInstaller) -> None:
         """Install what was to be installed, and empty what was to be emptied, when the next rollout starts."""
@@ -119,6 +119,7 @@ class OptionInstaller:
         """Let the feature map of every environment be the one that is learned here."""
         assert self.learned_map is not None  # `LearnedFeatures.begin` has set it
         self._set_slots(learned_map=self.learned_map.arrays())
+        keep_options(self.model, self.bank)
 
     def install(self, slot: int, option: Option) -> None:
         """Install an option in an empty slot, at once or when the next rollout starts."""
@@ -127,17 +128,19 @@ class OptionInstaller:
             self._pending[slot] = option
         else:
             self._install_now(slot, option)
+        keep_options(self.model, self.bank)
 
     def replace(self, slot: int, option: Option) -> None:
         """Put a later version of an option into the slot it is in."""
+        before = self.bank[slot]
         if slot in self._pending:
             self.bank.add(option, slot)
             self._pending[slot] = option
-            return
-        before = self.bank[slot]
-        self._send(slot, option)
-        if slot not in self._new and not _same_initiation(before, option):
-            self._new.append(slot)  # its availability has to be computed anew
+        else:
+            self._send(slot, option)
+            if slot not in self._new and not _same_initiation(before, option):
+                self._new.append(slot)  # its availability has to be computed anew
+        keep_options(self.model, self.bank)
 
     def uninstall(self, slot: int) -> None:
         """Remove an option as soon as nothing that is still to be learned from can name it.
@@ -146,6 +149,7 @@ class OptionInstaller:
         """
         if self._pending.pop(slot, None) is not None:
             self.bank.remove(slot)  # it never was in an environment
+            keep_options(self.model, self.bank)
         else:
             self._closing.add(slot)
 
@@ -227,6 +231,7 @@ class OptionInstaller:
         self._new, self._closing = state["new"], set(state["closing"])
         if self.interrupter is not None:
             self.interrupter.set_state(state["interrupter"])
+        keep_options(self.model, self.bank)
 
     def _install_now(self, slot: int, option: Option, *, present: bool = False) -> None:
         self._send(slot, option, present=present)
@@ -257,6 +262,8 @@ class OptionInstaller:
             forget_slot(self.model, slot, self.n_primitive)
             if slot in self._new:
                 self._new.remove(slot)
+        if self._closing:
+            keep_options(self.model, self.bank)
         self._closing.clear()
 
     def _close_decayed(self) -> None:

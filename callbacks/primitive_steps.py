@@ -25,7 +25,6 @@ from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.families import family_of
 from sb3_options.learning.rollout_buffer import SMDPAdvantages, option_rollout_buffer
-from sb3_options.learning.saved_model import keep_options
 
 logger = logging.getLogger("sb3_options")
 
@@ -81,7 +80,6 @@ class PrimitiveStepsCallback(BaseCallback):
             monitor_primitive_steps(venv)
         if self._installs:
             self._installer = OptionInstaller(self.model, self.training_env, None, open_untrained=False)
-            keep_options(self.model)
             for venv in evaluation_envs(self.locals.get("callback")):
                 if all(venv.env_is_wrapped(OptionsWrapper)):
                     venv.env_method("set_slots", interruption=None)

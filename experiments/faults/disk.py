@@ -18,7 +18,6 @@ from sb3_contrib import MaskablePPO
 
 from experiments.common.seeds import write_json
 from experiments.faults.run_folder import RunFolder, train
-from sb3_options.learning.saved_model import keep_options
 from sb3_options.options.bank import OptionBank
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
@@ -49,11 +48,10 @@ def writers(run: RunFolder) -> dict[str, Write]:
     bank = OptionBank(run.n_primitive, run.max_options)
     bank.load(run.path / runs.OPTIONS)
     model = MaskablePPO.load(run.path / runs.MODEL, device="cpu")
-    keep_options(model, bank)
     config = configs.load(run.path / runs.CONFIG)
     return {
         runs.OPTIONS: bank.save,
-        runs.MODEL: model.save,
+        runs.MODEL: lambda path: runs.save_whole(model, path),
         runs.CONFIG: lambda path: configs.save(config, path),
         "results.json": lambda path: write_json(path, {"numbers": list(range(1000))}),
     }

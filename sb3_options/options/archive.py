@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TypeAlias
 
 NAME = "options.safetensors"
-"""Of the file in the folder of a run, and of the member of a ``model.zip``."""
+"""Of the file in the folder of a run."""
 
 CARRIED = "carried_options"
-"""Entry of a ``model.zip``'s ``data`` with the same content as text: SB3's own ``load`` and ``save`` keep it."""
+"""Attribute of a model, and entry of a ``model.zip``'s ``data``, with the content as text."""
 
 MAX_BYTES = 1 << 30
 """Largest content that is unpacked from a ``model.zip``, so that a small file cannot fill the memory."""
@@ -41,10 +41,11 @@ def content_in(source: Source) -> bytes:
             return file.read()
     try:
         with zipfile.ZipFile(path) as archive:
-            if NAME in archive.namelist():
-                return _member(archive, NAME)
-            # A model that SB3 loaded and saved, both without this library, only has the text.
-            data = json.loads(_member(archive, "data")) if "data" in archive.namelist() else {}
+            data = {}
+            if "data" in archive.namelist():
+                if archive.getinfo("data").file_size > MAX_BYTES:
+                    raise ValueError(f"data has more than {MAX_BYTES:,} bytes")
+                data = json.loads(archive.read("data"))
             if CARRIED in data:
                 return unpacked_text(data[CARRIED])
     except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, TypeError, ValueError) as error:
@@ -67,9 +68,3 @@ def unpacked_text(text: str) -> bytes:
     if not unpacker.eof:
         raise ValueError(f"its options are cut off, or have more than {MAX_BYTES:,} bytes")
     return content
-
-
-def _member(archive: zipfile.ZipFile, name: str) -> bytes:
-    if archive.getinfo(name).file_size > MAX_BYTES:
-        raise ValueError(f"{name} has more than {MAX_BYTES:,} bytes")
-    return archive.read(name)

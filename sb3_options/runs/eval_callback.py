@@ -9,6 +9,7 @@ from typing import Any
 from stable_baselines3.common.callbacks import EvalCallback, ProgressBarCallback
 from stable_baselines3.common.vec_env import VecEnv
 
+from sb3_options.atomic import atomic_write
 from sb3_options.experience.success import SuccessRule, judged, tell_success
 from sb3_options.runs.interrupts import Interrupts
 
@@ -39,7 +40,8 @@ class WatchedEvalCallback(EvalCallback):
     def __init__(
         self, interrupts: Interrupts, folder: Path, success: SuccessRule | None, eval_env: VecEnv, **kwargs: Any
     ) -> None:
-        super().__init__(eval_env, log_path=str(folder), best_model_save_path=str(folder), **kwargs)
+        super().__init__(eval_env, log_path=str(folder), **kwargs)
+        self.best = folder / BEST
         self.interrupts = interrupts
         self.success = success
         self._unreported: list[bool] = []
@@ -52,11 +54,15 @@ class WatchedEvalCallback(EvalCallback):
 
     def _on_step(self) -> bool:
         self._unreported = []
+        before = self.best_mean_reward
         try:
             goes_on = super()._on_step()
         except _InterruptedError:
             self.interrupts.ended = True
             return False
+        if self.best_mean_reward > before:
+            with atomic_write(self.best) as temporary:
+                self.model.save(temporary)
         self._show(f"evaluated: {self.last_mean_reward:.4g}")
         return goes_on
 

@@ -20,7 +20,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.preprocessing import get_obs_shape
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
-from sb3_options.atomic import remove_stale
+from sb3_options.atomic import atomic_write, remove_stale
 from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.envs import minigrid
 from sb3_options.execution.ray_vec_env import RayVecEnv
@@ -145,6 +145,12 @@ def options_of(run: Path) -> Path | None:
     return None if options is None else Path(str(options))
 
 
+def save_whole(model: BaseAlgorithm, path: Path) -> None:
+    """Replace a ``model.zip`` when all of it is written."""
+    with atomic_write(path) as temporary:
+        model.save(temporary)
+
+
 def save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
     """Save model and options; where one cannot be written, the other is, and a note says which is missing.
 
@@ -153,10 +159,10 @@ def save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
 
     def save_model(path: Path) -> None:
         try:
-            model.save(path)
+            save_whole(model, path)
         except OSError:
             CheckpointFolder(folder / CHECKPOINTS).make_room()
-            model.save(path)
+            save_whole(model, path)
 
     failed: list[Exception] = []
     for save, name in ((save_model, MODEL), (bank.save, OPTIONS)):

@@ -1,9 +1,6 @@
 """Options travel inside ``model.zip``, whoever saves the model and whoever loads it."""
 
-import io
-import json
 import logging
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +19,7 @@ from sb3_options import MacroQ, OptionBank, OptionDQN, OptionReplayBuffer, Optio
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.density.regions import Region
 from sb3_options.learning import heads
-from sb3_options.options.archive import CARRIED, NAME, content_in
+from sb3_options.options.archive import content_in
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from tests.support.helpers import steady_option
@@ -69,7 +66,6 @@ def test_a_loaded_model_has_its_options_and_acts_as_before(algorithm: Any, tmp_p
     model.save(tmp_path / "model")
     again = load_model(algorithm, tmp_path / "model", optioned_rooms())
     assert of_env(again) == (SLOT,)
-    assert CARRIED not in vars(again), "they are in the environment now"
     states = np.eye(45, dtype=np.float32)
     masks = {}
     if algorithm is MaskablePPO:
@@ -100,22 +96,8 @@ def test_what_sb3_loads_and_saves_by_itself_keeps_them(tmp_path: Path) -> None:
     """As ``rl_zoo3.push_to_hub`` does."""
     trained(DQN).save(tmp_path / "model.zip")
     DQN.load(tmp_path / "model.zip").save(tmp_path / "pushed.zip")
-    with zipfile.ZipFile(tmp_path / "pushed.zip") as archive:
-        assert NAME not in archive.namelist()
     assert content_in(tmp_path / "pushed.zip") == content_in(tmp_path / "model.zip")
     assert of_env(load_model(DQN, tmp_path / "pushed.zip", optioned_rooms())) == (SLOT,)
-
-
-def test_the_member_is_an_options_file_of_its_own(tmp_path: Path) -> None:
-    trained(DQN).save(tmp_path / "model.zip")
-    with zipfile.ZipFile(tmp_path / "model.zip") as archive:
-        (tmp_path / "options").write_bytes(archive.read(NAME))
-        entries = json.loads(archive.read("data"))
-    assert held(tmp_path / "options") == held(tmp_path / "model.zip") == (SLOT,)
-    assert "save" not in entries
-    env = optioned_rooms()
-    load_options(tmp_path / "model.zip", env)
-    assert env.bank.filled == (SLOT,)
 
 
 def test_checkpoints_and_the_best_model_keep_them(tmp_path: Path) -> None:
@@ -157,40 +139,6 @@ def test_an_option_that_waits_for_a_rollout_is_saved(tmp_path: Path) -> None:
 
     trained(PPO, callback=Installs(max_new_options=0))
     assert held(tmp_path / "model.zip") == (0, SLOT)
-
-
-def test_a_file_object(tmp_path: Path) -> None:
-    model, buffer = trained(DQN), io.BytesIO()
-    model.save(buffer)
-    with (tmp_path / "model.zip").open("wb") as file:
-        model.save(file)
-    (tmp_path / "buffer.zip").write_bytes(buffer.getvalue())
-    assert held(tmp_path / "model.zip") == held(tmp_path / "buffer.zip") == (SLOT,)
-    buffer.seek(0)
-    DQN.load(buffer)
-
-
-def test_an_error_leaves_the_older_file_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    model = trained(DQN)
-    model.save(tmp_path / "model.zip")
-    before = (tmp_path / "model.zip").read_bytes()
-
-    def full(*args: Any) -> None:
-        raise OSError("No space left on device")
-
-    monkeypatch.setattr(zipfile.ZipFile, "writestr", full)
-    with pytest.raises(OSError, match="No space left"):
-        model.save(tmp_path / "model.zip")
-    assert (tmp_path / "model.zip").read_bytes() == before
-    assert [path.name for path in tmp_path.iterdir()] == ["model.zip"]
-
-
-def test_what_to_leave_out_is_left_out(tmp_path: Path) -> None:
-    trained(DQN).save(tmp_path / "model.zip", exclude=["learning_rate"], include=["replay_buffer"])
-    with zipfile.ZipFile(tmp_path / "model.zip") as archive:
-        entries = json.loads(archive.read("data"))
-    assert "learning_rate" not in entries
-    assert "replay_buffer" in entries
 
 
 def test_a_model_that_has_none_says_so(tmp_path: Path) -> None:
@@ -265,16 +213,6 @@ def test_they_go_along_into_other_environments(algorithm: Any, callback: Any, be
     model.learn(50, callback=callback(), reset_num_timesteps=False)
     assert of_env(model) == (SLOT,)
     assert not heads.is_closed(model.policy, 4 + SLOT)
-
-
-def test_those_that_were_taken_out_are_not_saved(tmp_path: Path) -> None:
-    model = trained(DQN, callback=PrimitiveStepsCallback())
-    env_of(model).env_method("set_option", SLOT, None)
-    model.save(tmp_path / "model.zip")
-    assert held(tmp_path / "model.zip") == ()
-    model.set_env(optioned_rooms())
-    model.learn(50, callback=PrimitiveStepsCallback())
-    assert of_env(model) == ()
 
 
 class TestWarning:

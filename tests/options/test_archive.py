@@ -10,7 +10,7 @@ import pytest
 
 from sb3_options import OptionBank
 from sb3_options.options import archive
-from sb3_options.options.archive import CARRIED, NAME, content_in, packed_text
+from sb3_options.options.archive import CARRIED, content_in, packed_text
 
 CONTENT = OptionBank(4, 4).content()
 
@@ -22,17 +22,12 @@ def zipped(path: Path, members: Mapping[str, str | bytes], compression: int = zi
     return path
 
 
-def test_the_member_is_found_also_compressed(tmp_path: Path) -> None:
+def test_the_text_is_found_also_compressed(tmp_path: Path) -> None:
+    data = json.dumps({CARRIED: packed_text(CONTENT)})
     for compression in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        path = zipped(tmp_path / "model.zip", {"data": "{}", NAME: CONTENT}, compression)
+        path = zipped(tmp_path / "model.zip", {"data": data}, compression)
         assert content_in(path) == CONTENT
         OptionBank(4, 4).load(path)
-
-
-def test_the_member_goes_before_the_text(tmp_path: Path) -> None:
-    data = json.dumps({CARRIED: packed_text(b"older")})
-    assert content_in(zipped(tmp_path / "a", {"data": data})) == b"older"
-    assert content_in(zipped(tmp_path / "b", {"data": data, NAME: CONTENT})) == CONTENT
 
 
 @pytest.mark.parametrize(
@@ -55,6 +50,6 @@ def test_damage_is_said_in_one_line(members: dict[str, str], tmp_path: Path) -> 
 def test_little_does_not_become_much(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(archive, "MAX_BYTES", 1_000)
     bomb: Any = b"\0" * 1_001
-    for members in ({NAME: bomb}, {"data": bomb}, {"data": json.dumps({CARRIED: packed_text(bomb)})}):
+    for members in ({"data": bomb}, {"data": json.dumps({CARRIED: packed_text(bomb)})}):
         with pytest.raises(ValueError, match="more than 1,000 bytes"):
             content_in(zipped(tmp_path / "model.zip", members, zipfile.ZIP_DEFLATED))
