@@ -9,14 +9,13 @@ from itertools import islice
 from typing import Any
 
 from sb3_options.callbacks.checks import check_arguments, check_training, groups_here
-from sb3_options.callbacks.discovery_log import DiscoveryClock, draw_discovery, log_discovery, step_seconds_of
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.keeper import OptionKeeper
 from sb3_options.callbacks.learned_features import check_learned, features_for
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
 from sb3_options.callbacks.records import ClosedOption
 from sb3_options.callbacks.settings import ConceptSettings, OptionUse
-from sb3_options.callbacks.summaries import log_results, save_or_warn, settings_of
+from sb3_options.callbacks.summaries import draw_discovery, log_discovery, log_results, save_or_warn
 from sb3_options.callbacks.usefulness import Verdict
 from sb3_options.checked import given_as
 from sb3_options.discovery.discovery import Discovery
@@ -62,7 +61,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     `bank` holds the options, `discoveries` says when and where each was found, `closed` which were closed again, and
     `history` how episodes went. Set `save_path` to have the options written each time one is made, and `hparams` to the
-    settings for TensorBoard's HParams tab, by default those of the algorithm and of discovery.
+    settings for TensorBoard's HParams tab, by default those of discovery and options.
 
     Raises:
         ValueError: A setting is out of its range; or, when training starts, something does not fit: the sentence says
@@ -108,7 +107,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._keeper = OptionKeeper(self.option_settings, judging, seed)
         self.discoveries = self._keeper.discoveries
         self.closed = self._keeper.closed
-        self._clock = DiscoveryClock()
         self._began = 0
         self._ended = True
 
@@ -148,9 +146,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                 taken=[each.subgoal for each in self._installer.bank.slots if isinstance(each, SubgoalOption)],
             )
         keeper.begin(self._installer, self.discovery, self.max_new_options)
-        self.discovery.diary.step_seconds = step_seconds_of(self.model)
+        self.discovery.diary.step_seconds = self._installer.family.step_seconds
         venv.env_method("set_slots", record=self.settings.reward_peaks() or True)
-        self._clock = DiscoveryClock(self.discovery.diary.seconds)
         self._ended = False
 
     def _on_rollout_start(self) -> None:
@@ -196,7 +193,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             self._learn_from(trajectory, success)
         except ValueError as error:  # one episode that cannot be used is no reason to end training
             self._keeper.search.diary.unusable(self.episodes, error)
-        log_discovery(self.logger.record, self._keeper, self._clock, self.num_timesteps)
+        log_discovery(self.logger, self._keeper, self.num_timesteps)
 
     def _learn_from(self, trajectory: Trajectory, success: bool) -> None:
         made = self._keeper.learn_from(trajectory, success, self.episodes, self.num_timesteps)
@@ -229,7 +226,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     def set_state(self, state: dict[str, Any]) -> None:
         """Continue from a checkpoint, once training has started."""
         restore(self, state)
-        self._clock = DiscoveryClock(self._keeper.search.diary.seconds)
         self._keeper.features.resume(self._keeper.options)
         super().set_state(state)  # last: its options may need the feature map
 
@@ -243,7 +239,16 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.draw()
         if self.verbose and self.max_new_options != 0 and (why := self.why_nothing()) is not None:
             print(why)
-        own = settings_of(self.model, self.method, discovery=self.settings, option=self.option_settings)
-        log_results(self.logger, self.hparams or own, self.history, self.num_timesteps)
+        log_results(self.logger, self.hparams or self._own_settings(), self.history, self.num_timesteps)
         if self.logger.name_to_value:  # an empty dump warns
             self.logger.dump(self.num_timesteps)
+
+    def _own_settings(self) -> dict[str, Any]:
+        discovery = dataclasses.asdict(self.settings)
+        if self.method is not None:
+            discovery["method"] = type(self.method).__name__
+        return {
+            "algo": type(self.model).__name__,
+            "discovery": discovery,
+            "option": dataclasses.asdict(self.option_settings),
+        }

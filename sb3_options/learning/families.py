@@ -17,6 +17,7 @@ from stable_baselines3.common.buffers import BaseBuffer, DictReplayBuffer, NStep
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, is_vecenv_wrapped
 
+from sb3_options.discovery.budget import STEP_SECONDS, TABLE_STEP_SECONDS
 from sb3_options.learning import heads
 from sb3_options.learning.macro_q import MacroQ
 from sb3_options.learning.masked import MaskedPrediction
@@ -40,11 +41,13 @@ class Family:
     Attributes:
         has_heads: Whether each action has outputs of a network, which are closed while its slot is empty.
         has_rollouts: Whether it learns from rollouts, and so from the probabilities that actions had.
+        step_seconds: What training takes for a primitive step, in nominal seconds (`budget`).
         masks: Whether it chooses among available options only.
     """
 
     has_heads: ClassVar[bool] = False
     has_rollouts: ClassVar[bool] = False
+    step_seconds: ClassVar[float] = STEP_SECONDS
     masks: bool = False
 
     def __init__(self, model: Any) -> None:
@@ -102,6 +105,7 @@ class Family:
 class Table(Family):
     """`MacroQ`: values in a table, updated after every step."""
 
+    step_seconds = TABLE_STEP_SECONDS
     masks = True
 
     def check(self, venv: VecEnv) -> None:

@@ -180,7 +180,7 @@ class TestTensorBoard:
 
 
 def test_without_tensorboard_no_picture_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    drawing = "sb3_options.callbacks.discovery_log.discovery_figures"
+    drawing = "sb3_options.callbacks.summaries.discovery_figures"
     monkeypatch.setattr(drawing, lambda *_: pytest.fail("drew a picture"))
     callback = fast_callback()
     model_of().learn(STEPS, callback=callback)

@@ -2,15 +2,11 @@
 
 import numpy as np
 import pytest
-from stable_baselines3 import A2C, DQN, PPO
 
 from sb3_options.callbacks.records import DiscoveredOption
-from sb3_options.callbacks.summaries import flat_settings, results_of, settings_of, steps_to_learn, text_of
-from sb3_options.discovery.methods.graphs import LCut
-from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.callbacks.summaries import flat_settings, results_of, steps_to_learn, text_of
 from sb3_options.experience.trajectories import EpisodeRecord
 from tests.support.helpers import steady_option
-from tests.support.sb3_helpers import optioned_rooms
 
 
 def history_of(successes: list[bool]) -> list[EpisodeRecord]:
@@ -48,17 +44,6 @@ def test_settings_are_flat_and_of_one_kind_each() -> None:
     assert flat_settings(nested) == {"a": 1, "b.c": "True", "b.d.e": 2.5, "layers": "64, 32", "name": "x"}
 
 
-def test_settings_of_models() -> None:
-    env = optioned_rooms()
-    dqn = settings_of(DQN("MlpPolicy", env, train_freq=8, learning_rate=lambda left: 0.1 * left, buffer_size=10))
-    assert {"algo": "DQN", "train_freq": 8, "learning_rate": 0.1, "buffer_size": 10, "n_envs": 1}.items() <= dqn.items()
-    assert not {"device", "env", "policy", "verbose", "tensorboard_log"} & dqn.keys()
-    ppo = settings_of(PPO("MlpPolicy", env, policy_kwargs={"net_arch": [8]}), discovery=DiscoverySettings(decay=0.7))
-    assert {"clip_range": 0.2, "policy_kwargs.net_arch": "8", "discovery.decay": 0.7}.items() <= ppo.items()
-    a2c = settings_of(A2C("MlpPolicy", env), LCut(), discovery=DiscoverySettings())
-    assert {"algo": "A2C", "discovery.method": "LCut"}.items() <= a2c.items()
-
-
 def test_an_option_that_was_there_at_the_start() -> None:
     text = text_of(steady_option(), None, {})
     assert text.splitlines()[0] == f"| option | {steady_option().name} |"
@@ -69,9 +54,8 @@ def test_an_option_that_was_there_at_the_start() -> None:
 
 def test_a_discovered_option_with_its_statistics() -> None:
     found = DiscoveredOption(1, 20, 3_000, np.array([4.0, 2.0]), "4, 2", -1.234, 17, 12, 9)
-    tag = "options/slot_1"
-    ends = {f"{tag}/ended_subgoal": 0.75, f"{tag}/ended_truncated": 0.25, f"{tag}/ended_interrupted": 0.0}
-    text = text_of(steady_option(), found, {f"{tag}/runs": 1234.0, f"{tag}/mean_duration": 6.54, **ends})
+    ends = {"ended_subgoal": 0.75, "ended_truncated": 0.25, "ended_interrupted": 0.0}
+    text = text_of(steady_option(), found, {"runs": 1234.0, "mean_duration": 6.54, **ends})
     for row in (
         "| discovered | after 20 episodes, 3,000 primitive steps |",
         "| learned from | 12 saved episodes, of which 9 visit the subgoal |",
