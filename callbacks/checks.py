@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import spaces
@@ -19,11 +19,7 @@ from stable_baselines3.common.vec_env import (
 )
 
 from sb3_options.callbacks.counting import all_callbacks, check_every_step
-from sb3_options.checked import whole
-from sb3_options.density.groups import FeatureGroup, checked_groups
 from sb3_options.execution.above import wrappers_above
-from sb3_options.execution.slots import Traits
-from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.families import Family, Masked, family_of
 
@@ -33,51 +29,8 @@ if TYPE_CHECKING:
 logger = logging.getLogger("sb3_options")
 
 
-def check_arguments(
-    success: object,
-    max_new_options: int | None,
-    seed: int,
-) -> None:
-    """Refuse arguments of `SubgoalDiscoveryCallback` that are something else, or out of their range.
-
-    Raises:
-        TypeError: The rule of success cannot be called.
-        ValueError: Another one is out of its range.
-    """
-    if not (callable(success) or isinstance(success, str)):
-        raise TypeError(
-            f"success must be a function from a Trajectory to whether it succeeded, got {success!r}: success_by_return"
-            "(threshold) of sb3_options.experience.success is one. Or 'terminated', or 'return:30'."
-        )
-    if max_new_options is not None and not whole(max_new_options, 0):
-        raise ValueError(f"max_new_options must be at least 0, got {max_new_options!r}.")
-    if not whole(seed, 0):
-        raise ValueError(f"seed must be at least 0, a whole number, got {seed!r}.")
-
-
-def groups_here(given: Any, venv: VecEnv) -> tuple[FeatureGroup, ...]:
-    """The groups of features to search: those given, or else those that the environment or φ names.
-
-    Raises:
-        ValueError: One names a feature that there is not, or two have one name.
-    """
-    traits: Traits = venv.get_attr("traits", [0])[0]
-    groups = traits.feature_groups if given is None else given
-    return groups if traits.feature_size is None else checked_groups(groups, traits.feature_size)
-
-
 def check_training(callback: SubgoalDiscoveryCallback, before: BaseAlgorithm | None) -> None:
-    """Refuse to begin where no options can be discovered, or a callback that knows another model.
-
-    Args:
-        callback: Whose training starts.
-        before: The model that it was with, if any.
-
-    Raises:
-        TypeError: As `check_discovery`.
-        ValueError: Likewise; or a limit of an episode is set where there are none, the model is another one, or there
-            are two such callbacks.
-    """
+    """Refuse to begin where no options can be discovered, or with a callback that knows another model, ``before``."""
     check_every_step(callback)
     model, venv, made = callback.model, callback.training_env, callback._keeper.made
     check_discovery(model, venv)
@@ -88,26 +41,17 @@ def check_training(callback: SubgoalDiscoveryCallback, before: BaseAlgorithm | N
             "This SubgoalDiscoveryCallback was with another model, whose episodes and options it knows: make a new one "
             "for each model."
         )
-    if callback.settings.segmentation == "peaks" and any(each.max_runs is not None for each in venv.get_attr("traits")):
+    traits = venv.get_attr("traits")
+    if callback.settings.segmentation == "peaks" and any(each.max_runs is not None for each in traits):
         raise ValueError("max_runs counts in an episode, and a continuing task has none: leave it out with peaks.")
-    check_alike(venv)
+    _check_same("feature maps", [each.feature_kind for each in traits])
+    _check_same("max_runs", [each.max_runs for each in traits])
     others = [each for each in all_callbacks(callback.locals.get("callback")) if each is not callback]
     if any(hasattr(each, "discoveries") for each in others):  # its class is defined on top of this module
         raise ValueError(
             "learn() got two SubgoalDiscoveryCallbacks, and the trajectories go to the first alone: leave one out. To "
             "compare methods of discovery, train a model with each."
         )
-
-
-def check_alike(venv: VecEnv) -> None:
-    """Refuse environments of which the first says nothing of the others.
-
-    Raises:
-        ValueError: Their feature maps or their limits of runs differ.
-    """
-    traits = venv.get_attr("traits")
-    _check_same("feature maps", [each.feature_kind for each in traits])
-    _check_same("max_runs", [each.max_runs for each in traits])
 
 
 def _check_same(what: str, values: Sequence[Any]) -> None:
@@ -131,17 +75,7 @@ def warn_unmasked(model: BaseAlgorithm, callbacks: BaseCallback | None) -> None:
 
 
 def check_options(model: BaseAlgorithm, venv: VecEnv) -> None:
-    """Refuse a model or environments with which options would spoil what is learned.
-
-    Args:
-        model: About to be trained.
-        venv: Its environment.
-
-    Raises:
-        TypeError: Actions are not discrete, or the heads of the policy are not known.
-        ValueError: Wrapper, buffer or discount do not fit, or environments have different options: one head of the
-            network would stand for several.
-    """
+    """Refuse a model or environments with which options would spoil what is learned."""
     if not isinstance(venv.action_space, spaces.Discrete):
         raise TypeError(
             f"Options need a Discrete action space, got {venv.action_space}: discretise the actions, then wrap the "
@@ -155,21 +89,15 @@ def check_options(model: BaseAlgorithm, venv: VecEnv) -> None:
         family.check(venv)
     if isinstance(family, Masked) and model._last_obs is not None:  # before a reset there are no masks
         _check_masks(venv)
-    check_nothing_above_changes_steps(venv)
+    _check_nothing_above_changes_steps(venv)
     check_gamma(model, venv)
     _check_same("options", [[None if option is None else option.name for option in bank.slots] for bank in banks])
 
 
 def check_discovery(model: BaseAlgorithm, venv: VecEnv) -> None:
-    """Refuse a model or an environment for which no options can be discovered.
-
-    Raises:
-        TypeError: As `check_options`; or the algorithm is not known.
-        ValueError: As `check_options`; or observations are changed above the options, or there is no feature map.
-    """
-    if all(venv.env_is_wrapped(OptionsWrapper)):
-        _check_nothing_above_changes_observations(venv)
+    """Refuse a model or an environment for which no options can be discovered."""
     check_options(model, venv)
+    _check_nothing_above_changes_observations(venv)
     if type(family_of(model)) is Family:
         raise TypeError(
             f"Options can be discovered for algorithms of Stable-Baselines3 with rollouts or a replay buffer, and for "
@@ -186,7 +114,8 @@ def check_discovery(model: BaseAlgorithm, venv: VecEnv) -> None:
 def _check_masks(venv: VecEnv) -> None:
     """Refuse masks that a wrapper above `OptionsWrapper` made of the environment's own actions."""
     venv.env_method("set_slots", expect_empty=True)  # as training does: that no slot is filled is nothing to be told of
-    n, mask = int(venv.action_space.n), np.asarray(venv.env_method("action_masks", indices=[0])[0])  # type: ignore[attr-defined]  # checked to be Discrete
+    n = int(venv.action_space.n)  # type: ignore[attr-defined]  # checked to be Discrete
+    mask = np.asarray(venv.env_method("action_masks", indices=[0])[0])
     if mask.shape != (n,):
         raise ValueError(
             f"The environment's action_masks() has shape {mask.shape}, and there are {n} actions with the slots for "
@@ -197,22 +126,22 @@ def _check_masks(venv: VecEnv) -> None:
 def _check_nothing_above_changes_observations(venv: VecEnv) -> None:
     """Refuse wrappers above `OptionsWrapper` that change observations: options act on those that it sees."""
     seen: spaces.Space[Any] = venv.get_attr("traits", [0])[0].observation_space
+    changes = []
     while isinstance(venv, VecEnvWrapper):
         # What these three do is undone where options are asked.
-        undone = isinstance(venv, (VecNormalize, VecTransposeImage, VecFrameStack))
-        if not undone and venv.observation_space != venv.venv.observation_space:
-            _refuse_change(venv.venv.observation_space, venv.observation_space)
+        if not isinstance(venv, (VecNormalize, VecTransposeImage, VecFrameStack)):
+            changes.append((venv.venv.observation_space, venv.observation_space))
         venv = venv.venv
-    if seen != venv.observation_space:
-        _refuse_change(seen, venv.observation_space)
+    for beneath, above in [*changes, (seen, venv.observation_space)]:
+        if beneath != above:
+            raise ValueError(
+                f"Between OptionsWrapper and the algorithm observations change from {beneath} to {above}: put what "
+                "changes them beneath OptionsWrapper, for instance OptionsWrapper(TransformObservation(env, ...))."
+            )
 
 
-def check_nothing_above_changes_steps(venv: VecEnv) -> None:
-    """Refuse Gymnasium wrappers above `OptionsWrapper` that change rewards, observations or the ends of episodes.
-
-    Raises:
-        ValueError: There is one.
-    """
+def _check_nothing_above_changes_steps(venv: VecEnv) -> None:
+    """Refuse Gymnasium wrappers above `OptionsWrapper` that change rewards, observations or the ends of episodes."""
     names = {each.name for env in wrappers_above(venv) for each in env if each.may_change_steps}
     if names:
         raise ValueError(
@@ -223,19 +152,8 @@ def check_nothing_above_changes_steps(venv: VecEnv) -> None:
         )
 
 
-def _refuse_change(seen: spaces.Space[Any], given: spaces.Space[Any]) -> NoReturn:
-    raise ValueError(
-        f"Between OptionsWrapper and the algorithm observations change from {seen} to {given}: put what changes them "
-        "beneath OptionsWrapper, for instance OptionsWrapper(TransformObservation(env, ...))."
-    )
-
-
 def check_same_slots(venv: VecEnv, eval_env: VecEnv) -> None:
-    """Refuse an evaluation environment that has other actions than the training environment.
-
-    Raises:
-        ValueError: It is not wrapped, or has another number of slots or another ``max_runs``.
-    """
+    """Refuse an evaluation environment that has other actions than the training environment."""
     check_wrapped(eval_env, "The environment of EvalCallback")
     actions: tuple[Any, Any] = (venv.action_space, eval_env.action_space)
     if actions[0] != actions[1]:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from itertools import islice
 from typing import Any
 
-from sb3_options.callbacks.checks import check_arguments, check_training, groups_here
+from sb3_options.callbacks.checks import check_training
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.keeper import OptionKeeper
 from sb3_options.callbacks.learned_features import check_learned, features_for
@@ -17,12 +17,14 @@ from sb3_options.callbacks.records import ClosedOption
 from sb3_options.callbacks.settings import ConceptSettings, OptionUse
 from sb3_options.callbacks.summaries import draw_discovery, log_discovery, log_results, save_or_warn
 from sb3_options.callbacks.usefulness import Verdict
-from sb3_options.checked import given_as
+from sb3_options.checked import given_as, whole
+from sb3_options.density.groups import FeatureGroup, checked_groups
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods import DiscoveryMethod, MethodName, checked_method
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.embedding.settings import EmbeddingSettings
 from sb3_options.execution.above import monitor_primitive_steps
+from sb3_options.execution.slots import Traits
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.success import SuccessRule, judged, reported_success, success_rule, tell_success
 from sb3_options.experience.trajectories import EpisodeRecord, Trajectory
@@ -94,7 +96,10 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.option_settings = given_as(OptionLearningSettings, {} if option_settings is None else option_settings)
         self.concepts = given_as(ConceptSettings, {} if concepts is None else concepts)
         self.embedding = given_as(EmbeddingSettings, self.concepts.embedding)
-        check_arguments(success, max_new_options, seed)
+        if max_new_options is not None and not whole(max_new_options, 0):
+            raise ValueError(f"max_new_options must be at least 0, got {max_new_options!r}.")
+        if not whole(seed, 0):
+            raise ValueError(f"seed must be at least 0, a whole number, got {seed!r}.")
         self.success = success_rule(success)
         self.max_new_options = max_new_options
         self.save_path: str | os.PathLike[str] | None = None
@@ -138,17 +143,29 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             self.discovery = Discovery(
                 self.settings,
                 self.method,
-                groups=groups_here(self.concepts.groups, venv),
+                groups=self._groups(),
                 seed=self.seed,
                 success=self.success,
                 static_filter=self.concepts.static_filter,
-                kind=venv.get_attr("traits", [0])[0].feature_kind,
+                kind=self._traits.feature_kind,
                 taken=[each.subgoal for each in self._installer.bank.slots if isinstance(each, SubgoalOption)],
             )
         keeper.begin(self._installer, self.discovery, self.max_new_options)
         self.discovery.diary.step_seconds = self._installer.family.step_seconds
         venv.env_method("set_slots", record=self.settings.reward_peaks() or True)
         self._ended = False
+
+    @property
+    def _traits(self) -> Traits:
+        traits: Traits = self.training_env.get_attr("traits", [0])[0]
+        return traits
+
+    def _groups(self) -> tuple[FeatureGroup, ...]:
+        """The groups of features to search: those given, or else those that the environment or φ names."""
+        given: Any = self.concepts.groups
+        groups = self._traits.feature_groups if given is None else given
+        size = self._traits.feature_size
+        return tuple(groups) if size is None else checked_groups(groups, size)
 
     def _on_rollout_start(self) -> None:
         super()._on_rollout_start()
