@@ -46,10 +46,6 @@ class PrimitiveRollouts:
     in the one before, in multiples that fill the minibatches, and never more than ``n_steps``. SB3 reads ``n_steps``
     before a rollout starts, and only between two of them it is the number of decisions: whoever saves the model in
     a rollout saves what it was made with.
-
-    Args:
-        model: On-policy.
-        buffer: Its rollout buffer. In the first rollout of a training that is resumed it has another size.
     """
 
     def __init__(self, model: Any, buffer: SMDPAdvantages) -> None:
@@ -77,11 +73,7 @@ class PrimitiveRollouts:
 
 
 def clip_schedules(model: BaseAlgorithm) -> dict[str, Schedule]:
-    """Let no schedule of a model see a progress below 0, which an option makes of it that ends beyond the budget.
-
-    Returns:
-        The schedules that the model had, by attribute, to be put back when training ends.
-    """
+    """Let no schedule of a model see a progress below 0, which an option makes of it that ends beyond the budget."""
     schedules = {name: getattr(model, name, None) for name in SCHEDULES}
     stock = {name: schedule for name, schedule in schedules.items() if callable(schedule)}
     for name, schedule in stock.items():
@@ -109,11 +101,7 @@ def all_callbacks(root: BaseCallback | None) -> Iterator[BaseCallback]:
 
 
 def check_every_step(callback: BaseCallback) -> None:
-    """Refuse a callback inside another one, which may call it now and then, as ``EveryNTimesteps`` does.
-
-    Raises:
-        ValueError: It is not among the callbacks that ``learn`` calls.
-    """
+    """Refuse a callback inside another one, which may call it now and then, as ``EveryNTimesteps`` does."""
     called: list[BaseCallback | None] = [callback.locals.get("callback")]
     for each in called:
         if isinstance(each, CallbackList):

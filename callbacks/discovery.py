@@ -137,8 +137,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             earlier=self._installer,
         )
         keeper.features = features_for(keeper.features, self._installer, self.embedding, self.seed)
-        own = self.method or self.concepts.groups
-        check_learned(keeper.features, self.settings, self.option_settings, own=bool(own))
+        if keeper.features is not None:
+            check_learned(self.settings, self.option_settings, own=bool(self.method or self.concepts.groups))
         if self.discovery is None:
             self.discovery = Discovery(
                 self.settings,
@@ -243,7 +243,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     def set_state(self, state: dict[str, Any]) -> None:
         """Continue from a checkpoint, once training has started."""
         restore(self, state)
-        self._keeper.features.resume(self._keeper.options)
+        if self._keeper.features is not None:
+            self._keeper.options.send_learned_map()
         super().set_state(state)  # last: its options may need the feature map
 
     def _on_training_end(self) -> None:

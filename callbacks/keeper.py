@@ -9,7 +9,7 @@ from typing import ClassVar
 import torch
 
 from sb3_options.callbacks.installer import OptionInstaller
-from sb3_options.callbacks.learned_features import GivenFeatures
+from sb3_options.callbacks.learned_features import LearnedFeatures
 from sb3_options.callbacks.records import ClosedOption, DiscoveredOption, OptionStatistics, saved_for
 from sb3_options.callbacks.usefulness import Usefulness, Verdict
 from sb3_options.density.regions import Region
@@ -23,19 +23,7 @@ from sb3_options.options.settings import OptionLearningSettings, UsefulnessSetti
 
 
 class OptionKeeper:
-    """The options that a training makes, with all that is known of them by slot.
-
-    Args:
-        settings: How options are learned.
-        usefulness: How they are judged.
-        seed: Of policies that are networks.
-
-    Attributes:
-        discoveries: When and where each option was made.
-        closed: Which were closed again.
-        made: Slots with options that were made here.
-        features: Moves them along with a feature map that is learned.
-    """
+    """The options that a training makes, with all that is known of them by slot."""
 
     STATE: ClassVar[tuple[str, ...]] = (
         "discoveries", "closed", "made", "generator", "statistics", "useful", "growth", "features",
@@ -54,7 +42,7 @@ class OptionKeeper:
         self.statistics = OptionStatistics()
         self.useful = Usefulness(usefulness)
         self.growth = OptionGrowth()
-        self.features = GivenFeatures()
+        self.features: LearnedFeatures | None = None
 
     def begin(self, options: OptionInstaller, search: Discovery, most: int | None) -> None:
         """Adopt the options that are there when training starts."""
@@ -86,13 +74,14 @@ class OptionKeeper:
         if not (discovers or (self.settings.grow and len(options.bank))):
             return None
         labelled = search.add(trajectory, options.features_of(trajectory.states), success=success)
-        if self.features.learn_if_due(search, options):
+        if self.features is not None and self.features.learn_if_due(search, options):
             self.useful.forget_places()
             *_, labelled = search.database
         if self.settings.grow:
             self._learn_further(labelled)
         may_lead = labelled.success or search.method.learns_from_failures
-        if not (discovers and self.features.ready and may_lead):
+        ready = self.features is None or self.features.ready
+        if not (discovers and ready and may_lead):
             return None
         subgoal = search.search()
         return None if subgoal is None else self._make(subgoal, episode, timestep)
@@ -112,7 +101,7 @@ class OptionKeeper:
             return None
         slot = self.options.bank.slots.index(None)
         self.options.install(slot, option)
-        self.features.remember(slot, option, self.search)
+        self._remember(slot, option)
         self.statistics.forget(slot)  # a closed option went on to the end of its rollout, after it was forgotten
         self.useful.forget(slot)
         self.made.add(slot)
@@ -153,14 +142,15 @@ class OptionKeeper:
         self.options.uninstall(slot)
         self.made.discard(slot)
         for of_slots in (self.features, self.statistics, self.useful, self.growth):
-            of_slots.forget(slot)
+            if of_slots is not None:
+                of_slots.forget(slot)
         self.closed.append(closed)
 
     def why_nothing(self, episodes: int) -> str | None:
         """Why no option was made in so many episodes; None where one was."""
         if self.discoveries:
             return None
-        if (waits := self.features.why_not_ready(self.search.diary.n)) is not None:
+        if self.features is not None and (waits := self.features.why_not_ready(self.search.diary.n)) is not None:
             return waits
         if len(self.options.bank) == self.options.bank.max_options:
             return "There was no free slot for an option: raise max_options (--max-options)."
@@ -174,4 +164,8 @@ class OptionKeeper:
     def replace(self, slot: int, later: SubgoalOption) -> None:
         """Put a later version of an option into its slot."""
         self.options.replace(slot, later)
-        self.features.remember(slot, later, self.search)
+        self._remember(slot, later)
+
+    def _remember(self, slot: int, option: SubgoalOption) -> None:
+        if self.features is not None:
+            self.features.remember(slot, option, self.search)

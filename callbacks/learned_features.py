@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import copy
-import time
-from typing import ClassVar
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -21,51 +19,13 @@ from sb3_options.options.option import SubgoalOption
 from sb3_options.options.settings import OptionLearningSettings
 
 
-class GivenFeatures:
-    """A feature map that is as it is: nothing is to be done."""
-
-    STATE: ClassVar[tuple[str, ...]] = ()
-    ready = True
-
-    def begin(self, options: OptionInstaller) -> None:
-        """Training starts."""
-
-    def learn_if_due(self, search: Discovery, options: OptionInstaller) -> bool:
-        """Whether the map has changed."""
-        del search, options
-        return False
-
-    def why_not_ready(self, n: int) -> str | None:
-        """Why nothing is searched yet after ``n`` trajectories, in a sentence."""
-        del n
-        return None
-
-    def values(self) -> dict[str, float]:
-        """What is logged of it, by tag."""
-        return {}
-
-    def remember(self, slot: int, option: SubgoalOption, search: Discovery) -> None:
-        """An option was made."""
-
-    def forget(self, slot: int) -> None:
-        """An option is closed."""
-
-    def resume(self, options: OptionInstaller) -> None:
-        """Its state was restored."""
-
-
-class LearnedFeatures(GivenFeatures):
+class LearnedFeatures:
     """Learns the feature map of all environments, and keeps subgoals and initiation sets at their observations.
 
     The map is learned here, from the trajectories of discovery. Each time it has changed, every environment gets it,
     and the options that were made here get the regions around the same observations in the new space. Their policies
     act on observations, and stay as they are. A map that came with options stays as it is: of those the observations
     are not known.
-
-    Args:
-        feature_map: Of the environments, before it is learned.
-        settings: How it is learned.
-        seed: Of the learner.
     """
 
     STATE = ("learner", "_anchors")
@@ -73,12 +33,11 @@ class LearnedFeatures(GivenFeatures):
     def __init__(self, feature_map: LearnedMap, settings: EmbeddingSettings, seed: int) -> None:
         self.map = feature_map
         self.learner = FeatureLearner(feature_map, settings, seed)
-        self._seconds = 0.0
         # By slot the observations of subgoal and initiation set, and the points of that set that they have now.
         self._anchors: dict[int, tuple[Observations, Observations, FloatArray]] = {}
 
     @property
-    def ready(self) -> bool:  # type: ignore[override]  # which may change, and is not set from outside
+    def ready(self) -> bool:
         """Whether distances mean anything yet."""
         return self.map.learned > 0
 
@@ -92,10 +51,6 @@ class LearnedFeatures(GivenFeatures):
             "Train for longer."
         )
 
-    def values(self) -> dict[str, float]:
-        """How long learning the map took in this training, by the clock."""
-        return {"discovery/map_seconds": self._seconds}
-
     def begin(self, options: OptionInstaller) -> None:
         """Take note of the options that are there when training starts."""
         options.learned_map = options.bank.feature_map = self.map
@@ -105,15 +60,8 @@ class LearnedFeatures(GivenFeatures):
             options.send_learned_map()
 
     def learn_if_due(self, search: Discovery, options: OptionInstaller) -> bool:
-        """Learn the map when there are enough new trajectories, and move everything along.
-
-        Returns:
-            Whether the map has changed, and with it the features of all trajectories.
-        """
-        began = time.perf_counter()
-        changed = search.learn_if_due(self.learner)
-        self._seconds += time.perf_counter() - began
-        if not changed:
+        """Learn the map when there are enough new trajectories, and move everything along."""
+        if not search.learn_if_due(self.learner):
             return False
         options.send_learned_map()
         for slot, (subgoal, initiation, _) in list(self._anchors.items()):
@@ -151,45 +99,21 @@ class LearnedFeatures(GivenFeatures):
         """An option is closed."""
         self._anchors.pop(slot, None)
 
-    def resume(self, options: OptionInstaller) -> None:
-        """Its state was restored: every environment gets the map."""
-        options.send_learned_map()
-
 
 def features_for(
-    present: GivenFeatures, options: OptionInstaller, settings: EmbeddingSettings, seed: int
-) -> GivenFeatures:
-    """What looks after the feature map of the environments, when training starts.
-
-    Args:
-        present: What did so in an earlier training.
-        options: Of the environments.
-        settings: How a map is learned.
-        seed: Likewise.
-    """
+    present: LearnedFeatures | None, options: OptionInstaller, settings: EmbeddingSettings, seed: int
+) -> LearnedFeatures | None:
+    """What looks after the feature map of the environments, if it is learned, when training starts."""
     there: object = options.venv.get_attr("bank", [0])[0].feature_map
-    if isinstance(there, LearnedMap) and not isinstance(present, LearnedFeatures):
+    if isinstance(there, LearnedMap) and present is None:
         present = LearnedFeatures(copy.deepcopy(there), settings, seed)
-    present.begin(options)
+    if present is not None:
+        present.begin(options)
     return present
 
 
-def check_learned(
-    features: GivenFeatures, discovery: DiscoverySettings, option: OptionLearningSettings, *, own: bool
-) -> None:
-    """Refuse what does not go together with a space that moves.
-
-    Args:
-        features: Of the environments.
-        discovery: Settings.
-        option: Settings.
-        own: Whether there is a method of the user's own, or groups of features.
-
-    Raises:
-        ValueError: Policies act on features, or discovery remembers places or groups of features.
-    """
-    if not isinstance(features, LearnedFeatures):
-        return
+def check_learned(discovery: DiscoverySettings, option: OptionLearningSettings, *, own: bool) -> None:
+    """Refuse what does not go together with a space that moves, as a method or groups of the user's ``own``."""
     if option.policy_input == "features":
         raise ValueError(
             "A learned feature map moves while it is learned on, and policies on features would not move along: leave "

@@ -63,7 +63,6 @@ def log_discovery(log: Logger, keeper: OptionKeeper, n_timesteps: int) -> None:
         "time/primitive_steps": n_timesteps,
         **search.method.values(),
         **keeper.statistics.values(),
-        **keeper.features.values(),
     }
     for tag, value in values.items():
         log.record(tag, value)

@@ -17,7 +17,6 @@ OF_THE_CLOCK = frozenset(
         "time/fps",
         "time/time_elapsed",
         "discovery/seconds",
-        "discovery/map_seconds",
         "event_files",
         "bytes",
     )

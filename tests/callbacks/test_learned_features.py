@@ -9,7 +9,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from stable_baselines3 import DQN
-from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
 from sb3_options import OptionReplayBuffer, OptionsWrapper, load_model
@@ -50,20 +49,25 @@ def dqn(env: Any, **kwargs: Any) -> DQN:
     return DQN("MlpPolicy", env, gamma=0.9, replay_buffer_class=OptionReplayBuffer, **{**TINY, **RANDOM, **kwargs})
 
 
+def features_of(callback: SubgoalDiscoveryCallback) -> LearnedFeatures:
+    features = callback._keeper.features
+    assert features is not None
+    return features
+
+
 def places(env: OptionsWrapper, observations: Any) -> Any:
     world = env.unwrapped
     assert isinstance(world, GridWorld)
     return world.concept_features(np.asarray(observations))
 
 
-def test_what_a_map_waits_for_is_said_and_its_time_is_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_map_waits_for_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("sb3_options.embedding.learner", "sb3_options.callbacks.learned_features"):
         monkeypatch.setattr(f"{module}.FIRST_TRAJECTORIES", 10_000)
     env = temporal_rooms()
     callback = callback_with()
     assert callback.why_nothing() == "No training has started."
     model = dqn(env, learning_starts=10_000, buffer_size=200)
-    model.set_logger(configure(str(tmp_path), ["csv"]))
     model.learn(1_000, callback)
     assert callback.discovery is not None
     n = callback.discovery.diary.n
@@ -74,9 +78,6 @@ def test_what_a_map_waits_for_is_said_and_its_time_is_logged(tmp_path: Path, mon
     )
     callback.max_new_options = 0
     assert callback.why_nothing() == "Discovery was switched off."
-    model.logger.dump()
-    model.logger.close()
-    assert "discovery/map_seconds" in (tmp_path / "progress.csv").read_text()
 
 
 @pytest.mark.parametrize("observation", ["onehot", pytest.param("image", marks=pytest.mark.slow)])
@@ -111,13 +112,13 @@ def test_options_move_along() -> None:
     (found,) = callback.discoveries
     before = env.bank[found.slot]
     assert isinstance(before, SubgoalOption)
-    search, features = callback.discovery, callback._keeper.features
+    search, features = callback.discovery, features_of(callback)
     assert search is not None
     states = np.unique(np.concatenate([np.asarray(t.trajectory.states) for t in search.database]), axis=0)
     centres = before.initiation_set.points
     own = [any((row == centres).all(axis=1)) for row in env.concept_features(states)]
     was_inside = before.initiation(states)
-    features.learner.n_trajectories = 0  # type: ignore[attr-defined]  # so that it is due
+    features.learner.n_trajectories = 0  # so that it is due
     assert features.learn_if_due(search, callback._keeper.options)
     after = env.bank[found.slot]
     assert isinstance(after, SubgoalOption)
@@ -136,9 +137,8 @@ def test_a_narrowed_initiation_set_keeps_its_observations() -> None:
     (found,) = callback.discoveries
     option = env.bank[found.slot]
     assert isinstance(option, SubgoalOption)
-    search, features = callback.discovery, callback._keeper.features
+    search, features = callback.discovery, features_of(callback)
     assert search is not None
-    assert isinstance(features, LearnedFeatures)
     points = option.initiation_set.points
     narrowed = dataclasses.replace(option.initiation_set, points=points[:-1])
     *_, last = search.database
@@ -170,7 +170,7 @@ def test_a_file_holds_the_map(tmp_path: Path) -> None:
     loaded = load_model(DQN, tmp_path / "model.zip", temporal_rooms())
     again = callback_with(max_new_options=0)
     loaded.learn(600, again)
-    assert again._keeper.features.map.fixed  # type: ignore[attr-defined]  # a learned one
+    assert features_of(again).map.fixed
     np.testing.assert_array_equal(again.bank.available(states), env.available(states))
 
 
@@ -182,7 +182,7 @@ def test_worker_processes_and_this_one_learn_the_same() -> None:
         callback = callback_with(max_new_options=1)
         model.learn(1_200, callback)
         learned.append(venv.env_method("concept_features", states))
-        assert callback._keeper.features.map.learned  # type: ignore[attr-defined]  # a learned one
+        assert features_of(callback).map.learned
         venv.close()
     for each in learned[1:]:
         np.testing.assert_array_equal(learned[0], each)
@@ -202,7 +202,7 @@ def test_cut_and_resumed_is_never_interrupted(tmp_path: Path) -> None:
     callback = callbacks[0]
     assert isinstance(callback, SubgoalDiscoveryCallback)
     assert callback.discoveries
-    assert callback._keeper.features.map.learned > 1  # type: ignore[attr-defined]  # a learned one
+    assert features_of(callback).map.learned > 1
 
 
 @pytest.mark.parametrize(
@@ -228,10 +228,6 @@ def test_what_does_not_go_together(kwargs: dict[str, Any], message: str) -> None
 
 
 class TestNames:
-    def test_unknown(self) -> None:
-        with pytest.raises(TypeError, match=r"^feature_map must be .* or 'temporal-distance', got 'distance'"):
-            OptionsWrapper(small_rooms(), 2, feature_map="distance")  # type: ignore[arg-type]  # no such name
-
     def test_kinds_of_observations(self) -> None:
         kinds = {}
         for env_id in ("FrozenLake-v1", "CartPole-v1", "Blackjack-v1"):
