@@ -11,9 +11,6 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from sb3_options.callbacks.counting import all_callbacks
 from sb3_options.checkpoints.tree import State
-from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.embedding.settings import EmbeddingSettings
-from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.state import own_state, set_own_state
 
 KNOWN: dict[type[BaseCallback], tuple[str, ...]] = {
@@ -37,7 +34,7 @@ KNOWN: dict[type[BaseCallback], tuple[str, ...]] = {
 
 COUNTERS = ("n_calls", "num_timesteps")
 SETTINGS = ("settings", "option_settings", "embedding")
-"""What `SubgoalDiscoveryCallback` was made with, by attribute; a user's callback may call other things so."""
+"""What `SubgoalDiscoveryCallback` was made with, by attribute."""
 
 
 def get_states(root: BaseCallback | None) -> list[State]:
@@ -79,13 +76,12 @@ def set_states(root: BaseCallback | None, states: list[State]) -> None:
 
 
 def _settings(callback: BaseCallback) -> State:
-    """What a callback of ours was made with."""
-    given = {name: getattr(callback, name, None) for name in SETTINGS}
-    ours = (DiscoverySettings, OptionLearningSettings, EmbeddingSettings)
-    settings = {name: dataclasses.asdict(of) for name, of in given.items() if isinstance(of, ours)}
-    # A user's callback may call something else so.
-    method = getattr(callback, "method", None) if hasattr(callback, "discoveries") else None
-    return settings if method is None else {**settings, "method": _identity(method)}
+    """What `SubgoalDiscoveryCallback` was made with."""
+    if not hasattr(callback, "discoveries"):
+        return {}
+    given: Any = callback
+    settings = {name: dataclasses.asdict(getattr(given, name)) for name in SETTINGS}
+    return settings if given.method is None else {**settings, "method": _identity(given.method)}
 
 
 def _identity(method: object) -> State:

@@ -134,7 +134,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             max_option_exploration=use.max_option_exploration,
             opening_share=use.opens_with,
             interruption=use.interruption,
-            earlier=self._installer,
         )
         keeper.features = features_for(keeper.features, self._installer, self.embedding, self.seed)
         if keeper.features is not None:

@@ -47,7 +47,6 @@ class OptionInstaller:
         opening_share: Of a first option under MaskablePPO; 1 lets it open like a primitive.
         interruption: Whether options end where going on is worth less than the best alternative (`Interruption`).
         open_untrained: Whether the random heads of an untrained model are opened for the options that there are.
-        earlier: Of the same model, if it was trained before: an exception may have left something undone.
     """
 
     def __init__(
@@ -60,7 +59,6 @@ class OptionInstaller:
         opening_share: float = 1.0,
         interruption: bool = False,
         open_untrained: bool = True,
-        earlier: OptionInstaller | None = None,
     ) -> None:
         self.model, self.venv = model, venv
         self.eval_envs = evaluation_envs(callbacks)
@@ -97,16 +95,7 @@ class OptionInstaller:
             if opens:
                 heads.close_head(model.policy, self.n_primitive + slot)  # random weights; it is opened below
             self._install_now(slot, option, present=True)
-        if earlier is not None and earlier.model is model:
-            self._take_over(earlier)
         keep_options(model, self.bank)
-
-    def _take_over(self, earlier: OptionInstaller) -> None:
-        """Install what was to be installed, and empty what was to be emptied, when the next rollout starts."""
-        for slot, option in earlier._pending.items():
-            if slot not in self.bank.filled:
-                self.install(slot, option)
-        self._closing |= earlier._closing & set(self.bank.filled)
 
     def features_of(self, observations: Observations) -> FloatArray:
         """φ of a batch of observations, (batch, d); φ may exist in a worker process only."""
@@ -199,11 +188,7 @@ class OptionInstaller:
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave: its options are in the slots of all environments then.
-
-        Raises:
-            ValueError: A hand-made option is not in its slot.
-        """
+        """Go on with what `get_state` gave: its options are in the slots of all environments then."""
         pending = set(state["pending"])
         if len(state["slots"]) != self.bank.max_options:
             raise ValueError(
@@ -270,10 +255,8 @@ class OptionInstaller:
         """Close the heads of empty slots again where weight decay has raised their bias towards 0."""
         if not (self.family.has_heads and heads.decays(self.model.policy)):
             return
-        empty = [slot for slot, option in enumerate(self.bank.slots) if option is None or slot in self._pending]
-        raised = [slot for slot in empty if heads.is_raised(self.model.policy, self.n_primitive + slot)]
-        for slot in raised:
-            if self.venv.get_attr("bank", [0])[0][slot] is None:  # a user may have put an option in
+        for slot, option in enumerate(self.venv.get_attr("bank", [0])[0].slots):  # a user may have put an option in
+            if option is None and heads.is_raised(self.model.policy, self.n_primitive + slot):
                 heads.close_head(self.model.policy, self.n_primitive + slot)
 
     def _send(self, slot: int, option: Option, *, present: bool = False) -> None:

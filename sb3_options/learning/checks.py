@@ -11,17 +11,7 @@ from sb3_options.execution.wrapper import OptionsWrapper
 
 
 def check_wrapped(venv: VecEnv, whose: str, *, max_options: Any = "...", gamma: Any = "...") -> None:
-    """Refuse an environment without `OptionsWrapper`.
-
-    Args:
-        venv: The environment.
-        whose: Subject of the error's text.
-        max_options: For the text.
-        gamma: For the text.
-
-    Raises:
-        ValueError: One of the environments is not wrapped.
-    """
+    """Refuse an environment without `OptionsWrapper`."""
     if not all(venv.env_is_wrapped(OptionsWrapper)):
         raise ValueError(
             f"{whose} is not wrapped in OptionsWrapper: use OptionsWrapper(env, max_options={max_options}, "
@@ -30,15 +20,7 @@ def check_wrapped(venv: VecEnv, whose: str, *, max_options: Any = "...", gamma: 
 
 
 def check_gamma(model: BaseAlgorithm, venv: VecEnv) -> None:
-    """Refuse wrappers that discount otherwise than the algorithm.
-
-    Args:
-        model: Of an algorithm that discounts.
-        venv: Wrapped in `OptionsWrapper`.
-
-    Raises:
-        ValueError: Their γ differ.
-    """
+    """Refuse wrappers that discount otherwise than the algorithm."""
     gamma: float = model.gamma  # type: ignore[attr-defined]  # every algorithm over discrete actions has it
     different = [g for g in (each.gamma for each in venv.get_attr("traits")) if abs(g - gamma) > 1e-12]
     if different:

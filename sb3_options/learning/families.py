@@ -35,9 +35,6 @@ KEPT_KWARGS = frozenset({"handle_timeout_termination", "n_steps", "gamma"})
 class Family:
     """An algorithm that has no networks with heads and no buffer: what it learns from is its own affair.
 
-    Args:
-        model: Of the algorithm.
-
     Attributes:
         has_heads: Whether each action has outputs of a network, which are closed while its slot is empty.
         has_rollouts: Whether it learns from rollouts, and so from the probabilities that actions had.
@@ -76,15 +73,7 @@ class Family:
         """Refuse a buffer that would discount an option of k steps with γ."""
 
     def check(self, venv: VecEnv) -> None:
-        """Refuse networks, buffers and wrappers that options would spoil.
-
-        Args:
-            venv: The model's environment, with option slots.
-
-        Raises:
-            TypeError: The outputs of a network cannot be closed one by one.
-            ValueError: Something else does not fit; the text says what to change.
-        """
+        """Refuse networks, buffers and wrappers that options would spoil, with what to change."""
 
     def has_learned(self) -> bool:
         """Whether an update was made."""
@@ -94,11 +83,10 @@ class Family:
         """Remove what was learned of an action whose slot was emptied; whether there was something."""
         return False
 
-    def get_state(self) -> dict[str, Any]:
+    def get_state(self) -> Any:
         """For a checkpoint: what a model of any algorithm does not have."""
-        return {}
 
-    def set_state(self, state: dict[str, Any]) -> None:
+    def set_state(self, state: Any) -> None:
         """Go on with what `get_state` gave."""
 
 
@@ -127,13 +115,13 @@ class Table(Family):
         values[:] = 0.0
         return had_values
 
-    def get_state(self) -> dict[str, Any]:
+    def get_state(self) -> Any:
         """The generator of its choices."""
-        return {"random": self.model._random.bit_generator.state}
+        return self.model._random.bit_generator.state
 
-    def set_state(self, state: dict[str, Any]) -> None:
+    def set_state(self, state: Any) -> None:
         """Go on with what `get_state` gave."""
-        self.model._random.bit_generator.state = state["random"]
+        self.model._random.bit_generator.state = state
 
 
 class Networks(Family):
@@ -141,11 +129,7 @@ class Networks(Family):
 
     has_heads = True
 
-    def check(self, venv: VecEnv) -> None:
-        """Refuse a network whose outputs cannot be closed one by one."""
-        self.check_heads()
-
-    def check_heads(self) -> None:
+    def check(self, venv: VecEnv | None = None) -> None:
         """Refuse heads that are not found, or, where an observation is there, that others depend on."""
         heads.option_outputs(self.model.policy)
         last_obs = self.model._last_obs
@@ -183,14 +167,8 @@ class Networks(Family):
         return was_open
 
     def check_can_widen(self) -> None:
-        """Refuse a model that `widen` could not give more actions.
-
-        Raises:
-            TypeError: Heads or optimizer are of an unknown kind.
-        """
-        self.check_heads()
-        for layer, _ in heads.option_outputs(self.model.policy):
-            heads.check_optimizer(self.model.policy.optimizer, layer)
+        """Refuse a model that `widen` could not give more actions."""
+        Networks.check(self)
 
     def widen(self, actions: spaces.Discrete) -> None:
         """Give the model more actions, with closed heads, and keep everything that it has learned."""
@@ -241,11 +219,11 @@ class ValueBased(Networks):
                 f"pass {name}(..., replay_buffer_kwargs={{'n_steps': {n_steps}}}) instead of n_steps."
             )
 
-    def check(self, venv: VecEnv) -> None:
+    def check(self, venv: VecEnv | None = None) -> None:
         """Also refuse stacked frames that could not be stored, and a clip of sums of rewards."""
         super().check(venv)
         normalizer, name = self.model.get_vec_normalize_env(), type(self.model).__name__
-        if is_vecenv_wrapped(venv, VecFrameStack):
+        if venv is not None and is_vecenv_wrapped(venv, VecFrameStack):
             if normalizer is not None and not is_vecenv_wrapped(normalizer, VecFrameStack):
                 raise ValueError(
                     f"VecFrameStack stands above VecNormalize, and {name} stores what VecNormalize was given, which is "
@@ -347,15 +325,15 @@ class Recurrent(Sampled):
         distribution, _ = policy.get_distribution(batch, (memory, memory), torch.ones(1, device=policy.device))
         return distribution
 
-    def get_state(self) -> dict[str, Any]:
+    def get_state(self) -> Any:
         """The memory of the LSTM."""
         states = self.model._last_lstm_states
-        return {"lstm": None if states is None else [tuple(each) for each in states]}
+        return None if states is None else [tuple(each) for each in states]
 
-    def set_state(self, state: dict[str, Any]) -> None:
+    def set_state(self, state: Any) -> None:
         """Go on with what `get_state` gave."""
-        if state["lstm"] is not None:
-            there = (tuple(each.to(self.model.device) for each in states) for states in state["lstm"])
+        if state is not None:
+            there = (tuple(each.to(self.model.device) for each in states) for states in state)
             self.model._last_lstm_states = type(self.model._last_lstm_states)(*there)
 
 
@@ -375,9 +353,6 @@ def forget_slot(model: BaseAlgorithm, slot: int, n_primitive: int) -> bool:
 
     The values of an empty slot are closed (`heads`) or 0 (`MacroQ`), and no stored transition names it. Otherwise
     updates would go on moving the closed values, and with them what all actions share.
-
-    Returns:
-        Whether it had values.
     """
     family, action = family_of(model), n_primitive + slot
     had_values = family.forget(action)

@@ -57,11 +57,7 @@ def option_outputs(policy: Any) -> list[tuple[torch.nn.Linear, int]]:
 
 
 def last_layer(network: torch.nn.Module, name: str, n_outputs: int) -> torch.nn.Linear:
-    """The last linear layer of a network with so many outputs.
-
-    Raises:
-        TypeError: There is none.
-    """
+    """The last linear layer of a network with so many outputs."""
     linear = [each for each in network.modules() if isinstance(each, torch.nn.Linear) and each.bias is not None]
     fitting = [each for each in linear if each.out_features == n_outputs]
     if not fitting:
@@ -73,11 +69,7 @@ def last_layer(network: torch.nn.Module, name: str, n_outputs: int) -> torch.nn.
 
 
 def networks(policy: Any) -> tuple[Any, Any]:
-    """The online and the target network of DQN or QRDQN.
-
-    Raises:
-        TypeError: The policy has none that values actions.
-    """
+    """The online and the target network of DQN or QRDQN."""
     for name in VALUES:
         online, target = getattr(policy, name, None), getattr(policy, f"{name}_target", None)
         if online is not None and target is not None:
@@ -162,13 +154,6 @@ def check_outputs(policy: Any, actions_of: Callable[[], torch.Tensor]) -> None:
     """Refuse a network whose last layer does not give each action an output of its own, as a user's may be.
 
     The test adds a number to the bias of the last action: it alone may change, by this number.
-
-    Args:
-        policy: Of an SB3 model.
-        actions_of: Values of actions, or logits but for a common constant: (…, n_actions).
-
-    Raises:
-        TypeError: Others change, or it does not.
     """
     layer, outputs = option_outputs(policy)[0]
     rows = rows_of(layer, outputs, int(policy.action_space.n) - 1)
@@ -212,19 +197,3 @@ def _widened(rows: torch.Tensor, n_later: int, outputs_per_action: int) -> torch
     present = rows.detach().reshape(outputs_per_action, -1, *rows.shape[1:])
     zeros = present.new_zeros((outputs_per_action, n_later, *rows.shape[1:]))
     return torch.cat([present, zeros], dim=1).flatten(0, 1).contiguous()
-
-
-def check_optimizer(optimizer: torch.optim.Optimizer, layer: torch.nn.Linear) -> None:
-    """Refuse an optimizer that keeps for a layer what cannot be divided by rows.
-
-    Raises:
-        TypeError: It keeps a tensor that has neither the parameter's shape nor a single element.
-    """
-    for parameter in (layer.weight, layer.bias):
-        for key, value in optimizer.state.get(parameter, {}).items():
-            if isinstance(value, torch.Tensor) and value.numel() > 1 and value.shape != parameter.shape:
-                raise TypeError(
-                    f"{type(optimizer).__name__} keeps {key!r} of shape {tuple(value.shape)} for a parameter of shape "
-                    f"{tuple(parameter.shape)}, which cannot be kept for some of its rows: use an optimizer like Adam "
-                    "or RMSprop, or clear model.policy.optimizer.state first."
-                )

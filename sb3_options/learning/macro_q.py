@@ -60,13 +60,7 @@ class OneHot:
 
 
 class LinearPolicy(BasePolicy):
-    """Greedy in Q(s, a) = Σ over active features i of w[i, a].
-
-    Args:
-        observation_space: ``Discrete`` or ``Box``.
-        action_space: ``Discrete``.
-        features: Which features are active.
-    """
+    """Greedy in Q(s, a) = Σ over active features i of w[i, a]."""
 
     def __init__(
         self, observation_space: spaces.Space[Any], action_space: spaces.Discrete, features: LinearFeatures
@@ -370,11 +364,7 @@ class MacroQ(MaskedPrediction):
 
 
 def default_features(space: spaces.Space[Any]) -> LinearFeatures:
-    """One feature per state.
-
-    Raises:
-        ValueError: The observations are neither ``Discrete`` nor a flat ``Box`` between 0 and 1.
-    """
+    """One feature per state."""
     if isinstance(space, spaces.Discrete):
         return OneHot(int(space.n), coded=False)
     if isinstance(space, spaces.Box) and len(space.shape) == 1 and (space.low == 0).all() and (space.high == 1).all():

@@ -84,19 +84,10 @@ class MaskedPrediction(BaseAlgorithm):
         deterministic: bool = False,
         action_masks: BoolArray | None = None,
     ) -> tuple[npt.NDArray[Any], tuple[npt.NDArray[Any], ...] | None]:
-        """Greedy (or ε-greedy) among the available actions.
+        """Greedy (or ε-greedy) among the available actions; ``state`` is passed through.
 
-        Args:
-            observation: One, or a batch.
-            state: Passed through.
-            episode_start: Unused.
-            deterministic: Greedy, without ε, the first of several best.
-            action_masks: Which actions may be taken, (n_actions,) or (batch, n_actions); by default asked from the
-                model's own environment, by initiation sets alone (without ``max_runs`` or a trial), and every action
-                where there is no environment.
-
-        Returns:
-            Actions and ``state``.
+        ``action_masks``, (n_actions,) or (batch, n_actions), are by default asked from the model's own environment, by
+        initiation sets alone (without ``max_runs``); without an environment every action is available.
         """
         values, vectorized = self._action_values(observation)
         if action_masks is None:

@@ -35,10 +35,6 @@ class Successors:
     """Which row of a replay buffer holds the decision that followed each row's.
 
     The steps inside an option are rows too: each is followed by the next one inside, the last by the next decision.
-
-    Args:
-        buffer_size: Indices of the replay buffer.
-        n_envs: Number of parallel environments, whose rows are stored in one sequence.
     """
 
     def __init__(self, buffer_size: int, n_envs: int) -> None:
@@ -54,14 +50,9 @@ class Successors:
         return self._newest[env][-1:]
 
     def add(self, env: int, decision: int, inner: Indices, *, follows: bool, done: bool) -> None:
-        """Enter the newest decision of an environment.
+        """Enter the newest decision of an environment, and the steps inside it, in order, (k,) or empty.
 
-        Args:
-            env: Which.
-            decision: Its row.
-            inner: Indices of the steps inside it, in order, (k,) or empty.
-            follows: Whether it began where the `newest` one ended. A reset in mid-episode comes between them otherwise.
-            done: Whether the episode ended with it.
+        ``follows``: it began where the `newest` one ended. A reset in mid-episode comes between them otherwise.
         """
         size = len(self.following)
         inner = inner[-size:]  # a longer run has overwritten its own first rows, and its decision's
@@ -89,14 +80,7 @@ class Successors:
         self._newest = state["newest"]
 
     def returns(self, rows: Indices, n: int, rewards_of: Column, discounts: npt.NDArray[np.float32]) -> NStepReturns:
-        """The n-step returns from some rows.
-
-        Args:
-            rows: First decisions, (batch,).
-            n: Most decisions.
-            rewards_of: The rewards of some rows.
-            discounts: γᵏ of all rows of the buffer.
-        """
+        """The n-step returns from some rows, (batch,), given the γᵏ of all rows of the buffer."""
         last, total, discount = rows, rewards_of(rows), discounts[rows]
         for _ in range(n - 1):
             following = self.following[last]

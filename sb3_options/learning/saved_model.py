@@ -20,7 +20,7 @@ from sb3_options.execution.above import monitor_primitive_steps
 from sb3_options.learning.checks import check_wrapped
 from sb3_options.options.archive import CARRIED, Source, content_in, packed_text, unpacked_text
 from sb3_options.options.bank import OptionBank
-from sb3_options.options.file import slots_of
+from sb3_options.options.file import opened, slots_of
 from sb3_options.options.option import SubgoalOption
 
 M = TypeVar("M", bound=BaseAlgorithm)
@@ -74,11 +74,7 @@ def load_model(algorithm: type[M], path: str | os.PathLike[str], env: gym.Env[An
 
 
 def check_finite(model: BaseAlgorithm, path: Path) -> None:
-    """Refuse a loaded model with weights that are NaN or infinite.
-
-    Raises:
-        ValueError: One is.
-    """
+    """Refuse a loaded model with weights that are NaN or infinite."""
     for name, weights in model.policy.state_dict().items():
         if weights.is_floating_point() and not weights.isfinite().all():
             raise ValueError(f"{path} holds weights that are NaN or infinite, {name}: training has diverged.")
@@ -120,10 +116,8 @@ def _put(content: bytes, venv: VecEnv) -> None:
 def put_back(model: BaseAlgorithm, venv: VecEnv) -> None:
     """Put the options that a model carries into those environments that lack them.
 
-    SB3 has loaded it, or ``set_env`` gave it other environments, whose slots are all empty.
-
-    Raises:
-        ValueError: They do not fit.
+    SB3 has loaded it, or ``set_env`` gave it other environments, whose slots are all empty. There hand-made options
+    alone are missed with a warning.
     """
     text = getattr(model, CARRIED, None)
     known = _carried_for.get(model)
@@ -131,8 +125,8 @@ def put_back(model: BaseAlgorithm, venv: VecEnv) -> None:
         return
     content = unpacked_text(text)
     filled = venv.get_attr("bank", [0])[0].filled
-    lacking = not filled if known is not None else not set(slots_of(content)) <= set(filled)
-    if lacking:
+    loaded_and_lacking = known is None and not set(slots_of(content)) <= set(filled)
+    if loaded_and_lacking or (known is not None and not filled and opened(content).entries):
         _put(content, venv)
 
 

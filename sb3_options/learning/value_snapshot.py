@@ -61,10 +61,6 @@ class ValueSnapshot:
 
     A multilayer perceptron with ReLU over flat observations is evaluated by numpy, which for one observation is
     several times faster than torch; any other network is copied.
-
-    Args:
-        model: Whose online network is copied, with the statistics of a ``VecNormalize`` around its environment.
-        venv: In place of its environment, where it has none.
     """
 
     STATE = ("_layers", "_scales", "_network")
@@ -131,13 +127,7 @@ def interrupt_options(
 
 
 class Interrupter:
-    """Keeps the values in the environments at most `REFRESH` primitive steps behind the model's.
-
-    Args:
-        model: Being trained.
-        venv: Its environment, where an option is interrupted if it was the best choice where it began.
-        eval_envs: Where choices are greedy, and every option is interrupted.
-    """
+    """Keeps the values in the environments at most `REFRESH` primitive steps behind the model's."""
 
     STATE = ("_refreshed", "_values")
 
@@ -187,12 +177,7 @@ def _numpy_layers(network: Any, outputs: int) -> list[tuple[FloatArray, FloatArr
 
 
 def _transposed_keys(venv: VecEnv | None, space: spaces.Space[Any]) -> frozenset[str]:
-    """The images whose channels are moved to the front, by key; the empty key where observations are no ``Dict``.
-
-    Args:
-        venv: The model's environment, or one as a user made it, in which nothing is moved yet.
-        space: Of observations as the model sees them.
-    """
+    """The images whose channels are moved to the front, by key; the empty key where observations are no ``Dict``."""
     if venv is None:
         return frozenset()
     inner = unwrap_vec_wrapper(venv, VecTransposeImage)

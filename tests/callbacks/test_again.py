@@ -16,14 +16,13 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options import MacroQ, OptionReplayBuffer, OptionsWrapper, load_model
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
-from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.density.regions import Region
 from sb3_options.discovery.budget import STEP_SECONDS, TABLE_STEP_SECONDS
 from sb3_options.discovery.methods import DiscoveryMethod, Experience, GivenPlaces
 from sb3_options.learning import heads
 from sb3_options.options.file import slots_of
 from tests.support.helpers import CountingEnv, steady_option
-from tests.support.sb3_helpers import RANDOM, TINY, env_of, fast_callback, optioned_rooms
+from tests.support.sb3_helpers import RANDOM, TINY, fast_callback, optioned_rooms
 
 
 class Proposing:
@@ -54,14 +53,6 @@ def test_values_that_interrupt_do_not_outlive_the_training_that_asked_for_them()
     assert env.slot_state.interruption is not None
     model.learn(200, callback=SubgoalDiscoveryCallback(max_new_options=0, use={"interruption": False}))
     assert env.slot_state.interruption is None
-
-
-def test_an_option_that_is_being_removed_is_not_judged_again() -> None:
-    env = with_option()
-    installer = OptionInstaller(model_of(env), env_of(model_of(env)), None)
-    assert installer.installed() == [0]
-    installer.uninstall(0)
-    assert installer.installed() == []
 
 
 def test_a_closed_option_makes_room_for_another() -> None:
@@ -221,27 +212,6 @@ def test_the_log_ends_with_all_primitive_steps(tmp_path: Path) -> None:
     with (tmp_path / "progress.csv").open(encoding="utf-8") as file:
         *_, last = csv.DictReader(file)
     assert int(last["time/primitive_steps"]) == model.num_timesteps >= 1234
-
-
-def test_an_exception_loses_no_option_that_waits_for_a_rollout() -> None:
-    """It is installed when training goes on, and a slot that was to be emptied is."""
-    env = optioned_rooms(3)
-    env.bank.add(steady_option(1, max_duration=3))
-    model = PPO("MlpPolicy", env, gamma=0.9, n_steps=64, batch_size=64, n_epochs=1)
-    callback = SubgoalDiscoveryCallback(max_new_options=0)
-
-    def stop(*_: Any) -> bool:
-        installer = callback._installer
-        assert installer is not None
-        installer.install(2, steady_option(2, max_duration=3))
-        installer.uninstall(0)
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        model.learn(64, callback=[callback, ConvertCallback(stop)])
-    assert env.bank.filled == (0,)
-    model.learn(64, callback=callback)
-    assert env.bank.filled == callback.bank.filled == (2,)
 
 
 class LastStates(BaseCallback):
