@@ -13,7 +13,7 @@ OF_THE_CLOCK = frozenset(
         "seconds",
         "elapsed",
         "t",
-        "times",
+        "episode_times",
         "time/fps",
         "time/time_elapsed",
         "discovery/seconds",

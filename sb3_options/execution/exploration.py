@@ -12,7 +12,6 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from sb3_options.checked import is_number
 from sb3_options.experience.observations import BoolArray
 
 
@@ -26,16 +25,13 @@ class CappedActions(spaces.Discrete):
         actions: The space that it replaces; it uses the same generator.
         n_primitive: Number of primitive actions.
         share: Largest share of options among exploratory choices, in [0, 1].
-
-    Raises:
-        ValueError: ``share`` is out of its range.
     """
 
     def __init__(self, actions: spaces.Discrete[Any], n_primitive: int, share: float) -> None:
         super().__init__(int(actions.n))
         self._np_random = actions.np_random
         self.n_primitive = n_primitive
-        self.share = checked_share(share)
+        self.share = share
         self.filled: tuple[int, ...] = ()
 
     def sample(self, mask: Any = None, probability: Any = None) -> Any:
@@ -66,28 +62,8 @@ class CappedActions(spaces.Discrete):
     __hash__ = None  # type: ignore[assignment]  # as for every space
 
 
-def checked_share(share: float) -> float:
-    """``share`` itself, if it is one.
-
-    Raises:
-        ValueError: It is not in [0, 1].
-    """
-    if not (is_number(share) and 0.0 <= share <= 1.0):
-        raise ValueError(f"max_option_exploration and opening_share must be shares in [0, 1], got {share!r}.")
-    return float(share)
-
-
 def cap_option_exploration(model: BaseAlgorithm, n_primitive: int, share: float) -> CappedActions | None:
-    """Limit the share of options in what a model explores by ``action_space.sample()``.
-
-    Args:
-        model: Of any algorithm.
-        n_primitive: Number of primitive actions.
-        share: As for `CappedActions`.
-
-    Returns:
-        The model's new action space; None for an algorithm that explores otherwise.
-    """
+    """Give a model that explores by ``action_space.sample()`` a space of `CappedActions`; None for any other."""
     if not hasattr(model, "exploration_rate") or not isinstance(model.action_space, spaces.Discrete):
         return None
     model.action_space = capped = CappedActions(model.action_space, n_primitive, share)

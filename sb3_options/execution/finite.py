@@ -15,8 +15,6 @@ LARGEST = float(np.finfo(np.float32).max)
 def check_finite(env: gym.Env[Any, Any], observation: Any, reward: Any = 0.0) -> None:
     """Refuse NaN, infinity and what single precision cannot hold, of which SB3 would learn a policy of NaN.
 
-    Takes some microseconds; observations of whole numbers, as images are, take none.
-
     Args:
         env: Where they come from, for the message.
         observation: One, or a mapping of arrays.
@@ -25,30 +23,18 @@ def check_finite(env: gym.Env[Any, Any], observation: Any, reward: Any = 0.0) ->
     Raises:
         ValueError: There is such a number.
     """
-    if not abs(float(reward)) <= LARGEST:  # NaN compares as false
-        raise ValueError(_text(env, f"the reward {reward}"))
-    if isinstance(observation, np.ndarray):
-        if not _holds(observation):
-            raise ValueError(_text(env, f"an observation with {_worst(observation)}"))
-    elif isinstance(observation, Mapping):
-        for key, part in observation.items():
-            if not _holds(np.asarray(part)):
-                raise ValueError(_text(env, f"an observation with {_worst(np.asarray(part))} under {key!r}"))
-
-
-def _holds(array: Any) -> bool:
-    return array.dtype.kind != "f" or array.size == 0 or float(np.abs(array).max()) <= LARGEST
-
-
-def _worst(array: Any) -> str:
-    flat = array.ravel().astype(np.float64)  # half precision cannot hold the bound
-    index = int(np.argmin(np.abs(flat) <= LARGEST))
-    return f"{flat[index]} as number {index} of {array.size}"
-
-
-def _text(env: gym.Env[Any, Any], what: str) -> str:
-    name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
-    return (
-        f"The environment {name} gave {what}. Networks compute in single precision, up to {LARGEST:.3g}, and would end "
-        "in NaN: mend the environment, or clip what it gives in a wrapper beneath OptionsWrapper."
-    )
+    wrong = f"the reward {reward}" if not abs(float(reward)) <= LARGEST else None  # NaN compares as false
+    for key, part in (observation if isinstance(observation, Mapping) else {None: observation}).items():
+        array = np.asarray(part)
+        if array.dtype.kind != "f" or array.size == 0 or float(np.abs(array).max()) <= LARGEST:
+            continue
+        flat = array.ravel().astype(np.float64)  # half precision cannot hold the bound
+        index = int(np.argmin(np.abs(flat) <= LARGEST))
+        under = "" if key is None else f" under {key!r}"
+        wrong = f"an observation with {flat[index]} as number {index} of {array.size}{under}"
+    if wrong is not None:
+        name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
+        raise ValueError(
+            f"The environment {name} gave {wrong}. Networks compute in single precision, up to {LARGEST:.3g}, and "
+            "would end in NaN: mend the environment, or clip what it gives in a wrapper beneath OptionsWrapper."
+        )

@@ -17,6 +17,10 @@ from sb3_options.execution.slots import SlotState
 Infos = list[dict[str, Any]]
 
 
+Settings = tuple[SlotState | None, Mapping[str, Any]]
+"""What was set in one environment, slots and attributes, to be set again in one that takes its place."""
+
+
 class Steps(NamedTuple):
     """What one step of several environments returned, as ``SubprocVecEnv`` has it of one."""
 
@@ -25,13 +29,6 @@ class Steps(NamedTuple):
     dones: list[bool]
     infos: Infos
     reset_infos: Infos
-
-
-class Settings(NamedTuple):
-    """What was set in one environment, to be set again in one that takes its place."""
-
-    slots: SlotState | None
-    attributes: Mapping[str, Any]
 
 
 class HostedEnvironments:
@@ -57,13 +54,13 @@ class HostedEnvironments:
     def begin(self, settings: Sequence[Settings], seeds: Sequence[int | None]) -> None:
         """Make them in the place of others that are lost; ``seeds`` are for the action spaces."""
         self.make()
-        for env, of, seed in zip(self.envs, copy.deepcopy(list(settings)), seeds, strict=True):
+        for env, (slots, attributes), seed in zip(self.envs, copy.deepcopy(list(settings)), seeds, strict=True):
             if seed is not None:
                 env.action_space.seed(seed)
-            for name, value in of.attributes.items():
+            for name, value in attributes.items():
                 setattr(env, name, value)
-            if of.slots is not None and is_wrapped(env, Outermost):  # type: ignore[arg-type]  # it is asked of each
-                env.get_wrapper_attr("set_slots")(**vars(of.slots))
+            if slots is not None and is_wrapped(env, Outermost):  # type: ignore[arg-type]  # it is asked of each
+                env.get_wrapper_attr("set_slots")(**vars(slots))
         self._known = [_slots_of(env) for env in self.envs]
 
     def reset(self, seeds: Sequence[int | None], options: Sequence[dict[str, Any]]) -> tuple[Any, Infos]:
@@ -94,7 +91,7 @@ class HostedEnvironments:
     def lost_infos(self, observations: Sequence[Any]) -> Infos:
         """Infos of a step whose outcome is lost, given the last observation that is known of each environment."""
         return [
-            env.get_wrapper_attr("lost_step")(seen) if _has(env, "lost_step") else {}
+            env.get_wrapper_attr("lost_step")(seen) if env.has_wrapper_attr("lost_step") else {}
             for env, seen in zip(self.envs, observations, strict=True)
         ]
 
@@ -105,11 +102,12 @@ class HostedEnvironments:
 
         Each gets arguments of its own: they share nothing, and what Ray hands out cannot be written to.
         """
-        answers = [_HOW[kind](self.envs[i], *copy.deepcopy(args), **copy.deepcopy(kwargs)) for i in indices]
-        now = {i: _slots_of(self.envs[i]) for i in indices}
-        changed = {i: state for i, state in now.items() if state is not None and state is not self._known[i]}
-        for i, state in changed.items():
-            self._known[i] = state
+        answers, changed = [], {}
+        for i in indices:
+            answers.append(_HOW[kind](self.envs[i], *copy.deepcopy(args), **copy.deepcopy(kwargs)))
+            now = _slots_of(self.envs[i])
+            if now is not None and now is not self._known[i]:
+                self._known[i] = changed[i] = now
         return answers, changed
 
     def close(self) -> None:
@@ -119,25 +117,17 @@ class HostedEnvironments:
 
 
 def _slots_of(env: Any) -> SlotState | None:
-    return env.get_wrapper_attr("slot_state") if _has(env, "slot_state") else None
+    return env.get_wrapper_attr("slot_state") if env.has_wrapper_attr("slot_state") else None
 
 
 def _method(env: Any, name: str, *args: Any, **kwargs: Any) -> Any:
     return env.get_wrapper_attr(name)(*args, **kwargs)
 
 
-def _has(env: Any, name: str) -> bool:
-    try:
-        env.get_wrapper_attr(name)
-    except AttributeError:
-        return False
-    return True
-
-
 _HOW: dict[str, Callable[..., Any]] = {
     "env_method": _method,
     "get_attr": lambda env, name: env.get_wrapper_attr(name),
-    "has_attr": _has,
+    "has_attr": lambda env, name: env.has_wrapper_attr(name),
     "set_attr": setattr,
     "is_wrapped": is_wrapped,
     "render": lambda env: env.render(),

@@ -19,10 +19,13 @@ from gymnasium import wrappers
 from gymnasium.wrappers.utils import RunningMeanStd
 from stable_baselines3.common.monitor import Monitor
 
-from sb3_options.execution.repeating import RecordActions
+from sb3_options.execution.repeating import RecordActions, random_states, set_random_states
 from sb3_options.state import FOREIGN, declare, own_state, set_own_state
 
 State = dict[str, Any]
+
+MONITOR_LISTS = ("rewards", "episode_returns", "episode_lengths", "episode_times")
+"""Attributes of a ``Monitor`` that are lists of numbers."""
 
 declare(wrappers.TimeLimit, "_elapsed_steps")
 declare(wrappers.OrderEnforcing, "_has_reset")
@@ -41,16 +44,7 @@ REMEMBER_NOTHING = (
 
 
 def prepare(env: Any, *, just_reset: bool = False) -> Any:
-    """Have the episodes of an environment noted, if it or one of its wrappers does not tell its state.
-
-    Whoever notes them is put around the outermost of those, once.
-
-    Args:
-        env: Any.
-        just_reset: As `RecordActions` takes it.
-
-    Returns:
-        The environment, or what is around it now.
+    """The environment, with a `RecordActions` around the outermost layer that does not tell its state, if one does not.
 
     Raises:
         ValueError: A wrapper above `OptionsWrapper` does not tell its state; what is there cannot be repeated.
@@ -82,9 +76,6 @@ def set_states(env: gym.Env[Any, Any], states: list[State]) -> str | None:
 
     Returns:
         Why its episode cannot go on where it was, so that it has to be reset; None if it can.
-
-    Raises:
-        ValueError: It is wrapped otherwise.
     """
     layers = list(_layers(env))
     there = [state["class"] for state in states]
@@ -108,66 +99,37 @@ def _layers(env: Any) -> Iterator[Any]:
 
 def _tells(layer: Any) -> bool:
     """Whether a layer tells its state; beneath a `RecordActions` it need not."""
-    if hasattr(layer, "get_state") and hasattr(layer, "set_state"):
-        return True
-    if not isinstance(layer, gym.Wrapper):
-        return False
-    return isinstance(layer, Monitor) or type(layer) in FOREIGN or _remembers_nothing(layer)
+    known = _own(layer) or isinstance(layer, (Monitor, *REMEMBER_NOTHING))
+    return known or (isinstance(layer, gym.Wrapper) and getattr(layer, "remembers_nothing", False))
 
 
-def _remembers_nothing(layer: Any) -> bool:
-    return isinstance(layer, REMEMBER_NOTHING) or getattr(layer, "remembers_nothing", False)
+def _own(layer: Any) -> bool:
+    """Whether it has a state of its own, or a declared one."""
+    return hasattr(layer, "get_state") or hasattr(layer, "STATE") or type(layer) in FOREIGN
 
 
 def _state_of(layer: Any) -> State:
-    if not _tells(layer):
-        return {}
-    if not isinstance(layer, gym.Wrapper):
-        return _environment_state(layer)
-    if hasattr(layer, "get_state") or type(layer) in FOREIGN:
-        return {"own": own_state(layer)}
-    return _monitor_state(layer) if isinstance(layer, Monitor) else {}
+    state: State = {"own": own_state(layer)} if _own(layer) else {}
+    if state and not isinstance(layer, gym.Wrapper):
+        state["random"] = random_states(layer)
+    return state | _monitor_state(layer) if isinstance(layer, Monitor) else state
 
 
 def _restore(layer: Any, state: State) -> None:
-    if not _tells(layer):
-        return
-    if not isinstance(layer, gym.Wrapper):
-        _set_environment_state(layer, state)
-    elif hasattr(layer, "set_state") or type(layer) in FOREIGN:
+    if "own" in state:
         set_own_state(layer, state["own"])
-    elif isinstance(layer, Monitor):
+    if "random" in state:
+        set_random_states(layer, state["random"])
+    if isinstance(layer, Monitor):
         _set_monitor_state(layer, state)
-
-
-def _environment_state(env: Any) -> State:
-    spaces = {name: getattr(env, name)._np_random for name in ("action_space", "observation_space")}
-    return {
-        "own": env.get_state(),
-        # An environment that was never reset has no generator yet: to ask for one would draw its seed from the system.
-        "np_random": env._np_random and env._np_random.bit_generator.state,
-        "spaces": {name: random and random.bit_generator.state for name, random in spaces.items()},
-    }
-
-
-def _set_environment_state(env: Any, state: State) -> None:
-    env.set_state(state["own"])
-    if state["np_random"] is not None:
-        env.np_random.bit_generator.state = state["np_random"]
-    for name, random in state["spaces"].items():
-        if random is not None:
-            getattr(env, name).np_random.bit_generator.state = random
 
 
 def _monitor_state(monitor: Monitor[Any, Any]) -> State:
     writer = monitor.results_writer
     return {
         "elapsed": time.time() - monitor.t_start,
-        "rewards": np.array(monitor.rewards),
+        "lists": {name: np.array(getattr(monitor, name)) for name in MONITOR_LISTS},
         "needs_reset": monitor.needs_reset,
-        "returns": np.array(monitor.episode_returns),
-        "lengths": np.array(monitor.episode_lengths, dtype=np.int64),
-        "times": np.array(monitor.episode_times),
         "total_steps": monitor.total_steps,
         "reset_info": dict(monitor.current_reset_info),
         "bytes": None if writer is None else Path(writer.file_handler.name).stat().st_size,
@@ -176,9 +138,10 @@ def _monitor_state(monitor: Monitor[Any, Any]) -> State:
 
 def _set_monitor_state(monitor: Monitor[Any, Any], state: State) -> None:
     monitor.t_start = time.time() - state["elapsed"]
-    monitor.rewards, monitor.needs_reset = state["rewards"].tolist(), state["needs_reset"]
-    monitor.episode_returns, monitor.episode_lengths = state["returns"].tolist(), state["lengths"].tolist()
-    monitor.episode_times, monitor.total_steps = state["times"].tolist(), state["total_steps"]
+    for name in MONITOR_LISTS:
+        setattr(monitor, name, state["lists"][name].tolist())
+    monitor.needs_reset = state["needs_reset"]
+    monitor.total_steps = state["total_steps"]
     monitor.current_reset_info = state["reset_info"]
     if monitor.results_writer is not None and state["bytes"] is not None:
         file = monitor.results_writer.file_handler

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import logging
 import time
-import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, TypeAlias
@@ -15,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from sb3_options.execution.hosted import HostedEnvironments, Infos, Settings, Steps
+from sb3_options.execution.hosted import HostedEnvironments, Infos, Steps
 from sb3_options.execution.ray_cluster import connect
 from sb3_options.execution.slots import SlotState
 from sb3_options.execution.workers import PATIENCE, WorkerLostError
@@ -83,8 +82,10 @@ class RayVecEnv(VecEnv):
     ) -> None:
         self.step_timeout = step_timeout
         self._ray = connect(address)
-        self._class = self._ray.remote(HostedEnvironments)
-        self._num_cpus = num_cpus or 0.0
+        # To note every step for Ray's dashboard takes a sixth of the time of a call.
+        self._class = self._ray.remote(HostedEnvironments).options(
+            num_cpus=num_cpus or 0.0, scheduling_strategy="SPREAD", enable_task_events=False
+        )
         n_envs = len(env_fns)
         n_actors = min(n_envs, n_actors or max(1, int(self._ray.cluster_resources().get("CPU", 1))))
         self._groups = [group.tolist() for group in np.array_split(np.arange(n_envs), n_actors)]
@@ -105,9 +106,7 @@ class RayVecEnv(VecEnv):
         super().__init__(n_envs, observation_space, action_space)
 
     def _start(self, actor: int) -> Any:
-        # To note every step for Ray's dashboard takes a sixth of the time of a call.
-        options = {"num_cpus": self._num_cpus, "scheduling_strategy": "SPREAD", "enable_task_events": False}
-        return self._class.options(**options).remote([self._env_fns[i] for i in self._groups[actor]])
+        return self._class.remote([self._env_fns[i] for i in self._groups[actor]])
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
         """Send an action to every environment; one that started anew since the last step gets none."""
@@ -164,12 +163,6 @@ class RayVecEnv(VecEnv):
 
     def get_images(self) -> Sequence[npt.NDArray[np.uint8] | None]:
         """A picture of each environment."""
-        if self.render_mode != "rgb_array":
-            warnings.warn(
-                f"The render mode is {self.render_mode}, but this method assumes it is `rgb_array` to obtain images.",
-                stacklevel=2,
-            )
-            return [None] * self.num_envs
         return self._call("render", None)
 
     def has_attr(self, attr_name: str) -> bool:
@@ -294,7 +287,7 @@ class RayVecEnv(VecEnv):
     def _begin(self, actor: int) -> None:
         group, anew = self._groups[actor], self._actors[actor]
         seeds = [self._later_seed(i) for i in group]
-        self._get(anew.begin.remote([Settings(self._slots[i], self._attributes[i]) for i in group], seeds))
+        self._get(anew.begin.remote([(self._slots[i], self._attributes[i]) for i in group], seeds))
         if self._seen is not None:
             observations, reset_infos = self._get(anew.reset.remote(seeds, [{}] * len(group)))
             last = [copy_of(one_of(self._seen, i)) for i in group]

@@ -37,13 +37,7 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
         return self.env.spec
 
     def set(self, record: bool, peaks: RewardPeaks | None, observation: Any) -> None:
-        """Whether to record from now on; what is under way goes on if nothing changes.
-
-        Args:
-            record: Whether.
-            peaks: Where segments are cut; None records whole episodes.
-            observation: Where the environment is; None before its first ``reset``.
-        """
+        """Whether to record from now on, and where segments are cut; what is under way goes on if nothing changes."""
         if not record:
             self.recorder, self.finished = None, []
         elif self.recorder is None or peaks != self.peaks:

@@ -37,11 +37,18 @@ class RecordActions(gym.Wrapper[Any, Any, Any, Any]):
 
     def __init__(self, env: gym.Env[Any, Any], *, just_reset: bool = False) -> None:
         super().__init__(env)
-        self._episode = _Episode(None)
-        self._why: str | None = UNKNOWN
+        self._note(None, UNKNOWN)
         seed = env.unwrapped._np_random_seed
         if just_reset and isinstance(seed, int) and seed >= 0:  # if it was reset again since, that will be seen
-            self._episode, self._why = _Episode({"seed": seed, "options": None}), None
+            self._note({"seed": seed, "options": None}, None)
+
+    def _note(self, began: State | None, why: str | None) -> None:
+        """Begin to note an episode."""
+        self._began = began  # arguments of reset, and the state of np_random before it where no seed was given
+        self._why = why  # it cannot be repeated
+        self._actions: deque[Any] = deque(maxlen=MAX_ACTIONS + 1)
+        self._last: tuple[Any, ...] | None = None  # what reset or step returned
+        self._rewards: Any = 0.0
 
     @property
     def spec(self) -> EnvSpec | None:  # type: ignore[override]  # a property in gym.Wrapper, too
@@ -56,52 +63,45 @@ class RecordActions(gym.Wrapper[Any, Any, Any, Any]):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset, and begin to note."""
-        if seed is None:
-            began = {"np_random": _random_state(self.env.unwrapped), "options": options}
+        if not _is_plain(options):
+            self._note(None, "the options of its reset cannot be stored")
+        elif seed is None:
+            _ = self.env.unwrapped.np_random  # one that is made in reset would draw its seed from the system
+            self._note({"before": random_states(self.env.unwrapped)["np_random"], "options": options}, None)
         else:
-            began = {"seed": int(seed), "options": options}
-        self._why = None if _is_plain(options) else "the options of its reset cannot be stored"
-        self._episode = _Episode(None if self._why else began)
+            self._note({"seed": int(seed), "options": options}, None)
         result = self.env.reset(seed=seed, options=options)
-        self._episode.last = result[:1]
+        self._last = result[:1]
         return result
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """One step, which is noted."""
-        episode = self._episode
-        episode.actions.append(action.copy() if type(action) is np.ndarray else action)
+        self._actions.append(action.copy() if type(action) is np.ndarray else action)
         result = self.env.step(action)
-        episode.last = result[:4]
-        episode.rewards += result[1]
+        self._last = result[:4]
+        self._rewards += result[1]
         return result
 
     def get_state(self) -> State:
         """For a checkpoint: what it takes to repeat the episode, and where it leads."""
-        why, began, actions = self._why, self._episode.began, self._episode.actions
+        why, actions = self._why, self._actions
         if len(actions) > MAX_ACTIONS:
             why = f"it has more than {MAX_ACTIONS:,} actions"
         elif not all(type(each) is type(actions[0]) and _is_plain(each) for each in actions):
             why = "its actions cannot be stored"
-        spaces = {name: getattr(self.env.unwrapped, name)._np_random for name in ("action_space", "observation_space")}
         return {
             "why": why,
-            "began": None if why else began,
+            "began": None if why else self._began,
             "actions": None if why else np.array(actions),
             "numbers": bool(actions) and type(actions[0]) is int,
             "then": self._there(),
-            "np_random": _random_state(self.env.unwrapped),
-            "spaces": {name: random and random.bit_generator.state for name, random in spaces.items()},
+            "random": random_states(self.env.unwrapped),
         }
 
     def set_state(self, state: State) -> None:
         """Repeat the episode of `get_state`; `failure` says whether that has succeeded."""
         self._why = state["why"] or self._repeat(state)
-        unwrapped = self.env.unwrapped
-        if state["np_random"] is not None:
-            unwrapped.np_random.bit_generator.state = state["np_random"]
-        for name, random in state["spaces"].items():
-            if random is not None:
-                getattr(unwrapped, name).np_random.bit_generator.state = random
+        set_random_states(self.env.unwrapped, state["random"])
 
     def failure(self) -> str | None:
         """Why the episode cannot go on where it was; None if it can."""
@@ -109,47 +109,38 @@ class RecordActions(gym.Wrapper[Any, Any, Any, Any]):
 
     def _repeat(self, state: State) -> str | None:
         began, actions = dict(state["began"]), state["actions"]
-        before = began.pop("np_random", None)
-        if before is not None:
-            self.env.unwrapped.np_random.bit_generator.state = before
+        set_random_states(self.env.unwrapped, {"np_random": began.pop("before", None)})
         try:
             self.reset(**began)
             for action in actions.tolist() if state["numbers"] else actions:
                 self.step(action)
         except Exception as error:  # whatever the environment raises: it did not raise it the first time
             return f"repeating it raised {type(error).__name__}: {error}"
-        same = state["then"] in (self._there(), "") and state["np_random"] == _random_state(self.env.unwrapped)
+        drawn = random_states(self.env.unwrapped)["np_random"]
+        same = state["then"] in (self._there(), "") and state["random"]["np_random"] == drawn
         return None if same else OTHERWISE
 
     def _there(self) -> str:
         """A digest of where the episode is; empty where that is not known."""
-        episode = self._episode
-        return "" if episode.last is None else _digest((*episode.last, episode.rewards))
+        if self._last is None:
+            return ""
+        sha256 = hashlib.sha256()
+        _add(sha256, (*self._last, self._rewards))
+        return sha256.hexdigest()
 
 
-class _Episode:
-    """What is noted of an episode.
-
-    Attributes:
-        began: The arguments of ``reset``, and the state of ``np_random`` before it where no seed was given; None where
-            that is not known.
-        actions: In order; the last of them only if there are more than `MAX_ACTIONS`.
-        last: Observation, or observation, reward and flags, that came last; None where that is not known.
-        rewards: Their sum.
-    """
-
-    __slots__ = ("actions", "began", "last", "rewards")
-
-    def __init__(self, began: State | None) -> None:
-        self.began = began
-        self.actions: deque[Any] = deque(maxlen=MAX_ACTIONS + 1)
-        self.last: tuple[Any, ...] | None = None
-        self.rewards: Any = 0.0
+def random_states(env: Any) -> State:
+    """Of the generators of an environment and its spaces; None for one that there is not, or of another kind."""
+    spaces = {name: getattr(env, name)._np_random for name in ("action_space", "observation_space")}
+    generators = {"np_random": env._np_random, **spaces}  # to ask for np_random would make one
+    return {name: getattr(getattr(each, "bit_generator", None), "state", None) for name, each in generators.items()}
 
 
-def _random_state(env: Any) -> Any:
-    """Of its ``np_random``; None where that is something of its own."""
-    return getattr(getattr(env.np_random, "bit_generator", None), "state", None)
+def set_random_states(env: Any, states: State) -> None:
+    """Let the generators draw what they would have drawn after `random_states`."""
+    for name, state in states.items():
+        if state is not None:
+            (env if name == "np_random" else getattr(env, name)).np_random.bit_generator.state = state
 
 
 def _is_plain(value: Any) -> bool:
@@ -163,14 +154,8 @@ def _is_plain(value: Any) -> bool:
     return value is None or type(value) in (bool, int, float, str)
 
 
-def _digest(value: Any) -> str:
-    """SHA-256 of an observation, or of anything else, with its types."""
-    sha256 = hashlib.sha256()
-    _add(sha256, value)
-    return sha256.hexdigest()
-
-
 def _add(sha256: Any, value: Any) -> None:
+    """Add an observation, or anything else, with its types."""
     sha256.update(type(value).__name__.encode())
     if isinstance(value, dict):
         for key, each in value.items():

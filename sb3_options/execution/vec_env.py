@@ -14,15 +14,8 @@ def as_wrapper_sees(venv: VecEnv, observations: Any, *, normalized: bool = False
     """Undo what SB3's wrappers do to observations, from the outermost inwards.
 
     ``VecTransposeImage`` moves the channels of images to the front. ``VecFrameStack`` joins the last frames, of which
-    the newest is what the wrapper sees.
-
-    Args:
-        venv: The algorithm's environment.
-        observations: A batch.
-        normalized: Whether ``VecNormalize`` has normalised them. This is undone; what it clipped stays clipped.
-
-    Returns:
-        The batch as the environments beneath gave it.
+    the newest is what the wrapper sees. With ``normalized`` what ``VecNormalize`` did is undone, too; what it clipped
+    stays clipped.
     """
     while isinstance(venv, VecEnvWrapper):
         if normalized and isinstance(venv, VecNormalize):

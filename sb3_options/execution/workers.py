@@ -36,13 +36,6 @@ def watched_workers(env_fns: Sequence[Callable[[], gym.Env[Any, Any]]], **kwargs
     """A ``SubprocVecEnv`` that is watched from its first moment; see `watch_workers`.
 
     Where Python's fork server makes the workers, it imports the libraries once for all of them.
-
-    Args:
-        env_fns: Each makes an environment.
-        kwargs: Others of ``SubprocVecEnv``.
-
-    Raises:
-        WorkerLostError: The first worker was lost before its environment was made.
     """
     if "forkserver" in get_all_start_methods():
         set_forkserver_preload(LIBRARIES)  # of a server that runs already it changes nothing
@@ -61,11 +54,7 @@ def watch_workers(venv: VecEnv) -> None:
     """Raise a `WorkerLostError` when a worker process is lost, which says which one, why and what to do.
 
     Without it SB3 raises a bare ``EOFError`` or ``BrokenPipeError``, or waits for ever, where workers were forked and
-    hold one another's pipes open. An environment without worker processes, or one that is watched already, stays as it
-    is.
-
-    Args:
-        venv: Any, also within wrappers.
+    hold one another's pipes open. An environment without worker processes stays as it is.
     """
     inner = venv.unwrapped
     if isinstance(inner, SubprocVecEnv):
@@ -126,11 +115,7 @@ def _how_it_ended(exitcode: int | None) -> str:
 
 
 def end_workers(venv: VecEnv) -> None:
-    """Close an environment that may be within a step, where its own ``close`` would wait for ever.
-
-    Args:
-        venv: Any; one without worker processes is closed as usual.
-    """
+    """Close an environment that may be within a step, where its own ``close`` would wait for ever."""
     inner = venv.unwrapped
     if not isinstance(inner, SubprocVecEnv):
         venv.close()

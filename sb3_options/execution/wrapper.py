@@ -80,6 +80,9 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         FileNotFoundError: There is no ``options_file``.
     """
 
+    STATE = ("_observation", "_random", "_runs", "_warned")
+    """For a checkpoint, without the options, which whoever installed them puts back."""
+
     def __init__(
         self,
         env: gym.Env[Any, Any],
@@ -123,8 +126,6 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             )
         if not (is_number(gamma) and 0.0 < gamma <= 1.0):
             raise ValueError(f"gamma must be in (0, 1], got {gamma!r}.")
-        if not isinstance(options_file, str | bytes | os.PathLike | None):
-            raise TypeError(f"options_file must be a path or None, got {type(options_file).__name__}.")
         if max_runs is not None and not (is_number(max_runs) and max_runs >= 1 and max_runs % 1 == 0):
             raise ValueError(f"max_runs must be a whole number, at least 1, or None for no limit, got {max_runs!r}.")
         self.gamma = float(gamma)
@@ -184,9 +185,18 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         """
         state = dataclasses.replace(self.slot_state, **changes)
         for slot, option in changes.get("options", {}).items():
-            self._put(slot, option)
+            self.bank.check_slot(slot)
+            if option is not None:
+                self.bank.add(option, slot)
+                continue
+            if slot in self.bank.filled:
+                self.bank.remove(slot)
+            self._runs[slot] = 0  # the next one begins to count anew; one that has grown does not
         if changes.get("learned_map") is not None:
-            self._load_map(changes["learned_map"])
+            learned = self.features.map if self.features else None
+            if not isinstance(learned, LearnedMap):
+                raise ValueError(f"The feature map of {self} is not learned: there is nothing to set.")
+            learned.load(changes["learned_map"])
         self.slot_state = dataclasses.replace(state, options={**self.slot_state.options, **changes.get("options", {})})
         if "record" in changes:
             self._record(changes["record"])
@@ -194,28 +204,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             count_primitive_steps(self.outermost, self)
 
     def set_option(self, slot: int, option: Option | None) -> None:
-        """Fill slot ``slot`` with ``option``, or empty it with None; the same as ``set_slots(options={slot: option})``.
-
-        Raises:
-            TypeError: It is no option.
-            ValueError: There is no such slot.
-        """
+        """Fill a slot, or empty it with None; the same as ``set_slots(options={slot: option})``."""
         self.set_slots(options={slot: option})
-
-    def _put(self, slot: int, option: Option | None) -> None:
-        self.bank.check_slot(slot)
-        if option is not None:
-            self.bank.add(option, slot)
-            return
-        if slot in self.bank.filled:
-            self.bank.remove(slot)
-        self._runs[slot] = 0  # the next one begins to count anew; one that has grown does not
-
-    def _load_map(self, arrays: Any) -> None:
-        learned = self.features.map if self.features else None
-        if not isinstance(learned, LearnedMap):
-            raise ValueError(f"The feature map of {self} is not learned: there is nothing to set.")
-        learned.load(arrays)
 
     def _record(self, record: bool | RewardPeaks) -> None:
         if record and self._recording is None:
@@ -313,13 +303,10 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         return observation, info
 
     def step(self, action: int) -> StepReturn:
-        """Run one primitive action once, or one option to its end.
+        """Run one primitive action once, or one option to its end, and return what the class describes.
 
         Args:
             action: 0 … n_primitive − 1 for a primitive, n_primitive + i for slot i.
-
-        Returns:
-            Observation, Σ γⁱ rᵢ, terminated, truncated, info as described for the class.
 
         Raises:
             ValueError: There is no such action, the environment's info uses a name that is needed here, or
@@ -362,28 +349,24 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         return "primitive action" if option is None else f"option {self._running}: {option.name}"
 
     def lost_step(self, observation: Any) -> dict[str, Any]:
-        """The info of a step whose outcome is lost, with its environment: one primitive step that was cut off.
+        """The info of a step whose outcome is lost with its environment: a primitive step, cut off where it began."""
+        return {"option": {**self._primitive_run(observation), "termination": "truncated"}}
 
-        Args:
-            observation: In which it was taken, and the last that is known.
-        """
-        option = {**self._primitive, "termination": "truncated"}
+    def _primitive_run(self, led: Any) -> dict[str, Any]:
+        option = self._primitive.copy()
         if self.slot_state.report_availability and self.bank.filled:
-            option["available"] = self._available_slots(batch_of_one(observation))
-        return {"option": option}
+            option["available"] = self._available_slots(batch_of_one(led))
+        return option
 
     def _run_primitive(self, action: int, *, instead: bool = False) -> StepReturn:
         """Run a primitive action that was chosen, or that runs ``instead`` of a slot."""
         result = self._primitive_step(action)
-        option = self._primitive.copy()
+        option = self._primitive_run(result[0])
         if instead:
             option["actions"] = np.array([action])
-        if self.slot_state.report_availability and self.bank.filled:
-            option["available"] = self._available_slots(batch_of_one(result[0]))
         return self._reported(result, option)
 
     def _run_option(self, option: Option, slot: int, observation: Any) -> StepReturn:
-        """Run an option to its end."""
         inside = bool(option.initiation(batch_of_one(observation))[0])
         self._runs[slot] += inside
         interrupted = None
@@ -442,27 +425,6 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         if not (self.slot_state.expect_empty or self._warned):
             self._warned = True
             logger.warning(text)
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint, without the options, which whoever installed them puts back."""
-        return {
-            "observation": self._observation,
-            "random": self._random.bit_generator.state,
-            "runs": self._runs,
-            "report_availability": self.slot_state.report_availability,
-            "warned": self._warned,
-            "feature_size": self.bank.feature_size,
-        }
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        self._observation = state["observation"]
-        self._running = None
-        self._random.bit_generator.state = state["random"]
-        self._runs[:] = state["runs"]
-        self.slot_state = dataclasses.replace(self.slot_state, report_availability=state["report_availability"])
-        self._warned = state["warned"]
-        self.bank.feature_size = state["feature_size"]
 
     def prepare_layers(self, just_reset: bool) -> str | None:
         """`layers.prepare` this environment, in its own process; returns why it cannot: an error would end it."""

@@ -14,12 +14,7 @@ from sb3_options.experience.observations import BoolArray, FeatureMap, Observati
 from sb3_options.options import file as option_file
 from sb3_options.options.archive import Source, name_of
 from sb3_options.options.file import MAX_SLOTS, SpaceSignature
-from sb3_options.options.option import LastFeatures, Option, SingleCache, SubgoalOption
-
-THOSE_OF_A_TRAINING = (
-    "callback.bank tells which options a training has, and changes none of them. Between two trainings change those of "
-    "the environments: "
-)
+from sb3_options.options.option import LastFeatures, Option, SubgoalOption
 
 
 class OptionBank:
@@ -65,13 +60,11 @@ class OptionBank:
         self._shared: LastFeatures | None = None
         self._slots: list[Option | None] = [None] * max_options
         self.filled: tuple[int, ...] = ()
-        self._forget_results()
 
     def copy(self) -> OptionBank:
         """The same options in slots of its own."""
         bank = OptionBank.__new__(OptionBank)
         bank.__dict__.update(self.__dict__, _slots=list(self._slots))
-        bank._forget_results()
         return bank
 
     def __repr__(self) -> str:
@@ -134,7 +127,6 @@ class OptionBank:
         """Take ``feature_map`` for the discovered options there are and those to come."""
         self.feature_map = feature_map
         self._slots = [option and self._bound(option) for option in self._slots]
-        self._forget_results()
 
     def available(self, observations: Observations) -> BoolArray:
         """Which augmented actions may start in each observation.
@@ -149,11 +141,6 @@ class OptionBank:
 
     def available_slots(self, observations: Observations) -> BoolArray:
         """Which options may start in each observation, shape (batch, max_options)."""
-        if self._repeats and not isinstance(self.feature_map, LearnedMap):
-            return self._known(self._computed_slots, observations).copy()
-        return self._computed_slots(observations)
-
-    def _computed_slots(self, observations: Observations) -> BoolArray:
         mask = np.zeros((batch_size(observations), self.max_options), dtype=bool)
         for slot in self.filled:
             mask[:, slot] = cast("Option", self._slots[slot]).initiation(observations)
@@ -201,7 +188,7 @@ class OptionBank:
         )
         if isinstance(self.feature_map, LearnedMap) and loaded:
             try:
-                self.feature_map.load(option_file.feature_map_of(source))
+                self.feature_map.load(option_file.opened(source).feature_map())
             except ValueError as error:
                 raise ValueError(f"{name_of(source)} does not fit: {error}.") from error
         for slot, option in loaded.items():
@@ -219,26 +206,15 @@ class OptionBank:
     def _put(self, slot: int, option: Option | None) -> None:
         self._slots[slot] = option
         self.filled = tuple(i for i, present in enumerate(self._slots) if present is not None)
-        self._forget_results()
-
-    def _forget_results(self) -> None:
-        """Of single observations, where they are kept: a hand-made option is asked anew each time."""
-        present = (option for option in self._slots if option is not None)
-        self._repeats = all(isinstance(option, SubgoalOption) for option in present)
-        self._known: SingleCache[BoolArray] = SingleCache()
 
     def __getstate__(self) -> dict[str, Any]:
         # Functions may not travel between processes; whoever receives the bank has a feature map of its own. A learned
         # one is data, and belongs to what `content` gives.
         learned = self.feature_map if isinstance(self.feature_map, LearnedMap) else None
-        return {**self.__dict__, "feature_map": learned, "_shared": None, "_known": SingleCache()}
+        return {**self.__dict__, "feature_map": learned, "_shared": None}
 
     def check_slot(self, slot: int) -> None:
-        """Refuse a slot that there is not.
-
-        Raises:
-            ValueError: There is no such slot.
-        """
+        """Refuse a slot that there is not."""
         if not 0 <= slot < self.max_options:
             raise ValueError(f"slot must be between 0 and {self.max_options - 1}, got {slot}.")
 
@@ -253,23 +229,12 @@ class PresentOptions(OptionBank):
     def __init__(self, bank: OptionBank) -> None:
         self.__dict__.update(bank.copy().__dict__)
 
-    def add(self, option: Option, slot: int | None = None) -> NoReturn:
-        """Refuse; as `remove`."""
-        del option
-        self._refuse("SLOT" if slot is None else slot, "OPTION")
+    def _refuse(self, *args: Any, **kwargs: Any) -> NoReturn:
+        """Refuse; the text says how options are changed."""
+        raise TypeError(
+            "callback.bank tells which options a training has, and changes none of them. Between two trainings change "
+            'those of the environments: model.get_env().env_method("set_option", SLOT, OPTION), or '
+            "sb3_options.load_options(FILE, model.get_env())."
+        )
 
-    def remove(self, slot: int) -> NoReturn:
-        """Refuse.
-
-        Raises:
-            TypeError: Always; the text says how options are changed.
-        """
-        self._refuse(slot, None)
-
-    def load(self, source: Source) -> NoReturn:
-        """Refuse; as `remove`."""
-        del source
-        raise TypeError(f"{THOSE_OF_A_TRAINING}sb3_options.load_options(FILE, model.get_env()).")
-
-    def _refuse(self, slot: object, option: str | None) -> NoReturn:
-        raise TypeError(f'{THOSE_OF_A_TRAINING}model.get_env().env_method("set_option", {slot}, {option}).')
+    add = remove = load = _refuse

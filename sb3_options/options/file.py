@@ -237,11 +237,6 @@ def load(
     return file.options(observation_size=observation_size, feature_size=feature_size)
 
 
-def feature_map_of(source: Source) -> Arrays:
-    """What the learned feature map of a file consists of; nothing if it has none."""
-    return opened(source).feature_map()
-
-
 def slots_of(source: Source) -> list[int]:
     """The slots that a file has options for."""
     file = opened(source)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from numbers import Real
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from sb3_options.checked import is_number
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import (
     BoolArray,
@@ -151,13 +151,8 @@ class Option:
 
 
 def checked_duration(max_duration: int) -> int:
-    """``max_duration`` itself, if it is a whole number of at least 1.
-
-    Raises:
-        ValueError: It is not.
-    """
-    number = isinstance(max_duration, Real) and not isinstance(max_duration, bool)
-    if not (number and max_duration >= 1 and max_duration % 1 == 0):
+    """``max_duration`` itself, if it is a whole number of at least 1."""
+    if not (is_number(max_duration) and max_duration >= 1 and max_duration % 1 == 0):
         raise ValueError(f"max_duration must be a whole number of primitive steps, at least 1, got {max_duration!r}.")
     return int(max_duration)
 
@@ -263,5 +258,5 @@ class SubgoalOption(Option):
         return {**kept, "_feature_map": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__ |= {k: v for k, v in state.items() if k not in ("_cache", "_cached_bytes")}  # 0.1 had these
+        self.__dict__ |= state
         self._forget_results()

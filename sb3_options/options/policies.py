@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -11,19 +11,6 @@ from sb3_options.density.arrays import row_keys
 from sb3_options.experience.observations import FloatArray, IntArray, Observations, flatten
 from sb3_options.options.settings import PolicyInput as PolicyInput
 from sb3_options.state import storable
-
-
-class OptionPolicy(Protocol):
-    """What a `SubgoalOption` needs of its policy; "observations" are features where it acts on those."""
-
-    def actions(self, observations: Observations) -> IntArray:
-        """The greedy primitive action in each observation, shape (batch,)."""
-
-    def best_values(self, observations: Observations) -> FloatArray:
-        """The value of that action, shape (batch,)."""
-
-    def arrays(self) -> dict[str, npt.NDArray[np.float64]]:
-        """Everything the policy consists of, by name; `from_arrays` is the inverse."""
 
 
 @storable
@@ -127,6 +114,10 @@ class NetworkPolicy:
         layers = {f"network_weight_{i}": w for i, w in enumerate(self.weights)}
         layers |= {f"network_bias_{i}": b for i, b in enumerate(self.biases)}
         return {"network_mean": self.mean, "network_std": self.std, **layers}
+
+
+OptionPolicy: TypeAlias = TabularPolicy | NetworkPolicy
+"""What a `SubgoalOption` acts by; "observations" are features where it acts on those."""
 
 
 def from_arrays(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -41,31 +41,8 @@ class Transitions(NamedTuple):
     stop: float = -np.inf
 
 
-class Steps(NamedTuple):
-    """Those of a trajectory that belong to a task.
-
-    Attributes:
-        times: When they began, (k,).
-        rewards: Of each, (k,).
-        ends: Whether each ends the task, (k,).
-    """
-
-    times: IntArray
-    rewards: FloatArray
-    ends: BoolArray
-
-
-class OwnTask(Protocol):
-    """What an option is learned in."""
-
-    stop: float
-    """What ending the option in any state is worth; −∞ where it cannot be chosen."""
-
-    def steps(self, labelled: LabelledTrajectory) -> Steps:
-        """The steps of a trajectory that belong to the task."""
-
-    def own(self, features: FloatArray) -> FloatArray:
-        """The features that count, of all features (m, d)."""
+Steps: TypeAlias = tuple[IntArray, FloatArray, BoolArray]
+"""Those of a trajectory that belong to a task: when each began, its reward, and whether it ends the task, (k,) each."""
 
 
 class Reaching:
@@ -83,7 +60,7 @@ class Reaching:
         self.subgoal, self.initiation, self.settings = subgoal, initiation, settings
 
     def steps(self, labelled: LabelledTrajectory) -> Steps:
-        """As `OwnTask.steps`: those that began in I."""
+        """The steps of a trajectory that began in I."""
         trajectory = labelled.trajectory
         reached = self.subgoal.contains(labelled.features)
         inside = self.initiation.contains(labelled.features) & ~reached
@@ -95,10 +72,10 @@ class Reaching:
         led, goes_on = led[times], goes_on[times]
         otherwise = np.where(goes_on, STEP_REWARD, self.settings.leave_reward)
         rewards = np.where(reached[led], SUBGOAL_REWARD, otherwise)
-        return Steps(times, rewards, ~goes_on)
+        return times, rewards, ~goes_on
 
     def own(self, features: FloatArray) -> FloatArray:
-        """As `OwnTask.own`."""
+        """The features that count, of all features (m, d)."""
         return self.initiation.own(features)
 
 
@@ -115,7 +92,7 @@ class Climbing:
         self.reward = reward
 
     def steps(self, labelled: LabelledTrajectory) -> Steps:
-        """As `OwnTask.steps`: those between known places. A terminal state ends the task."""
+        """The steps of a trajectory between known places. A terminal state ends the task."""
         trajectory = labelled.trajectory
         rows, known = self.reward.rows(labelled.features)
         potentials = np.where(known, self.reward.potentials[rows], 0.0)
@@ -124,11 +101,15 @@ class Climbing:
         ends = np.zeros(len(began), dtype=bool)
         if trajectory.terminated:
             ends[-1] = True
-        return Steps(times, (potentials[led] - potentials[began])[times], ends[times])
+        return times, (potentials[led] - potentials[began])[times], ends[times]
 
     def own(self, features: FloatArray) -> FloatArray:
-        """As `OwnTask.own`: all."""
+        """All features count."""
         return features
+
+
+OwnTask: TypeAlias = Reaching | Climbing
+"""What an option is learned in; ``stop`` is what ending it in any state is worth, −∞ where it cannot be chosen."""
 
 
 def transitions_of(

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from sb3_options.execution.hosted import HostedEnvironments, Settings
+from sb3_options.execution.hosted import HostedEnvironments
 from tests.support.helpers import CountingEnv, steady_option
 from tests.support.sb3_helpers import Corridor, make_optioned_rooms, optioned_rooms
 
@@ -31,7 +31,7 @@ def test_what_was_set_is_set_again() -> None:
     lost.call("env_method", [1], ("set_slots",), {"report_availability": True})
     _, changed = lost.call("env_method", [1], ("set_slots",), {"options": {0: steady_option()}})
     hosted = HostedEnvironments([make_optioned_rooms] * 2)
-    hosted.begin([Settings(None, {"mark": [7]}), Settings(changed[1], {"mark": [7]})], [3, 4])
+    hosted.begin([(None, {"mark": [7]}), (changed[1], {"mark": [7]})], [3, 4])
     one, other = hosted.envs
     assert not one.slot_state.expect_empty
     assert other.slot_state.expect_empty

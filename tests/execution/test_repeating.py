@@ -177,7 +177,7 @@ def test_an_episode_without_end_takes_no_more_memory(monkeypatch: pytest.MonkeyP
     advanced(env, 20, np.random.default_rng(0))
     assert another(Growing, layers.states_of(env))[1] != "it has more than 20 actions"
     advanced(env, 100, np.random.default_rng(0))
-    assert len(env._episode.actions) == 21
+    assert len(env._actions) == 21
     state = layers.states_of(env)
     assert state[0]["own"]["actions"] is None
     assert another(Growing, state)[1] == "it has more than 20 actions"
