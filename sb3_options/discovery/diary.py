@@ -20,6 +20,9 @@ from sb3_options.state import TRANSIENT
 if TYPE_CHECKING:
     from sb3_options.discovery.methods.method import Method
 
+EXPLORE = "Train for longer, or add an exploration bonus: train.py --bonus rnd, in a script IntrinsicRewardCallback."
+"""The remedy where success is known and was not reached."""
+
 logger = logging.getLogger("sb3_options")
 
 SILENT_TRAJECTORIES = 20
@@ -95,7 +98,7 @@ class Diary:
         self.lowest = min(self.lowest, total)
         self.highest = max(self.highest, total)
         if self.needs_success and self.n == SILENT_TRAJECTORIES and not self.successes:
-            logger.warning("Nothing can be discovered so far: %s", self._why_no_success())
+            logger.warning("Discovery waits for a success: there was none in the first %d %ss.", self.n, self.unit)
 
     def affords(self) -> bool:
         """Whether the budget allows another search. A search that cost too much is paid off before the next one."""
@@ -223,25 +226,17 @@ class Diary:
                 "which train.py passes, shows where."
             )
         seen = (
-            f"none of the {self.n} episodes seen counts as a success. {self.terminated} ended in a terminal state, "
-            f"{self.n - self.terminated} were cut off, with returns from {self.lowest:g} to {self.highest:g}; "
+            f"no success in {self.n} episodes ({self.terminated} terminated, {self.n - self.terminated} truncated, "
+            f"returns {self.lowest:g} to {self.highest:g})."
         )
         if self.own_rule:
-            return seen + "the rule given as success=... was true of none of them."
-        if self.reported == self.n:
-            return seen + 'info["is_success"] was false in all of them. If it means something else, pass success=...'
-        seen += 'the environment reports no info["is_success"], and no terminal state brought a positive reward above '
-        seen += "all earlier ones. "
-        if not self.terminated and self.lowest == self.highest:
-            seen += "All went alike, so perhaps the goal was not found so far: explore more. Else say"
-        elif self.lowest == self.highest == 0.0:
-            seen += "If the goal is a reward, it was not found so far: explore more. Else say"
-        else:
-            seen += "Say"
+            return f"{seen} Train for longer, or choose an easier success rule."
+        if self.reported == self.n or self.lowest == self.highest:
+            return f"{seen} {EXPLORE}"
         return (
-            f"{seen} what success is: SubgoalDiscoveryCallback(success=lambda trajectory: trajectory.terminated) where "
-            "every terminal state is a good one, or sb3_options.experience.success.success_by_return(threshold). "
-            "On the command line and in YAML that is success: terminated, or success: return:NUMBER."
+            f"{seen} The environment reports none, and no episode ended with its highest reward. Name a rule of "
+            "success: train.py --success terminated, or --success return:NUMBER; "
+            'in a script success="terminated".'
         )
 
     def _why_nothing_recurs(self) -> str:
