@@ -148,17 +148,3 @@ def test_rows_of_zeros_come_back(tmp_path: Path) -> None:
     folder.save(1, {"rows": np.zeros((40, 1 << 17))})
     assert folder.newest()[1]["rows"].shape == (40, 1 << 17)
     assert len(blocks(folder)) == 1
-
-
-def test_says_that_there_is_none(folder: CheckpointFolder) -> None:
-    with pytest.raises(FileNotFoundError, match=r"^There is no checkpoint in .*checkpoints\.$"):
-        folder.newest()
-
-
-def test_a_block_lies_in_the_folder_of_blocks(folder: CheckpointFolder, tmp_path: Path) -> None:
-    file = folder.save(1, {"rows": large()})
-    name = sorted(blocks(folder))[0].removesuffix(".safetensors")
-    content = file.read_bytes().replace(name.encode(), b"../" * 10 + b"x" * (len(name) - 30))
-    file.write_bytes(content)
-    with pytest.raises(ValueError, match="is no checkpoint, or it is damaged"):
-        read(file)

@@ -85,26 +85,3 @@ def test_other_arrays_are_not_taken_for_the_ones_before(folder: CheckpointFolder
     other.array[0] = 7
     file = folder.save(2, {"rows": other.stored}, growing=other.growing())
     np.testing.assert_array_equal(read(file)["rows"], other.stored)
-
-
-def test_blocks_that_are_gone_are_written_again(folder: CheckpointFolder) -> None:
-    ring = Ring()
-    ring.write(60)
-    folder.save(1, {"rows": ring.stored}, growing=ring.growing())
-    for block in (folder.path / "blocks").iterdir():
-        block.unlink()
-    file = folder.save(2, {"rows": ring.stored}, growing=ring.growing())
-    np.testing.assert_array_equal(read(file)["rows"], ring.stored)
-
-
-def test_what_could_not_be_written_is_not_known(folder: CheckpointFolder, monkeypatch: pytest.MonkeyPatch) -> None:
-    ring = Ring()
-    ring.write(60)
-    folder.save(1, {"rows": ring.stored}, growing=ring.growing())
-    ring.write(90)
-    with monkeypatch.context() as patched:
-        patched.setattr(checkpoint_file, "to_safetensors", lambda *_, **__: 1 / 0)
-        with pytest.raises(ZeroDivisionError):
-            folder.save(2, {"rows": ring.stored}, growing=ring.growing())
-    file = folder.save(3, {"rows": ring.stored}, growing=ring.growing())
-    np.testing.assert_array_equal(read(file)["rows"], ring.stored)

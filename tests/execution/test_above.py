@@ -12,11 +12,10 @@ from sb3_contrib.common.wrappers import ActionMasker
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecMonitor
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
 from sb3_options import OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
-from sb3_options.execution.above import monitor_primitive_steps
 from tests.support.helpers import CountingEnv, steady_option
 from tests.support.sb3_helpers import ActionLog, make_optioned_rooms, optioned_rooms
 
@@ -77,12 +76,6 @@ def test_what_leaves_them_alone_may_stay(wrap: Wrap) -> None:
     assert model.num_timesteps >= 16
 
 
-@pytest.mark.parametrize("wrap", CHANGES)
-def test_beneath_it_may_stand(wrap: Wrap) -> None:
-    env = OptionsWrapper(wrap(CountingEnv(truncate_at=50)), 2, gamma=0.9)
-    PPO("MlpPolicy", env, n_steps=16, batch_size=16, gamma=0.9).learn(16, callback=PrimitiveStepsCallback())
-
-
 def limited_rooms() -> gym.Env[Any, Any]:
     """What a worker process calls."""
     return limited(make_optioned_rooms())
@@ -127,8 +120,3 @@ def test_an_evaluation_beside_a_callback_counts_primitive_steps(callback: Any) -
     model.learn(80, callback=[callback(), evaluation])
     assert evaluation.last_mean_reward == sum(range(1, 51))
     assert set(monitor.get_episode_lengths()) == {50}
-
-
-def test_environments_without_options_are_let_be(caplog: pytest.LogCaptureFixture) -> None:
-    monitor_primitive_steps(VecMonitor(DummyVecEnv([CountingEnv])))
-    assert caplog.text == ""

@@ -1,6 +1,5 @@
 """A concept space that reads the environment or its infos."""
 
-import warnings
 from typing import Any
 
 import gymnasium as gym
@@ -8,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
-from gymnasium.utils.env_checker import check_env
 from stable_baselines3 import PPO
 
 from sb3_options import ConceptsInObservation, OptionsWrapper, WithoutConcepts
@@ -67,13 +65,6 @@ def test_reads_infos_or_the_environment(source: Any) -> None:
     observation, *_ = env.step(0)
     np.testing.assert_array_equal(observation["concepts"], inner.get_wrapper_attr("place"))
     np.testing.assert_array_equal(observation["observation"], [1.0])
-
-
-def test_follows_gymnasiums_contract() -> None:
-    with warnings.catch_warnings():
-        # It is a wrapper, and φ has no bounds.
-        warnings.filterwarnings("ignore", message=".*(different from the unwrapped version|is .?infinity)")
-        check_env(ConceptsInObservation(blind_rooms(), from_info, size=2), skip_render_check=True)
 
 
 def test_the_network_need_not_see_the_concepts() -> None:

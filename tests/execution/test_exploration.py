@@ -67,10 +67,6 @@ def test_a_choice_without_primitives_is_an_option() -> None:
     assert capped(0.1).choose(np.arange(8) == 3) == 3
 
 
-def test_a_mask_works_as_for_a_plain_space() -> None:
-    assert capped(0.0).sample(mask=(np.arange(8) == 5).astype(np.int8)) == 5
-
-
 @pytest.mark.parametrize("algorithm", [DQN, QRDQN, OptionDQN])
 def test_a_model_explores_with_the_share(algorithm: Any) -> None:
     wrapped = OptionsWrapper(CountingEnv(truncate_at=50), 6, gamma=0.9)

@@ -1,16 +1,14 @@
 """Numbers that no network can learn from are refused once, by the environment's name."""
 
 import re
-from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
-from sb3_options import OptionsWrapper, cli
+from sb3_options import OptionsWrapper
 from sb3_options.execution.finite import LARGEST, check_finite
-from tests.support.helpers import CountingEnv, steady_option
+from tests.support.helpers import CountingEnv
 
 BAD = [np.nan, np.inf, -np.inf, 1e300, -1e39]
 
@@ -38,15 +36,6 @@ def test_is_refused(where: str, number: float) -> None:
         env.step(0)
 
 
-@pytest.mark.parametrize("where", ["observation", "reward"])
-def test_is_refused_within_an_option(where: str) -> None:
-    env = OptionsWrapper(gives(**{where: np.nan}), check_finite=True)
-    env.bank.add(steady_option(max_duration=5), 0)
-    env.reset()
-    with pytest.raises(ValueError, match=r"gave (the reward|an observation with) nan"):
-        env.step(env.n_primitive)
-
-
 def test_is_refused_in_reset(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(CountingEnv, "reset", lambda *_, **__: (np.array([np.nan]), {}))
     with pytest.raises(ValueError, match="gave an observation with nan as number 0 of 1"):
@@ -60,21 +49,3 @@ def test_parts_and_types_of_observations() -> None:
     check_finite(env, 3, np.float32(1.0))
     with pytest.raises(ValueError, match="an observation with inf as number 1 of 4 under 'y'"):
         check_finite(env, fine | {"y": np.array([[0.0, np.inf], [np.nan, 0.0]], np.float16)})
-
-
-def test_without_it_nothing_is_refused() -> None:
-    env = OptionsWrapper(gives(np.nan, np.inf, at=1))
-    env.reset()
-    assert np.isnan(env.step(0)[0])
-
-
-def test_train_py_checks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    gym.register("Faulty-v0", lambda: gives(np.nan, at=9))  # type: ignore[arg-type]  # it takes no arguments
-    try:
-        with pytest.raises(SystemExit):
-            cli.main(["dqn", "--env", "Faulty-v0", "--no-progress", "--tensorboard-log", str(tmp_path)])
-    finally:
-        gym.registry.pop("Faulty-v0")
-    said = capsys.readouterr().err
-    assert "Error: The environment Faulty-v0 gave an observation with nan as number 0 of 1." in said
-    assert "What was learned until then is kept in" in said

@@ -39,7 +39,6 @@ from tests.support.sb3_helpers import (
 )
 
 GAMMA = 0.9
-TABULAR: dict[str, Any] = {"policy_kwargs": {"net_arch": []}}
 N_STATES, N_PRIMITIVE = 10, 3
 
 
@@ -252,31 +251,6 @@ def test_an_algorithm_without_values_of_options_runs_them_to_their_ends() -> Non
     model.learn(64, callback=SubgoalDiscoveryCallback(max_new_options=0))
     assert env.slot_state.interruption is None
     assert not interrupt_options(model, env_of(model))
-
-
-def test_a_detour_does_not_stay_on_the_final_path() -> None:
-    """An option that leads back to the start, overrated in one place, costs two steps a visit and not fifty."""
-
-    def ran(interrupts: bool) -> tuple[int, str]:
-        env = OptionsWrapper(Corridor("discrete"), 1, gamma=GAMMA)
-        env.bank.add(steady_option(0, max_duration=50))
-        model = DQN("MlpPolicy", env, gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, **TABULAR)
-        layer = heads.option_outputs(model.policy)[0][0]
-        with torch.no_grad():
-            layer.weight.zero_()
-            layer.bias[:] = torch.tensor([0.0, 1.0, 0.5])
-            layer.weight[2, 5] = 1.0  # in place 5 only the option seems best
-        if interrupts:
-            interrupt_options(model, env_of(model))
-        env.reset(seed=0)
-        env.unwrapped.place, env._observation = 5, 5  # type: ignore[attr-defined]  # a Corridor
-        action = int(model.predict(np.array(5), deterministic=True)[0])
-        assert action == 2
-        info = env.step(action)[4]["option"]
-        return info["duration"], info["termination"]
-
-    assert ran(interrupts=True) == (1, "interrupted")
-    assert ran(interrupts=False) == (25, "truncated")
 
 
 def test_beneath_stacked_frames_options_run_to_their_ends() -> None:

@@ -14,7 +14,7 @@ from sb3_options import OptionsWrapper
 from sb3_options.density.regions import Region
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
-from tests.support.helpers import CountingEnv, DictEnv, ball, equal, place_of, steady_option, table_option
+from tests.support.helpers import CountingEnv, ball, equal, steady_option, table_option
 
 
 def with_two_options() -> OptionsWrapper:
@@ -22,18 +22,6 @@ def with_two_options() -> OptionsWrapper:
     env.bank.add(table_option([1, 0, 1, 0, 1], [0] * 5, [0] * 5), 0)
     env.bank.add(table_option([0, 0, 1, 1, 1], [0] * 5, [0] * 5), 2)
     return env
-
-
-def test_available_in_a_batch() -> None:
-    expected = [
-        [True, True, True, False, False],
-        [True, True, False, False, False],
-        [True, True, True, False, True],
-        [True, True, False, False, True],
-    ]
-    available = with_two_options().available(np.arange(4.0)[:, None])
-    assert available.dtype == bool
-    assert available.tolist() == expected
 
 
 def test_action_masks_follow_the_episode() -> None:
@@ -95,13 +83,6 @@ class TestOptionsFile:
         assert (info["option"]["duration"], info["option"]["termination"]) == (8, "subgoal")
         assert env.concept_features(observation[None]).tolist() == [[10.0, 5.0]]
 
-    def test_the_spec_makes_them_again(self, path: Path) -> None:
-        env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0"), options_file=path)
-        assert env.spec is not None
-        again = gym.make(env.spec)
-        assert isinstance(again, OptionsWrapper)
-        assert again.bank.filled == (1,)
-
     def test_a_file_that_does_not_fit_is_an_error(self, path: Path) -> None:
         with pytest.raises(ValueError, match=r"its options choose among 4 primitive actions, this task has 2\.$"):
             OptionsWrapper(CountingEnv(), options_file=path)
@@ -149,15 +130,6 @@ def test_a_feature_map_that_makes_no_features_is_refused(feature_map: Any) -> No
     text = r"^feature_map must return real numbers of shape \(batch, d\), d ≥ 1; it gave"
     with pytest.raises(ValueError, match=text):
         OptionsWrapper(CountingEnv(), feature_map=feature_map)
-
-
-def test_concept_features() -> None:
-    env = OptionsWrapper(DictEnv(), feature_map=place_of)
-    assert env.concept_features({"place": np.array([[3.0]])}).tolist() == [[3.0]]
-    without = OptionsWrapper(DictEnv())
-    assert without.traits.feature_kind is None
-    with pytest.raises(ValueError, match=r"^There is no default feature map for Dict\(.+pass OptionsWrapper\(env, f"):
-        without.concept_features({"place": np.array([[3.0]])})
 
 
 @pytest.mark.parametrize("env", ["CartPole-v1", DummyVecEnv([CountingEnv])])

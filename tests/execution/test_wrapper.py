@@ -15,7 +15,7 @@ from sb3_options import OptionsWrapper
 from sb3_options.density.regions import Region
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
-from tests.support.helpers import CountingEnv, DictEnv, ball, equal, place_of, steady_option
+from tests.support.helpers import CountingEnv, ball, equal, steady_option
 
 # Versions of gymnasium differ in the versions of Taxi they still make.
 TAXI = next(env_id for env_id in ("Taxi-v3", "Taxi-v4") if env_id in gym.registry)
@@ -94,17 +94,6 @@ def test_sb3_check_env(env_id: str, kwargs: dict[str, Any]) -> None:
     sb3_check_env(OptionsWrapper(gym.make(env_id, **kwargs)))
 
 
-@pytest.mark.parametrize("feature_map", [None, place_of])
-@pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")
-@pytest.mark.filterwarnings("ignore:.*Not able to test alternative render modes")
-def test_check_env_with_dict_observations(feature_map: Any) -> None:
-    check_env(DictEnv())
-    sb3_check_env(DictEnv())
-    env = OptionsWrapper(DictEnv(), feature_map=feature_map)
-    check_env(env)
-    sb3_check_env(env)
-
-
 @pytest.mark.parametrize(("env_id", "kwargs"), ENVS[:1] + ENVS[-2:])
 def test_spec_makes_the_wrapper_again(env_id: str, kwargs: dict[str, Any]) -> None:
     def flat_sum(observations: Any) -> Any:
@@ -165,16 +154,6 @@ def test_no_such_action(action: int) -> None:
     with pytest.raises(ValueError, match=rf"^action must be between 0 and 3, got {action}\.$"):
         env.step(action)
     assert env.unwrapped.time == 0  # type: ignore[attr-defined]  # of CountingEnv
-
-
-def test_a_primitive_step_adds_no_more_than_five_scalars_to_its_info() -> None:
-    env = OptionsWrapper(CountingEnv(), 3, gamma=0.9)
-    env.reset()
-    info = env.step(0)[4]
-    added = info.pop("option")
-    assert info == {"time": 1}
-    assert len(added) <= 5
-    assert all(isinstance(value, int | float | str) for value in added.values())
 
 
 def test_an_environment_that_uses_the_name_itself_is_refused() -> None:

@@ -3,10 +3,8 @@
 import json
 from pathlib import Path
 
-import pytest
-
 from experiments.discovery import __main__ as discovery
-from experiments.discovery.summary import EARLY, summarise
+from experiments.discovery.summary import summarise
 
 
 def result(episode: int | None, distance: int | None) -> dict[str, object]:
@@ -36,14 +34,3 @@ def test_study_writes_results_and_picture(tmp_path: Path) -> None:
     assert content["n_runs"] == len(content["runs"]) == 2
     assert content["n_with_option"] == 0
     assert (tmp_path / "discovery.png").stat().st_size > 5_000
-
-
-@pytest.mark.slow
-def test_the_main_job_finds_the_doorway_early(tmp_path: Path) -> None:
-    discovery.main(discovery.Study(out=tmp_path, runs=1, first_seed=1001, n_timesteps=16_000, jobs=1))
-    content = json.loads((tmp_path / "results.json").read_text())
-    (run,) = content["runs"]
-    assert run["distance"] <= 1
-    assert run["episode"] < EARLY
-    assert run["primitive_step"] <= 16_000
-    assert content["share_near_and_early"]["mean"] == 1.0

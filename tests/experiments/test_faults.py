@@ -1,5 +1,3 @@
-import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -40,26 +38,6 @@ def test_no_damaged_checkpoint_is_read_wrongly(
     assert found["file"]["passed over"] > 50
     assert found["block"]["refused"] > 5
     assert [path.name for path in tmp_path.iterdir()] == ["checkpoints"]
-
-
-def _raise(error: Exception) -> fuzz.Found:
-    raise error
-
-
-@pytest.mark.parametrize(
-    ("compute", "outcome"),
-    [
-        (lambda: [np.array([1.0, -np.inf])], "result"),
-        (lambda: [np.ones(2), np.array([np.nan])], "not a number"),
-        (lambda: [np.array([np.inf])], "not a number"),
-        (lambda: _raise(ValueError()), "refused"),
-        (lambda: np.zeros(2).reshape(7), "refused"),
-        (lambda: json.loads("{"), "another's error"),
-        (lambda: _raise(ZeroDivisionError()), "error"),
-    ],
-)
-def test_what_a_computation_ends_in(compute: Callable[[], fuzz.Found], outcome: str) -> None:
-    assert fuzz.outcome(compute) == outcome
 
 
 def test_fuzzed_bags_and_settings() -> None:

@@ -19,12 +19,6 @@ def test_counts_on_from_earlier_results(tmp_path: Path) -> None:
     assert json.loads(json.dumps(asdict(found))) == json.loads(json.dumps(asdict(before[0])))
 
 
-@pytest.mark.parametrize("other", [{"seed": 1}, {"n_timesteps": 9_000}, {"cases": ("ppo",)}])
-def test_results_of_another_study_do_not_count(tmp_path: Path, other: dict[str, int]) -> None:
-    results(Study(out=tmp_path), [Victim("ppo")])
-    assert kills._done(Study(out=tmp_path, **other)) == []  # type: ignore[arg-type]  # of several types
-
-
 @pytest.mark.parametrize(("went_on_from", "counts"), [([], False), ([0], False), ([0, 1000], True)])
 def test_a_run_counts_where_training_went_on_beyond_step_0(went_on_from: list[int], counts: bool) -> None:
     assert Victim("ppo", went_on_from=went_on_from).counts == counts

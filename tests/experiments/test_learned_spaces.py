@@ -4,26 +4,12 @@ from pathlib import Path
 import pytest
 
 from experiments.learned_spaces.__main__ import Study, main
-from experiments.learned_spaces.conditions import ARMS, NAMES, TASKS, run
-
-BRIEF = {"updates": 2, "batch_size": 16}
+from experiments.learned_spaces.conditions import ARMS, NAMES, TASKS
 
 
 @pytest.fixture(autouse=True)
 def _learned_early(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sb3_options.embedding.learner.FIRST_TRAJECTORIES", 2)
-
-
-@pytest.mark.parametrize("arm", ARMS)
-def test_a_run_is_of_its_seed(arm: str) -> None:
-    """Too few episodes for a subgoal, so that it is quick."""
-    first, again, other = (run("FourRooms", arm, seed, n_episodes=3, **BRIEF) for seed in (0, 0, 1))  # type: ignore[arg-type]  # of ARMS
-    for result in (first, again, other):
-        del result["seconds"]
-    assert first == again
-    assert first["found"] == []
-    assert (first["n_learned"] > 0) == (arm is not None)
-    assert first["rank_correlation"] is None or first["rank_correlation"] != other["rank_correlation"]
 
 
 def test_study_writes_results_and_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

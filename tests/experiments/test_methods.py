@@ -1,7 +1,6 @@
 """The race: its tasks, what is measured, tiny runs that go on where they were, tables and tuning."""
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -9,30 +8,20 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from experiments.common.gridworlds import rooms_of, world_of
+from experiments.common.gridworlds import rooms_of
 from experiments.methods import conditions, tune
-from experiments.methods.__main__ import Study, main, table
-from experiments.methods.conditions import Entry, run
+from experiments.methods.__main__ import Study, main
 from experiments.methods.entrants import (
-    ENTRANTS,
-    HAND_MADE,
     NONE,
-    discovery_of,
 )
-from experiments.methods.report import Report, all_parts, parts_of
-from experiments.methods.report import means as means_table
-from experiments.methods.spaces import SPACES, defaults_of
-from experiments.methods.summary import over_tasks, summarise
+from experiments.methods.summary import summarise
 from experiments.methods.tasks import (
     TASKS,
     at_bottleneck,
     best_taxi_steps,
-    moved_goal,
-    places,
     step_limit,
     task_for,
 )
-from sb3_options.discovery.methods import GivenPlaces
 from sb3_options.envs import GridWorld
 
 SHORT = 2000
@@ -59,21 +48,6 @@ class TestTasks:
             assert moved.unwrapped.goal in room
         assert step_limit(task, task.same) > 20
 
-    def test_the_goal_moves_anywhere_in_its_room(self) -> None:
-        """A fixed corner was the very subgoal of options that lead to corners."""
-        for name in ("TwoRooms", "random maps"):
-            world = world_of("sb3_options/TwoRooms-v0", **task_for(name, 0).same)
-            (x, y), (room,) = world.goal, [room for room in rooms_of(world) if world.goal in room]
-            cells = {moved_goal(world, seed) for seed in range(600)}
-            assert cells == {(i, j) for i, j in room if abs(i - x) + abs(j - y) >= 2}
-            assert moved_goal(world, 5) == moved_goal(world, 5)
-
-    @pytest.mark.parametrize("name", [task for task in TASKS if task != "Pioneer"])
-    def test_places_by_hand_are_bottlenecks(self, name: str) -> None:
-        task = task_for(name, 5)
-        assert places(task)
-        assert all(at_bottleneck(task, point) for point in places(task))
-
     def test_taxi(self) -> None:
         env = gym.make("experiments/Taxi-v0", destination=2)
         starts = {env.reset(seed=seed)[0] for seed in range(200)}
@@ -88,25 +62,6 @@ class TestTasks:
         assert not at_bottleneck(task, np.eye(125)[(0 * 5 + 0) * 5 + 4])  # at the destination, the goal
 
 
-class TestEntrants:
-    def test_each_discovers_in_its_way(self) -> None:
-        task = task_for("TwoRooms", 0)
-        for entrant in ENTRANTS:
-            settings, method = discovery_of(entrant, {}, task, 0)
-            alone = settings.method == entrant or entrant == NONE
-            assert (method is None) == alone
-        assert isinstance(discovery_of(HAND_MADE, {}, task, 0)[1], GivenPlaces)
-
-    @pytest.mark.parametrize("method", SPACES)
-    def test_what_is_tuned_includes_the_defaults(self, method: str) -> None:
-        defaults = defaults_of(method)
-        assert set(defaults) == set(SPACES[method])
-        for name, value in defaults.items():
-            space = SPACES[method][name]
-            assert space._contains(space.to_internal_repr(value)), name
-        discovery_of(method, defaults, task_for("TwoRooms", 0), 0)  # takes them
-
-
 class TestSummary:
     def test_ratios_to_random_places(self) -> None:
         runs = {"l-cut": [result(1000, 500)], "random": [result(2000, 2000)]}
@@ -114,31 +69,6 @@ class TestSummary:
         assert summary["l-cut"]["same"]["of_random"]["mean"] == 0.5
         assert summary["l-cut"]["moved"]["of_random"]["mean"] == 0.25
         assert summary["random"]["same"]["of_random"] is None
-
-    def test_all_tasks_in_one_number(self) -> None:
-        runs = {
-            "A, macroq, none": [result(4000, 1000)],
-            "A, macroq, l-cut": [result(1000, 1000)],
-            "A, macroq, random": [result(1000)],
-            "A, dqn, l-cut": [result(1000)],
-            "B, macroq, l-cut": [result(None, 500)],
-            "B, macroq, none": [result(6000, 1000)],
-        }
-        means = over_tasks(runs, {"A, macroq": 6000, "B, macroq": 6000, "A, dqn": 6000})
-        assert list(means) == ["macroq"]  # there are no primitives with the other
-        assert list(means["macroq"]) == ["l-cut", "none"]  # the other was not everywhere; fewest steps first
-        cut = means["macroq"]["l-cut"]
-        assert cut["n_runs"] == 2
-        assert cut["same"]["of_primitives"]["mean"] == pytest.approx((1 / 4 * 1) ** 0.5)
-        assert cut["moved"]["of_primitives"]["mean"] == pytest.approx((1 * 1 / 2) ** 0.5)
-        assert (cut["same"]["never"], cut["moved"]["never"]) == (1, 0)
-        assert cut["same"]["of_random"] is None
-
-        cut["same"]["of_primitives"] = {"mean": 0.5, "low": 0.5, "high": 0.5}  # no interval, and not primitives
-        lines = means_table(means).splitlines()
-        assert lines[0] == "| | MacroQ, same task | MacroQ, goal moved |"
-        assert lines[2].startswith("| l-cut | ≥0.50 (0.50 to 0.50) | 0.71 (")
-        assert lines[3] == "| none | 1 | 1 |"
 
     def test_what_is_measured(self) -> None:
         runs = {
@@ -156,30 +86,6 @@ class TestSummary:
         assert cut["moved"]["of_primitives"]["mean"] == pytest.approx(2000 / (4000 + 6000))
         assert summary[NONE]["near"] is None
         assert summary[NONE]["same"]["of_primitives"] is None
-
-    def test_the_tables(self) -> None:
-        runs = {"l-cut": [result(1000, None, near=(True,))], NONE: [result(2000)]}
-        summary = summarise(runs, 6000)
-        rows = table("TwoRooms", "macroq", summary)
-        assert [len(list(column.cells)) for column in rows.columns] == [2] * 9
-        parts = parts_of({"command": "race", "summary": {"TwoRooms": {"macroq": summary}}})
-        assert parts["command"] == "`race`"
-        lines = parts["race"].splitlines()
-        assert lines[0] == "**TwoRooms, macroq**"
-        assert lines[4].startswith(
-            "| l-cut | 1.0 | 1.00 (0.21 to 1.00) | 0.80 (0.80 to 0.80) | 0.50 (0.50 to 0.50) | 6.00"
-        )
-        assert lines[4].endswith(", 1 never | 1.00 |")
-        assert re.match(r"\| none \| [\d.]+ \| – \| 0.80", lines[5])
-        assert "2,000" in lines[5]
-        assert parts["overview"].splitlines() == ["| | TwoRooms |", "|---|---|", "| l-cut | 0.50, ≥6.00 |"]
-
-
-def test_a_run_of_a_control_carries_its_options_over() -> None:
-    found = run(Entry("FourRooms", "macroq", "random", {}, 2 * SHORT), 0)
-    assert found["found"]
-    assert found["moved"]["decided"] > 0  # runs of options that were found in the same task
-    assert found["same"]["seconds"] > found["same"]["discovery"] > 0
 
 
 def test_the_race_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -200,28 +106,6 @@ def test_the_race_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.Monke
     assert (tmp_path / "race.png").stat().st_size > 5_000
 
 
-def test_the_tables_of_the_page() -> None:
-    page = Path("docs/studies/methods.md").read_text()
-    assert all(part in page for part in all_parts(Report()).values())
-
-
-def refuse(*args: object) -> None:
-    raise AssertionError("it was there already")
-
-
-@pytest.mark.parametrize(
-    ("kwargs", "message"),
-    [
-        ({"methods": ("lcut",)}, r"^--methods: there is no 'lcut', choose from diverse-density, first-visits,"),
-        ({"tasks": ("Rooms",)}, r"^--tasks: there is no 'Rooms', choose from TwoRooms,"),
-        ({"learners": ("sac",)}, r"^--learners: there is no 'sac', choose from macroq, dqn, ppo\.$"),
-    ],
-)
-def test_what_there_is_not(kwargs: dict[str, Any], message: str, tmp_path: Path) -> None:
-    with pytest.raises(SystemExit, match=message):
-        Study(out=tmp_path, **kwargs)
-
-
 def test_tuning_goes_on_and_keeps_the_best(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With a score by hand: the fewer trajectories it waits for, the better."""
     monkeypatch.setattr(tune, "score", lambda tuning, settings, folder: float(settings["min_trajectories"]))
@@ -235,3 +119,7 @@ def test_tuning_goes_on_and_keeps_the_best(tmp_path: Path, monkeypatch: pytest.M
     assert tuned["covering"]["score"] == tuned["covering"]["settings"]["min_trajectories"] <= 10
     with pytest.raises(SystemExit, match=r"^--method: 'none' has nothing to tune, choose from diverse-density,"):
         tune.Tuning(out=tmp_path, method="none")
+
+
+def refuse(*args: object) -> None:
+    raise AssertionError(args)

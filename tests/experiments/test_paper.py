@@ -2,27 +2,19 @@
 
 import dataclasses
 import json
-import math
 import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from experiments.common.agents import live
-from experiments.paper import agents, conditions, measures
+from experiments.paper import agents, measures
 from experiments.paper.__main__ import GROUPS, Study, main
-from experiments.paper.learning_on import learn_further
 from experiments.paper.report import Report
 from experiments.paper.report import main as fill_in
 from experiments.paper.settings import PaperSettings
 from sb3_options.experience.trajectories import LabelledTrajectory
-from sb3_options.options.creation import learn_option
-from sb3_options.options.policies import TabularPolicy
-from sb3_options.options.settings import OptionLearningSettings
-from tests.options.corridor import DOOR, LEFT, RIGHT, generator, known_values
-from tests.options.corridor import walk as corridor_walk
-from tests.support.helpers import line, trajectory_of
+from tests.support.helpers import trajectory_of
 
 TINY = PaperSettings(
     trials=6,
@@ -98,18 +90,6 @@ def test_all_figures_with_their_numbers_and_again_from_what_was_kept(tmp_path: P
     assert kept == {path: path.stat().st_mtime_ns for path in kept}
 
 
-def test_agents_of_a_seed_are_the_same_until_the_option(tmp_path: Path) -> None:
-    learned = conditions.learning(TINY, tmp_path, 1)
-    controls = conditions.controls(TINY, 1)
-    made = learned["option"]["trial"]
-    assert 1 < made < TINY.trials
-    curves = [learned["primitive"], learned["discovery"], *(controls[name] for name in conditions.REPLAYS)]
-    assert len({tuple(curve[:made]) for curve in curves}) == 1
-    assert all(len(curve) == TINY.trials for curve in curves)
-    assert learned["primitive"] == live(agents.make_agent(TINY, 1), TINY.trials).lengths
-    assert learned == conditions.learning(TINY, tmp_path, 1)
-
-
 def walk(*cells: tuple[int, int], goal: bool = True) -> LabelledTrajectory:
     trajectory = trajectory_of([np.array(c, dtype=np.float64) for c in cells], terminated=goal, is_success=goal)
     return LabelledTrajectory(trajectory, np.asarray(trajectory.states), goal)
@@ -143,34 +123,3 @@ def test_the_doorway_is_what_every_crossing_visits() -> None:
     assert density[5, 10] > density[0, 0]
     assert np.isnan(density[0, 10])
     assert measures.most_visited(world(), discovery, first_only=True, rng=np.random.default_rng(0)) is not None
-
-
-def test_the_doorway_option_walks_a_shortest_path() -> None:
-    grid = world()
-    option = conditions.doorway_option(grid)
-    for start, steps in (((0, 0), 15), ((9, 5), 1), ((3, 9), 11)):
-        (x, y), taken = start, 0
-        while not option.termination(one_hot(grid, x, y))[0]:
-            assert option.initiation(one_hot(grid, x, y))[0]
-            dx, dy = ((0, -1), (0, 1), (-1, 0), (1, 0))[int(option.policy(one_hot(grid, x, y))[0])]
-            x, y, taken = x + dx, y + dy, taken + 1
-        assert taken == steps
-    assert not option.initiation(one_hot(grid, 12, 5))[0]
-
-
-def test_an_option_goes_on_learning_backwards() -> None:
-    settings = OptionLearningSettings(initiation_radius=0.0, value_function="table", gamma=1.0)
-    option = learn_option(DOOR, [corridor_walk([2, 3, 4, 5])], 2, settings, generator())
-    assert option is not None
-    assert isinstance(option.option_policy, TabularPolicy)
-    assert known_values(option.option_policy) == {2: [-math.inf, -2], 3: [-math.inf, -1], 4: [-math.inf, 0]}
-    # Backwards: Q(2, left) = −100 at once, being new; Q(3, left) = −1 − 2; then the slip from 4 is half learned.
-    slip = line([4.0, 3.0, 2.0, 1.0], [RIGHT, LEFT, LEFT])
-    further = learn_further(option, slip, settings, 0.5)
-    assert isinstance(further.option_policy, TabularPolicy)
-    assert known_values(further.option_policy) == {2: [-100, -2], 3: [-3, -1], 4: [-math.inf, -1]}
-    assert learn_further(option, corridor_walk([7, 8, 9]), settings, 0.5) is option
-
-
-def one_hot(grid: Any, x: int, y: int) -> Any:
-    return np.eye(grid.walls.size, dtype=np.float32)[[y * grid.width + x]]

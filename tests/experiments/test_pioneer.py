@@ -2,21 +2,18 @@
 
 import dataclasses
 import json
-import math
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 pytest.importorskip("pybullet")
 
-from experiments.pioneer import agents, conditions, summary
+from experiments.pioneer import conditions
 from experiments.pioneer.__main__ import GROUPS, Study, main
 from experiments.pioneer.report import Report
 from experiments.pioneer.report import main as fill_in
 from experiments.pioneer.settings import MAIN_TASK, TASKS, PioneerSettings
-from sb3_options.envs.pioneer.env import DISPLACEMENT, GRIPPING, VISIBLE, WIDTH
 from sb3_options.runs.config import configure
 
 TINY = PioneerSettings(
@@ -66,37 +63,3 @@ def test_all_figures_with_their_numbers_and_again_from_what_was_kept(
     again = json.loads((tmp_path / "results.json").read_text())
     assert again["figures"]["figure8"] == figures["figure8"]
     assert kept == {path: path.stat().st_mtime_ns for path in kept}
-
-
-def test_agents_of_a_seed_are_the_same_until_the_option(tmp_path: Path) -> None:
-    learned = conditions.learning(TINY, tmp_path, 3)
-    made = learned["option"]["trial"]
-    assert made is not None
-    for column in ("steps", "returns", "touches"):
-        assert learned["primitive"][column][:made] == learned["discovery"][column][:made]
-    assert len(learned["primitive"]["steps"]) == TINY.trials
-    assert (tmp_path / "3.safetensors").is_file()
-
-
-def test_features_tell_apart_what_matters() -> None:
-    coding = agents.features(TINY)
-    seen = np.full((5, 11), 2.0)
-    seen[:, [VISIBLE, DISPLACEMENT, WIDTH, GRIPPING]] = [1, 0.0, 0.4, 0]
-    seen[1, GRIPPING] = 1
-    seen[2, 3] = 0.3  # the sonar straight ahead
-    seen[3, DISPLACEMENT] = 0.5
-    seen[4, 0] = 0.3  # a sonar that is not used
-    here, *others = coding.active(seen)
-    shared = [int((here == other).sum()) for other in others]
-    assert shared[0] == 0
-    assert shared[1] == shared[2] == coding.n_active / 2
-    assert shared[3] == coding.n_active
-
-
-@pytest.mark.parametrize(
-    ("displacement", "width", "good"),
-    [(0.0, 0.8, True), (-9.0, 0.56, True), (11.0, 0.8, False), (0.0, 0.5, False), (None, None, False)],
-)
-def test_dead_ahead_and_near(displacement: float | None, width: float | None, good: bool) -> None:
-    option = {"displacement": None if displacement is None else math.radians(displacement), "width": width}
-    assert summary.is_near_and_ahead(option) == good

@@ -24,19 +24,6 @@ def test_tilings_are_shifted_by_the_first_odd_integers() -> None:
     assert tiles.n_features == 100
 
 
-def test_what_lies_beyond_a_bound_falls_into_the_tile_at_the_bound() -> None:
-    tiles = TileCoding([0.0], [1.0], [4])
-    inside, outside = tiles.active(np.array([[0.0], [1.0]])), tiles.active(np.array([[-5.0], [7.0]]))
-    assert inside.tolist() == outside.tolist()
-
-
-def test_bounds_and_observations_in_single_precision_are_subtracted_in_double() -> None:
-    # In single precision 1 + 2²⁴ is 2²⁴.
-    bound = np.array([2.0**24], dtype=np.float32)
-    tiles = TileCoding(-bound, bound, [2**25], n_tilings=1)
-    assert tiles.active(np.array([[1.0]], dtype=np.float32)).tolist() == [[2**24 + 1]]
-
-
 def test_parts_see_their_own_numbers_and_have_features_of_their_own() -> None:
     column, row = TileCoding([0.0], [2.0], [2], n_tilings=1), TileCoding([0.0], [3.0], [3], n_tilings=1)
     both = Concatenated([([2], column), ([0], row)])

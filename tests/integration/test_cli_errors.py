@@ -1,12 +1,9 @@
 """Errors before a run: environments that are mistyped or cannot be made leave no folder."""
 
 from pathlib import Path
-from typing import Any
 
-import gymnasium as gym
 import pytest
 
-from sb3_options.runs import folder as runs
 from tests.integration.test_cli_run import Stopping, shell
 from tests.support.sb3_helpers import TAXI
 
@@ -47,16 +44,6 @@ class TestErrors(Stopping):
     ) -> None:
         assert expected in self.stopped(capsys, *args, "--tensorboard-log", str(tmp_path / "runs"))
         assert not (tmp_path / "runs").exists()
-
-    def test_gymnasiums_own_errors(
-        self, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        def broken(*args: Any, **kwargs: Any) -> None:
-            raise gym.error.DependencyNotInstalled("pip install 'gymnasium[box2d]'")
-
-        monkeypatch.setattr(runs, "make_env", broken)
-        # The brackets must not be taken for markup.
-        assert "pip install 'gymnasium[box2d]'" in self.stopped(capsys, "--tensorboard-log", str(tmp_path))
 
     def test_from_the_shell(self, tmp_path: Path) -> None:
         done = shell("--env", "sb3_options/TwoRoms-v0", cwd=tmp_path)

@@ -1,7 +1,6 @@
 """One run, trained from the shell: what it leaves, evaluated, taken up by another run, and spoilt."""
 
 import csv
-import dataclasses
 import json
 import os
 import re
@@ -10,19 +9,17 @@ import zipfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import imageio.v3 as iio
 import numpy as np
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from sb3_options import OptionBank, cli
 from sb3_options.cli import parse
-from sb3_options.options.file import read
 from sb3_options.runs import config as configs
 from sb3_options.runs.commands import EVAL_SEED, EvaluateConfig
 from sb3_options.runs.video import CAPTION_HEIGHT
 from tests.support import processes
-from tests.support.sb3_helpers import SMALL_ROOMS, n_colours, read_video
+from tests.support.sb3_helpers import read_video
 
 ROOT = Path(__file__).parents[2]
 CONFIG = """
@@ -101,20 +98,6 @@ class TestTrain:
         assert done.returncode == 0, done.stderr
         assert done.stdout.startswith("True")
 
-    def test_with_the_resolved_configuration(self, run: Run) -> None:
-        config = configs.load(run.folder / "config.yml")
-        assert (config.seed, config.eval_freq, config.n_timesteps) == (1, 700, 8000)
-        assert config.discovery.goal_radius == 4.0
-        assert str(config.env_kwargs["map"]).strip() == SMALL_ROOMS.strip()
-
-    def test_with_options_and_a_picture(self, run: Run) -> None:
-        bank = OptionBank(4, 4)
-        bank.load(run.folder / "options.safetensors")
-        assert bank.filled == (0,)
-        picture = iio.imread(run.folder / "subgoals.png")
-        assert picture.shape[0] > 400
-        assert n_colours(picture) > 50
-
     def test_with_a_monitor_that_counts_primitive_steps(self, run: Run) -> None:
         with (run.folder / "monitor" / "0.monitor.csv").open() as file:
             file.readline()
@@ -124,30 +107,6 @@ class TestTrain:
         assert taken - 150 < sum(lengths) <= taken
         assert max(lengths) <= 150
         assert {float(row["r"]) for row in rows} <= {0.0, 1.0}
-
-    def test_evaluates_by_primitive_steps(self, run: Run) -> None:
-        steps = np.load(run.folder / "evaluations.npz")["timesteps"]
-        assert 10 <= len(steps) <= 11
-        assert (np.diff([0, *steps]) >= 700).all()
-        assert (np.diff([0, *steps]) < 800).all()
-
-    def test_says_what_it_found_and_what_to_do_next(self, run: Run) -> None:
-        assert "Training DQN on sb3_options/TwoRooms-v0 for 8,000 primitive steps." in run.printed
-        assert re.search(r"Finished after 8,\d\d\d primitive steps, \d+ episodes\.", run.printed)
-        row = re.search(r"0 +│ reach \d, \d +│ (\d), (\d) +│ ([\d,]+) +│ (\d+)", run.printed)
-        assert row is not None
-        bank = OptionBank(4, 4)
-        bank.load(run.folder / "options.safetensors")
-        assert bank[0].subgoal.points.tolist() == [[int(row[1]), int(row[2])]]  # type: ignore[union-attr]  # discovered
-        assert abs(int(row[1]) - 4) + abs(int(row[2]) - 2) <= 1
-        shown = run.folder.relative_to(run.folder.parents[2])
-        assert f"Run folder:   {shown}\n" in run.printed
-        board = re.search(rf"TensorBoard:  (\S+) -m tensorboard.main --logdir {shown}\n", run.printed)
-        assert board is not None
-        tail = f"evaluate {shown} --video {shown}/video.mp4"
-        evaluation = re.search(rf"Evaluate:     {re.escape(board[1])} (\S+) {tail}\n", run.printed)
-        assert evaluation is not None
-        assert (run.folder.parents[2] / evaluation[1]).resolve() == ROOT / "train.py"  # from where it was started
 
 
 class TestOptions:
@@ -178,24 +137,6 @@ class TestOptions:
         again.load(second.folder / "options.safetensors")
         assert again.filled == (0,)
         assert again[0].subgoal.points.tolist() == first[0].subgoal.points.tolist()  # type: ignore[union-attr]  # discovered
-
-    def test_the_model_holds_the_same(self, run: Run) -> None:
-        assert read(run.folder / "model.zip")[0] == read(run.folder / "options.safetensors")[0]
-
-    def test_says_so(self, run: Run, second: Run) -> None:
-        assert re.search(
-            rf"Finished after .+\nStarted with the options of {run.folder}: 0 \(reach \d, \d\)\.\n", second.printed
-        )
-
-    def test_evaluates_without_the_first_run(
-        self, second: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        for name in ("config.yml", "model.zip", "options.safetensors"):
-            (tmp_path / name).write_bytes((second.folder / name).read_bytes())
-        config = configs.load(tmp_path / "config.yml")
-        configs.save(dataclasses.replace(config, options=tmp_path / "gone"), tmp_path / "config.yml")
-        cli.main(["evaluate", str(tmp_path), "--episodes", "2"])
-        assert "2 episodes" in capsys.readouterr().out
 
     def test_discovery_goes_on_elsewhere(self, run: Run, tmp_path: Path) -> None:
         (tmp_path / "config.yml").write_text(CONFIG)
@@ -248,16 +189,6 @@ class TestEvaluate:
 
         assert play(3) == play(3)
         assert len({play(seed).steps.mean for seed in range(3, 7)}) > 1
-
-
-def test_help_of_evaluation(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "200")
-    with pytest.raises(SystemExit) as stopped:
-        cli.main(["evaluate", "--help"])
-    assert stopped.value.code == 0
-    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    assert "The run folder that training named" in text
-    assert "to this file, MP4 or GIF" in text
 
 
 class Stopping:
@@ -341,8 +272,3 @@ class TestErrors(Stopping):
         text = self.stopped(capsys, "evaluate", str(tmp_path), "--episodes", "1")
         assert "model.zip is damaged" in text
         assert not (tmp_path / "ran").exists()
-
-    def test_no_episodes(self, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
-        assert "--episodes must be at least 1, got 0" in self.stopped(
-            capsys, "evaluate", str(run.folder), "--episodes", "0"
-        )

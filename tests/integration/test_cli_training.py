@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from matplotlib.figure import Figure
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
@@ -15,10 +14,9 @@ from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.cli import parse
 from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.runs import config as configs
-from sb3_options.runs import folder as runs
 from sb3_options.runs import training
 from sb3_options.runs.commands import EvaluateConfig
-from sb3_options.runs.config import ALGORITHMS, configure
+from sb3_options.runs.config import ALGORITHMS
 from tests.integration.test_cli_run import CONFIG
 from tests.support.sb3_helpers import DOORWAY
 
@@ -48,11 +46,6 @@ class TestTrain:
         printed = capsys.readouterr().out
         assert text in drawn[0]
         assert f"{drawn[0]}\n" in printed
-
-    def test_makes_a_new_folder_each_time(self, tmp_path: Path) -> None:
-        config = configure(algo="dqn", tensorboard_log=tmp_path, env="a/B-v0")
-        names = [runs.new_run_folder(config).relative_to(tmp_path).as_posix() for _ in range(3)]
-        assert names == ["dqn/a-B-v0_1", "dqn/a-B-v0_2", "dqn/a-B-v0_3"]
 
     @pytest.mark.parametrize("algo", [name for name in ALGORITHMS if name != "dqn"])
     @pytest.mark.filterwarnings("ignore:You have specified a mini-batch size")  # 2 environments, not 8
@@ -148,8 +141,3 @@ def test_an_intrinsic_reward(algo: str, bonus: str, tmp_path: Path) -> None:
     scalars = EventAccumulator(str(events))
     scalars.Reload()
     assert scalars.Scalars("intrinsic/bonus")[-1].value > 0
-
-
-def test_torch_keeps_one_thread() -> None:
-    """What the command line sets is what the test suite has set already."""
-    assert torch.get_num_threads() == 1

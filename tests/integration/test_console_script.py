@@ -1,15 +1,12 @@
 """A wheel, installed where there is no checkout: the console script trains, evaluates, compares and shows options."""
 
-import io
 import shutil
 import subprocess
 import sys
-from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 
-from sb3_options import __main__ as script
 from sb3_options import cli
 from tests.support import processes
 
@@ -71,34 +68,12 @@ def test_from_a_wheel_in_an_empty_folder(installed: Path, tmp_path: Path) -> Non
     assert (first / "README.md").read_text().count("one run, and no study") == 1
 
 
-def test_a_terminal_without_greek_letters_is_helped_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    shown = io.BytesIO()
-    monkeypatch.setattr("sys.argv", ["/somewhere/bin/sb3-options", "--help", "all"])
-    monkeypatch.setattr("sys.stdout", io.TextIOWrapper(shown, encoding="latin-1", write_through=True))
-    with pytest.raises(SystemExit, match=r"^0$"):
-        script.main()
-    assert b"--feature-map" in shown.getvalue()
-
-
 def test_a_missing_extra_is_named(tmp_path: Path) -> None:
     code = "import sys; sys.modules['tyro'] = None; from sb3_options.__main__ import main; main()"
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert "pip install 'sb3-options[train,contrib]' (in a checkout '.[train,contrib]')" in done.stderr
     assert "Traceback" not in done.stderr
-
-
-def test_it_says_its_version(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit, match=r"^0$"):
-        cli.main(["--version"])
-    assert capsys.readouterr().out == f"sb3-options {version('sb3-options')}\n"
-
-
-@pytest.mark.parametrize("command", list(cli.COMMANDS))
-def test_every_command_has_its_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit, match=r"^0$"):
-        cli.main([command, "--help"])
-    assert f" {command} [-h]" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -84,18 +84,6 @@ def test_a_resumed_run_is_the_run_that_was_not_cut_off(run: Path, before_the_las
     assert (copy / runs.SUBGOALS).is_file()
 
 
-def test_a_run_that_is_cut_off_again_and_again(run: Path, tmp_path: Path) -> None:
-    copy = cut_off(run, tmp_path, before_the_last=True)
-    for _ in range(2):  # what a process that was killed leaves: events and episodes after the checkpoint
-        (copy / runs.MODEL).unlink(missing_ok=True)
-        (copy / "tensorboard_1" / "events.out.tfevents.9.killed").write_bytes(b"rest")
-        for file in (copy / runs.MONITOR).iterdir():
-            with file.open("a", encoding="utf-8") as opened:
-                opened.write("9,9,9\n")
-        cli.main(["resume", str(copy), "--no-progress"])
-    assert {what: those for what, those in differences(run, copy).items() if those} == {}
-
-
 def wait_for_the_next_second() -> None:
     """TensorBoard's files are read in the order of their names: a second, then how many this process has written.
 
@@ -183,12 +171,6 @@ class TestRefuses:
             cli.main(["resume", *args])
         assert stopped.value.code == 1
         return capsys.readouterr().err
-
-    def test_a_run_without_checkpoints(self, run: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-        copy = cut_off(run, tmp_path)
-        shutil.rmtree(copy / runs.CHECKPOINTS)
-        assert "There is no checkpoint in" in self.refusal(capsys, str(copy))
-        assert (copy / runs.CONFIG).is_file()
 
     def test_a_run_that_is_being_trained(self, run: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
         copy = cut_off(run, tmp_path)

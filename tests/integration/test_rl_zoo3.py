@@ -109,19 +109,6 @@ def test_train_enjoy_and_record(tmp_path: Path, algo: str) -> None:
 
 
 @needs_zoo
-def test_the_best_model_and_checkpoints_bring_their_own_options(tmp_path: Path) -> None:
-    run = tmp_path / "dqn" / "Rooms-v0_1"
-    run.mkdir(parents=True)
-    names = "Rooms-v0.zip", "best_model.zip", "rl_model_500_steps.zip", "rl_model_1000_steps.zip"
-    for name in names:
-        (run / name).touch()
-    arguments = ["--algo", "dqn", "-f", str(tmp_path), "--env", "Rooms-v0"]
-    flags: tuple[list[str], ...] = [], ["--load-best"], ["--load-checkpoint", "500"], ["--load-last"]
-    for name, more in zip(names, flags, strict=True):
-        assert loaded_model("enjoy", [*arguments, *more]) == run / name
-
-
-@needs_zoo
 def test_which_run_is_played(tmp_path: Path) -> None:
     for name in ("Rooms-v0_1", "Rooms-v0_2", "a-Rooms-v0_1"):
         (tmp_path / "dqn" / name).mkdir(parents=True)

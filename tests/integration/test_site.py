@@ -8,7 +8,6 @@ import pytest
 from sphinx.util.inventory import InventoryFile
 
 import sb3_options
-from docs import site
 from sb3_options import callbacks, discovery, envs
 from tests.support import processes
 from tests.support.documents import PAGES, ROOT, name_of, python_of, text_of
@@ -58,24 +57,6 @@ def test_every_page_is_on_the_site(built: Built) -> None:
 
 
 @pytest.mark.slow
-def test_the_index_has_the_menu_and_no_directive(built: Built) -> None:
-    menu = built.text("docs/index").partition('class="sidebar-tree"')[2].partition("</aside>")[0]
-    assert re.findall(r'"caption-text">(.*?)<', menu) == list(dict.fromkeys(site.CAPTIONS.values()))
-    assert menu.index("Experience") < menu.index("Checkpoints") < menu.index("Runs")
-    assert "toctree" not in built.words("docs/index")
-    assert "toctree" not in text_of(ROOT / "docs" / "index.md")
-
-
-@pytest.mark.slow
-def test_links_and_pictures_are_carried_over(built: Built) -> None:
-    guide = built.text("docs/guide/quickstart")
-    assert 'href="../studies/first-hour.html#two-rooms"' in guide
-    assert (built.folder / "_images" / "multiroom.gif").is_file()
-    assert list((built.folder / "_downloads").rglob("paper.json"))
-    assert 'href="CONTRIBUTING.html"' in built.text("README") or 'href="docs/index.html"' in built.text("README")
-
-
-@pytest.mark.slow
 def test_all_that_is_exported_is_in_the_reference(built: Built) -> None:
     names = documented(built.folder)
     for face in (sb3_options, callbacks, discovery, envs):
@@ -88,20 +69,6 @@ def test_all_that_is_exported_is_in_the_reference(built: Built) -> None:
 
 
 @pytest.mark.slow
-def test_an_entry_says_arguments_types_and_errors(built: Built) -> None:
-    words = built.words("docs/api/callbacks")
-    entry = words.partition("class SubgoalDiscoveryCallback")[2].partition("class ")[0]
-    assert "max_new_options (int | None) – Most options to make" in entry
-    assert "ValueError – A setting is out of its range" in entry
-    settings = built.words("docs/api/discovery").partition("class DiscoverySettings")[2]
-    assert "decay (float) – λ of the running averages" in settings  # of a dataclass, whose type has bounds
-    for page in ("callbacks", "discovery", "density", "learning"):
-        assert "FieldInfo" not in built.words(f"docs/api/{page}")
-        assert "_SupportsArray" not in built.words(f"docs/api/{page}")
-        assert "Bases: object" not in built.words(f"docs/api/{page}")
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("page", NOTEBOOKS, ids=lambda page: page.name)
 def test_a_notebook_shows_what_it_printed_and_drew(page: Path, built: Built) -> None:
     name = name_of(page).removesuffix(".nb.md")
@@ -111,17 +78,3 @@ def test_a_notebook_shows_what_it_printed_and_drew(page: Path, built: Built) -> 
     drawn = sum("subplots" in code or "draw(" in code or "fig\n" in code for code in cells)
     assert text.count('src="../../_images/') >= drawn - 1  # one cell may only define how to draw
     assert "the subgoal; " in built.words(name)  # printed of the option's runs
-
-
-def test_every_block_of_python_is_a_cell() -> None:
-    assert len(NOTEBOOKS) == 2
-    for page in NOTEBOOKS:
-        assert page.name.endswith(".nb.md"), "other names are no notebooks for docs/conf.py"
-        cells = [cell.source for cell in site.read_notebook(text_of(page)).cells if cell.cell_type == "code"]
-        assert cells == [code.strip() for code in python_of(page)]
-
-
-@pytest.mark.parametrize(("python", "got"), [("```python\n1\n```\n\n", "'%%bash', 'python'"), ("", "'bash'")])
-def test_a_notebook_with_commands_is_refused(python: str, got: str) -> None:
-    with pytest.raises(ValueError, match=rf"blocks of Python only, got \[{got}\]: what is not to be run belongs"):
-        site.read_notebook(f"# Title\n\n{python}```bash\nrm file\n```\n")

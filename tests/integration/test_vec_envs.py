@@ -17,16 +17,13 @@ from stable_baselines3.common.vec_env import (
     SubprocVecEnv,
     VecCheckNan,
     VecEnv,
-    VecExtractDictObs,
     VecFrameStack,
     VecNormalize,
 )
 
 from sb3_options import OptionBank, OptionDQN, OptionReplayBuffer, OptionsWrapper
-from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.execution.vec_env import as_wrapper_sees
 from sb3_options.options.option import SubgoalOption
-from tests.support.helpers import DictEnv, place_of
 from tests.support.sb3_helpers import (
     RANDOM,
     TINY,
@@ -223,15 +220,6 @@ class TestStackedFrames:
             text = r"DQN stores what VecNormalize was given.*: use VecNormalize\(VecFrameStack\(venv, n\)\)"
             with pytest.raises(ValueError, match=text):
                 model.learn(2000, callback=fast_callback())
-
-
-def test_one_entry_of_a_dict_is_refused() -> None:
-    env = OptionsWrapper(DictEnv(), gamma=0.9, feature_map=place_of)
-    model = dqn(VecExtractDictObs(DummyVecEnv([lambda: env]), "place"))
-    with pytest.raises(
-        ValueError, match=r"observations change from Dict\(.* to Box\(.*: put what changes them beneath"
-    ):
-        model.learn(20, callback=SubgoalDiscoveryCallback())
 
 
 class TestEvaluationEnvironment:

@@ -2,8 +2,6 @@
 
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,14 +17,12 @@ from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv, VecNormalize
 
 from sb3_options import OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
-from sb3_options.cli import TRY_AGAIN
 from sb3_options.execution.workers import WorkerLostError, end_workers, watch_workers
 from tests.support.helpers import CountingEnv
 from tests.support.sb3_helpers import TINY, make_optioned_rooms
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc to see who is left behind")
 
-ROOT = Path(__file__).parents[2]
 LIMIT = 300.0
 """Seconds after which something hangs, on however slow a machine."""
 
@@ -160,63 +156,3 @@ def test_ending_workers_in_the_middle_of_a_step(workers: list[SubprocVecEnv]) ->
     end_workers(venv)
     venv.close()
     assert all_gone(pids_of(venv))
-
-
-def children_of(pid: int) -> list[int]:
-    """All processes below one."""
-    parents: dict[int, int] = {}
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                parents[int(entry.name)] = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
-            except (FileNotFoundError, ProcessLookupError):
-                continue
-    found = [child for child, parent in parents.items() if parent == pid]
-    return found + [below for child in found for below in children_of(child)]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("what", ["worker killed", "interrupt", "interrupt while ignored", "terminal's interrupt"])
-def test_command_line_keeps_what_was_learned(tmp_path: Path, what: str) -> None:
-    command = [sys.executable, str(ROOT / "train.py"), "dqn", "--n-envs", "2", "--vec-env", "subproc", "--no-progress"]
-    if what == "interrupt while ignored":  # as in a script's background
-        command = ["sh", "-c", 'trap "" INT; exec "$@"', "sh", *command]
-    with subprocess.Popen(
-        [*command, "--env-kwargs", "max_steps:50", "--tensorboard-log", str(tmp_path)],
-        cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-    ) as process:  # fmt: skip
-        deadline = time.monotonic() + LIMIT
-        while not any(len(m.read_text().splitlines()) > 2 for m in tmp_path.rglob("0.monitor.csv")):
-            assert process.poll() is None, process.communicate()[1]
-            assert time.monotonic() < deadline
-            time.sleep(0.2)
-        everyone = children_of(process.pid)
-        workers = [p for p in everyone if not set(children_of(p)) and "forkserver" in cmdline(p)]
-        assert len(workers) == 2
-        if what == "worker killed":
-            os.kill(workers[-1], signal.SIGKILL)
-        elif what == "terminal's interrupt":
-            os.killpg(process.pid, signal.SIGINT)  # which Ctrl-C sends to the workers, too
-        else:
-            process.send_signal(signal.SIGINT)
-        output, errors = process.communicate(timeout=LIMIT)
-    (folder,) = tmp_path.glob("dqn/*")
-    assert "Traceback" not in errors
-    if what == "worker killed":
-        assert process.returncode == TRY_AGAIN
-        (said,) = (line for line in errors.splitlines() if " resume " in line)
-        assert (ROOT / said.split()[-1]).samefile(folder)  # it may be named from here
-        assert "of 2 is gone: its worker process" in errors
-        assert f"What was learned until then is kept in {folder}" in errors
-    else:
-        assert process.returncode == 130
-        assert "Interrupted: training ends where it can go on from, or after 5 s, and is saved" in errors
-        assert "Interrupted after" in output
-        assert (folder / "subgoals.png").is_file()
-    assert (folder / "model.zip").is_file()
-    assert (folder / "options.safetensors").is_file()
-    assert all_gone(everyone)
-
-
-def cmdline(pid: int) -> str:
-    return Path(f"/proc/{pid}/cmdline").read_text()

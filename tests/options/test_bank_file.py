@@ -4,7 +4,6 @@ import errno
 import json
 import os
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -58,17 +57,6 @@ class TestFile:
             assert len(set(option[3])) > 1
             assert 0 < sum(option[4]) < 1000
 
-    def test_slots_that_the_file_does_not_name_are_left_alone(self, tmp_path: Path) -> None:
-        filled_bank().save(tmp_path / "options")
-        bank = empty_bank()
-        mine = steady_option()
-        bank.add(mine, 0)
-        bank.add(steady_option(), 1)
-        bank.load(tmp_path / "options")
-        assert bank[0] is mine
-        assert bank.filled == (0, 1, 3)
-        assert behaviour(bank, OBSERVATIONS)[1:] == behaviour(filled_bank(), OBSERVATIONS)[1:]
-
     def test_a_half_space_comes_back_as_one(self, tmp_path: Path) -> None:
         bank, flat = empty_bank(), table()
         half_space = HalfSpace(np.array([[0.3, -0.2]]), np.ones(2), 0.0, np.array([1.0, 2.0]))
@@ -113,31 +101,6 @@ class TestFile:
         narrow = OptionBank(N_PRIMITIVE, 4, feature_size=1)
         with pytest.raises(ValueError, match=f"{re.escape(ONE_FEATURE)}$"):
             narrow.load(tmp_path / "options")
-
-    def test_an_option_that_sees_more_than_its_subgoal_says(self, tmp_path: Path) -> None:
-        group = FeatureGroup("second", [1], scale=[2], seen={"name": "both", "features": [1, 0], "scale": [2, 1]})
-        policy = TabularPolicy(np.array([[1.0, 0.0], [1.0, 5.0]]), np.eye(N_PRIMITIVE)[:2])
-        subgoal = Region(np.array([[3.0]]), np.array([2.0]), 0.5, group=group)
-        initiation = Region(np.array([[1.0, 0.0], [1.0, 5.0]]), np.array([2.0, 1.0]), 0.5, group=group.sees)
-        bank = empty_bank()
-        bank.add(SubgoalOption(subgoal, initiation, policy, policy_input="features"))
-        bank.save(tmp_path / "options")
-        loaded = empty_bank()
-        loaded.load(tmp_path / "options")
-        points = np.array([[0.0, 1.0], [5.0, 1.0], [2.0, 1.0], [7.0, 3.0]])
-        for option in (bank[0], loaded[0]):
-            assert isinstance(option, SubgoalOption)
-            assert (option.subgoal.group, option.initiation_set.group) == (group, group.sees)
-            option = option.bind(lambda observations: observations)  # type: ignore[arg-type,return-value]  # identity
-            assert option.initiation(points).tolist() == [True, True, False, False]
-            assert option.termination(points).tolist() == [0, 0, 0, 1]
-            assert option.policy(points[:2]).tolist() == [0, 1]
-        narrow = replace(subgoal, group=replace(group, seen={"name": "one", "features": [1]}))
-        other = empty_bank()
-        other.add(SubgoalOption(narrow, initiation, policy, policy_input="features"))
-        other.save(tmp_path / "wrong")
-        with pytest.raises(ValueError, match="its initiation set has 2 features, its group names 1"):
-            empty_bank().load(tmp_path / "wrong")
 
     def test_hand_made_options_must_be_there_already(self, tmp_path: Path) -> None:
         bank = filled_bank()

@@ -48,16 +48,6 @@ class TestDamage:
         with pytest.raises(FileNotFoundError, match=r"^There is no options file at .+nowhere\.$"):
             empty_bank().load(tmp_path / "nowhere")
 
-    def test_truncated_anywhere(self, content: bytes, folder: Path) -> None:
-        path = folder / "truncated"
-        header = 8 + int.from_bytes(content[:8], "little")
-        cuts = {*range(12), *range(0, len(content), 97), header - 1, header, header + 1, len(content) - 1}
-        for cut in sorted(cuts):
-            path.write_bytes(content[:cut])
-            refused(path, r"truncated is no options file, or it is damaged: ")
-        path.write_bytes(content + b"\0")
-        refused(path, r"truncated is no options file, or it is damaged: ")
-
     @settings(max_examples=300, deadline=None)
     @given(data=st.data())
     def test_corrupted_anywhere(self, content: bytes, folder: Path, data: st.DataObject) -> None:
@@ -80,21 +70,6 @@ class TestDamage:
             assert bank.slots == (None,) * CAPACITY
         else:
             assert behaviour(bank, OBSERVATIONS[:50]) == behaviour(filled_bank(), OBSERVATIONS[:50])
-
-    @settings(max_examples=100, deadline=None)
-    @given(data=st.binary(max_size=200))
-    def test_anything_else(self, folder: Path, data: bytes) -> None:
-        path = folder / "anything"
-        path.write_bytes(data)
-        refused(path, "anything is no options file")
-
-    @pytest.mark.parametrize("position", range(0, 2000, 100))
-    def test_one_bit_of_an_array(self, content: bytes, folder: Path, position: int) -> None:
-        damaged = bytearray(content)
-        damaged[-1 - position] ^= 1
-        path = folder / "bit"
-        path.write_bytes(damaged)
-        refused(path, r"bit is damaged: its contents are not what was written to it\.$")
 
     def test_a_file_can_run_no_code(self, tmp_path: Path) -> None:
         class Hostile:
@@ -239,14 +214,6 @@ def test_a_strangers_file_that_makes_no_sense(content: bytes, folder: Path, chan
     refused(path, "stranger .*" + message)
     with pytest.raises(ValueError, match="stranger .*" + message):  # the same where there is no bank to fill
         opened(path).options()
-
-
-def test_resealing_itself_does_no_harm(content: bytes, folder: Path) -> None:
-    path = folder / "resealed"
-    path.write_bytes(resealed(content, put()))
-    bank = empty_bank()
-    bank.load(path)
-    assert behaviour(bank, OBSERVATIONS) == behaviour(filled_bank(), OBSERVATIONS)
 
 
 def test_metadata_that_is_no_json(folder: Path) -> None:

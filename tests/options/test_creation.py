@@ -144,15 +144,6 @@ def test_due_at_every_doubling_of_what_reached_the_subgoal() -> None:
     assert due == [False, False, True, False, False, False, True]
 
 
-def test_slots_are_counted_apart() -> None:
-    growth = OptionGrowth()
-    growth.made(0, ball(2.0), [REACHES])
-    growth.made(1, ball(1.0), [REACHES, MISSES])
-    assert growth.is_due(0, ball(2.0), REACHES)
-    assert not growth.is_due(1, ball(1.0), REACHES)
-    assert growth.is_due(1, ball(1.0), MISSES)
-
-
 def test_an_adopted_option_is_learned_anew_once_enough_reach_it_here() -> None:
     growth = OptionGrowth()
     growth.adopted(0)

@@ -1,12 +1,9 @@
-from typing import Any
-
 import numpy as np
-import pytest
 
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import FloatArray, Observations
 from sb3_options.options.bank import OptionBank
-from sb3_options.options.option import LastFeatures, Option, SubgoalOption
+from sb3_options.options.option import LastFeatures, SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 
 
@@ -47,31 +44,3 @@ def test_all_options_of_a_bank_ask_once_for_the_features_of_an_observation() -> 
     assert bank.available(np.array([[1.0]])).tolist() == [[True, True, True, False, True]]
     assert bank.available(np.array([[1.0]])).tolist() == [[True, True, True, False, True]]
     assert counted.n == 1
-
-
-@pytest.mark.parametrize("change", ["add", "remove", "bind"])
-def test_what_may_begin_is_computed_anew_when_the_bank_changes(change: str) -> None:
-    bank = OptionBank(2, 2, feature_map=np.asarray)
-    bank.add(option(1.0))
-    at: Any = np.array([[1.0]])
-    assert bank.available_slots(at).tolist() == [[True, False]]
-    if change == "add":
-        bank.add(option(1.0))
-        assert bank.available_slots(at).tolist() == [[True, True]]
-    elif change == "remove":
-        bank.remove(0)
-        assert bank.available_slots(at).tolist() == [[False, False]]
-    else:
-        bank.bind(lambda observations: np.asarray(observations) + 1.0)
-        assert bank.available_slots(at).tolist() == [[False, False]]
-
-
-def test_hand_made_options_are_asked_each_time() -> None:
-    open_now = [True]
-    bank = OptionBank(2, 2, feature_map=np.asarray)
-    bank.add(option(1.0))
-    bank.add(Option(lambda obs: [open_now[0]], lambda obs: [0], lambda obs: [False]))
-    at: Any = np.array([[1.0]])
-    assert bank.available_slots(at).tolist() == [[True, True]]
-    open_now[0] = False
-    assert bank.available_slots(at).tolist() == [[True, False]]

@@ -55,31 +55,6 @@ def test_one_value_per_observation(name: str, returned: Any, shape: str) -> None
         getattr(option, name)(np.zeros((2, 3)))
 
 
-class TestRegion:
-    def test_union_of_balls_with_a_border_that_belongs_to_it(self) -> None:
-        region = Region(np.array([[0.0, 0.0], [10.0, 0.0]]), np.ones(2), 5.0)
-        inside = {
-            (0, 0): True,
-            (3, 4): True,
-            (3, 4.01): False,
-            (5, 0): True,
-            (5, 1): False,
-            (15, 0): True,
-            (0, -6): False,
-        }
-        assert region.contains(np.array(list(inside), dtype=np.float64)).tolist() == list(inside.values())
-
-    def test_scale_multiplies_each_feature(self) -> None:
-        region = Region(np.array([[1.0, 1.0]]), np.array([2.0, 0.5]), 1.0)
-        features = np.array([[1.5, 1.0], [1.6, 1.0], [1.0, 3.0], [1.0, 3.1]])
-        assert region.contains(features).tolist() == [True, False, True, False]
-
-    def test_radius_0_is_equality(self) -> None:
-        points = np.random.default_rng(0).normal(size=(50, 3)) * 1e3
-        region = Region(points[:25], np.array([0.1, 3.0, 7.0]), 0.0)
-        assert region.contains(points).tolist() == [True] * 25 + [False] * 25
-
-
 class TestSubgoalOption:
     observations = np.array([[0.0], [1.0], [1.2], [2.0], [2.5], [3.0], [3.5], [3.6]])
 

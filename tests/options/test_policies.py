@@ -41,16 +41,6 @@ class TestTable:
 
 
 class TestNetwork:
-    def test_forward_pass_by_hand(self) -> None:
-        # hidden = relu([(x − 1) / 2, −(x − 1) / 2]), values = [first, second + 0.25]
-        policy = NetworkPolicy(
-            np.array([1.0]),
-            np.array([2.0]),
-            [np.array([[1.0, -1.0]]), np.eye(2)],
-            [np.zeros(2), np.array([0.0, 0.25])],
-        )
-        assert policy.actions(np.array([[-1.0], [1.0], [1.4], [1.6]])).tolist() == [1, 1, 1, 0]
-
     def test_forward_pass_is_that_of_torch(self, rng: np.random.Generator) -> None:
         policy = network(rng, [4, 8, 8, 3])
         x = rng.normal(size=(200, 4))

@@ -152,13 +152,3 @@ class TestNetwork:
         assert steps is not None
         first, second = (replay_into_network(steps, 2, gamma=0.9, updates=1, generator=generator(s)) for s in (0, 1))
         assert not np.array_equal(first.weights[0], second.weights[0])
-
-
-def test_zeros_of_either_sign_are_one_state() -> None:
-    """Rounding makes -0.0. The later row of a table would count, and the way left from 0 looks bad."""
-    door, initiation = ball(1.0), ball(0.0, radius=0.25)
-    walks = [line([0.0, 1.0], [1]), line([-0.0, -1.0], [0])]
-    steps = transitions_of(Reaching(door, initiation, SETTINGS), walks, SETTINGS)
-    assert steps is not None
-    policy = replay_into_table(steps, 2, gamma=1.0, sweeps=9)
-    assert policy.actions(np.array([[0.0], [-0.0]])).tolist() == [1, 1]

@@ -71,13 +71,6 @@ class TestIntrinsicReward:
         assert set(inside(option)) >= {1, 2, 3, 4}
         assert option.policy(PLACES[1:5]).tolist() == [RIGHT] * 4
 
-    def test_with_a_network_it_ends_where_it_does_with_a_table(self) -> None:
-        """A network's values are above 0 at the top, too, and the option would go on for ever."""
-        made = [option_for(hill(0, 1, 2, 3, 4, 3, 2), value_function=how) for how in ("network", "table")]
-        by_network, by_table = (option for option in made if option is not None)
-        assert inside(by_network) == inside(by_table)
-        assert np.flatnonzero(by_network.termination(PLACES)).tolist() == [4]
-
     def test_a_flat_reward_makes_no_option(self) -> None:
         assert option_for(hill(1, 1, 1, 1, 1, 1, 1)) is None
 
@@ -115,15 +108,6 @@ class TestPassage:
 
     def test_none_where_no_step_leads_there(self) -> None:
         assert option_for(Passage(ball(30.0), self.everywhere)) is None
-
-    def test_a_region_is_a_passage_from_the_states_before_it(self) -> None:
-        reached = option_for(DOOR, BOTH_WAYS, initiation_steps=3)
-        assert reached is not None
-        passage = option_for(Passage(DOOR, reached.initiation_set))
-        assert passage is not None
-        assert inside(passage) == inside(reached)
-        for name, array in reached.option_policy.arrays().items():
-            np.testing.assert_array_equal(array, passage.option_policy.arrays()[name])
 
 
 def test_a_file_says_which_options_stay_as_they_are(tmp_path: object) -> None:

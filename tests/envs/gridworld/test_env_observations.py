@@ -1,6 +1,5 @@
 """Observations of every kind, and the cell and the key that concept features read from them."""
 
-import gymnasium
 import numpy as np
 import pytest
 
@@ -24,13 +23,6 @@ def test_observation_spaces() -> None:
     assert shape(TWO_ROOMS, "image") == ((40, 84, 3), "uint8")
     assert shape(FOUR_ROOMS, "image") == ((39, 39, 3), "uint8")
     assert shape("SG", "image") == ((36, 72, 3), "uint8")
-
-
-def test_xy_bounds_are_the_map() -> None:
-    space = GridWorld(KEY_DOOR, observation="xy").observation_space
-    assert isinstance(space, gymnasium.spaces.Box)
-    assert space.low.tolist() == [0, 0, 0]
-    assert space.high.tolist() == [12, 7, 1]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -58,10 +50,6 @@ def test_key_is_seen_and_is_lost_with_the_episode(kind: Kind) -> None:
     ]
 
 
-def test_key_is_far_from_no_key() -> None:
-    assert np.exp(-(KEY_FEATURE_SCALE**2)) < 1e-10
-
-
 @pytest.mark.parametrize("dtype", [np.uint8, np.int64, np.float32, np.float64])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("map", [TWO_ROOMS, FOUR_ROOMS])
@@ -73,33 +61,6 @@ def test_is_the_cell_for_all_cells(map: str, kind: Kind, dtype: type[np.generic]
     features = env.concept_features(observations)
     assert features.dtype == np.float64
     assert features.tolist() == [list(cell) for cell in cells]
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_is_the_cell_with_the_key(kind: Kind) -> None:
-    """A tour with the key through every cell of a room, the door and the room behind it."""
-    env = GridWorld("K..S#G\n....D.", observation=kind, success_probability=1)
-    env.reset(options={"start": (0, 0)})
-    right, left, down, up = Direction.RIGHT, Direction.LEFT, Direction.DOWN, Direction.UP
-    tour = [right, right, right, down, left, left, left, right, right, right, right, right, up]
-    observations = np.stack([env.step(action)[0] for action in tour])
-    cells = [
-        (1, 0),
-        (2, 0),
-        (3, 0),
-        (3, 1),
-        (2, 1),
-        (1, 1),
-        (0, 1),
-        (1, 1),
-        (2, 1),
-        (3, 1),
-        (4, 1),
-        (5, 1),
-    ]
-    cells.append((5, 0))
-    expected = [[x, y, KEY_FEATURE_SCALE] for x, y in cells]
-    assert env.concept_features(observations).tolist() == expected
 
 
 def test_image_without_agent_is_refused() -> None:

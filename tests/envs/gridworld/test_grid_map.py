@@ -103,10 +103,3 @@ def test_bad_maps(text: Any, kwargs: dict[str, Any], error: type[Exception], mes
 
 def test_door_counts_as_passable_for_who_can_get_the_key() -> None:
     assert GridMap.parse("KSDG").starts == ((1, 0),)
-
-
-def test_state_and_cell_are_inverse() -> None:
-    grid = GridMap.parse(KEY_DOOR)
-    for state in range(grid.n_states):
-        cell = grid.cell(state)
-        assert grid.state(cell, has_key=state >= grid.n_cells) == state or cell in grid.keys

@@ -74,12 +74,3 @@ def runs(env: OptionsWrapper, slot: int, n_episodes: int) -> list[bool]:
             if info["option"]["index"] == slot:
                 reached.append(info["option"]["termination"] == "subgoal")
     return reached
-
-
-@pytest.mark.slow
-def test_groups_can_be_given_or_left_out() -> None:
-    first = FEATURES.index("goal_visible")
-    group = {"name": "mine", "features": range(first, first + 3), "present": [[first]], "scale": [10, 1, 1]}
-    callback = discover(concepts={"groups": [group]}, max_new_options=1)
-    assert callback.discoveries[0].where == "mine at 1, 1, 0"
-    assert not discover(concepts={"groups": []}, max_new_options=0).discovery.groups  # type: ignore[union-attr]  # it has trained

@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 
 from sb3_options.density.groups import FeatureGroup
-from sb3_options.envs.minigrid import FEATURES, KINDS, concept_groups, retina
+from sb3_options.envs.minigrid import FEATURES, concept_groups, retina
 
 EMPTY, WALL, DOOR, KEY, GOAL = 1, 2, 4, 5, 8
 Image = npt.NDArray[np.uint8]
@@ -51,17 +51,6 @@ def test_features_by_name(things: dict[tuple[int, int], tuple[int, int]], expect
     assert seen(image(things, view=9)) == expected
 
 
-def test_a_batch_is_its_images_one_by_one() -> None:
-    env = gym.make("MiniGrid-LockedRoom-v0")
-    images = [env.reset(seed=0)[0]["image"]]
-    rng = np.random.default_rng(0)
-    images += [env.step(rng.integers(7))[0]["image"] for _ in range(200)]
-    together = retina(np.stack(images))
-    assert together.shape == (201, len(FEATURES))
-    assert together[:, FEATURES.index("closed_door_visible")].any()
-    np.testing.assert_array_equal(together, np.concatenate([retina(one[None]) for one in images]))
-
-
 def test_it_agrees_with_what_lies_in_the_grid() -> None:
     """The view is turned towards where the agent looks: what is ahead is at forward 1, lateral 0."""
     env: Any = gym.make("MiniGrid-DoorKey-5x5-v0").unwrapped
@@ -81,17 +70,6 @@ def test_it_agrees_with_what_lies_in_the_grid() -> None:
     assert ahead > 5
 
 
-def test_groups_name_features_by_kind() -> None:
-    groups = {group["name"]: group for group in concept_groups()}
-    assert "lava" not in groups  # it is rare, and an option would lead there
-    for kind in groups.keys() & set(KINDS):
-        names = [FEATURES[i] for i in groups[kind]["features"]]
-        assert names[:3] == [f"{kind}_visible", f"{kind}_forward", f"{kind}_lateral"]
-    group = FeatureGroup(**groups["key and locked_door"])
-    features = retina(np.stack([image(), image({(0, 0): (KEY, 0)}), image({(0, 0): (KEY, 0), (1, 0): (DOOR, 2)})]))
-    np.testing.assert_array_equal(group.is_place(features), [False, False, True])
-
-
 def test_options_see_the_cell_ahead_and_those_for_open_doors_closed_ones() -> None:
     groups = {group["name"]: FeatureGroup(**group) for group in concept_groups()}
     for group in groups.values():
@@ -101,14 +79,6 @@ def test_options_see_the_cell_ahead_and_those_for_open_doors_closed_ones() -> No
     features = retina(np.stack(views))
     np.testing.assert_array_equal(door.is_place(features), [False, False, True, False])
     np.testing.assert_array_equal(door.sees.is_place(features), [False, True, True, False])
-
-
-def test_where_things_are_are_the_coordinates_of_what_options_see() -> None:
-    for group in (FeatureGroup(**group) for group in concept_groups()):
-        assert group.coordinates == ()
-        names = [FEATURES[i] for i in group.sees.coordinates]
-        assert names == [FEATURES[i] for i in group.sees.features if FEATURES[i].endswith(("_forward", "_lateral"))]
-        assert len(names) >= 2
 
 
 def test_a_doorway_is_between_walls_whatever_is_in_view_and_an_open_door_leads_there() -> None:

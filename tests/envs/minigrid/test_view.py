@@ -47,15 +47,6 @@ def test_images_are_those_of_minigrid(env_id: str) -> None:
             env.reset()
 
 
-def test_make_sees_quickly_and_equally() -> None:
-    quick: Any = make("MiniGrid-DoorKey-5x5-v0")
-    slow = gym.make("MiniGrid-DoorKey-5x5-v0")
-    assert quick.unwrapped.gen_obs.func.__module__ == "sb3_options.envs.minigrid.view"
-    ours, theirs = quick.env.reset(seed=3)[0], slow.reset(seed=3)[0]
-    np.testing.assert_array_equal(ours["image"], theirs["image"])
-    assert (ours["direction"], ours["mission"]) == (theirs["direction"], theirs["mission"])
-
-
 @pytest.mark.parametrize("again", [lambda env: pickle.loads(pickle.dumps(env)), copy.deepcopy], ids=["pickle", "copy"])
 def test_a_copy_sees_what_is_around_itself(again: Callable[[Any], Any]) -> None:
     env: Any = make("MiniGrid-DoorKey-5x5-v0")

@@ -13,11 +13,10 @@ from minigrid.wrappers import ViewSizeWrapper
 from stable_baselines3 import PPO
 
 from sb3_options import OptionsWrapper
-from sb3_options.envs.minigrid import FEATURES, MiniGridWrapper, make, retina
+from sb3_options.envs.minigrid import FEATURES, MiniGridWrapper, make
 from sb3_options.envs.minigrid.cells import OBJECTS
 from sb3_options.envs.minigrid.cnn import MiniGridCNN
 from sb3_options.envs.minigrid.missions import Missions
-from sb3_options.envs.minigrid.wrapper import OTHER_IMAGES
 
 IDS = sorted(
     name for name in gym.registry if name.startswith("MiniGrid-") and "WFC" not in name  # their files are in no wheel
@@ -35,43 +34,6 @@ def test_every_environment_is_one_vector(env_id: str) -> None:
     used = {n for group in env.concept_groups() for n in (*group["features"], *group["seen"]["features"])}
     unused = {n for n, name in enumerate(FEATURES) if name == "wall_ahead" or name.startswith("lava")}
     assert used == set(range(len(env.feature_names))) - unused
-
-
-@pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
-@pytest.mark.parametrize("env_id", IDS)
-def test_a_goal_square_is_nothing_that_is_asked_for(env_id: str) -> None:
-    """Though missions name its colour: "get to the green goal square"."""
-    env = make(env_id)
-    space: Any = gym.make(env_id).observation_space["mission"]  # type: ignore[index]  # a Dict
-    texts = (space.sample().replace("green goal square", "goal") for _ in range(20))
-    things = {colour for text in texts for colour in COLOR_TO_IDX if colour in text.split()}
-    assert (env.feature_names == FEATURES) == (not things)
-    assert [group["name"] for group in env.concept_groups() if "asked" in group["name"]][:1] == ["asked"] * bool(things)
-
-
-def test_the_image_can_be_read_back_from_the_vector() -> None:
-    inner: Any = ViewSizeWrapper(gym.make("MiniGrid-LockedRoom-v0"), agent_view_size=9)  # type: ignore[no-untyped-call]  # of minigrid
-    env = MiniGridWrapper(inner, asked=False)
-    observation, _ = inner.reset(seed=3)
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        vector = env.observation(observation)
-        np.testing.assert_array_equal(env.images(vector[None])[0], observation["image"])
-        np.testing.assert_array_equal(env.concept_features(vector[None]), retina(observation["image"][None]))
-        observation = inner.step(rng.integers(7))[0]
-
-
-def test_missions_differ_where_they_vary_and_only_there() -> None:
-    env = make("MiniGrid-Fetch-5x5-N2-v0")
-    base = env.observation_space.shape
-    assert base == (7 * 7 * 21 + 5 + 6 + 2,)
-    codes = {}
-    for seed in range(30):
-        observation, _ = env.reset(seed=seed)
-        codes[env.unwrapped.mission] = observation[7 * 7 * 21 :].tobytes()  # type: ignore[attr-defined]
-        assert observation[7 * 7 * 21 :].sum() == 3
-    assert len(set(codes.values())) == len(codes) > 10
-    assert make("MiniGrid-DoorKey-5x5-v0").observation_space.shape == (7 * 7 * 21,)
 
 
 def test_without_the_mission_a_model_can_go_on_in_a_task_with_another() -> None:
@@ -101,13 +63,6 @@ def test_success_is_reported_at_the_end() -> None:
 @pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")
 def test_it_passes_the_checks_of_gymnasium() -> None:
     check_env(make("MiniGrid-DoorKey-5x5-v0"), skip_render_check=True, skip_close_check=True)
-
-
-@pytest.mark.parametrize("name", OTHER_IMAGES)
-def test_other_views_than_the_agent_s_are_refused(name: str) -> None:
-    env = getattr(minigrid.wrappers, name)(gym.make("MiniGrid-LavaGapS7-v0"))  # 7 by 7 cells, as the agent's view
-    with pytest.raises(TypeError, match=f"what the agent sees, v odd, got what {name} shows instead"):
-        MiniGridWrapper(env)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import pytest
 
 from sb3_options.envs.pioneer.arena import (
     BALL_CLEARANCE,
@@ -47,10 +46,3 @@ def test_places() -> None:
     assert arena.in_marked_corner(inside, inside)
     assert not arena.in_marked_corner(-inside, inside)
     assert not arena.in_marked_corner(inside, 2 - CORNER_SIZE - 0.01)
-
-
-def test_to_ask_for_room_uses_up_no_random_numbers(rng: np.random.Generator) -> None:
-    state = rng.bit_generator.state
-    with pytest.raises(ValueError, match=r"arena_size 1 m has no room"):
-        Arena(1.0, n_obstacles=0, n_balls=1)
-    assert rng.bit_generator.state == state

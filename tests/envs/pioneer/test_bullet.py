@@ -1,7 +1,5 @@
 """The layer over PyBullet."""
 
-import gc
-
 import pytest
 
 pytest.importorskip("pybullet")
@@ -20,16 +18,6 @@ def test_connects_late_and_closes_twice() -> None:
     bullet.close()
     bullet.close()
     assert not bullet.p.isConnected(client)
-
-
-def test_a_forgotten_one_disconnects() -> None:
-    forgotten = Bullet(1 / 60, 1, 10)
-    forgotten.clear()
-    p, client = forgotten.p, forgotten.client
-    assert p.isConnected(client)
-    del forgotten
-    gc.collect()
-    assert not p.isConnected(client)
 
 
 def test_rays_hit_what_their_group_may() -> None:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from sb3_options.envs.pioneer.drawing import BALL, BODY, PICTURE_HEIGHT, PICTURE_WIDTH
 from sb3_options.envs.pioneer.env import Pioneer
-from sb3_options.envs.pioneer.senses import SONARS
 
 SCALE = (PICTURE_WIDTH - 2 * 14) / 4
 """px per m in an arena of 4 m with walls of 14 px."""
@@ -51,52 +50,3 @@ def test_retina_strip_shows_the_interval() -> None:
     image = picture(env, robot=(0, 0, 0), balls=[(-1, 0)])
     assert not (image[510] == BALL).all(axis=1).any()
     env.close()
-
-
-def at(image: NDArray[np.uint8], x: float, y: float) -> NDArray[np.int64]:
-    """The colour of a place in the arena, m."""
-    row, column = PICTURE_WIDTH / 2 - y * SCALE, PICTURE_WIDTH / 2 + x * SCALE
-    colour: NDArray[np.int64] = image[int(row), int(column)].astype(np.int64)
-    return colour
-
-
-def test_beams_end_at_the_walls_and_the_cone_is_where_the_robot_looks() -> None:
-    env = Pioneer(render_mode="rgb_array")
-    image = picture(env, robot=(-1, 0, 0), balls=[(1.5, 1.5)])
-    for ahead, left, angle in SONARS:
-        # Where a beam from the ring meets the nearest wall.
-        x, y = -1 + ahead, left
-        reach = min(
-            (math.copysign(2, direction) - place) / direction
-            for place, direction in ((x, math.cos(angle)), (y, math.sin(angle)))
-            if abs(direction) > 1e-9
-        )
-        end = x + reach * math.cos(angle), y + reach * math.sin(angle)
-        colour = at(image, end[0] * 0.995, end[1] * 0.995)
-        assert colour[0] > colour[2] + 60, (angle, colour)  # orange
-    seen, unseen = at(image, 0.6, -0.7), at(image, -1.5, 0.7)
-    assert seen[2] > seen[0] > 180  # bluish
-    assert unseen[2] < unseen[0]  # floor
-    env.close()
-
-
-def test_a_list_of_pictures_shows_the_way() -> None:
-    env = Pioneer(render_mode="rgb_array_list")
-    env.reset(seed=0, options={"robot": (0, 0, 0), "balls": [(1.5, 1.5)]})
-    first = env.render()
-    assert isinstance(first, list)
-    assert len(first) == 1
-    observation = env.step(2)[0]
-    pictures = env.render()
-    assert isinstance(pictures, list)
-    places = [where(np.asarray(image), BODY)[0] for image in pictures]
-    assert len(places) > 5
-    assert places == sorted(places)
-    assert env.render() == []
-    assert env.metadata["render_fps"] == 10
-
-    twin = Pioneer()
-    twin.reset(seed=0, options={"robot": (0, 0, 0), "balls": [(1.5, 1.5)]})
-    np.testing.assert_array_equal(twin.step(2)[0], observation)  # looking changes nothing
-    env.close()
-    twin.close()

@@ -14,11 +14,10 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 pytest.importorskip("mujoco")
 
 from sb3_options.envs.pioneer import Pioneer, PioneerMuJoCo
-from sb3_options.envs.pioneer.body import AXLE_TRACK, BALL_RADIUS, CONTROL_RATE, GRIP_AHEAD, MIDDLE_HEIGHT, WHEEL_RADIUS
+from sb3_options.envs.pioneer.body import AXLE_TRACK, CONTROL_RATE, GRIP_AHEAD, WHEEL_RADIUS
 from sb3_options.envs.pioneer.env import ACTIONS, PioneerTask
 from sb3_options.envs.pioneer.senses import SONARS
 from sb3_options.execution import layers
-from sb3_options.execution.repeating import RecordActions
 from tests.envs.pioneer.expert import Expert, play
 from tests.envs.pioneer.simulators import needs_pybullet
 
@@ -99,53 +98,12 @@ def test_an_action_ends_where_it_ends_in_pybullet(action: int) -> None:
     assert abs(ticks[0] - ticks[1]) <= 6
 
 
-@needs_pybullet
-@pytest.mark.parametrize("speed", [0.5, 1.0])
-def test_a_ball_rolls_about_as_far(speed: float) -> None:
-    pioneer, twin = Pioneer(), PioneerMuJoCo()
-    for env in (pioneer, twin):
-        env.reset(options={"robot": (-1, 0, math.pi), "balls": [(-0.5, 0)]})
-    p, client = pioneer.bullet.p, pioneer.bullet.client
-    (ball,) = (b for b in range(p.getNumBodies(client)) if p.getDynamicsInfo(b, -1, physicsClientId=client)[0] == 0.25)
-    p.resetBaseVelocity(ball, (speed, 0, 0), (0, speed / BALL_RADIUS, 0), physicsClientId=client)
-    twin.simulator.data.joint("ball 0").qvel[:] = (speed, 0, 0, 0, speed / BALL_RADIUS, 0)
-    for env in (pioneer, twin):
-        for _ in range(3 * CONTROL_RATE):
-            env.simulator.drive(0, 0)
-    far, twin_far = (env.simulator.ball(0)[0] + 0.5 for env in (pioneer, twin))
-    assert twin_far == pytest.approx(far, rel=0.15)
-    assert np.abs(twin.simulator.data.joint("ball 0").qvel[:3]).max() < 0.001
-    pioneer.close()
-
-
 @pytest.mark.parametrize("name", TASKS)
 def test_an_expert_solves_it(name: str) -> None:
     """Without the noise of PyBullet's solver it may turn to and fro for ever: one in ten does."""
     env = PioneerMuJoCo(**TASKS[name])
     expert = Expert(corner=name == "PioneerCorner")
     assert sum(play(env, expert, seed)[0] for seed in range(10)) >= 8
-
-
-@pytest.mark.parametrize("kwargs", [{}, {"n_obstacles": 4, "n_balls": 2}])
-def test_random_actions_stay_finite(kwargs: dict[str, Any]) -> None:
-    """Upright, in the arena; MuJoCo would reset a scene that is not finite, and its time with it."""
-    env = PioneerMuJoCo(max_steps=200, **kwargs)
-    rng = np.random.default_rng(0)
-    env.reset(seed=0)
-    before = 0.0
-    for _ in range(600):
-        observation, _, terminated, truncated, _ = env.step(int(rng.integers(7)))
-        data = env.simulator.data
-        assert env.observation_space.contains(observation)
-        assert data.time > before
-        assert not any(warning.number for warning in data.warning)
-        assert abs(data.qpos[2] - MIDDLE_HEIGHT) < 0.02
-        assert max(map(abs, env.robot_pose[:2])) < 2
-        assert all(max(map(abs, ball)) < 2 for ball in env.ball_positions.values())
-        before = data.time
-        if terminated or truncated:
-            env.reset()
-            before = 0.0
 
 
 def test_the_gripper_lets_go_and_the_ball_is_taken_away(env: PioneerMuJoCo) -> None:
@@ -193,18 +151,3 @@ def test_goes_on_from_a_state_bit_for_bit(steps: int) -> None:
     assert layers.set_states(copy, states) is None
     np.testing.assert_array_equal(np.asarray(copy.render()), picture)
     assert onward(copy, observation) == there
-
-
-def test_checkpoints_hold_its_state_instead_of_its_actions() -> None:
-    assert not any(isinstance(layer, RecordActions) for layer in layers._layers(moment(0)[0]))
-
-
-def test_a_state_of_another_scene_is_refused(env: PioneerMuJoCo) -> None:
-    two = PioneerMuJoCo(n_balls=2)
-    two.reset(seed=0)
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match=r"must have the shape \(\d+,\) for this scene, got .*: make the environment"):
-        env.simulator.set_state(two.simulator.get_state())
-    env.close()
-    with pytest.raises(gymnasium.error.ClosedEnvironmentError, match=r"set_state\(\) was called after close"):
-        env.set_state(two.get_state())

@@ -9,23 +9,16 @@ from numpy.typing import NDArray
 
 from sb3_options.envs.pioneer.arena import OBSTACLE_RADIUS
 from sb3_options.envs.pioneer.body import BALL_RADIUS
-from sb3_options.envs.pioneer.env import DISPLACEMENT, GRIPPING, N_SONARS, VISIBLE, WIDTH, PioneerTask
+from sb3_options.envs.pioneer.env import DISPLACEMENT, N_SONARS, VISIBLE, WIDTH, PioneerTask
 from sb3_options.envs.pioneer.senses import (
     CAMERA_AHEAD,
     FIELD_OF_VIEW,
-    MAX_WIDTH,
-    N_PIXELS,
     SONAR_MAX,
-    SONAR_MIN,
     SONARS,
-    Senses,
-    Sighting,
-    retina,
 )
 from tests.envs.pioneer.simulators import CLASSES, SIMULATORS
 
 HALF = 2.0
-HIDDEN_BALL = (-1.5, -1.5)
 
 
 @pytest.fixture(params=SIMULATORS)
@@ -77,16 +70,6 @@ def test_sonars_measure_obstacles_but_not_balls(cls: type[PioneerTask]) -> None:
     env.close()
 
 
-def test_sonar_ranges_have_bounds(cls: type[PioneerTask]) -> None:
-    env = cls(arena_size=12)
-    assert observe(env, (0, 0, 0), (5, 5))[3] == SONAR_MAX
-    # 90 degrees to the left the sonar is 10 cm off the middle, the wall 14 cm farther, and 30 cm ahead of the ring.
-    assert observe(env, (0, 6 - 0.221, math.pi), (5, -5))[6] == pytest.approx(0.121, abs=0.001)
-    ranges = Senses(env.simulator, can_hide=False).look((5.8, 0, 0), []).ranges  # inside the ring the wall is nearer
-    assert ranges[3] == SONAR_MIN
-    env.close()
-
-
 @pytest.mark.parametrize("distance", [0.42, 0.5, 0.8, 1.2, 1.7])
 @pytest.mark.parametrize("bearing", [-60, -20, 0, 5, 40])
 def test_retina_shows_the_analytic_angle_of_a_sphere(env: PioneerTask, distance: float, bearing: float) -> None:
@@ -134,36 +117,3 @@ def test_an_obstacle_hides_a_ball_behind_it(cls: type[PioneerTask]) -> None:
     in_front = observe(env, (0, 0, 0), at(0.45, 0), obstacles=obstacle)
     assert in_front[WIDTH] == pytest.approx(2 * math.asin(BALL_RADIUS / 0.45), abs=1e-4)
     env.close()
-
-
-def test_of_two_balls_the_wider_is_shown(cls: type[PioneerTask]) -> None:
-    env = cls(n_balls=2, observation="retina")
-    for balls in ([at(0.6, 20), at(1.5, -30)], [at(1.5, -30), at(0.6, 20)]):
-        observation, _ = env.reset(seed=0, options={"robot": (0, 0, 0), "balls": balls})
-        assert observation[DISPLACEMENT] == pytest.approx(math.radians(20), abs=1e-4)
-        lit = np.flatnonzero(observation[GRIPPING + 1 :])
-        assert lit.min() == pytest.approx((70 - 20 - 7.7) / 2, abs=1)
-        assert lit.max() == pytest.approx((70 + 30 + 3.1) / 2, abs=1)
-    env.close()
-
-
-def test_width_of_the_gripped_ball_is_near_its_upper_bound(env: PioneerTask) -> None:
-    observe(env, (0, 0, 0), (0.7, 0))
-    observation, _, _, _, info = env.step(2)
-    assert info["gripping"]
-    assert observation[GRIPPING] == 1
-    assert 0.9 * MAX_WIDTH < observation[WIDTH] <= np.float32(MAX_WIDTH)
-    assert abs(observation[DISPLACEMENT]) < math.radians(3)
-
-
-def test_pixels_of_the_retina() -> None:
-    assert retina([]).tolist() == [0] * N_PIXELS
-    whole = retina([Sighting(FIELD_OF_VIEW / 2, -FIELD_OF_VIEW / 2)])
-    assert whole.tolist() == [1] * N_PIXELS
-    # Pixels are 2 degrees wide, and their middles at odd degrees.
-    pixels = retina([Sighting(math.radians(6), math.radians(-2))])
-    assert np.flatnonzero(pixels).tolist() == [32, 33, 34, 35]
-    assert retina([Sighting(math.radians(0.9), math.radians(-0.9))]).sum() == 0
-    edge = retina([Sighting(FIELD_OF_VIEW / 2, FIELD_OF_VIEW / 2 - math.radians(4))])
-    assert np.flatnonzero(edge).tolist() == [0, 1]
-    assert np.flatnonzero(retina([Sighting(-1.15, -FIELD_OF_VIEW / 2)])).tolist() == [68, 69]
