@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 import os
 from collections.abc import Mapping
 from itertools import islice
@@ -31,7 +32,9 @@ from sb3_options.experience.trajectories import EpisodeRecord, Trajectory
 from sb3_options.options.bank import OptionBank, PresentOptions
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.settings import OptionLearningSettings, UsefulnessSettings
-from sb3_options.state import restore, state_of
+from sb3_options.state import restore
+
+logger = logging.getLogger("sb3_options")
 
 SEGMENTS_PER_LOG = 4
 """Segments between two dumps of the log; SB3's default is as many episodes."""
@@ -223,7 +226,10 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     def _close_option(self, slot: int, why: Verdict) -> None:
         self._keeper.close(ClosedOption(slot, self.episodes, self.num_timesteps, why))
-        self.closed[-1].tell(printed=self.verbose > 0)
+        text = f"Option {slot} {why} and is closed, after {self.episodes} episodes"
+        logger.info("%s.", text)
+        if self.verbose:
+            print(text)
 
     def draw(self) -> None:
         """Draw discovery for TensorBoard, and describe the options, with the next dump of the log."""
@@ -235,16 +241,11 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             return "Discovery was switched off."
         return "No training has started." if self.discovery is None else self._keeper.why_nothing(self.episodes)
 
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint, at the start of a rollout."""
-        return {**super().get_state(), **state_of(self)}
-
     def set_state(self, state: dict[str, Any]) -> None:
         """Continue from a checkpoint, once training has started."""
         restore(self, state)
         if self._keeper.features is not None:
             self._keeper.options.send_learned_map()
-        super().set_state(state)  # last: its options may need the feature map
 
     def _on_training_end(self) -> None:
         if self._ended:  # rl-zoo3 ends training twice, and when it was refused

@@ -39,7 +39,6 @@ from sb3_options.learning.novelty import (
 )
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.learning.rollout_buffer import add_bonuses
-from sb3_options.state import restore
 
 
 class IntrinsicRewardCallback(BaseCallback):
@@ -109,8 +108,11 @@ class IntrinsicRewardCallback(BaseCallback):
             self.scale = ReturnScale(gamma, self.training_env.num_envs)
         elif len(self.scale.returns) != self.training_env.num_envs:
             self.scale.returns = np.zeros(self.training_env.num_envs)
-        if self.novelty is None and self.kind == "counts":
-            self.novelty = StateCounts(self._keys(space_of_environments(self.training_env)))
+        if self.novelty is None:
+            space = space_of_environments(self.training_env)
+            size = flatten(batch_of_one(space.sample())).shape[1]
+            counts = self.kind == "counts"
+            self.novelty = StateCounts(self._keys(space)) if counts else RandomNetworkDistillation(size, self.seed)
         self._has_options = any(self.training_env.env_is_wrapped(OptionsWrapper))
         if self._replay is not None:
             both = [each for each in all_callbacks(self.locals.get("callback")) if isinstance(each, type(self))]
@@ -119,13 +121,6 @@ class IntrinsicRewardCallback(BaseCallback):
                     f"learn() got {len(both)} IntrinsicRewardCallbacks, and a replay buffer adds one bonus: leave the "
                     "others out."
                 )
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Continue from a checkpoint, once training has started."""
-        if self.novelty is None and state["novelty"] is not None:  # networks are made at the first step
-            size = len(state["novelty"].state["statistics"].state["mean"])
-            self.novelty = RandomNetworkDistillation(size, self.seed)
-        restore(self, state)
 
     def _check_buffers(self) -> None:
         """Refuse an algorithm without a buffer, or with one that does not hold what a bonus is for."""
@@ -193,7 +188,7 @@ class IntrinsicRewardCallback(BaseCallback):
 
     def _bonus_now(self, observations: Observations) -> FloatArray:
         """The present bonus of observations as a replay buffer stores them: not normalised."""
-        assert self.novelty is not None  # nothing is sampled before something was visited
+        assert self.novelty is not None  # made when training started
         normalizer = self.model.get_vec_normalize_env()
         venv = self.training_env if normalizer is None else normalizer.venv
         return self._bonus_weight * self.novelty.of(as_wrapper_sees(venv, observations))
@@ -214,15 +209,14 @@ class IntrinsicRewardCallback(BaseCallback):
     def _visit(self, arrived: list[Observations]) -> list[FloatArray]:
         """The bonuses of the primitive steps of each environment, not yet weighted, (k,) each."""
         together = concatenate(arrived)
-        if self.novelty is None:  # only now is the size of observations known for certain
-            self.novelty = RandomNetworkDistillation(flatten(together).shape[1], self.seed)
+        assert self.novelty is not None  # made when training started
         ends = np.cumsum([batch_size(each) for each in arrived])[:-1]
         return np.split(self.novelty.visit(together), ends)
 
     def _weight_after(self, bonuses: list[FloatArray]) -> float:
         """Let σ go on by these bonuses; then w / σ, which is logged."""
-        assert self.novelty is not None  # something was visited
-        assert self.scale is not None  # made when training started
+        assert self.novelty is not None  # made when training started
+        assert self.scale is not None  # likewise
         self.scale.update(bonuses)
         weight = self.weight / self.scale.std
         self.logger.record_mean("intrinsic/bonus", weight * float(np.mean(np.concatenate(bonuses))))

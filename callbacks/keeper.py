@@ -10,7 +10,7 @@ import torch
 
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.learned_features import LearnedFeatures
-from sb3_options.callbacks.records import ClosedOption, DiscoveredOption, OptionStatistics, saved_for
+from sb3_options.callbacks.records import ClosedOption, DiscoveredOption, OptionStatistics
 from sb3_options.callbacks.usefulness import Usefulness, Verdict
 from sb3_options.density.regions import Region
 from sb3_options.discovery.discovery import Discovery
@@ -107,8 +107,19 @@ class OptionKeeper:
         self.made.add(slot)
         if not option.fixed:
             self.growth.made(slot, subgoal, self.search.database)
-        about = (found.log_density, len(option.initiation_set.points), *saved_for(subgoal, self.search.database))
-        self.discoveries.append(DiscoveredOption(slot, episode, timestep, found.centre, where, *about))
+        saved = self.search.database
+        discovery = DiscoveredOption(
+            slot,
+            episode,
+            timestep,
+            found.centre,
+            where,
+            found.log_density,
+            initiation_states=len(option.initiation_set.points),
+            saved=len(saved),
+            visiting=sum(bool(subgoal.contains(each.features).any()) for each in saved),
+        )
+        self.discoveries.append(discovery)
         return self.discoveries[-1]
 
     def _learn_further(self, labelled: LabelledTrajectory) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 from stable_baselines3.common.callbacks import BaseCallback
 
@@ -58,6 +58,8 @@ class PrimitiveStepsCallback(BaseCallback):
         ValueError: When training starts: the environment reports no durations, buffer or discount do not fit, or
             environments have different options.
     """
+
+    STATE: ClassVar[tuple[str, ...]] = ("_installer",)
 
     def __init__(self, verbose: int = 0, *, primitive_rollouts: bool = False) -> None:
         super().__init__(verbose)
@@ -141,20 +143,6 @@ class PrimitiveStepsCallback(BaseCallback):
         for name, value in LAST.items():
             if value in self.locals:
                 setattr(self.model, name, self.locals[value])
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint, at the start of a rollout."""
-        total = self.model._total_timesteps
-        options = None if self._installer is None else self._installer.get_state()
-        return {"total": total, "budget": self._budget, "updates_before": self._updates_before, "options": options}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave, once training has started."""
-        self._updates_before = state["updates_before"]
-        if state["total"] == self.model._total_timesteps:  # else learn() was called for another budget
-            self._budget = state["budget"]
-        if self._installer is not None and state["options"] is not None:
-            self._installer.set_state(state["options"])
 
     def _on_training_end(self) -> None:
         for name, schedule in self._stock_schedules.items():

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import logging
 from collections import Counter, deque
 from dataclasses import dataclass
 
 import numpy as np
 
 from sb3_options.callbacks.usefulness import WINDOW, Verdict
-from sb3_options.density.regions import Region
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.option_run import OptionRun
-from sb3_options.experience.trajectories import TrajectoryDatabase
 from sb3_options.state import storable
-
-logger = logging.getLogger("sb3_options")
 
 
 @storable
@@ -46,11 +41,6 @@ class DiscoveredOption:
     visiting: int = 0
 
 
-def saved_for(subgoal: Region, trajectories: TrajectoryDatabase) -> tuple[int, int]:
-    """How many trajectories are saved, and how many of them visit a subgoal."""
-    return len(trajectories), sum(bool(subgoal.contains(each.features).any()) for each in trajectories)
-
-
 @storable
 @dataclass(frozen=True)
 class ClosedOption:
@@ -67,13 +57,6 @@ class ClosedOption:
     episode: int
     timestep: int
     why: Verdict
-
-    def tell(self, *, printed: bool) -> None:
-        """Log it, and print it if asked."""
-        text = f"Option {self.slot} {self.why} and is closed, after {self.episode} episodes"
-        logger.info("%s.", text)
-        if printed:
-            print(text)
 
 
 class OptionStatistics:
