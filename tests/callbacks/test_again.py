@@ -1,7 +1,6 @@
 """A second training: nothing of the first stays behind in the environments that was not asked for again."""
 
 import csv
-import logging
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ import pytest
 import torch
 from sb3_contrib import TRPO, MaskablePPO, RecurrentPPO
 from stable_baselines3 import A2C, DQN, PPO
-from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback, EvalCallback
+from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import DummyVecEnv
 
@@ -46,31 +45,6 @@ def with_option() -> OptionsWrapper:
     return env
 
 
-def test_values_that_interrupt_do_not_outlive_the_training_that_asked_for_them() -> None:
-    env = with_option()
-    model = model_of(env)
-    model.learn(200, callback=SubgoalDiscoveryCallback(max_new_options=0))
-    assert env.slot_state.interruption is not None
-    model.learn(200, callback=SubgoalDiscoveryCallback(max_new_options=0, use={"interruption": False}))
-    assert env.slot_state.interruption is None
-
-
-def test_a_closed_option_makes_room_for_another() -> None:
-    callback = fast_callback()
-    model_of(optioned_rooms(2)).learn(5000, callback=callback)
-    assert len(callback.discoveries) == 1
-    assert not callback._keeper.may_make()
-    callback._close_option(callback.discoveries[0].slot, "is not needed")
-    assert callback._keeper.may_make()
-
-
-def test_macro_q_serves_the_environment_of_a_sibling() -> None:
-    env, served = with_option(), optioned_rooms(2)
-    model = MacroQ(env, gamma=0.9, seed=0)
-    model.learn(50, callback=[SubgoalDiscoveryCallback(max_new_options=0), EvalCallback(served, eval_freq=10_000)])
-    assert len(served.bank) == 1
-
-
 def test_a_step_of_a_table_affords_fewer_searches_than_one_of_a_network() -> None:
     steps = []
     for model in (MacroQ(with_option(), gamma=0.9, seed=0), model_of(with_option())):
@@ -78,18 +52,6 @@ def test_a_step_of_a_table_affords_fewer_searches_than_one_of_a_network() -> Non
         assert callback.discovery is not None
         steps.append(callback.discovery.diary.step_seconds)
     assert steps == [TABLE_STEP_SECONDS, STEP_SECONDS]
-
-
-@pytest.mark.parametrize(
-    ("kwargs", "text"),
-    [
-        ({"replay_buffer_class": None}, r"built with ReplayBuffer, .* pass DQN\(\.\.\., replay_buffer_class=Option"),
-        ({"gamma": 0.5}, r"OptionsWrapper discounts with gamma=0\.9, DQN with gamma=0\.5: give both the same"),
-    ],
-)
-def test_counting_alone_needs_the_right_buffer_and_discount(kwargs: dict[str, Any], text: str) -> None:
-    with pytest.raises(ValueError, match=text):
-        model_of(with_option(), **kwargs).learn(50, callback=PrimitiveStepsCallback())
 
 
 def test_going_on_without_the_options_says_so(caplog: pytest.LogCaptureFixture) -> None:
@@ -185,23 +147,6 @@ def test_a_proposal_of_other_features_makes_no_option(method: DiscoveryMethod, w
     assert said is not None
     assert why in said
     assert "that have an option" not in said
-
-
-def test_episodes_that_cannot_be_used_are_told_of_seldom(caplog: pytest.LogCaptureFixture) -> None:
-    def ambiguous(_: Any) -> bool:
-        raise ValueError("neither good nor bad")
-
-    callback = SubgoalDiscoveryCallback(success=ambiguous)
-    with caplog.at_level(logging.WARNING, "sb3_options"):
-        model_of(optioned_rooms(2)).learn(2000, callback=callback)
-    said = [record.getMessage() for record in caplog.records if "No discovery" in record.getMessage()]
-    assert callback.episodes > 8
-    assert said[:3] == [
-        "No discovery after episode 1: neither good nor bad",
-        "No discovery after episode 2 (so far 2 times): neither good nor bad",
-        "No discovery after episode 4 (so far 4 times): neither good nor bad",
-    ]
-    assert len(said) == callback.episodes.bit_length()
 
 
 def test_the_log_ends_with_all_primitive_steps(tmp_path: Path) -> None:

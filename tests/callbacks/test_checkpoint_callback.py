@@ -9,7 +9,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger
 
 from experiments.kills.states import differing
-from sb3_options.callbacks import CheckpointCallback, EndedAtCheckpointError, SubgoalDiscoveryCallback
+from sb3_options.callbacks import CheckpointCallback, EndedAtCheckpointError
 from sb3_options.checkpoints.file import CheckpointFolder, read
 from sb3_options.discovery.methods import Experience, Proposal
 from tests.callbacks.test_checkpoint_resuming import discovering, keep_all, model_of, trained, venv_of
@@ -22,32 +22,6 @@ class TestCheckpointCallback:
         checkpoints = CheckpointCallback(tmp_path, 200)
         model_of("PPO", venv_of()).learn(600, [discovering(), checkpoints])
         assert [int(file.stem) for file in checkpoints.folder] == [512, 256]
-
-    def test_holds_methods_and_callbacks_of_any_make(self, tmp_path: Path) -> None:
-        """What another callback calls ``method`` is its own, and a method may have no ``__dict__``."""
-
-        class Bandit(BaseCallback):
-            remembers_nothing = True
-            method = "ucb"
-
-            def _on_step(self) -> bool:
-                return True
-
-        class Slotted:
-            __slots__ = ()
-
-            def update(self, experience: Experience) -> list[Proposal]:
-                return []
-
-            def get_state(self) -> dict[str, Any]:
-                return {}
-
-            def set_state(self, state: dict[str, Any]) -> None:
-                pass
-
-        callbacks = [SubgoalDiscoveryCallback(method=Slotted()), Bandit(), CheckpointCallback(tmp_path)]
-        model_of("PPO", venv_of()).learn(64, callbacks)
-        assert len(list(CheckpointFolder(tmp_path))) > 0
 
     @pytest.mark.usefixtures("keep_all")
     def test_changes_nothing(self, tmp_path: Path) -> None:
@@ -83,27 +57,6 @@ class TestCheckpointCallback:
         file, state = CheckpointFolder(tmp_path).newest()
         assert int(file.stem) == state["model"]["counters"]["num_timesteps"] == model.num_timesteps > 0
         assert discovery._ended
-
-    def test_ends_training_where_the_disk_is_full(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-    ) -> None:
-        checkpoints = CheckpointCallback(tmp_path, 10**9, end_when=lambda: True)
-        save = checkpoints.folder.save
-
-        def full(steps: int, *args: Any, **kwargs: Any) -> Path:
-            if steps > 0:
-                raise OSError("No space left on device")
-            return save(steps, *args, **kwargs)
-
-        monkeypatch.setattr(checkpoints.folder, "save", full)
-        with pytest.raises(EndedAtCheckpointError):
-            model_of("PPO", venv_of()).learn(5_000, [discovering(), checkpoints])
-        assert caplog.messages == ["No checkpoint could be written, training ends without: No space left on device"]
-        assert [file.name for file in CheckpointFolder(tmp_path)] == ["000000000000.safetensors"]
-
-    def test_refuses_a_frequency_of_nothing(self, tmp_path: Path) -> None:
-        with pytest.raises(ValueError, match=r"^freq must be a whole number of at least 1 primitive step, got 0\. The"):
-            CheckpointCallback(tmp_path, 0)
 
     def test_refuses_models_that_are_not_known(self, tmp_path: Path) -> None:
         class Own(PPO):

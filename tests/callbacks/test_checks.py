@@ -21,7 +21,7 @@ from sb3_options.learning import heads
 from sb3_options.learning.macro_q import OneHot
 from sb3_options.options.option import SubgoalOption
 from tests.learning.test_replay_buffer import all_samples
-from tests.support.helpers import CountingEnv, DictEnv, place_of, steady_option
+from tests.support.helpers import CountingEnv, DictEnv, steady_option
 from tests.support.sb3_helpers import fast_callback, optioned_rooms, small_rooms
 
 DQN_KWARGS: dict[str, Any] = {"gamma": 0.9, "buffer_size": 200, "learning_starts": 10, "seed": 0}
@@ -92,16 +92,6 @@ def test_says_what_to_change(model: Any, error: type[Exception], text: str) -> N
     built: BaseAlgorithm = model()
     with pytest.raises(error, match=text):
         built.learn(20, callback=SubgoalDiscoveryCallback())
-
-
-def test_dict_observations_with_a_feature_map_are_welcome() -> None:
-    env = OptionsWrapper(DictEnv(), gamma=0.9, feature_map=place_of)
-    dqn(env, "MultiInputPolicy").learn(60, callback=SubgoalDiscoveryCallback())
-
-
-def test_counting_alone_needs_durations_too() -> None:
-    with pytest.raises(ValueError, match=r"There is no info\[\"option\"\]: wrap the environment in OptionsWrapper, or"):
-        dqn(small_rooms()).learn(20, callback=PrimitiveStepsCallback())
 
 
 class TestEvaluationEnvironment:
@@ -178,14 +168,6 @@ def test_a_callback_that_does_not_see_every_step_is_refused(wrap: Any, callback:
     dqn(optioned_rooms()).learn(20, callback=CallbackList([CallbackList([callback()])]))
 
 
-def test_hand_made_options_alone_close_the_heads_of_empty_slots() -> None:
-    env = optioned_rooms()
-    env.bank.add(steady_option(max_duration=2), 1)
-    model = dqn(env)
-    model.learn(20, callback=PrimitiveStepsCallback())
-    assert [heads.is_closed(model.policy, 4 + slot) for slot in range(4)] == [True, False, True, True]
-
-
 @pytest.mark.parametrize("callback", [SubgoalDiscoveryCallback, PrimitiveStepsCallback])
 def test_a_clip_of_summed_rewards_is_refused(callback: Any) -> None:
     def normalized(**kwargs: Any) -> VecNormalize:
@@ -245,10 +227,6 @@ def test_a_rule_that_says_no_in_words_ends_training() -> None:
     callback = SubgoalDiscoveryCallback(success=lambda _: "no")  # type: ignore[arg-type, return-value]
     with pytest.raises(TypeError, match="success must return True or False, got 'no'"):
         dqn(optioned_rooms(2)).learn(1000, callback=callback)
-
-
-def test_why_nothing_before_training() -> None:
-    assert SubgoalDiscoveryCallback().why_nothing() == "No training has started."
 
 
 def test_the_options_of_a_training_are_changed_in_its_environments() -> None:

@@ -74,11 +74,6 @@ class TestGoesOn:
         model.learn(STEPS, callback=callback)
         assert len(callback.discoveries) == len(callback.bank) == most
 
-    def test_until_every_slot_is_filled(self) -> None:
-        callback = fast_callback(max_new_options=None, use={"max_option_exploration": 0.05})
-        model_of(optioned_rooms(1)).learn(5 * STEPS, callback=callback)
-        assert len(callback.discoveries) == 1
-
     def test_after_nan_observations(self, caplog: pytest.LogCaptureFixture) -> None:
         class Spoilt(gym.ObservationWrapper[Any, Any, Any]):
             seen = 0
@@ -97,12 +92,6 @@ class TestGoesOn:
         assert logged[0].startswith("No discovery after episode 1: ")
         assert "NaN" in logged[0]
         assert len(callback.discoveries) == 1
-
-    def test_when_episodes_never_succeed(self) -> None:
-        callback, model = fast_callback(), model_of(optioned_rooms(max_steps=5))
-        model.learn(500, callback=callback)
-        assert callback.episodes >= 90
-        assert callback.discoveries == []
 
     @pytest.mark.parametrize(("max_segment", "n_told"), [(100, 1), (600, 0)])
     def test_when_episodes_never_end(self, caplog: pytest.LogCaptureFixture, max_segment: int, n_told: int) -> None:

@@ -1,7 +1,6 @@
 """Options are discovered, reach every environment, and are used; settings that do not fit are refused."""
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -9,17 +8,15 @@ import pytest
 import torch
 from sb3_contrib import QRDQN
 from stable_baselines3 import DQN
-from stable_baselines3.common.callbacks import BaseCallback, CallbackList, EvalCallback, EveryNTimesteps
+from stable_baselines3.common.callbacks import CallbackList, EvalCallback, EveryNTimesteps
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
+from stable_baselines3.common.vec_env import SubprocVecEnv
 
 from sb3_options import OptionBank, OptionDQN, OptionsWrapper
-from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.learning import heads
 from sb3_options.options.option import SubgoalOption
 from tests.callbacks.doorway import N_PRIMITIVE, STEPS, banks, model_of, same_options
-from tests.support import processes
 from tests.support.helpers import DictEnv, place_of
 from tests.support.sb3_helpers import DOORWAY, RANDOM, env_of, fast_callback, make_optioned_rooms, optioned_rooms
 
@@ -54,23 +51,7 @@ def test_discovers_the_doorway_and_installs_an_option_that_leads_there(algorithm
     assert np.mean(reached) > 0.7
 
 
-def test_uses_the_option_once_it_has_it() -> None:
-    model, callback = model_of(), fast_callback()
-    model.learn(STEPS, callback=callback)
-    stored = model.replay_buffer.actions[: model.replay_buffer.size(), 0]
-    uses = callback._keeper.statistics.values()["options/slot_0/uses"]
-    assert (stored == N_PRIMITIVE).sum() == uses > 5
-    assert not (stored > N_PRIMITIVE).any()
-
-
 class TestReachesEveryEnvironment:
-    @pytest.mark.parametrize("n_envs", [1, 4])
-    def test_in_one_process(self, n_envs: int) -> None:
-        venv = DummyVecEnv([optioned_rooms] * n_envs)
-        callback = fast_callback()
-        model_of(venv).learn(STEPS, callback=callback)
-        assert same_options([callback.bank, *banks(venv)])
-
     def test_in_worker_processes(self) -> None:
         venv = SubprocVecEnv([make_optioned_rooms] * 2, start_method="fork")
         try:
@@ -98,24 +79,6 @@ class TestReachesEveryEnvironment:
         model_of().learn(STEPS, callback=nested[how]())
         assert len(callback.discoveries) == 1
         assert same_options([callback.bank, *banks(evaluation.eval_env)])
-
-    def test_and_the_evaluation_uses_it(self) -> None:
-        """Episodes that are evaluated count primitive steps too."""
-        evaluation = EvalCallback(Monitor(optioned_rooms()), n_eval_episodes=3, eval_freq=400, verbose=0)
-        lengths: list[int] = []
-
-        class Lengths(BaseCallback):
-            def _on_step(self) -> bool:
-                lengths.extend(e for e in cast("Any", evaluation.eval_env).envs[0].get_episode_lengths())
-                return True
-
-        evaluation.callback = Lengths()
-        callback = fast_callback()
-        model = model_of()
-        model.learn(STEPS, callback=[callback, evaluation])
-        assert isinstance(cast("Any", evaluation.eval_env).envs[0].env, OptionsWrapper)
-        assert lengths
-        assert max(lengths) <= 150
 
 
 class TestSuccess:
@@ -179,50 +142,6 @@ def test_dict_observations() -> None:
     assert [abs(d.subgoal[0] - 5) < 2 for d in callback.discoveries] == [True]
 
 
-ACT_AGAIN = """
-import numpy as np
-from stable_baselines3 import DQN
-from sb3_options import OptionDQN, OptionReplayBuffer
-from tests.support.sb3_helpers import optioned_rooms
-
-observations = np.load("observations.npy")
-for algorithm in (DQN, OptionDQN):
-    name = algorithm.__name__
-    env = optioned_rooms()
-    model = algorithm("MlpPolicy", env, gamma=0.9, replay_buffer_class=OptionReplayBuffer, buffer_size=1,
-                      policy_kwargs={"net_arch": [16]})
-    model.set_parameters(f"{name}.zip")
-    env.bank.load(f"{name}.safetensors")
-    actions = model.predict(observations, deterministic=True)[0]
-    np.save(f"{name}.npy", np.stack([actions, env.bank[0].policy(observations), env.available(observations)[:, 4]]))
-"""
-
-
-def test_saved_and_loaded_in_a_new_process_acts_the_same(tmp_path: Path) -> None:
-    cells = np.random.default_rng(0).integers(45, size=1000)
-    observations = np.eye(45, dtype=np.float32)[cells]
-    np.save(tmp_path / "observations.npy", observations)
-    expected = {}
-    for algorithm in (DQN, OptionDQN):
-        model, callback = model_of(algorithm=algorithm), fast_callback()
-        model.learn(STEPS, callback=callback)
-        for layer, _ in heads.option_outputs(model.policy):
-            torch.nn.init.constant_(layer.bias[N_PRIMITIVE], 0.3)  # so that the option is chosen at times
-        actions = model.predict(observations, deterministic=True)[0]
-        assert (actions == N_PRIMITIVE).any()
-        model.save(tmp_path / f"{algorithm.__name__}.zip")
-        callback.bank.save(tmp_path / f"{algorithm.__name__}.safetensors")
-        (bank,) = banks(env_of(model))
-        expected[algorithm.__name__] = np.stack(
-            [actions, cast("SubgoalOption", bank[0]).policy(observations), bank.available(observations)[:, N_PRIMITIVE]]
-        )
-    script = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[2])!r})\n{ACT_AGAIN}"
-    result = processes.python("-c", script, cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    for name, values in expected.items():
-        np.testing.assert_array_equal(np.load(tmp_path / f"{name}.npy"), values)
-
-
 @pytest.mark.parametrize(
     ("groups", "message"),
     [
@@ -236,16 +155,3 @@ def test_groups_that_do_not_fit_are_refused_before_the_first_step(groups: list[A
     with pytest.raises(ValueError, match=message):
         model.learn(STEPS, callback=fast_callback(concepts={"groups": groups}))
     assert model.num_timesteps == 0
-
-
-def test_a_share_is_refused_out_of_range() -> None:
-    with pytest.raises(ValueError, match=r"min_reached should be less than or equal to 1, got 2"):
-        SubgoalDiscoveryCallback(usefulness={"min_reached": 2})
-
-
-@pytest.mark.parametrize(
-    ("name", "kwargs"), [("success", {"success": 3}), ("static_filter", {"concepts": {"static_filter": 3}})]
-)
-def test_a_rule_that_cannot_be_called_is_refused_when_the_callback_is_made(name: str, kwargs: dict[str, Any]) -> None:
-    with pytest.raises(TypeError, match=f"^{name} must be .*, got 3"):
-        SubgoalDiscoveryCallback(**kwargs)

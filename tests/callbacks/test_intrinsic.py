@@ -13,16 +13,16 @@ from gymnasium import spaces
 from sb3_contrib import QRDQN, TRPO, MaskablePPO, RecurrentPPO
 from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecFrameStack, VecNormalize
+from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from sb3_options import MacroQ, OptionDQN, OptionReplayBuffer, OptionsWrapper
-from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback, SubgoalDiscoveryCallback
+from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback
 from sb3_options.learning.novelty import StateCounts, bin_widths
 from tests.learning.test_replay_buffer import optioned, place_in
 from tests.learning.test_rollout_buffer import GAMMA, LAMBDA, make
 from tests.support.helpers import DictEnv, steady_option
-from tests.support.sb3_helpers import Corridor, StepLog, make_optioned_rooms, optioned_rooms, small_rooms
+from tests.support.sb3_helpers import Corridor, StepLog, optioned_rooms, small_rooms
 
 WEIGHT = 0.5
 
@@ -242,20 +242,6 @@ def read(visits: dict[bytes, int], widths: Any) -> dict[tuple[int, ...], int]:
     return {tuple(np.rint(bins[key] * widths).astype(int)): n for key, n in visits.items()}
 
 
-def test_worker_processes_count_the_same() -> None:
-    counted_by = []
-    for made in (DummyVecEnv, SubprocVecEnv):
-        venv: Any = made([make_optioned_rooms] * 2)
-        venv.seed(3)
-        bonus = IntrinsicRewardCallback()
-        model = PPO("MlpPolicy", venv, n_steps=32, batch_size=64, n_epochs=1, gamma=0.9, seed=0)
-        model.learn(64, callback=[SubgoalDiscoveryCallback(), bonus])
-        counted_by.append(visits_of(bonus))
-        venv.close()
-    assert counted_by[0] == counted_by[1]
-    assert len(counted_by[0]) > 3
-
-
 def test_without_weight_nothing_changes() -> None:
     weights = []
     for callback in (None, IntrinsicRewardCallback(weight=0.0), IntrinsicRewardCallback("rnd", weight=0.0)):
@@ -299,26 +285,6 @@ def test_an_exception_leaves_no_bonus_behind() -> None:
         model.learn(200, callback=[IntrinsicRewardCallback(), Fails()])
     assert isinstance(model.replay_buffer, OptionReplayBuffer)
     assert model.replay_buffer.bonus is None
-
-
-class Menu(gym.Wrapper[Any, Any, Any, Any]):
-    """An environment without option slots whose info uses the word for something else."""
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        *result, info = self.env.step(action)
-        return (*result, {**info, "option": "of the day"})
-
-
-def test_an_info_of_another_meaning_is_let_be() -> None:
-    make(PPO, Menu(small_rooms())).learn(64, callback=IntrinsicRewardCallback())
-
-
-def test_the_reward_of_the_task_is_what_monitors_see() -> None:
-    model = make(PPO, small_rooms(max_steps=20))
-    model.learn(256, callback=IntrinsicRewardCallback(weight=10.0))
-    returns = [float(episode["r"]) for episode in model.ep_info_buffer or ()]
-    assert len(returns) > 5
-    assert set(returns) <= {0.0, 1.0}
 
 
 class TestErrors:

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from stable_baselines3 import DQN
@@ -225,21 +224,3 @@ def test_cut_and_resumed_is_never_interrupted(tmp_path: Path) -> None:
 def test_what_does_not_go_together(kwargs: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         dqn(temporal_rooms()).learn(10, callback_with(**kwargs))
-
-
-class TestNames:
-    def test_kinds_of_observations(self) -> None:
-        kinds = {}
-        for env_id in ("FrozenLake-v1", "CartPole-v1", "Blackjack-v1"):
-            env = gym.make(env_id)
-            phi = (
-                OptionsWrapper(env, 1, feature_map="temporal-distance").bank.feature_map
-                if env_id != "Blackjack-v1"
-                else None
-            )
-            kinds[env_id] = phi.encoder.form.kind if isinstance(phi, LearnedMap) else None
-        assert kinds == {"FrozenLake-v1": "table", "CartPole-v1": "vector", "Blackjack-v1": None}
-
-    def test_a_map_that_is_not_learned_cannot_be_set(self) -> None:
-        with pytest.raises(ValueError, match=r"is not learned: there is nothing to set\.$"):
-            OptionsWrapper(small_rooms(), 2).set_slots(learned_map={})

@@ -1,12 +1,9 @@
 """`load_checkpoint` goes on from the newest checkpoint, and refuses those of another training."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback, load_checkpoint
@@ -15,13 +12,6 @@ from sb3_options.discovery.methods import DiscoveryMethod
 from sb3_options.discovery.methods.graphs import Betweenness, LCut
 from tests.callbacks.test_checkpoint_resuming import Callbacks, discovering, model_of, venv_of
 from tests.support.sb3_helpers import optioned_rooms
-
-
-@dataclass
-class Anything:
-    """Settings of a user's own."""
-
-    function: Callable[..., Any]
 
 
 class TestLoadCheckpoint:
@@ -52,10 +42,6 @@ class TestLoadCheckpoint:
     def test_needs_the_callback(self, tmp_path: Path) -> None:
         with pytest.raises(ValueError, match=r"needs a CheckpointCallback among the callbacks"):
             load_checkpoint(tmp_path, model_of("PPO", venv_of()), discovering())
-
-    def test_says_that_there_is_none(self, tmp_path: Path) -> None:
-        with pytest.raises(FileNotFoundError, match="There is no checkpoint in"):
-            load_checkpoint(tmp_path, model_of("PPO", venv_of()), CheckpointCallback(tmp_path))
 
     def test_refuses_another_algorithm(self, tmp_path: Path) -> None:
         model_of("PPO", venv_of()).learn(64, [discovering(), CheckpointCallback(tmp_path)])
@@ -119,24 +105,6 @@ class TestLoadCheckpoint:
         load_checkpoint(tmp_path, model, same)
         with pytest.raises(ValueError, match=r"with 4 slots for options, and this one has 2: pass max_options=4"):
             model.learn(64, same)
-
-    def test_settings_of_a_users_callback_are_the_users(self, tmp_path: Path) -> None:
-        """They may be anything, which no checkpoint need hold."""
-
-        class Own(BaseCallback):
-            remembers_nothing = True
-
-            def __init__(self, settings: Anything) -> None:
-                super().__init__()
-                self.settings = settings
-
-            def _on_step(self) -> bool:
-                return True
-
-        model_of("PPO", venv_of()).learn(64, [discovering(), Own(Anything(print)), CheckpointCallback(tmp_path)])
-        model, other = model_of("PPO", venv_of()), [discovering(), Own(Anything(len)), CheckpointCallback(tmp_path)]
-        load_checkpoint(tmp_path, model, other)
-        model.learn(64, other)
 
     def test_refuses_other_callbacks_and_environments(self, tmp_path: Path) -> None:
         model_of("PPO", venv_of()).learn(64, [discovering(), CheckpointCallback(tmp_path)])

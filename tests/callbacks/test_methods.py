@@ -109,10 +109,3 @@ def test_methods_are_told_of_failures_whatever_bags_there_are() -> None:
     callback = SubgoalDiscoveryCallback({"negative_bags": False}, method=(method := Counting()))
     MacroQ(env, gamma=0.97, seed=0).learn(200, callback=callback)
     assert method.told == callback.episodes >= 10
-
-
-def test_an_unknown_method() -> None:
-    with pytest.raises(
-        ValueError, match=r"^DiscoverySettings: method should be 'diverse-density', .*got 'betweeness'$"
-    ):
-        SubgoalDiscoveryCallback(method="betweeness")  # type: ignore[arg-type]

@@ -4,7 +4,6 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-import torch
 from sb3_contrib import MaskablePPO
 from sb3_contrib.common.wrappers import ActionMasker
 from stable_baselines3 import A2C, DQN, PPO
@@ -17,14 +16,13 @@ from stable_baselines3.common.callbacks import (
     ProgressBarCallback,
 )
 from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from sb3_options import Option, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.callbacks.counting import all_callbacks
-from sb3_options.execution.above import PrimitiveMonitor, monitor_primitive_steps
+from sb3_options.execution.above import monitor_primitive_steps
 from sb3_options.learning import heads
 from tests.support.helpers import CountingEnv, steady_option
 from tests.support.sb3_helpers import RANDOM, StepLog, optioned_rooms, small_rooms
@@ -106,13 +104,6 @@ def test_counts_the_sum_of_durations(algorithm: str, n_envs: int) -> None:
         assert spy.counted[-2] < 500 <= spy.counted[-1] < 500 + K * n_envs
 
 
-def test_without_options_nothing_changes() -> None:
-    spy = Spy()
-    model = dqn(optioned_rooms())
-    model.learn(300, callback=[PrimitiveStepsCallback(), spy])
-    assert spy.counted == list(range(1, 301))
-
-
 def test_schedules_see_primitive_steps() -> None:
     """ε falls over primitive steps: after half of them it is where stock SB3 has it after half of its steps."""
     model = dqn(counting(terminate_at=17), exploration_fraction=1.0)
@@ -141,12 +132,6 @@ def test_moves_the_progress_bar_along() -> None:
     assert totals == [(model.num_timesteps, 500)]
 
 
-def test_the_bar_that_learn_makes_itself(capfd: pytest.CaptureFixture[str]) -> None:
-    dqn(counting(terminate_at=17), **RANDOM).learn(500, callback=PrimitiveStepsCallback(), progress_bar=True)
-    out, err = capfd.readouterr()
-    assert "500" in out + err
-
-
 class TestMonitor:
     @pytest.mark.parametrize("how", ["env", "vec", "make_vec_env"])
     def test_reports_primitive_steps_and_undiscounted_rewards(self, how: str) -> None:
@@ -169,27 +154,6 @@ class TestMonitor:
         assert len(episodes) > 10
         assert {e["l"] for e in episodes} == {17}
         assert {e["r"] for e in episodes} == {sum(range(1, 18))}
-
-    def test_stays_where_it_is(self) -> None:
-        """A user holds the same environment, with its slots, after training."""
-        env: Any = Monitor(corridor())
-        model = dqn(env, **RANDOM)
-        model.learn(100, callback=PrimitiveStepsCallback())
-        assert isinstance(env.env, OptionsWrapper)
-        assert env.action_space.n == 8
-        assert type(env) is PrimitiveMonitor
-        assert env.total_steps == model.num_timesteps
-        model.set_env(env)
-        env.get_wrapper_attr("set_option")(0, steady_option(max_duration=7))
-        with torch.no_grad():
-            cast("Any", model.q_net).q_net[-1].bias[4] += 1e7  # it is chosen always
-        mean, _ = evaluate_policy(model, env, n_eval_episodes=1)
-        assert env.get_episode_lengths()[-1] == 30
-        assert mean == env.get_episode_rewards()[-1] == -30.0
-        for _ in range(30):
-            env.step(0)
-        with pytest.raises(RuntimeError, match="needs reset"):
-            env.step(0)
 
     @pytest.mark.parametrize("subproc", [False, True])
     def test_above_others_and_in_worker_processes(self, subproc: bool) -> None:
@@ -235,16 +199,6 @@ def test_an_option_that_is_added_between_two_trainings_can_be_chosen(algorithm: 
     if algorithm is PPO:
         chosen = [int(model.predict(np.eye(45, dtype=np.float32)[i % 45])[0]) for i in range(400)]
         assert chosen.count(4) > 20
-
-
-def test_a_head_that_was_trained_is_not_opened_again() -> None:
-    env = optioned_rooms(2)
-    env.bank.add(steady_option(3, max_duration=2))
-    model = dqn(env)
-    model.learn(200, callback=PrimitiveStepsCallback())
-    before = {name: value.clone() for name, value in model.policy.state_dict().items()}
-    model.learn(1, callback=PrimitiveStepsCallback(), reset_num_timesteps=False)
-    assert all(torch.equal(before[name], value) for name, value in model.policy.state_dict().items())
 
 
 class Updates(BaseCallback):
@@ -305,17 +259,6 @@ def test_a_rollout_ends_with_the_budget(callback: Any, caplog: pytest.LogCapture
     assert caplog.text == ""
     model.learn(100, callback=callback(), reset_num_timesteps=False)
     assert "ended before its first update: its rollouts of n_steps=64 decisions" in caplog.text
-
-
-def test_without_options_rollouts_end_where_they_do_in_stock() -> None:
-    stock, ours = (
-        PPO("MlpPolicy", env, gamma=0.9, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu")
-        for env in (small_rooms(), optioned_rooms(0))
-    )
-    stock.learn(300)
-    ours.learn(300, callback=PrimitiveStepsCallback())
-    assert stock.num_timesteps == ours.num_timesteps == 320
-    assert stock._n_updates == ours._n_updates == 5
 
 
 @pytest.mark.parametrize("order", [1, -1])

@@ -24,7 +24,6 @@ from stable_baselines3.common.vec_env import (
 from experiments.kills.states import differing
 from sb3_options import OptionsWrapper
 from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback
-from sb3_options.checkpoints import environments
 from sb3_options.checkpoints.environments import refusal
 from sb3_options.discovery.methods.grouped import GroupedPeaks
 from sb3_options.envs.minigrid import make as make_minigrid
@@ -250,14 +249,3 @@ def test_a_worker_process_says_why_it_refuses_and_lives() -> None:
         assert venv.step(np.zeros(2, dtype=np.int64))[2].shape == (2,)
     finally:
         venv.close()
-
-
-def test_an_environment_that_was_never_reset_is_stored_without_a_generator() -> None:
-    """To ask it for one would draw a seed from the system."""
-
-    def state() -> Any:
-        venv = vec(make_optioned_rooms, 1)
-        environments.prepare(venv)
-        return environments.get_state(venv)
-
-    assert differing(state(), state()) == []

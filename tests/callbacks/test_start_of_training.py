@@ -109,16 +109,6 @@ class TestEmptied:
         assert isinstance(model.action_space, CappedActions)
         assert model.action_space.filled == (1,)
 
-    def test_what_names_no_slot_stays_as_it_is(self) -> None:
-        """A checkpoint need not be told that rows were copied."""
-        model = model_of(with_option())
-        model.learn(200, callback=PrimitiveStepsCallback())
-        buffer = model.replay_buffer
-        before = buffer.rewards.copy()
-        buffer.forget_action(N_PRIMITIVE + 1)
-        assert buffer.copies == 0
-        np.testing.assert_array_equal(buffer.rewards, before)
-
 
 @both
 def test_a_loaded_model_whose_options_are_put_back_has_forgotten_nothing(callback: Any, tmp_path: Path) -> None:
@@ -239,16 +229,6 @@ def test_an_option_that_waits_for_its_rollout_is_opened_from_a_closed_head(callb
         bias[4] = -9.0
     installer.on_rollout_start()
     assert bias[4] == bias[:4].mean()
-
-
-def test_weight_decay_leaves_an_option_that_a_user_puts_in_meanwhile() -> None:
-    model = model_of(optioned_rooms(2))
-    model.policy.optimizer.param_groups[0]["weight_decay"] = 0.1
-    before_the_first_step(model, callback := PrimitiveStepsCallback())
-    env_of(model).env_method("set_option", 0, steady_option(1, max_duration=2))
-    heads.open_head(model.policy, 4, 4)
-    callback.on_rollout_start()
-    assert [heads.is_closed(model.policy, action) for action in (4, 5)] == [False, True]
 
 
 @pytest.mark.parametrize("algorithm", [DQN, PPO])

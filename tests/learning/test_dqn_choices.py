@@ -32,7 +32,6 @@ from tests.support.sb3_helpers import (
     env_of,
     optioned_rooms,
     places,
-    small_rooms,
 )
 
 
@@ -187,20 +186,3 @@ class TestOptionDQN:
         model = OptionDQN("MlpPolicy", env, gamma=GAMMA, **TINY)
         model.learn(10)
         assert [heads.is_closed(model.policy, 4 + slot) for slot in range(2)] == [True, False]
-
-    def test_needs_the_wrapper(self) -> None:
-        with pytest.raises(ValueError, match="The environment of OptionDQN is not wrapped in OptionsWrapper: use"):
-            OptionDQN("MlpPolicy", small_rooms())
-
-    def test_needs_the_buffer(self) -> None:
-        with pytest.raises(ValueError, match=r"needs replay_buffer_class=OptionReplayBuffer, got ReplayBuffer"):
-            OptionDQN("MlpPolicy", optioned_rooms(), replay_buffer_class=cast("Any", ReplayBuffer))
-
-    def test_one_seed_one_result(self) -> None:
-        def weights() -> dict[str, torch.Tensor]:
-            model = OptionDQN("MlpPolicy", random_task(5).env, gamma=GAMMA, **TINY)
-            model.learn(600)
-            return model.policy.state_dict()
-
-        first, second = weights(), weights()
-        assert all(torch.equal(first[name], second[name]) for name in first)

@@ -10,9 +10,9 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from sb3_options import OptionReplayBuffer
-from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
+from sb3_options.callbacks import SubgoalDiscoveryCallback
 from tests.learning.tables import GAMMA
-from tests.support.sb3_helpers import RANDOM, TINY, optioned_rooms, small_rooms
+from tests.support.sb3_helpers import TINY, optioned_rooms, small_rooms
 
 
 class TestWithoutOptions:
@@ -47,11 +47,3 @@ class TestWithoutOptions:
         bare = self.weights(DQN, small_rooms(), buffer_size=130)
         wrapped = self.weights(DQN, optioned_rooms(0), buffer_size=130, replay_buffer_class=OptionReplayBuffer)
         assert all(torch.equal(value, wrapped[name]) for name, value in bare.items())
-
-
-@pytest.mark.parametrize("callback", [None, PrimitiveStepsCallback])
-def test_stock_dqn_without_a_callback_says_what_is_missing(callback: Any, caplog: pytest.LogCaptureFixture) -> None:
-    """Nobody closes the heads of its empty slots, and nobody counts primitive steps."""
-    model = DQN("MlpPolicy", optioned_rooms(), gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, **TINY | RANDOM)
-    model.learn(50, callback=None if callback is None else callback())
-    assert caplog.text.count("give learn() a SubgoalDiscoveryCallback, or a PrimitiveStepsCallback") == (not callback)

@@ -31,7 +31,7 @@ from tests.learning.expanded import (
     random_observations,
     trained,
 )
-from tests.support.sb3_helpers import Corridor, env_of, optioned_rooms, places, small_rooms
+from tests.support.sb3_helpers import Corridor, env_of, places, small_rooms
 
 
 def by_action(rows: torch.Tensor, outputs_per_action: int) -> torch.Tensor:
@@ -197,14 +197,6 @@ def test_replay_data_is_kept(name: str, n_envs: int) -> None:
     assert set(buffer.actions[:, 0]) <= set(range(N_PRIMITIVE))
 
 
-def test_n_step_returns_go_on() -> None:
-    model = trained("dqn", steps=128, n_steps=3)
-    expand_action_space(model, MAX_OPTIONS)
-    assert model.replay_buffer.n_steps == 3
-    model.learn(60, reset_num_timesteps=False, callback=PrimitiveStepsCallback())
-    assert model.replay_buffer.size() > 128
-
-
 @pytest.mark.filterwarnings("ignore:`n_steps=3` is ignored")  # SB3 says so of its own buffer
 def test_n_step_returns_of_a_model_that_was_loaded(tmp_path: Path) -> None:
     """SB3 saves no replay buffer."""
@@ -225,28 +217,3 @@ def test_a_buffer_that_was_taken_away_or_knows_options_already() -> None:
     expand_action_space(other, MAX_OPTIONS)
     assert other.replay_buffer is mine
     other.learn(10)
-
-
-@every_and_a_size_that_matters
-def test_saved_and_loaded(name: str, max_options: int, tmp_path: Path) -> None:
-    model = expand_action_space(trained(name), max_options)
-    heads.open_head(model.policy, N_PRIMITIVE, N_PRIMITIVE)
-    batches = [random_observations(model, n) for n in (1, 3, 64)]
-    model.save(tmp_path / "model.zip")
-    loaded = type(model).load(tmp_path / "model.zip", device="cpu")
-    for batch in batches:
-        for a, b in zip(outputs(model, batch), outputs(loaded, batch), strict=True):
-            assert torch.equal(a, b)
-    assert loaded.action_space == model.action_space
-    env = make_vec_env(optioned_rooms, 1, env_kwargs={"max_options": max_options}, seed=0)
-    again = type(model).load(tmp_path / "model.zip", env=env, device="cpu")
-    kept, loaded_state = (m.policy.optimizer.state_dict()["state"] for m in (model, again))
-    assert len(kept) == len(loaded_state) > 0
-    for key, state in kept.items():
-        for moment, value in state.items():
-            assert torch.equal(torch.as_tensor(value), torch.as_tensor(loaded_state[key][moment]))
-    again.save(tmp_path / "again.zip")
-    plain = KINDS[name].algorithm(KINDS[name].policy, env, gamma=GAMMA, **KINDS[name].kwargs)
-    plain.set_parameters(tmp_path / "again.zip", device="cpu")  # how train.py's evaluate reads weights
-    for a, b in zip(outputs(model, batches[1]), outputs(plain, batches[1]), strict=True):
-        torch.testing.assert_close(a, b)

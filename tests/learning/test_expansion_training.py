@@ -24,10 +24,8 @@ from tests.learning.expanded import (
     N_PRIMITIVE,
     outputs,
     random_observations,
-    small_model,
     trained,
 )
-from tests.support.helpers import steady_option
 from tests.support.sb3_helpers import (
     DOORWAY,
     RANDOM,
@@ -156,20 +154,3 @@ def test_masks_of_the_environment_itself_go_on() -> None:
     assert not masks[:, 0].all()
     assert masks[:, 1].all()
     assert not masks[:, 2:].any()
-
-
-def test_one_seed_one_result() -> None:
-    draws = []
-    for _ in range(2):
-        model = DQN("MlpPolicy", make_vec_env(small_rooms, 2, seed=0), gamma=GAMMA, seed=0, buffer_size=200, **RANDOM)
-        expand_action_space(model.learn(50), MAX_OPTIONS)
-        model.learn(100, reset_num_timesteps=False)
-        draws.append(cast("OptionReplayBuffer", model.replay_buffer).actions[:, 0].copy())
-    assert np.array_equal(draws[0], draws[1])
-
-
-def test_options_that_move_in_by_hand_run() -> None:
-    model = expand_action_space(small_model(buffer_size=500, **RANDOM), 2)
-    env_of(model).env_method("set_option", 1, steady_option(2, max_duration=3))
-    model.learn(60)
-    assert N_PRIMITIVE + 1 in model.replay_buffer.actions[:, 0]

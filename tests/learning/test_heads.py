@@ -1,11 +1,10 @@
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 import torch
 from sb3_contrib import QRDQN
-from stable_baselines3 import DQN, PPO, SAC
+from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.dqn.policies import DQNPolicy, QNetwork
@@ -14,8 +13,7 @@ from sb3_options import OptionDQN, OptionReplayBuffer
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.learning import heads
 from sb3_options.learning.families import family_of
-from tests.support.helpers import steady_option
-from tests.support.sb3_helpers import RANDOM, env_of, optioned_rooms
+from tests.support.sb3_helpers import RANDOM, optioned_rooms
 
 N_PRIMITIVE, MAX_OPTIONS = 4, 3
 N_ACTIONS = N_PRIMITIVE + MAX_OPTIONS
@@ -84,30 +82,6 @@ def test_closing_and_opening_leave_all_other_actions_bit_identical(algorithm: ty
 
 
 @algorithms
-def test_an_injection_leaves_old_actions_and_optimizer_moments_alone(algorithm: type[OffPolicyAlgorithm]) -> None:
-    """After real training, as when an option moves in."""
-    model = model_of(algorithm, **RANDOM)
-    close_all(model)
-    model.learn(300)
-    before, chosen = outputs(model), model.predict(observations().numpy(), deterministic=True)[0]
-    moments = {
-        name: {k: v.clone() for k, v in model.policy.optimizer.state[p].items()}
-        for name, p in model.policy.named_parameters()
-        if p in model.policy.optimizer.state
-    }
-    heads.open_head(model.policy, N_PRIMITIVE, N_PRIMITIVE)
-    env_of(model).env_method("set_option", 0, steady_option())
-    for a, b in zip(before, outputs(model), strict=True):
-        assert torch.equal(a[:, :, :N_PRIMITIVE], b[:, :, :N_PRIMITIVE])
-        assert torch.equal(a[:, :, N_PRIMITIVE + 1 :], b[:, :, N_PRIMITIVE + 1 :])
-    assert np.array_equal(chosen, model.predict(observations().numpy(), deterministic=True)[0])
-    assert moments
-    for name, parameter in model.policy.named_parameters():
-        for key, value in moments.get(name, {}).items():
-            assert torch.equal(value, model.policy.optimizer.state[parameter][key]), (name, key)
-
-
-@algorithms
 def test_an_opened_head_is_the_mean_of_the_primitives(algorithm: type[OffPolicyAlgorithm]) -> None:
     model = model_of(algorithm)
     close_all(model)
@@ -135,19 +109,6 @@ def test_training_leaves_closed_heads_closed(algorithm: type[OffPolicyAlgorithm]
     assert all(torch.isfinite(p).all() for p in model.policy.parameters())
     stored = model.replay_buffer.actions[: model.replay_buffer.size()]
     assert set(stored[:, 0]) == set(range(N_PRIMITIVE))
-
-
-def test_an_unknown_policy_is_refused() -> None:
-    model = SAC("MlpPolicy", gym.make("Pendulum-v1"), buffer_size=10)
-    model.policy.action_space = gym.spaces.Discrete(4)
-    with pytest.raises(TypeError, match=r"^SACPolicy has neither action_net, as .* nor q_net or quantile_net"):
-        heads.close_head(model.policy, 4)
-
-
-def test_a_policy_without_values_of_actions_is_refused() -> None:
-    policy = type("Policy", (), {})()
-    with pytest.raises(TypeError, match="gives no values of actions; DQN, QRDQN and OptionDQN do"):
-        heads.networks(policy)
 
 
 class Dueling(QNetwork):

@@ -2,8 +2,6 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +16,13 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from experiments.pioneer.tiles import TileCoding
 from sb3_options import MacroQ, OptionsWrapper
-from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
+from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.envs import GridWorld
 from sb3_options.learning.macro_q import LONGEST_ROLLOUT, OneHot
 from tests.support.helpers import CountingEnv, steady_option, table_option
 from tests.support.sb3_helpers import (
     DOORWAY,
     FAST_DISCOVERY,
-    fast_callback,
     optioned_rooms,
     small_rooms,
 )
@@ -244,15 +241,6 @@ def test_discovers_an_option_and_goes_on_with_it() -> None:
     assert not table_of(model)[:, 5:].any()  # the empty slots never were
 
 
-def test_primitive_steps_are_counted() -> None:
-    model = MacroQ(optioned([True] * 6, duration=2, terminate_at=5), epsilon=1.0, gamma=GAMMA, seed=0)
-    recorder = Recorder()
-    model.learn(500, callback=[PrimitiveStepsCallback(), recorder])
-    assert len(recorder.tables) < 400
-    assert sum(recorder.lengths) <= model.num_timesteps <= sum(recorder.lengths) + 5
-    assert model.num_timesteps >= 500
-
-
 def test_save_and_load(tmp_path: Path) -> None:
     env = optioned_rooms(1)
     model = MacroQ(env, seed=0, epsilon=0.2).learn(4000)
@@ -283,24 +271,6 @@ def test_predict_respects_initiation_sets_and_epsilon() -> None:
     assert state is None
     drawn = model.predict(np.zeros(200, dtype=np.int64))[0]
     assert set(drawn.tolist()) == {0, 1}
-
-
-def curve(seed: int) -> tuple[list[int], list[float]]:
-    """Lengths of the trials, and the table, of a run with discovery."""
-    recorder, callback = Recorder(), fast_callback(option_settings={"grow": True, "gamma": GAMMA})
-    model = MacroQ(optioned_rooms(1, max_steps=None), seed=seed)
-    model.learn(3000, callback=[callback, recorder])
-    return recorder.lengths, table_of(model).ravel().tolist()
-
-
-def test_a_seed_gives_one_curve_alone_among_others_and_in_another_process() -> None:
-    alone = curve(3)
-    among = [curve(seed) for seed in (2, 3)]
-    with ProcessPoolExecutor(2, mp_context=get_context("forkserver")) as pool:
-        elsewhere = list(pool.map(curve, [2, 3]))
-    assert among == elsewhere
-    assert among[1] == alone
-    assert among[0] != alone
 
 
 @pytest.mark.parametrize("name", ["gamma", "epsilon", "learning_rate"])
@@ -349,15 +319,6 @@ def test_every_so_many_episodes_are_logged() -> None:
         {**mean, "time/episodes": 6, "time/total_timesteps": 12, "step": 12},
     ]
     assert logged(Script(terminate_at=2), 14, None) == []
-
-
-def test_the_share_of_successes_is_logged() -> None:
-    class Succeeding(Script):
-        def step(self, action: int) -> tuple[int, float, bool, bool, dict[str, Any]]:
-            *result, _ = super().step(action)
-            return *result, {"is_success": result[2]}  # type: ignore[return-value]  # the same five
-
-    assert [entry["rollout/success_rate"] for entry in logged(Succeeding(terminate_at=2), 8, 4)] == [1.0]
 
 
 class Ring(gym.Env[int, int]):

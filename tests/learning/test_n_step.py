@@ -10,7 +10,7 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.buffers import NStepReplayBuffer
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
-from sb3_options import OptionDQN, OptionReplayBuffer
+from sb3_options import OptionReplayBuffer
 from sb3_options.callbacks import PrimitiveStepsCallback
 from sb3_options.learning.replay_buffer import OptionReplayBufferSamples
 from tests.learning.test_replay_buffer import GAMMA, corridors, fill, optioned, place_in, place_of_tensors
@@ -244,21 +244,8 @@ def test_a_buffer_of_one_environment_goes_on_in_a_model_of_three(n_steps: int, t
 class TestModels:
     """How a model comes by n-step returns."""
 
-    def test_as_sb3_advises(self) -> None:
-        model = DQN(
-            "MlpPolicy", optioned("box"), gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, learning_starts=20,
-            replay_buffer_kwargs={"n_steps": 3, "gamma": GAMMA}, buffer_size=500,
-        )  # fmt: skip
-        model.learn(60, callback=PrimitiveStepsCallback())
-        assert cast("OptionReplayBuffer", model.replay_buffer).n_steps == 3
-
     def test_n_steps_that_sb3_does_not_pass_on_is_refused(self) -> None:
         with pytest.warns(UserWarning, match="`n_steps=3` is ignored"):
             model = DQN("MlpPolicy", optioned("box"), gamma=GAMMA, n_steps=3, replay_buffer_class=OptionReplayBuffer)
         with pytest.raises(ValueError, match=r"pass DQN\(..., replay_buffer_kwargs=\{'n_steps': 3\}\) instead"):
             model.learn(10, callback=PrimitiveStepsCallback())
-
-    def test_option_dqn_takes_it(self) -> None:
-        model = OptionDQN("MlpPolicy", optioned("box"), gamma=GAMMA, n_steps=3, learning_starts=20, buffer_size=500)
-        model.learn(60)
-        assert cast("OptionReplayBuffer", model.replay_buffer).n_steps == 3

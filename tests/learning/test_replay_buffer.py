@@ -8,7 +8,6 @@ import pytest
 import torch
 from gymnasium import spaces
 from stable_baselines3 import DQN
-from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecFrameStack, VecNormalize, VecTransposeImage
 
@@ -149,17 +148,6 @@ def test_wraps_around_in_the_middle_of_an_option(n_envs: int, rng: np.random.Gen
     assert crossed > 5
 
 
-def test_is_full_as_soon_as_the_last_row_is_written(rng: np.random.Generator) -> None:
-    venv = corridors("box")
-    for size in range(1, 12):
-        buffer = OptionReplayBuffer(size, venv.observation_space, venv.action_space, "cpu")
-        written = 0
-        while written < size:
-            assert buffer.size() == written
-            written += sum(len(rows) for rows in fill(venv, buffer, 1, rng))
-        assert buffer.size() == size
-
-
 def test_a_run_longer_than_the_buffer_leaves_its_last_rows(rng: np.random.Generator) -> None:
     venv = corridors("box")
     buffer = OptionReplayBuffer(3, venv.observation_space, venv.action_space, "cpu")
@@ -183,53 +171,6 @@ def test_timeouts_inside_options_bootstrap_unless_told_otherwise(handle: bool, r
     macro_rows = np.flatnonzero(cut_off_in_option)
     ends = [int(np.flatnonzero(buffer.dones[i + 1 :])[0]) + i + 1 for i in macro_rows]
     assert samples.dones.numpy()[ends].tolist() == [[0.0 if handle else 1.0]] * len(ends)
-
-
-def test_samples_have_the_shapes_and_types_of_the_stock_buffer(rng: np.random.Generator) -> None:
-    venv = corridors("box", 4)
-    ours = OptionReplayBuffer(2000, venv.observation_space, venv.action_space, "cpu", n_envs=4)
-    stock = ReplayBuffer(2000, venv.observation_space, venv.action_space, "cpu", n_envs=4)
-    fill(venv, ours, 50, rng)
-    obs = venv.reset()
-    for _ in range(20):
-        actions = rng.integers(2, size=4)
-        next_obs, rewards, dones, infos = venv.step(actions)
-        stock.add(cast("Any", obs), cast("Any", next_obs), actions, rewards, dones, infos)
-        obs = next_obs
-    mine, theirs = ours.sample(32), stock.sample(32)
-    for name in ("observations", "actions", "next_observations", "dones", "rewards"):
-        a, b = getattr(mine, name), getattr(theirs, name)
-        assert (a.shape, a.dtype) == (b.shape, b.dtype), name
-    assert mine.discounts is not None
-    assert (mine.discounts.shape, mine.discounts.dtype) == ((32, 1), torch.float32)
-    assert cast("OptionReplayBufferSamples", mine).next_available is None
-
-
-def test_samples_every_row_and_only_stored_ones(rng: np.random.Generator) -> None:
-    venv = corridors("box", 4)
-    buffer = OptionReplayBuffer(500, venv.observation_space, venv.action_space, "cpu", n_envs=4)
-    fill(venv, buffer, 10, rng)
-    buffer.rewards[:] = np.arange(500)
-    drawn = buffer.sample(5000).rewards[:, 0].tolist()
-    assert set(drawn) == set(range(buffer.size()))
-
-
-def test_memory_is_that_of_the_stock_buffer_and_never_grows(rng: np.random.Generator) -> None:
-    venv = corridors("image")
-
-    def size(buffer: ReplayBuffer) -> int:
-        return sum(
-            a.nbytes
-            for v in vars(buffer).values()
-            for a in (v.values() if isinstance(v, dict) else [v])
-            if isinstance(a, np.ndarray)
-        )
-
-    ours = OptionReplayBuffer(50, venv.observation_space, venv.action_space, "cpu")
-    stock = ReplayBuffer(50, venv.observation_space, venv.action_space, "cpu")
-    before = size(ours)
-    fill(venv, ours, 100, rng)
-    assert before == size(ours) <= 1.01 * size(stock)
 
 
 def test_normalizes_with_vec_normalize_as_the_stock_buffer_does(rng: np.random.Generator) -> None:
@@ -310,13 +251,6 @@ class TestErrors:
         model = DQN("CnnPolicy", venv, gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, buffer_size=100, seed=0)
         with pytest.raises(ValueError, match=r"a VecEnv wrapper changes them\. Pass replay_buffer_kwargs="):
             model.learn(200)
-
-    def test_which_goes_away_as_the_text_says(self) -> None:
-        venv = VecFrameStack(corridors("image"), 2)
-        DQN(
-            "CnnPolicy", venv, gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, buffer_size=100, seed=0,
-            replay_buffer_kwargs={"macro_q": False}, learning_starts=1000,
-        ).learn(100)  # fmt: skip
 
 
 @pytest.mark.parametrize("macro_q", [True, False])

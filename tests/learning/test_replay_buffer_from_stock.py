@@ -5,12 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 from gymnasium import spaces
-from stable_baselines3 import DQN
 from stable_baselines3.common.buffers import DictReplayBuffer, ReplayBuffer
 from stable_baselines3.common.utils import set_random_seed
 
-from sb3_options import OptionReplayBuffer, expand_action_space
-from tests.support.sb3_helpers import small_rooms
+from sb3_options import OptionReplayBuffer
 
 GAMMA = 0.9
 BOX = spaces.Box(0.0, 1000.0, (2,), np.float32)
@@ -71,19 +69,6 @@ def test_every_transition_is_kept(kind: str, n_envs: int, n_steps: int) -> None:
     assert (buffer.discounts[rows] == np.float32(GAMMA)).all()
 
 
-@pytest.mark.parametrize("n_steps", [4, 8, 11])
-def test_the_oldest_are_overwritten_first(n_steps: int) -> None:
-    buffer = OptionReplayBuffer.from_stock(stock_buffer("box", 2, n_steps, 16), spaces.Discrete(7), GAMMA)
-    before = set(values_of(buffer._observations))
-    info = {"option": {"index": -1, "duration": 1, "discount": GAMMA, "termination": "primitive"}}
-    new = np.array([900, 901])
-    buffer.add(see("box", new), see("box", new), np.zeros(2), np.zeros(2), np.zeros(2, bool), [info, info])
-    lost = before - set(values_of(buffer._observations))
-    first = 10 * (n_steps - 8)
-    assert lost == ({first, first + 1} if n_steps >= 8 else set())
-    assert {900, 901} <= set(values_of(buffer._observations))
-
-
 def test_samples_are_those_of_the_stock_buffer() -> None:
     stock = stock_buffer("box", 1, 8, 8)
     set_random_seed(0)
@@ -94,12 +79,3 @@ def test_samples_are_those_of_the_stock_buffer() -> None:
     for name in ("observations", "actions", "next_observations", "dones", "rewards"):
         assert getattr(expected, name).equal(getattr(samples, name)), name
     assert (samples.discounts == GAMMA).all()
-
-
-def test_a_buffer_of_unknown_rows_is_refused() -> None:
-    class Own(ReplayBuffer):
-        pass
-
-    model = DQN("MlpPolicy", small_rooms(), gamma=0.9, replay_buffer_class=Own, buffer_size=8)
-    with pytest.raises(TypeError, match=r"transitions of a Own cannot be taken over.*model.replay_buffer = None"):
-        expand_action_space(model, 2)

@@ -19,16 +19,16 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from sb3_options import Option, OptionDictRolloutBuffer, OptionRolloutBuffer, OptionsWrapper
-from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
+from sb3_options.callbacks import PrimitiveStepsCallback
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import batch_size
 from sb3_options.experience.option_run import OptionRun
-from sb3_options.learning.rollout_buffer import SMDPAdvantages, option_rollout_buffer, smdp_advantages
+from sb3_options.learning.rollout_buffer import SMDPAdvantages, smdp_advantages
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from tests.support.helpers import CountingEnv, DictEnv, place_of, steady_option
-from tests.support.sb3_helpers import Corridor, StepLog, env_of, places
+from tests.support.sb3_helpers import Corridor, env_of, places
 
 GAMMA, LAMBDA = 0.9, 0.8
 
@@ -224,18 +224,6 @@ def test_a_users_own_environment_of_variable_durations(algorithm: Any) -> None:
     assert kept.steps == buffer.durations.sum()
 
 
-def test_the_buffer_can_be_passed() -> None:
-    model = PPO(
-        "MlpPolicy",
-        Journey(),
-        n_steps=16,
-        batch_size=16,
-        rollout_buffer_class=OptionRolloutBuffer,
-    )
-    model.learn(16, callback=PrimitiveStepsCallback())
-    assert type(model.rollout_buffer) is OptionRolloutBuffer
-
-
 def test_dict_observations() -> None:
     env = OptionsWrapper(DictEnv(), 1, gamma=GAMMA, feature_map=place_of)
     env.bank.add(
@@ -295,25 +283,10 @@ def test_an_option_moves_in_between_rollouts_only() -> None:
         assert len(env_of(model).get_attr("bank")[0]) == 1
 
 
-def test_a_closed_head_is_never_chosen_and_changes_nothing() -> None:
-    model = make(PPO, OptionsWrapper(Corridor(), 3, gamma=GAMMA), n_epochs=3)
-    policy: Any = model.policy
-    model.learn(640, callback=PrimitiveStepsCallback())
-    assert model.rollout_buffer.actions.max() < 2
-    assert (policy.action_net.bias[2:] == -1e6).all()
-    assert (policy.action_net.weight[2:] == 0).all()
-    assert torch.isfinite(policy.action_net.weight).all()
-
-
 def test_without_a_callback_it_says_what_to_pass() -> None:
     model = PPO("MlpPolicy", optioned_corridor(20), n_steps=16, rollout_buffer_class=OptionRolloutBuffer, batch_size=16)
     with pytest.raises(ValueError, match=r"was not told how long the actions took: pass PrimitiveStepsCallback\(\) or"):
         model.learn(16)
-
-
-def test_an_environment_that_reports_no_durations() -> None:
-    with pytest.raises(ValueError, match=r"no info\[\"option\"\]: wrap the environment in OptionsWrapper, or, if its"):
-        make(PPO, StepLog(Corridor())).learn(64, callback=PrimitiveStepsCallback())
 
 
 def test_refuses_dict_observations() -> None:
@@ -339,21 +312,6 @@ def test_an_option_opens_with_its_share_of_the_probability_where_masks_keep_it_i
     last = share / (1.0 - share) / n_present  # odds of the option that came last against the primitives together
     assert float(probabilities[1 + n_present] / probabilities[:2].sum()) == pytest.approx(last, rel=1e-5)
     assert float(probabilities[0]) == pytest.approx(float(probabilities[1]))
-
-
-def test_the_opening_shares_of_several_options_add_up_as_documented() -> None:
-    env = OptionsWrapper(Corridor(), 3, gamma=GAMMA)
-    for _ in range(3):
-        env.bank.add(steady_option(1))
-    model: Any = make(MaskablePPO, env)
-    with torch.no_grad():
-        model.policy.action_net.weight.zero_()
-        model.policy.action_net.bias.zero_()
-    callback = SubgoalDiscoveryCallback(max_new_options=0, use={"opening_share": 0.5, "max_option_exploration": 0.1})
-    callback.init_callback(model)
-    callback.on_training_start({}, {})
-    probabilities = model.policy.get_distribution(torch.zeros((1, 2))).distribution.probs[0].detach()
-    assert float(probabilities[2:].sum()) == pytest.approx(11 / 17, rel=1e-5)  # odds of 1 + 1/2 + 1/3
 
 
 @pytest.mark.parametrize(
@@ -418,11 +376,3 @@ def test_rewards_inside_options_are_normalised_before_they_are_summed() -> None:
         whole = (actions[:, env] == 2) & (buffer.durations[:, env] == k)
         assert whole.any()
         np.testing.assert_allclose(buffer.rewards[whole, env], 10 * GAMMA ** (k - 1), rtol=1e-6)
-
-
-def test_the_buffer_stays_on_its_device() -> None:
-    model = PPO("MlpPolicy", OptionsWrapper(CountingEnv(), 1), n_steps=8, batch_size=8)
-    model.rollout_buffer.device = torch.device("meta")
-    made: Any = option_rollout_buffer(model)
-    assert made is not None
-    assert made.device == torch.device("meta")
