@@ -15,7 +15,7 @@ from experiments.methods.entrants import NONE
 
 LEFT_OUT = (
     "tuned-race", "tuned-random", "robot-overview", "robot-random", "filtered-random", "filtered-race",
-    "dqn-few-random", "dqn-few-race",
+    "ppo-random", "ppo-race", "dqn-random", "dqn-race",
 )  # fmt: skip
 """Tables that the page does without."""
 
@@ -37,7 +37,6 @@ class Report:
         tuned: What it wrote with ``--settings tuned``.
         ppo: What it wrote with ``--learners ppo``.
         dqn: What it wrote with ``--learners dqn``.
-        dqn_few: Likewise, of more tasks and fewer seeds.
         robot: What it wrote with ``--tasks Pioneer``.
         filtered: What it wrote with ``--methods`` that name ``random-filtered``.
         document: The page.
@@ -47,15 +46,20 @@ class Report:
     tuned: Path = Path("docs/results/methods-tuned.json")
     ppo: Path = Path("docs/results/methods-ppo.json")
     dqn: Path = Path("docs/results/methods-dqn.json")
-    dqn_few: Path = Path("docs/results/methods-dqn-few.json")
     robot: Path = Path("docs/results/methods-robot.json")
     filtered: Path = Path("docs/results/methods-filtered.json")
     document: Path = Path("docs/studies/methods.md")
 
     def paths(self) -> dict[str, Path]:
         """What was written, by what its marks on the page begin with."""
-        deep = {"ppo-": self.ppo, "dqn-": self.dqn, "dqn-few-": self.dqn_few}
-        return {"": self.results, "tuned-": self.tuned, **deep, "robot-": self.robot, "filtered-": self.filtered}
+        return {
+            "": self.results,
+            "tuned-": self.tuned,
+            "ppo-": self.ppo,
+            "dqn-": self.dqn,
+            "robot-": self.robot,
+            "filtered-": self.filtered,
+        }
 
 
 def main(report: Report) -> None:
