@@ -25,7 +25,6 @@ from stable_baselines3.common.vec_env.stacked_observations import StackedObserva
 from sb3_options.checkpoints.tree import State, encode
 from sb3_options.execution import layers
 from sb3_options.execution.above import Outermost
-from sb3_options.execution.ray_vec_env import RayVecEnv
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.state import restore, state_of
 
@@ -40,7 +39,7 @@ def prepare(venv: VecEnv, *, just_reset: bool = False) -> None:
     if isinstance(venv, DummyVecEnv):
         venv.envs = [layers.prepare(env, just_reset=just_reset) for env in venv.envs]
         return
-    if not isinstance(venv, SubprocVecEnv | RayVecEnv):
+    if not isinstance(venv, SubprocVecEnv):
         raise ValueError(f"Checkpoints of {type(venv).__name__} are not supported yet.")
     if not all(venv.env_is_wrapped(OptionsWrapper)):
         raise ValueError("Checkpoints of environments in worker processes need OptionsWrapper around each of them.")

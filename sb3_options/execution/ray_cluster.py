@@ -14,11 +14,7 @@ environments and studies send is small and passes it by, but for images."""
 
 
 def require_ray() -> ModuleType:
-    """Ray, imported.
-
-    Raises:
-        ModuleNotFoundError: It is not installed; the text names the extra.
-    """
+    """Ray, imported."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # read on import; by default Ray reports to its makers
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # without it Ray warns that this will be so
     try:

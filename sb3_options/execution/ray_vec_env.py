@@ -5,24 +5,29 @@ from __future__ import annotations
 import copy
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, TypeAlias
 
 import gymnasium as gym
 import numpy as np
-import numpy.typing as npt
-from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
+from stable_baselines3.common.env_util import is_wrapped
+from stable_baselines3.common.vec_env import SubprocVecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnv
+from stable_baselines3.common.vec_env.patch_gym import _patch_env
 
-from sb3_options.execution.hosted import HostedEnvironments, Infos, Steps
+from sb3_options.execution.above import Outermost
 from sb3_options.execution.ray_cluster import connect
 from sb3_options.execution.slots import SlotState
 from sb3_options.execution.workers import PATIENCE, WorkerLostError
-from sb3_options.experience.observations import concatenate, copy_of, one_of
 
 logger = logging.getLogger("sb3_options")
 
 EnvFns: TypeAlias = Sequence[Callable[[], gym.Env[Any, Any]]]
+
+Message: TypeAlias = tuple[int, str, Any]
+"""Number of an environment in its actor, and what ``SubprocVecEnv`` sends to a worker: command and data."""
 
 MOST_LOSSES = 8
 """Losses of the same environments, with no step between them, after which the fault is theirs."""
@@ -34,11 +39,120 @@ LEAST_WAIT = 1.0
 """Seconds in which an answer that is there can be fetched, though another one has used up the time."""
 
 
-class RayVecEnv(VecEnv):
+class HostedEnvironments:
+    """The environments of an actor, one after the other. Behaves as the workers of ``SubprocVecEnv``."""
+
+    def __init__(self, env_fns: EnvFns) -> None:
+        self._env_fns = list(env_fns)
+        self.envs: list[Any] = []  # made later: an error in one is not one of starting the process
+        self._reset_infos: list[Any] = [{} for _ in env_fns]
+        self._known: list[SlotState | None] = []
+
+    def _make(self) -> None:
+        if not self.envs:
+            self.envs = [_patch_env(make()) for make in self._env_fns]
+            self._known = [_slots_of(env) for env in self.envs]
+
+    def answer(self, messages: Sequence[Message]) -> tuple[list[Any], dict[int, SlotState]]:
+        """Answers to messages, and the slots that they have changed."""
+        self._make()
+        answers, changed = [], {}
+        for i, command, data in messages:
+            # They share nothing, and what Ray hands out cannot be written to.
+            answers.append(self._answer(i, command, copy.deepcopy(data)))
+            now = None if command in ("step", "reset") else _slots_of(self.envs[i])
+            if now is not None and now is not self._known[i]:
+                self._known[i] = changed[i] = now
+        return answers, changed
+
+    def _answer(self, i: int, command: str, data: Any) -> Any:
+        env = self.envs[i]
+        if command == "step":
+            observation, reward, terminated, truncated, info = env.step(data)
+            done = terminated or truncated
+            info["TimeLimit.truncated"] = truncated and not terminated
+            if done:
+                info["terminal_observation"] = observation
+                observation, self._reset_infos[i] = env.reset()
+            return observation, reward, done, info, self._reset_infos[i]
+        if command == "reset":
+            seed, options = data
+            observation, self._reset_infos[i] = env.reset(seed=seed, **({"options": options} if options else {}))
+            return observation, self._reset_infos[i]
+        return _HOW[command](env, data)
+
+    def begin(
+        self,
+        settings: Sequence[tuple[SlotState | None, Mapping[str, Any]]],
+        seeds: Sequence[int | None],
+        last: Sequence[Any] | None,
+    ) -> list[Any]:
+        """Take the place of environments that are lost; returns answers to a step whose outcome is lost with them.
+
+        ``settings`` are what was set in each, slots and attributes. ``last`` are their last known observations; None
+        where they were not yet reset.
+        """
+        self._make()
+        answers = []
+        for i, (env, seed, (slots, attributes)) in enumerate(
+            zip(self.envs, seeds, copy.deepcopy(settings), strict=True)
+        ):
+            if seed is not None:
+                env.action_space.seed(seed)
+            for name, value in attributes.items():
+                setattr(env, name, value)
+            if slots is not None and is_wrapped(env, Outermost):  # type: ignore[arg-type]  # it is asked of each
+                env.get_wrapper_attr("set_slots")(**vars(slots))
+            self._known[i] = _slots_of(env)
+            if last is not None:
+                observation, self._reset_infos[i] = env.reset(seed=seed)
+                info = env.get_wrapper_attr("lost_step")(last[i]) if env.has_wrapper_attr("lost_step") else {}
+                info |= {"TimeLimit.truncated": True, "terminal_observation": last[i], "lost": True}
+                answers.append((observation, 0.0, True, info, self._reset_infos[i]))
+        return answers
+
+    def close(self) -> None:
+        """Close all of them."""
+        for env in self.envs:
+            env.close()
+
+
+def _slots_of(env: Any) -> SlotState | None:
+    return env.get_wrapper_attr("slot_state") if env.has_wrapper_attr("slot_state") else None
+
+
+_HOW: dict[str, Callable[[Any, Any], Any]] = {
+    "get_spaces": lambda env, _: (env.observation_space, env.action_space),
+    "env_method": lambda env, data: env.get_wrapper_attr(data[0])(*data[1], **data[2]),
+    "get_attr": lambda env, name: env.get_wrapper_attr(name),
+    "has_attr": lambda env, name: env.has_wrapper_attr(name),
+    "set_attr": lambda env, data: setattr(env, *data),
+    "is_wrapped": is_wrapped,
+    "render": lambda env, _: env.render(),
+}
+
+
+class _Pipe:
+    """What ``SubprocVecEnv`` takes for the pipe to a worker. Messages wait until the first answer is asked for."""
+
+    def __init__(self, venv: RayVecEnv, actor: int, index: int) -> None:
+        self._venv, self._actor, self._index = venv, actor, index
+        self.inbox: deque[Any] = deque()
+
+    def send(self, message: tuple[str, Any]) -> None:
+        self._venv._outboxes[self._actor].append((self._index, *message))
+
+    def recv(self) -> Any:
+        if not self.inbox:
+            self._venv._exchange()
+        return self.inbox.popleft()
+
+
+class RayVecEnv(SubprocVecEnv):
     """A ``VecEnv`` whose environments live in Ray actors, several to an actor, on all machines of a cluster.
 
     It behaves as ``SubprocVecEnv``, and gives the same trajectories for the same seeds. Actions go out and results come
-    back as one array an actor, with one ``ray.get`` a step. So it is for environments that cost: a step takes a
+    back as one message an actor, with one ``ray.get`` a step. So it is for environments that cost: a step takes a
     millisecond more than theirs.
 
     The loss of a machine, or of a process, ends no training. The environments of its actors start anew elsewhere, with
@@ -80,7 +194,7 @@ class RayVecEnv(VecEnv):
         num_cpus: float | None = None,
         step_timeout: float | None = 600.0,
     ) -> None:
-        self.step_timeout = step_timeout
+        self.step_timeout: float | None = None
         self._ray = connect(address)
         # To note every step for Ray's dashboard takes a sixth of the time of a call.
         self._class = self._ray.remote(HostedEnvironments).options(
@@ -93,61 +207,25 @@ class RayVecEnv(VecEnv):
         self._slots: list[SlotState | None] = [None] * n_envs
         self._attributes: list[dict[str, Any]] = [{} for _ in env_fns]
         self._first_seeds: list[int | None] = [None] * n_envs
+        self._seen: list[Any] = [None] * n_envs
         self._losses_in_a_row = [0] * n_actors
+        self._anew: dict[int, list[Any]] = {}
+        self._outboxes: list[list[Message]] = [[] for _ in range(n_actors)]
         self.lost_actors = 0
+        self.waiting = False
         self.closed = False
-        self._seen: Any = None
-        self._anew: dict[int, tuple[Any, Infos, Infos]] = {}
-        self._steps: list[Any] = []
+        self.processes = []
+        self.remotes: Any = [_Pipe(self, a, i) for a, group in enumerate(self._groups) for i in range(len(group))]
         self._actors = [self._start(a) for a in range(n_actors)]
-        (observation_space, action_space), *_ = self._gather(
-            dict.fromkeys(range(n_actors), ("make", ())), started=False
-        )
-        super().__init__(n_envs, observation_space, action_space)
+        firsts = [self.remotes[group[0]] for group in self._groups]
+        for first in firsts:
+            first.send(("get_spaces", None))
+        spaces = [first.recv() for first in firsts]
+        self.step_timeout = step_timeout
+        VecEnv.__init__(self, n_envs, *spaces[0])
 
     def _start(self, actor: int) -> Any:
         return self._class.remote([self._env_fns[i] for i in self._groups[actor]])
-
-    def step_async(self, actions: npt.NDArray[Any]) -> None:
-        """Send an action to every environment; one that started anew since the last step gets none."""
-        self._steps = [
-            None if a in self._anew else self._actors[a].step.remote(actions[group[0] : group[-1] + 1])
-            for a, group in enumerate(self._groups)
-        ]
-
-    def step_wait(self) -> VecEnvStepReturn:
-        """What the step returned."""
-        steps, self._steps = self._steps, []
-        sent = [a for a, step in enumerate(steps) if step is not None]
-        results, lost = self._collect({a: steps[a] for a in sent}, self._deadline())
-        for a, error in lost.items():
-            self._start_anew(a, error)
-        for a in results:
-            self._losses_in_a_row[a] = 0
-        parts = [results[a] if a in results else self._cut_off(a) for a in range(len(self._actors))]
-        self._seen = concatenate([part.observations for part in parts])
-        self.reset_infos = [copy.deepcopy(info) for part in parts for info in part.reset_infos]
-        rewards = np.stack([reward for part in parts for reward in part.rewards])
-        dones = np.stack([done for part in parts for done in part.dones])
-        return self._seen, rewards, dones, [copy.deepcopy(info) for part in parts for info in part.infos]
-
-    def reset(self) -> VecEnvObs:
-        """Reset all environments."""
-        for i, seed in enumerate(self._seeds):
-            self._first_seeds[i] = self._first_seeds[i] if seed is None else seed
-        results = self._gather(
-            {
-                a: ("reset", ([self._seeds[i] for i in group], [self._options[i] for i in group]))
-                for a, group in enumerate(self._groups)
-            }
-        )
-        self._anew.clear()
-        self._losses_in_a_row = [0] * len(self._actors)
-        self._seen = concatenate([observations for observations, _ in results])
-        self.reset_infos = [copy.deepcopy(info) for _, infos in results for info in infos]
-        self._reset_seeds()
-        self._reset_options()
-        return self._seen  # type: ignore[no-any-return]  # a batch
 
     def close(self) -> None:
         """Close the environments and end their actors; the cluster goes on."""
@@ -161,62 +239,41 @@ class RayVecEnv(VecEnv):
                 with suppress(self._ray.exceptions.RayError):
                     self._ray.kill(actor)
 
-    def get_images(self) -> Sequence[npt.NDArray[np.uint8] | None]:
-        """A picture of each environment."""
-        return self._call("render", None)
-
-    def has_attr(self, attr_name: str) -> bool:
-        """Whether every environment has an attribute."""
-        return all(self._call("has_attr", None, attr_name))
-
-    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """Copies of an attribute of some environments."""
-        return self._call("get_attr", indices, attr_name)
-
-    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of some environments."""
-        self._call("set_attr", indices, attr_name, value)
-        for i in self._get_indices(indices):
-            self._attributes[i][attr_name] = value
-
-    def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
-        """What a method of some environments returns."""
-        return self._call("env_method", indices, method_name, *args, **kwargs)
-
-    def env_is_wrapped(
-        self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
-    ) -> list[bool]:
-        """Whether some environments are in a wrapper."""
-        return self._call("is_wrapped", indices, wrapper_class)
-
-    def _call(self, kind: str, indices: VecEnvIndices, *args: Any, **kwargs: Any) -> list[Any]:
-        """What some environments answer, in the order of ``indices``."""
-        asked = list(self._get_indices(indices))
-        by_actor = {a: mine for a, group in enumerate(self._groups) if (mine := [i for i in group if i in asked])}
-        calls: dict[int, tuple[str, tuple[Any, ...]]] = {
-            a: ("call", (kind, [i - self._groups[a][0] for i in mine], args, kwargs)) for a, mine in by_actor.items()
-        }
-        answers: dict[int, Any] = {}
-        for (a, mine), (results, slots) in zip(by_actor.items(), self._gather(calls), strict=True):
-            answers |= dict(zip(mine, copy.deepcopy(results), strict=True))  # what Ray hands out cannot be written to
-            for i, state in slots.items():
-                self._slots[self._groups[a][0] + i] = state
-        return [answers[i] for i in asked]
-
-    def _gather(self, calls: dict[int, tuple[str, tuple[Any, ...]]], *, started: bool = True) -> list[Any]:
-        """Results of methods of actors; one that is lost starts anew and is called again."""
-        results: dict[int, Any] = {}
-        until = self._deadline() if started else None
-        pending = calls
-        while pending:
-            sent = {a: getattr(self._actors[a], method).remote(*args) for a, (method, args) in pending.items()}
-            done, lost = self._collect(sent, until)
-            results |= done
+    def _exchange(self) -> None:
+        """Send the messages that wait. An actor that is lost starts anew and gets them again, but not a step."""
+        outgoing = {a: messages for a, messages in enumerate(self._outboxes) if messages}
+        self._outboxes = [[] for _ in self._actors]
+        for remote in self.remotes:
+            remote.inbox.clear()  # an error may have left something
+        while outgoing:
+            for a, messages in list(outgoing.items()):
+                if messages[0][1] == "reset":
+                    self._anew.pop(a, None)
+                    for i, _, (seed, _) in messages:
+                        if seed is not None:
+                            self._first_seeds[self._groups[a][i]] = seed
+                elif messages[0][1] == "step" and a in self._anew:
+                    self._deliver(a, outgoing.pop(a), self._anew.pop(a))
+            sent = {a: self._actors[a].answer.remote(messages) for a, messages in outgoing.items()}
+            done, lost = self._collect(sent, self._deadline())
+            for a, (answers, slots) in done.items():
+                if outgoing[a][0][1] in ("step", "reset"):
+                    self._losses_in_a_row[a] = 0
+                for i, state in slots.items():
+                    self._slots[self._groups[a][i]] = state
+                self._deliver(a, outgoing.pop(a), answers)
             for a, error in lost.items():
                 self._start_anew(a, error)
-            pending = {a: pending[a] for a in lost}
-            until = self._deadline()
-        return [results[a] for a in calls]
+
+    def _deliver(self, actor: int, messages: Sequence[Message], answers: Sequence[Any]) -> None:
+        # What Ray hands out cannot be written to.
+        for (i, command, data), answer in zip(messages, copy.deepcopy(answers), strict=True):
+            env = self._groups[actor][i]
+            if command in ("step", "reset"):
+                self._seen[env] = answer[0]
+            elif command == "set_attr":
+                self._attributes[env].update([data])
+            self.remotes[env].inbox.append(answer)
 
     def _collect(self, references: dict[int, Any], until: float | None) -> tuple[dict[int, Any], dict[int, Exception]]:
         """What actors answer, and why those that are lost do not."""
@@ -255,7 +312,7 @@ class RayVecEnv(VecEnv):
         group = self._groups[actor]
         named = f"{group[0]} to {group[-1]}" if len(group) > 1 else f"{group[0]}"
         which = f"Environment{'s' if len(group) > 1 else ''} {named} of {len(self._env_fns)}"
-        if self._seen is not None:
+        if self._seen[group[0]] is not None:
             self.lost_actors += 1
             logger.warning(
                 "%s: the machine or the process is gone (%s). They start anew elsewhere; their episodes end as "
@@ -285,13 +342,12 @@ class RayVecEnv(VecEnv):
                 return
 
     def _begin(self, actor: int) -> None:
-        group, anew = self._groups[actor], self._actors[actor]
-        seeds = [self._later_seed(i) for i in group]
-        self._get(anew.begin.remote([(self._slots[i], self._attributes[i]) for i in group], seeds))
-        if self._seen is not None:
-            observations, reset_infos = self._get(anew.reset.remote(seeds, [{}] * len(group)))
-            last = [copy_of(one_of(self._seen, i)) for i in group]
-            self._anew[actor] = observations, reset_infos, self._get(anew.lost_infos.remote(last))
+        group = self._groups[actor]
+        settings = [(self._slots[i], self._attributes[i]) for i in group]
+        last = None if self._seen[group[0]] is None else [self._seen[i] for i in group]
+        answers = self._get(self._actors[actor].begin.remote(settings, [self._later_seed(i) for i in group], last))
+        if answers:
+            self._anew[actor] = answers
 
     def _later_seed(self, env: int) -> int | None:
         """A seed that no environment has had; None where none was seeded."""
@@ -299,13 +355,3 @@ class RayVecEnv(VecEnv):
         if first is None:
             return None
         return int(np.random.SeedSequence([first, self.lost_actors]).generate_state(1)[0])
-
-    def _cut_off(self, actor: int) -> Steps:
-        """What a step is said to have returned of environments that were lost."""
-        observations, reset_infos, infos = self._anew.pop(actor)
-        group = self._groups[actor]
-        told = [
-            {**info, "TimeLimit.truncated": True, "terminal_observation": copy_of(one_of(self._seen, i)), "lost": True}
-            for i, info in zip(group, infos, strict=True)
-        ]
-        return Steps(observations, [0.0] * len(group), [True] * len(group), told, reset_infos)

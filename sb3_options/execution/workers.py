@@ -57,7 +57,7 @@ def watch_workers(venv: VecEnv) -> None:
     hold one another's pipes open. An environment without worker processes stays as it is.
     """
     inner = venv.unwrapped
-    if isinstance(inner, SubprocVecEnv):
+    if isinstance(inner, SubprocVecEnv) and inner.processes:  # a RayVecEnv has none
         inner.remotes = tuple(
             remote if isinstance(remote, _WatchedPipe) else _WatchedPipe(remote, inner, index)
             for index, remote in enumerate(inner.remotes)
@@ -117,7 +117,7 @@ def _how_it_ended(exitcode: int | None) -> str:
 def end_workers(venv: VecEnv) -> None:
     """Close an environment that may be within a step, where its own ``close`` would wait for ever."""
     inner = venv.unwrapped
-    if not isinstance(inner, SubprocVecEnv):
+    if not (isinstance(inner, SubprocVecEnv) and inner.processes):
         venv.close()
         return
     for process in inner.processes:
