@@ -103,7 +103,9 @@ class PrimitiveStepsCallback(BaseCallback):
         if self._rollout_buffer is not None:
             n_steps: int = self.model.n_steps  # type: ignore[attr-defined]  # it has rollouts
             self._rollout_buffer.next_size = n_steps  # an exception may have ended an earlier training in a shorter one
-            rollout = n_steps * self._rollout_buffer.n_envs
+            # The first rollout of a training that is resumed may be a shorter one.
+            whole = n_steps if self._rollouts is None else self._rollouts.n_steps
+            rollout = whole * self._rollout_buffer.n_envs
             done, total = self.model.num_timesteps, self.model._total_timesteps
             self._budget = done + math.ceil((total - done) / rollout) * rollout
 

@@ -152,13 +152,7 @@ class OptionReplayBuffer(ReplayBuffer):
 
     @classmethod
     def from_stock(cls, stock: ReplayBuffer, action_space: spaces.Space[Any], gamma: float) -> Self:
-        """A buffer with the transitions and ``n_steps`` of one of SB3's own, the oldest first.
-
-        Args:
-            stock: One of SB3's own; it has stored next observations.
-            action_space: Augmented actions.
-            gamma: Discount γ of each transition; all are single primitive steps.
-        """
+        """A buffer with the transitions and ``n_steps`` of one of SB3's own, the oldest first; all are single steps."""
         buffer = cls(
             stock.buffer_size * stock.n_envs,
             stock.observation_space,
@@ -234,18 +228,9 @@ class OptionReplayBuffer(ReplayBuffer):
         done: npt.NDArray[Any],
         infos: list[dict[str, Any]],
     ) -> None:
-        """Store one step of every environment, and the primitive steps inside it.
+        """Store one step of every environment, and the primitive steps inside it; all have shape (n_envs, ...).
 
-        Args:
-            obs: (n_envs, ...).
-            next_obs: (n_envs, ...).
-            action: Augmented actions, (n_envs,) or (n_envs, 1).
-            reward: Σ γⁱ rᵢ, (n_envs,).
-            done: (n_envs,).
-            infos: With ``info["option"]``, as `OptionsWrapper` leaves it.
-
-        Raises:
-            ValueError: An info has no record of what ran (`OptionRun.from_info`).
+        ``reward`` is Σ γⁱ rᵢ, and the infos have ``info["option"]``, as `OptionsWrapper` leaves it.
         """
         if len(infos) != self.n_envs:  # it was loaded into a model of other environments
             self.n_envs = len(infos)
@@ -334,15 +319,7 @@ class OptionReplayBuffer(ReplayBuffer):
         self.pos = (self.pos + n) % self.buffer_size
 
     def sample(self, batch_size: int, env: VecNormalize | None = None) -> ReplayBufferSamples:
-        """Draw transitions uniformly, with replacement.
-
-        Args:
-            batch_size: How many.
-            env: Normalises observations and rewards.
-
-        Returns:
-            An `OptionReplayBufferSamples`.
-        """
+        """Draw an `OptionReplayBufferSamples` uniformly, with replacement."""
         # SB3 seeds and draws from numpy's global generator; drawing as it does keeps a run without options equal.
         return BaseBuffer.sample(self, batch_size, env)  # type: ignore[no-any-return]  # SB3 leaves it unannotated
 
@@ -414,11 +391,7 @@ class OptionReplayBuffer(ReplayBuffer):
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Hold what `get_state` gave, in the arrays that there are.
-
-        Raises:
-            ValueError: The rows have another shape, or there are more of them.
-        """
+        """Hold what `get_state` gave, in the arrays that there are."""
         self.pos, self.full, self.written = state["counters"]
         for column, rows in zip(self._columns(), state["columns"], strict=True):
             if rows.shape[1:] != column.shape[1:]:

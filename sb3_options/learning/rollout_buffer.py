@@ -52,17 +52,10 @@ def smdp_advantages(
 
 
 def n_decisions(n_primitive_steps: int, durations: FloatArray, multiple: int = 1, least: int = 1) -> int:
-    """How many decisions of each environment take about so many primitive steps.
+    """How many decisions of each environment take about so many primitive steps, by the durations of the last ones.
 
-    Args:
-        n_primitive_steps: Of each environment, at least 1.
-        durations: Of the decisions of the last rollout, in primitive steps, any shape.
-        multiple: Decisions come in multiples of this, so that minibatches are full. Where ``n_primitive_steps``
-            decisions do not fill one, any number is one that is not full.
-        least: Decisions, at least 1.
-
-    Returns:
-        At least ``multiple`` and ``least``, at most as many decisions as primitive steps, in multiples.
+    They come in multiples, so that minibatches are full, where ``n_primitive_steps`` decisions fill one, and are at
+    least ``least``, and no more than there are primitive steps.
     """
     if multiple > n_primitive_steps:
         multiple = 1
@@ -75,10 +68,6 @@ def add_bonuses(buffer: RolloutBuffer, bonuses: FloatArray) -> None:
 
     Generalised advantage estimation is linear in rewards and values. So what `smdp_advantages` makes of the bonuses,
     with values of 0, is what they add to the advantages and returns that are there.
-
-    Args:
-        buffer: Of any class; its advantages are computed.
-        bonuses: Σ γⁱ bᵢ over the k primitive steps of each transition, (n_steps, n_envs).
     """
     nothing = np.zeros_like(bonuses)
     discounts = buffer.discounts if isinstance(buffer, SMDPAdvantages) else np.full_like(bonuses, buffer.gamma)
@@ -97,14 +86,6 @@ def normalized_rewards(
 
     ``VecNormalize`` itself clips what it is given, which of an option is the sum: beyond the clip nothing of γ would be
     left, and an option that reaches the goal in 120 steps would be worth as much as one that takes 1.
-
-    Args:
-        rewards: As the VecEnv gave them, (n_envs,).
-        runs: Of each environment.
-        normalizer: In force; None leaves rewards as they are.
-
-    Returns:
-        (n_envs,).
     """
     normalized = np.array(rewards, dtype=np.float64)
     if normalizer is not None and normalizer.norm_reward:
@@ -169,16 +150,7 @@ class SMDPAdvantages:
         self._expected = given, normalized_rewards(rewards, runs, normalizer), durations, discounts
 
     def add(self, *args: Any, **kwargs: Any) -> None:
-        """Store one step of every environment.
-
-        Args:
-            *args: As for the SB3 buffer: observations, actions, rewards of shape (n_envs,), to which SB3 has added
-                γ V(s) where an episode timed out, and so on.
-            **kwargs: As for the SB3 buffer.
-
-        Raises:
-            ValueError: `expect` was not called before.
-        """
+        """Store one step of every environment."""
         if self._expected is None:
             raise ValueError(
                 f"{type(self).__name__} was not told how long the actions took: pass PrimitiveStepsCallback() or "
@@ -193,12 +165,7 @@ class SMDPAdvantages:
         super().add(observations, actions, rewards, *others, **kwargs)  # type: ignore[misc]  # the SB3 buffer's
 
     def compute_returns_and_advantage(self, last_values: torch.Tensor, dones: npt.NDArray[Any]) -> None:
-        """`smdp_advantages` of the rollout; returns are advantages plus values.
-
-        Args:
-            last_values: V of the observations after the last step, (n_envs,) or (n_envs, 1).
-            dones: Whether the last step ended an episode, (n_envs,).
-        """
+        """`smdp_advantages` of the rollout; returns are advantages plus values."""
         values = self.values.astype(np.float64)
         last = last_values.detach().cpu().numpy().reshape(1, -1)
         ended = np.concatenate([self.episode_starts[1:], np.reshape(dones, (1, -1))]).astype(np.float64)
@@ -248,15 +215,6 @@ def option_rollout_buffer(model: BaseAlgorithm) -> SMDPAdvantages | None:
 
     MaskablePPO and RecurrentPPO get a class derived from their own. RecurrentPPO's LSTM sees the observations at
     decisions only.
-
-    Args:
-        model: Any; before training starts.
-
-    Returns:
-        The buffer that is the model's from now on; None for an algorithm without rollouts.
-
-    Raises:
-        ValueError: The buffer is a class of the user's own, without `SMDPAdvantages`.
     """
     buffer = getattr(model, "rollout_buffer", None)
     if buffer is None or isinstance(buffer, SMDPAdvantages):
