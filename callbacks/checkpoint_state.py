@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-import numpy as np
 from stable_baselines3.common import callbacks as sb3
 from stable_baselines3.common.callbacks import BaseCallback
 
@@ -140,9 +139,3 @@ def _names(callback: BaseCallback) -> tuple[str, ...]:
 class _Nothing(BaseCallback):
     def _on_step(self) -> bool:
         return True
-
-
-def best_of(root: BaseCallback | None) -> float:
-    """The best mean reward of all evaluations; −∞ before the first."""
-    rewards = [c.best_mean_reward for c in all_callbacks(root) if isinstance(c, sb3.EvalCallback)]
-    return float(max(rewards, default=-np.inf))

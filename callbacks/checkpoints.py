@@ -6,7 +6,6 @@ import logging
 import os
 from collections.abc import Callable, Sequence
 
-import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList, ProgressBarCallback
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
@@ -32,8 +31,7 @@ class CheckpointCallback(BaseCallback):
 
     A checkpoint is written at the start of a rollout, the first of them before the first step. Each holds the model
     with its optimizer and its replay buffer, the callbacks beside this one, the environments in mid-episode and every
-    random generator; docs/concepts/checkpoints.md says what cannot be in it. The last two are kept, and the one after
-    the best evaluation of an ``EvalCallback``.
+    random generator; docs/concepts/checkpoints.md says what cannot be in it. The last two are kept.
 
     Args:
         folder: Of the checkpoints.
@@ -47,7 +45,7 @@ class CheckpointCallback(BaseCallback):
             of another training.
     """
 
-    STATE = ("_last", "_best")
+    STATE = ("_last",)
 
     def __init__(
         self,
@@ -67,7 +65,6 @@ class CheckpointCallback(BaseCallback):
         self._there: int | None = None
         self._resumed: State | None = None
         self._last: int | None = None
-        self._best = -np.inf
 
     def resume_from(self, state: State) -> None:
         """Let the next training go on from a state, as `load_checkpoint` reads it."""
@@ -115,9 +112,7 @@ class CheckpointCallback(BaseCallback):
             self._there = self.model.num_timesteps
         elif self._is_due(now):
             self._last = now
-            best, before = checkpoint_state.best_of(self._root), self._best
-            self._best = best
-            self._save(best=best > before)
+            self._save()
         began = self.model.num_timesteps > 0
         if self.end_when is not None and began and self._may_end() and self.end_when():
             self._end()
@@ -136,10 +131,10 @@ class CheckpointCallback(BaseCallback):
             return False
         return not self._is_last_rollout()
 
-    def _save(self, *, best: bool = False, then: str = "training goes on") -> None:
+    def _save(self, then: str = "training goes on") -> None:
         now = self.model.num_timesteps
         try:
-            self.folder.save(now, self.state(), best=best, growing=models.growing(self.model))
+            self.folder.save(now, self.state(), growing=models.growing(self.model))
         except OSError as error:
             logger.warning("No checkpoint could be written, %s: %s", then, error)
         else:
@@ -148,7 +143,7 @@ class CheckpointCallback(BaseCallback):
     def _end(self) -> None:
         """End training here. Later checkpoints come where they would have come without it."""
         if self._there != self.model.num_timesteps:
-            self._save(then="training ends without")
+            self._save("training ends without")
         assert self._root is not None  # this callback is in it
         self._root.on_training_end()
         raise EndedAtCheckpointError

@@ -41,10 +41,7 @@ BLOCKS = "blocks"
 SUFFIX = ".safetensors"
 
 KEPT = 2
-"""So many checkpoints are kept, besides the best."""
-
-BEST = "best"
-"""Name of the checkpoint with the best evaluation."""
+"""So many checkpoints are kept."""
 
 _NAME = re.compile(r"[0-9a-f]{64}")
 
@@ -69,7 +66,7 @@ class CheckpointFolder:
         """The primitive steps of the checkpoint that has most of them; None if there is none."""
         return next((int(file.stem) for file in self), None)
 
-    def save(self, steps: int, state: State, *, best: bool = False, growing: Sequence[Growing] = ()) -> Path:
+    def save(self, steps: int, state: State, *, growing: Sequence[Growing] = ()) -> Path:
         """Write a checkpoint, and remove what is older than the last `KEPT`.
 
         A killed process or a full disk leaves the older ones whole.
@@ -77,7 +74,6 @@ class CheckpointFolder:
         Args:
             steps: Primitive steps taken.
             state: Everything.
-            best: Whether it is the best so far, and kept until there is a better one.
             growing: Arrays of the state of which only new rows are read, where this object wrote them before.
 
         Raises:
@@ -90,9 +86,8 @@ class CheckpointFolder:
         content = _packed(state, blocks, known)
         _sync(blocks)
         file = self.path / f"{steps:012d}{SUFFIX}"
-        for path in [file, *([self.path / f"{BEST}{SUFFIX}"] if best else [])]:
-            with atomic_write(path) as temporary:
-                temporary.write_bytes(content)
+        with atomic_write(file) as temporary:
+            temporary.write_bytes(content)
         _sync(self.path)
         self._known = known
         self._remove_old()
@@ -114,7 +109,7 @@ class CheckpointFolder:
         raise FileNotFoundError(f"There is no checkpoint in {self.path}.")
 
     def make_room(self) -> None:
-        """Remove what can be spared on a full disk: all but the newest and the best, and one from before any step."""
+        """Remove what can be spared on a full disk: all but the newest, and one from before any step."""
         for file in list(self)[1:]:
             file.unlink()
         for file in self:
@@ -127,10 +122,8 @@ class CheckpointFolder:
         files = list(self)
         for file in files[KEPT:]:
             file.unlink()
-        best = self.path / f"{BEST}{SUFFIX}"
-        kept = files[:KEPT] + [best] * best.is_file()
         try:
-            used = {name for file in kept for name in _block_names(_header(file))}
+            used = {name for file in files[:KEPT] for name in _block_names(_header(file))}
         except ValueError:
             return  # whoever damaged a file may want to look at it: its blocks stay
         for path in (self.path / BLOCKS).iterdir():

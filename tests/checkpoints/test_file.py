@@ -50,15 +50,15 @@ def test_blocks_that_did_not_change_are_not_written_again(
     np.testing.assert_array_equal(read(next(iter(folder)))["rows"][-3:], rows[:3])
 
 
-def test_keeps_the_last_two_and_the_best_with_their_blocks(folder: CheckpointFolder) -> None:
+def test_keeps_the_last_two_with_their_blocks(folder: CheckpointFolder) -> None:
     for step in range(5):
-        folder.save(step, {"rows": large() + step, "step": step}, best=step == 1)
+        folder.save(step, {"rows": large() + step, "step": step})
     assert [int(file.stem) for file in folder] == [4, 3]
-    for file, step in [(folder.path / "best.safetensors", 1), *zip(folder, (4, 3), strict=True)]:
+    for file, step in zip(folder, (4, 3), strict=True):
         state = read(file)
         assert state["step"] == step
         np.testing.assert_array_equal(state["rows"], large() + step)
-    assert len(blocks(folder)) == 3 * len(range(0, large().nbytes, SMALL_BLOCKS))
+    assert len(blocks(folder)) == 2 * len(range(0, large().nbytes, SMALL_BLOCKS))
 
 
 @pytest.mark.parametrize("writes", range(1, 5))
