@@ -1,6 +1,5 @@
 """A second training: nothing of the first stays behind in the environments that was not asked for again."""
 
-import csv
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,6 @@ import torch
 from sb3_contrib import TRPO, MaskablePPO, RecurrentPPO
 from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback
-from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options import MacroQ, OptionReplayBuffer, OptionsWrapper, load_model
@@ -19,7 +17,6 @@ from sb3_options.density.regions import Region
 from sb3_options.discovery.budget import STEP_SECONDS, TABLE_STEP_SECONDS
 from sb3_options.discovery.methods import DiscoveryMethod, Experience, GivenPlaces
 from sb3_options.learning import heads
-from sb3_options.options.file import slots_of
 from tests.support.helpers import CountingEnv, steady_option
 from tests.support.sb3_helpers import RANDOM, TINY, fast_callback, optioned_rooms
 
@@ -62,21 +59,6 @@ def test_going_on_without_the_options_says_so(caplog: pytest.LogCaptureFixture) 
     assert "Slot 0 is empty, and the model has learned what an option there is worth" in caplog.text
     assert "Slot 1" not in caplog.text
     assert heads.is_closed(model.policy, 4)
-
-
-@pytest.mark.parametrize("new_callback", [False, True])
-def test_options_go_along_when_a_model_gets_other_environments(tmp_path: Path, new_callback: bool) -> None:
-    model, callback = model_of(optioned_rooms(2)), fast_callback()
-    model.learn(1800, callback=callback)
-    (found,) = callback.discoveries
-    model.set_env(later := optioned_rooms(2))
-    callback = fast_callback(max_new_options=0) if new_callback else callback
-    model.learn(1, callback=callback, reset_num_timesteps=False)
-    assert found.slot in later.bank.filled
-    assert found.slot in callback.bank.filled
-    assert not heads.is_closed(model.policy, 4 + found.slot)
-    model.save(tmp_path / "model.zip")
-    assert slots_of(tmp_path / "model.zip") == [found.slot]
 
 
 def test_one_callback_discovers_in_a_training() -> None:
@@ -147,16 +129,6 @@ def test_a_proposal_of_other_features_makes_no_option(method: DiscoveryMethod, w
     assert said is not None
     assert why in said
     assert "that have an option" not in said
-
-
-def test_the_log_ends_with_all_primitive_steps(tmp_path: Path) -> None:
-    model = model_of(optioned_rooms(2))
-    model.set_logger(configure(str(tmp_path), ["csv"]))
-    model.learn(1234, callback=SubgoalDiscoveryCallback())
-    model.logger.close()
-    with (tmp_path / "progress.csv").open(encoding="utf-8") as file:
-        *_, last = csv.DictReader(file)
-    assert int(last["time/primitive_steps"]) == model.num_timesteps >= 1234
 
 
 class LastStates(BaseCallback):

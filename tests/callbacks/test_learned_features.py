@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from stable_baselines3 import DQN
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options import OptionReplayBuffer, OptionsWrapper, load_model
 from sb3_options.callbacks import SubgoalDiscoveryCallback
@@ -171,21 +171,6 @@ def test_a_file_holds_the_map(tmp_path: Path) -> None:
     loaded.learn(600, again)
     assert features_of(again).map.fixed
     np.testing.assert_array_equal(again.bank.available(states), env.available(states))
-
-
-def test_worker_processes_and_this_one_learn_the_same() -> None:
-    states = np.eye(45, dtype=np.float32)
-    learned = []
-    for venv in (DummyVecEnv([temporal_rooms] * 2), SubprocVecEnv([temporal_rooms] * 2, start_method="fork")):
-        model = dqn(venv, learning_starts=10_000, buffer_size=200)
-        callback = callback_with(max_new_options=1)
-        model.learn(1_200, callback)
-        learned.append(venv.env_method("concept_features", states))
-        assert features_of(callback).map.learned
-        venv.close()
-    for each in learned[1:]:
-        np.testing.assert_array_equal(learned[0], each)
-    np.testing.assert_array_equal(learned[0][0], learned[0][1])
 
 
 @pytest.mark.usefixtures("keep_all")

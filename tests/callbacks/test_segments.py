@@ -51,16 +51,6 @@ def test_finds_the_doorway_in_rooms_that_never_end(venv: Any) -> None:
     assert all(len(t.trajectory) <= 400 for t in callback.discovery.database)
 
 
-def test_without_segments_nothing_is_found() -> None:
-    callback = learned(make_endless_rooms(), FAST_DISCOVERY)
-    assert (callback.episodes, callback.discoveries) == (0, [])
-
-
-def test_where_episodes_are_cut_off_by_time() -> None:
-    callback = learned(optioned_rooms(continuing=True, max_steps=500))
-    assert np.abs(callback.discoveries[0].subgoal - DOORWAY).sum() <= 1
-
-
 def test_the_log_is_written_though_no_episode_ends(tmp_path: Path) -> None:
     learned(make_endless_rooms(), tensorboard_log=str(tmp_path))
     scalars = EventAccumulator(str(tmp_path / "DQN_1"))

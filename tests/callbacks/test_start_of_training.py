@@ -215,22 +215,6 @@ def test_weight_decay_opens_no_empty_slot(algorithm: Any, callback: Any) -> None
     assert layer.bias[5] == layer.bias[:4].mean()
 
 
-@both
-def test_an_option_that_waits_for_its_rollout_is_opened_from_a_closed_head(callback: Any) -> None:
-    """However much of its bias has decayed by then."""
-    model: Any = PPO("MlpPolicy", optioned_rooms(1), gamma=DISCOUNT, n_steps=16, batch_size=16, device="cpu")
-    counting = callback()
-    before_the_first_step(model, counting)
-    installer = counting._installer
-    installer.install(0, steady_option(1))
-    bias = model.policy.action_net.bias
-    model.policy.optimizer.param_groups[0]["weight_decay"] = 0.1
-    with torch.no_grad():
-        bias[4] = -9.0
-    installer.on_rollout_start()
-    assert bias[4] == bias[:4].mean()
-
-
 @pytest.mark.parametrize("algorithm", [DQN, PPO])
 def test_counting_alone_leaves_the_head_of_an_option_as_it_was_initialised(algorithm: Any) -> None:
     env = with_option()

@@ -1,4 +1,3 @@
-import copy
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,7 +22,6 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option, SubgoalOption
 from sb3_options.options.policies import PolicyInput, TabularPolicy
 from sb3_options.options.settings import UsefulnessSettings
-from sb3_options.state import restore, state_of
 
 FINE, CIRCLE, FAR = 1.0, 2.0, 3.0
 """Places on a line; the subgoal is at 0."""
@@ -216,19 +214,3 @@ class TestLearnedAnew:
         elif forget == "another map":
             useful.forget_places()
         assert useful.learned_anew(int(forget == "another slot"), circling) is circling
-
-
-def test_goes_on_as_if_nothing_had_been() -> None:
-    """Two judgements of one sequence of runs, one of which begins anew from its state in the middle."""
-    circling = option(FINE)
-    whole, resumed = judging(), judging()
-    verdicts: list[list[Any]] = [[], []]
-    for n in range(4 * MIN_RUNS):
-        for useful, said in zip((whole, resumed), verdicts, strict=True):
-            add(useful, "max_duration" if n % 4 else "subgoal", FINE)
-            useful.episode_ended(0, [0], success=n % 2 == 0)
-            said += [why for _, why in useful.judged(installed(circling))]
-        if n == MIN_RUNS // 2:
-            resumed = judging()
-            restore(resumed, copy.deepcopy(state_of(whole)))
-    assert verdicts[0] == verdicts[1] != []

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 from stable_baselines3 import DQN
-from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize, VecTransposeImage
 
 from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper
@@ -127,15 +126,6 @@ class TestOptionDQN:
         now = [cast("Any", c).place for c in venv.unwrapped.get_attr("unwrapped")]
         assert model._available(seen)[:, 2].tolist() == [2 <= p < 8 for p in now]
 
-    def test_goes_on_with_masks_after_loading_without_an_environment(self, tmp_path: Path) -> None:
-        task = random_task(5)
-        OptionDQN("MlpPolicy", task.env, gamma=GAMMA, **TABULAR).save(tmp_path / "model.zip")
-        model = OptionDQN.load(tmp_path / "model.zip")
-        assert model.predict(np.arange(N_STATES), deterministic=True)[0].shape == (N_STATES,)  # all counts as available
-        model.set_env(random_task(5).env)
-        model.learn(100)
-        assert model._option_buffer().next_available[: model._option_buffer().size()].any()
-
     def test_masks_of_clipped_observations_are_those_of_the_originals(self, caplog: pytest.LogCaptureFixture) -> None:
         def make() -> OptionsWrapper:
             wrapped = OptionsWrapper(Corridor("box"), 1, gamma=GAMMA, feature_map=places)
@@ -170,12 +160,6 @@ class TestOptionDQN:
         assert buffer.size() > 300
         assert buffer.next_available[: buffer.size()].tolist() == expected.tolist()
         assert expected.any()
-
-    def test_a_stock_replay_buffer_is_refused(self) -> None:
-        model = OptionDQN("MlpPolicy", optioned_rooms(), gamma=GAMMA, **TINY)
-        model.replay_buffer = ReplayBuffer(100, model.observation_space, model.action_space)
-        with pytest.raises(ValueError, match="OptionDQN needs an OptionReplayBuffer, got ReplayBuffer: set model"):
-            model.learn(10)
 
     def test_without_a_callback_it_is_checked_and_closed_all_the_same(self) -> None:
         text = r"OptionsWrapper discounts with gamma=0\.9, OptionDQN with gamma=0\.5: give both the same"

@@ -136,13 +136,6 @@ class Trunk(QNetwork):
         return self.last(self.q_net(self.extract_features(obs, self.features_extractor)))  # type: ignore[no-any-return]
 
 
-class Squashed(Trunk):
-    """Of a user's own, whose values are bounded."""
-
-    def forward(self, obs: Any) -> torch.Tensor:
-        return super().forward(obs).tanh()
-
-
 class Narrow(Trunk):
     """Of a user's own, without a layer that has an output for each action."""
 
@@ -169,14 +162,6 @@ class Elsewhere(Layers):
 
     def _get_action_dist_from_latent(self, latent_pi: torch.Tensor) -> Any:
         return self.action_dist.proba_distribution(action_logits=self.own_net(latent_pi))
-
-
-class Bounded(Layers):
-    """Of a user's own: logits between -1 and 1."""
-
-    def _build(self, lr_schedule: Any) -> None:
-        super()._build(lr_schedule)
-        self.action_net = torch.nn.Sequential(torch.nn.Linear(64, N_ACTIONS), torch.nn.Tanh())
 
 
 def own_model(network: type[Any]) -> Any:
@@ -208,10 +193,8 @@ def test_heads_of_a_users_own_network_are_found_by_their_shape(network: type[Any
     ("network", "message"),
     [
         (Dueling, "Policy makes something else of the outputs of the last torch.nn.Linear of its q_net"),
-        (Squashed, "Policy makes something else of the outputs of the last torch.nn.Linear of its q_net"),
         (Narrow, r"q_net of Policy must end in torch.nn.Linear\(n, 7\) with a bias, an output for each action"),
         (Elsewhere, "Elsewhere makes something else of the outputs of the last torch.nn.Linear of its action_net"),
-        (Bounded, "Bounded makes something else of the outputs of the last torch.nn.Linear of its action_net"),
     ],
 )
 def test_networks_of_a_users_own_that_cannot_be_closed_are_refused(

@@ -16,13 +16,10 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from experiments.pioneer.tiles import TileCoding
 from sb3_options import MacroQ, OptionsWrapper
-from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.envs import GridWorld
 from sb3_options.learning.macro_q import LONGEST_ROLLOUT, OneHot
 from tests.support.helpers import CountingEnv, steady_option, table_option
 from tests.support.sb3_helpers import (
-    DOORWAY,
-    FAST_DISCOVERY,
     optioned_rooms,
     small_rooms,
 )
@@ -227,18 +224,6 @@ def test_q_learning_converges_to_the_policy_of_value_iteration(features: TileCod
     if features is None:
         acted = [5 * y + x for x, y in world.start_cells]
         assert table_of(model)[acted] == pytest.approx(best[acted], abs=1e-3)
-
-
-def test_discovers_an_option_and_goes_on_with_it() -> None:
-    settings = {**FAST_DISCOVERY, "min_positive": 8, "decay": 0.9}
-    options = {"grow": True, "gamma": GAMMA}
-    callback = SubgoalDiscoveryCallback(settings, options, max_new_options=1)
-    model = MacroQ(optioned_rooms(max_steps=None), seed=0)
-    model.learn(15_000, callback=callback)
-    (found,) = callback.discoveries
-    assert np.abs(found.subgoal - DOORWAY).sum() <= 1
-    assert table_of(model)[:, 4].any()  # the option was run and its value learned
-    assert not table_of(model)[:, 5:].any()  # the empty slots never were
 
 
 def test_save_and_load(tmp_path: Path) -> None:

@@ -189,19 +189,6 @@ def test_normalizes_with_vec_normalize_as_the_stock_buffer_does(rng: np.random.G
     assert torch.equal(normal.discounts, raw.discounts)
 
 
-def test_trains_with_vec_normalize_on_what_happened() -> None:
-    venv = VecNormalize(corridors("box"), gamma=GAMMA)
-    model = DQN(
-        "MlpPolicy", venv, gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, learning_starts=50, seed=0,
-        buffer_size=2000,
-    )  # fmt: skip
-    model.learn(300)
-    buffer = cast("OptionReplayBuffer", model.replay_buffer)
-    steps, chosen = cast("list[Any]", venv.get_attr("log")[0]), venv.get_attr("chosen")[0]
-    in_places = [s._replace(state=place_in(s.state), next_state=place_in(s.next_state)) for s in steps]
-    assert_holds(all_samples(buffer), expected_rows(in_places, chosen, {0: RIGHT}, 2, GAMMA))
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_gives_back_stored_observations_as_the_environment_made_them(kind: str, rng: np.random.Generator) -> None:
     venv = corridors(kind, 2)

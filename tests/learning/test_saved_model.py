@@ -232,13 +232,6 @@ class TestWarning:
         evaluate_policy(found, env_of(found), n_eval_episodes=2, warn=False)
         assert caplog.records == []
 
-    def test_a_callback_that_fills_slots_needs_none(self, caplog: pytest.LogCaptureFixture) -> None:
-        trained(DQN, callback=SubgoalDiscoveryCallback())
-        assert caplog.records == []
-        DQN("MlpPolicy", optioned_rooms(), gamma=0.9, **DQN_KIND).learn(150)
-        assert "it is empty" in caplog.text
-        assert "give learn() a SubgoalDiscoveryCallback, or a PrimitiveStepsCallback" in caplog.text
-
 
 def with_bias(model: Any) -> None:
     """Let the option be the greedy choice everywhere."""
