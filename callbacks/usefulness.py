@@ -94,13 +94,6 @@ def helps(episodes: Iterable[Episode]) -> bool:
     return bool(hypergeom.sf((ran & success).sum() - 1, len(ran), success.sum(), ran.sum()) < ALPHA)
 
 
-def failing(passed: BoolArray, arrived: BoolArray, min_reached: float) -> BoolArray:
-    """States from where too few runs arrive, (n,): states each run passed (runs, n), which arrived (runs,)."""
-    passes = passed.sum(axis=0)
-    result: BoolArray = (passes >= MIN_PASSES) & fewer(passed[arrived].sum(axis=0), passes, min_reached)
-    return result
-
-
 @storable
 @dataclass
 class SlotRecord:
@@ -245,7 +238,10 @@ class Usefulness:
         passed: BoolArray = np.zeros((len(record.judged), len(region.points)), dtype=bool)
         passed[runs, nearest] = True
         arrived = np.array([why == "subgoal" for _, why in record.judged])
-        return failing(passed, arrived, self.settings.min_reached)
+        passes = passed.sum(axis=0)
+        too_few = fewer(passed[arrived].sum(axis=0), passes, self.settings.min_reached)
+        result: BoolArray = too_few & (passes >= MIN_PASSES)
+        return result
 
 
 def _judged(options: OptionInstaller) -> list[tuple[int, SubgoalOption]]:

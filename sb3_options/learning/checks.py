@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_options.execution.wrapper import OptionsWrapper
 
 
-def check_wrapped(venv: VecEnv, whose: str, *, max_options: Any = "...", gamma: Any = "...") -> None:
+def check_wrapped(venv: VecEnv, whose: str) -> None:
     """Refuse an environment without `OptionsWrapper`."""
     if not all(venv.env_is_wrapped(OptionsWrapper)):
         raise ValueError(
-            f"{whose} is not wrapped in OptionsWrapper: use OptionsWrapper(env, max_options={max_options}, "
-            f"gamma={gamma}) or make_vec_env(..., wrapper_class=OptionsWrapper)."
+            f"{whose} is not wrapped in OptionsWrapper: use OptionsWrapper(env, max_options=..., gamma=...) or "
+            "make_vec_env(..., wrapper_class=OptionsWrapper)."
         )
 
 

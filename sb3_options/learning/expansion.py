@@ -7,6 +7,7 @@ from typing import TypeVar
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.type_aliases import GymEnv
+from stable_baselines3.common.utils import check_for_correct_spaces
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper
 
 from sb3_options.checked import whole
@@ -98,30 +99,18 @@ def _fitting(
     if feature_map is not None:
         raise ValueError("feature_map belongs to OptionsWrapper: with env=... pass it to the wrapper in there.")
     venv = model._wrap_env(env, model.verbose)
-    check_wrapped(venv, "env", max_options=max_options, gamma=gamma)
-    _check_fit(model, venv, n_primitive, max_options, gamma)
-    return venv
-
-
-def _check_fit(model: BaseAlgorithm, venv: VecEnv, n_primitive: int, max_options: int, gamma: float) -> None:
+    check_wrapped(venv, "env")
     has = [each.n_primitive for each in venv.get_attr("traits")]
     if set(has) != {n_primitive}:
         raise ValueError(f"The model chooses among {n_primitive} actions, env has {has[0]} primitive actions.")
-    n_actions: int = venv.action_space.n  # type: ignore[attr-defined]  # OptionsWrapper makes it Discrete
-    if n_actions != n_primitive + max_options:
-        raise ValueError(
-            f"env has {n_actions - n_primitive} option slots, max_options is {max_options}: give both the same."
-        )
     check_gamma(model, venv)
-    if venv.observation_space != model.observation_space:
-        raise ValueError(
-            f"The model was trained on observations {model.observation_space}, env has {venv.observation_space}."
-        )
+    check_for_correct_spaces(venv, model.observation_space, spaces.Discrete(n_primitive + max_options))
     if venv.num_envs != model.n_envs:
         raise ValueError(
             f"The model was trained with n_envs={model.n_envs}, env has {venv.num_envs}: give as many, or load the "
             f"model with {type(model).__name__}.load(..., env=...) and as many environments without options first."
         )
+    return venv
 
 
 def _wrap(venv: VecEnv, max_options: int, gamma: float, feature_map: FeatureMap | MapName | None) -> VecEnv:

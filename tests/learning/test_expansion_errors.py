@@ -37,17 +37,15 @@ def test_errors_leave_the_model_as_it_was() -> None:
     smaller = {"map": "SSS.\n...G", "max_steps": 9}
     with pytest.raises(ValueError, match="max_options must be a whole number of at least 1, got 0"):
         expand_action_space(model, 0)
-    with pytest.raises(
-        ValueError, match=r"env is not wrapped in OptionsWrapper: use OptionsWrapper\(env, max_options=4, gamma=0.9"
-    ):
+    with pytest.raises(ValueError, match="env is not wrapped in OptionsWrapper: use OptionsWrapper"):
         expand_action_space(model, env=small_rooms())
-    with pytest.raises(ValueError, match="env has 4 option slots, max_options is 3: give both the same"):
+    with pytest.raises(ValueError, match="Action spaces do not match"):
         expand_action_space(model, 3, env=optioned_rooms(4))
     with pytest.raises(ValueError, match=r"OptionsWrapper discounts with gamma=0.5, DQN with gamma=0.9"):
         expand_action_space(model, 4, env=OptionsWrapper(small_rooms(), 4, gamma=0.5))
     with pytest.raises(ValueError, match=r"chooses among 4 actions, env has 2 primitive actions"):
         expand_action_space(model, 4, env=OptionsWrapper(Corridor(), 4, gamma=GAMMA))
-    with pytest.raises(ValueError, match=r"trained on observations Box.*\(45,\).*, env has Box.*\(8,\)"):
+    with pytest.raises(ValueError, match="Observation spaces do not match"):
         expand_action_space(model, 4, env=optioned_rooms(4, **smaller))
     with pytest.raises(ValueError, match=r"trained with n_envs=1, env has 2: .* DQN.load"):
         expand_action_space(model, 4, env=make_vec_env(optioned_rooms, 2))
