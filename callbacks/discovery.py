@@ -232,7 +232,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             print(text)
 
     def draw(self) -> None:
-        """Draw discovery for TensorBoard, and describe the options, with the next dump of the log."""
+        """Draw discovery for TensorBoard, with the next dump of the log."""
         draw_discovery(self.logger, self._keeper)
 
     def why_nothing(self) -> str | None:

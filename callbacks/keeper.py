@@ -107,19 +107,9 @@ class OptionKeeper:
         self.made.add(slot)
         if not option.fixed:
             self.growth.made(slot, subgoal, self.search.database)
-        saved = self.search.database
-        discovery = DiscoveredOption(
-            slot,
-            episode,
-            timestep,
-            found.centre,
-            where,
-            found.log_density,
-            initiation_states=len(option.initiation_set.points),
-            saved=len(saved),
-            visiting=sum(bool(subgoal.contains(each.features).any()) for each in saved),
-        )
-        self.discoveries.append(discovery)
+        n_states = len(option.initiation_set.points)
+        found_here = DiscoveredOption(slot, episode, timestep, found.centre, where, found.log_density, n_states)
+        self.discoveries.append(found_here)
         return self.discoveries[-1]
 
     def _learn_further(self, labelled: LabelledTrajectory) -> None:

@@ -26,8 +26,6 @@ class DiscoveredOption:
         where: The same for people: ``state 57`` of a discrete space, else coordinates.
         log_density: Best log diverse density of the search that completed it; NaN where another method found it.
         initiation_states: Size of its initiation set.
-        saved: Trajectories that were saved, which it was learned from.
-        visiting: Of them, those that visit its subgoal.
     """
 
     slot: int
@@ -37,8 +35,6 @@ class DiscoveredOption:
     where: str
     log_density: float
     initiation_states: int
-    saved: int = 0
-    visiting: int = 0
 
 
 @storable

@@ -1,4 +1,4 @@
-"""What a training logs of discovery and its options, in numbers, pictures and texts, and how it ended."""
+"""What a training logs of discovery and its options, in numbers and pictures, and how it ended."""
 
 from __future__ import annotations
 
@@ -11,18 +11,15 @@ import numpy as np
 from stable_baselines3.common.logger import Figure, HParam, Logger, TensorBoardOutputFormat
 
 from sb3_options.callbacks.keeper import OptionKeeper
-from sb3_options.callbacks.records import DiscoveredOption
-from sb3_options.callbacks.usefulness import WINDOW
 from sb3_options.discovery.figures import discovery_figures, options_figure
 from sb3_options.experience.success import learned_at
 from sb3_options.experience.trajectories import EpisodeRecord
 from sb3_options.options.bank import OptionBank
-from sb3_options.options.option import Option, SubgoalOption
 
 logger = logging.getLogger("sb3_options")
 
 NUMBERS_ONLY = ("stdout", "log", "json", "csv")
-"""SB3's outputs that take neither texts nor pictures nor settings."""
+"""SB3's outputs that take neither pictures nor settings."""
 
 LAST = 100
 """Episodes that a success rate is of."""
@@ -33,19 +30,9 @@ LEARNED = 0.9
 SUCCESS, RETURN, STEPS = "at_end/success_rate", "at_end/return", "at_end/steps_to_90_percent"
 """TensorBoard's HParams tab shows the first scalars by the alphabet as results: these come before all others."""
 
-ENDINGS = {
-    "subgoal": "the subgoal was reached",
-    "left_initiation": "the initiation set was left",
-    "max_duration": "it had taken its longest",
-    "interrupted": "another action was worth more",
-    "terminated": "the episode ended",
-    "truncated": "the episode was cut off",
-}
-"""How a run of an option ends, for people."""
-
 
 def takes_more_than_numbers(log: Logger) -> bool:
-    """Whether one of its outputs takes pictures, texts and settings: TensorBoard, or what says so of itself."""
+    """Whether one of its outputs takes pictures and settings: TensorBoard, or what says so of itself."""
     return any(
         isinstance(output, TensorBoardOutputFormat) or getattr(output, "takes_pictures", False)
         for output in log.output_formats
@@ -69,7 +56,7 @@ def log_discovery(log: Logger, keeper: OptionKeeper, n_timesteps: int) -> None:
 
 
 def draw_discovery(log: Logger, keeper: OptionKeeper) -> None:
-    """Draw discovery for TensorBoard, and describe the options, with the next dump of the log."""
+    """Draw discovery for TensorBoard, with the next dump of the log."""
     if not takes_more_than_numbers(log):
         return
     search, bank, discoveries = keeper.search, keeper.options.bank, keeper.discoveries
@@ -77,43 +64,6 @@ def draw_discovery(log: Logger, keeper: OptionKeeper) -> None:
     options = options_figure(search, bank, discoveries[-1].slot if discoveries else None)
     for name, figure in (figures if options is None else {**figures, "options": options}).items():
         log.record(f"discovery/{name}", Figure(figure, close=True), exclude=NUMBERS_ONLY)
-    found = {each.slot: each for each in discoveries}  # of a slot that was filled again the last one
-    statistics = keeper.statistics.values()
-    for slot, option in enumerate(bank.slots):
-        if option is not None:
-            tag = f"options/slot_{slot}"
-            about = {name.rpartition("/")[2]: value for name, value in statistics.items() if name.startswith(f"{tag}/")}
-            log.record(tag, text_of(option, found.get(slot), about), NUMBERS_ONLY)
-
-
-def text_of(option: Option, found: DiscoveredOption | None, about: Mapping[str, float]) -> str:
-    """An option as a table in Markdown.
-
-    Args:
-        option: As it is now.
-        found: When and where it was discovered; None if it was there at the start.
-        about: Statistics of its slot, by the last part of their tags.
-    """
-    rows: list[tuple[str, str]] = []
-    if found is None:
-        rows.append(("discovered", "no: it was there when training started"))
-    else:
-        rows.append(("discovered", f"after {found.episode:,} episodes, {found.timestep:,} primitive steps"))
-        rows.append(("learned from", f"{found.saved:,} saved episodes, of which {found.visiting:,} visit the subgoal"))
-        if np.isfinite(found.log_density):
-            rows.append(("log diverse density", f"{found.log_density:.2f} nats"))
-    if isinstance(option, SubgoalOption):
-        rows.append(("may begin in", f"{len(option.initiation_set.points):,} places"))
-    rows.append(("ends after", f"{option.max_duration:,} primitive steps at most"))
-    ends = {ENDINGS[name.removeprefix("ended_")]: share for name, share in about.items() if name.startswith("ended_")}
-    if ends:
-        reached = ends.pop(ENDINGS["subgoal"], 0.0)
-        rows.append(("success rate", f"{reached:.0%} of the last runs, {WINDOW} at most: the subgoal was reached"))
-        rows += [("", f"{share:.0%}: {why}") for why, share in ends.items() if share > 0.0]
-        rows.append(("duration", f"{about['mean_duration']:.1f} primitive steps on average"))
-    rows.append(("runs", f"{about.get('runs', 0):,.0f}"))
-    lines = "\n".join(f"| {what} | {said.replace('|', '/')} |" for what, said in rows)
-    return f"| option | {option.name} |\n|---|---|\n{lines}"
 
 
 def results_of(history: Sequence[EpisodeRecord]) -> dict[str, float]:

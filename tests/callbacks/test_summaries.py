@@ -1,12 +1,9 @@
 """Results beside settings, and what is said of an option."""
 
-import numpy as np
 import pytest
 
-from sb3_options.callbacks.records import DiscoveredOption
-from sb3_options.callbacks.summaries import flat_settings, results_of, steps_to_learn, text_of
+from sb3_options.callbacks.summaries import flat_settings, results_of, steps_to_learn
 from sb3_options.experience.trajectories import EpisodeRecord
-from tests.support.helpers import steady_option
 
 
 def history_of(successes: list[bool]) -> list[EpisodeRecord]:
@@ -42,28 +39,3 @@ def test_results_are_of_the_last_hundred_and_what_never_came_is_left_out() -> No
 def test_settings_are_flat_and_of_one_kind_each() -> None:
     nested = {"a": 1, "b": {"c": True, "d": {"e": 2.5}}, "layers": (64, 32), "none": None, "code": print, "name": "x"}
     assert flat_settings(nested) == {"a": 1, "b.c": "True", "b.d.e": 2.5, "layers": "64, 32", "name": "x"}
-
-
-def test_an_option_that_was_there_at_the_start() -> None:
-    text = text_of(steady_option(), None, {})
-    assert text.splitlines()[0] == f"| option | {steady_option().name} |"
-    assert "| discovered | no: it was there when training started |" in text
-    assert "| runs | 0 |" in text
-    assert "success rate" not in text
-
-
-def test_a_discovered_option_with_its_statistics() -> None:
-    found = DiscoveredOption(1, 20, 3_000, np.array([4.0, 2.0]), "4, 2", -1.234, 17, 12, 9)
-    ends = {"ended_subgoal": 0.75, "ended_truncated": 0.25, "ended_interrupted": 0.0}
-    text = text_of(steady_option(), found, {"runs": 1234.0, "mean_duration": 6.54, **ends})
-    for row in (
-        "| discovered | after 20 episodes, 3,000 primitive steps |",
-        "| learned from | 12 saved episodes, of which 9 visit the subgoal |",
-        "| log diverse density | -1.23 nats |",
-        "| success rate | 75% of the last runs, 100 at most: the subgoal was reached |",
-        "|  | 25%: the episode was cut off |",
-        "| duration | 6.5 primitive steps on average |",
-        "| runs | 1,234 |",
-    ):
-        assert row in text.splitlines()
-    assert "another action" not in text
