@@ -58,12 +58,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def remove_stale(folder: Path, pattern: str = "") -> None:
-    """Remove the temporary files that killed processes left, `STALE` seconds after they were last written to.
-
-    Args:
-        folder: Where.
-        pattern: Of subfolders to look in instead, as in ``"*/"``.
-    """
+    """Remove the temporary files that killed processes left, `STALE` seconds after they were last written to."""
     for path in folder.glob(f"{pattern}{PREFIX}*"):
         with suppress(OSError):  # another process may remove it as well
             if time.time() - path.stat().st_mtime > STALE:

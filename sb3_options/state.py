@@ -77,11 +77,7 @@ class Part(NamedTuple):
 
 
 def names_of(cls: type[Any]) -> tuple[str, ...]:
-    """Names of the attributes that are the state of a class.
-
-    Raises:
-        TypeError: It declares none.
-    """
+    """Names of the attributes that are the state of a class."""
     if "__dataclass_fields__" in vars(cls):
         return tuple(each.name for each in dataclasses.fields(cls) if not each.metadata.get("transient"))
     if cls in FOREIGN:
@@ -97,11 +93,7 @@ def names_of(cls: type[Any]) -> tuple[str, ...]:
 
 
 def made(name: str, fields: Mapping[str, Any]) -> Any:
-    """An object of a class decorated with `storable`.
-
-    Raises:
-        ValueError: There is no such class.
-    """
+    """An object of a class decorated with `storable`."""
     cls = VALUES.get(name)
     if cls is None:
         raise ValueError(f"it holds a {name!r}, which is not known")

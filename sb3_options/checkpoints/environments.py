@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import time
-from pathlib import Path
 from typing import Any
 
-import numpy as np
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import (
     DummyVecEnv,
@@ -16,7 +13,6 @@ from stable_baselines3.common.vec_env import (
     VecEnvWrapper,
     VecExtractDictObs,
     VecFrameStack,
-    VecMonitor,
     VecNormalize,
     VecTransposeImage,
 )
@@ -111,8 +107,6 @@ def _wrapper_state(venv: VecEnvWrapper) -> State:
         }
     if isinstance(venv, VecFrameStack):
         return {"frames": {key: stack.stacked_obs for key, stack in _stacks(venv).items()}}
-    if isinstance(venv, VecMonitor):
-        return _monitor_state(venv)
     if type(venv) in REMEMBER_NOTHING:
         return {}
     raise ValueError(f"Checkpoints of {type(venv).__name__} are not supported yet.")
@@ -129,8 +123,6 @@ def _set_wrapper_state(venv: VecEnvWrapper, state: State) -> None:
     if isinstance(venv, VecFrameStack):
         for key, stack in _stacks(venv).items():
             stack.stacked_obs = state["frames"][key]
-    if isinstance(venv, VecMonitor):
-        _set_monitor_state(venv, state)
 
 
 def _running(venv: VecNormalize) -> dict[str, RunningMeanStd]:
@@ -143,25 +135,3 @@ def _running(venv: VecNormalize) -> dict[str, RunningMeanStd]:
 def _stacks(venv: VecFrameStack) -> dict[str, StackedObservations[Any]]:
     top: Any = venv.stacked_obs
     return dict(top.sub_stacked_observations) if hasattr(top, "sub_stacked_observations") else {"": top}
-
-
-def _monitor_state(monitor: VecMonitor) -> State:
-    writer = monitor.results_writer  # the whole file is stored: a VecMonitor that is made again begins it anew
-    return {
-        "elapsed": time.time() - monitor.t_start,
-        "episode_count": monitor.episode_count,
-        "returns": monitor.episode_returns.copy(),
-        "lengths": monitor.episode_lengths.copy(),
-        "file": None if writer is None else np.frombuffer(Path(writer.file_handler.name).read_bytes(), dtype=np.uint8),
-    }
-
-
-def _set_monitor_state(monitor: VecMonitor, state: State) -> None:
-    monitor.t_start, monitor.episode_count = time.time() - state["elapsed"], state["episode_count"]
-    monitor.episode_returns, monitor.episode_lengths = state["returns"], state["lengths"]
-    if monitor.results_writer is not None and state["file"] is not None:
-        file: Any = monitor.results_writer.file_handler  # a text file, which typeshed does not say
-        file.seek(0)
-        file.truncate()
-        file.write(state["file"].tobytes().decode())
-        file.flush()

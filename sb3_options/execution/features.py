@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import gymnasium as gym
@@ -19,6 +20,7 @@ from sb3_options.embedding.settings import LEARNED, MapName
 from sb3_options.experience.observations import (
     FeatureMap,
     FloatArray,
+    IntArray,
     Observations,
     batch_of_one,
     concatenate,
@@ -52,15 +54,9 @@ class Features(NamedTuple):
     groups: tuple[FeatureGroup, ...] = ()
 
 
-class _OneHot:
-    def __init__(self, space: spaces.Discrete) -> None:
-        self._n, self._start = int(space.n), int(space.start)
-
-    def __call__(self, observations: Observations) -> FloatArray:
-        index = np.asarray(observations).reshape(-1).astype(np.int64) - self._start
-        features = np.zeros((len(index), self._n))
-        features[np.arange(len(index)), index] = 1.0
-        return features
+def _one_hot(numbers: IntArray, observations: Observations) -> FloatArray:
+    features: FloatArray = (np.asarray(observations).reshape(-1, 1) == numbers).astype(np.float64)
+    return features
 
 
 def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | MapName | None) -> Features | None:
@@ -93,7 +89,8 @@ def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | MapName | None) ->
         size = _size_of(own, space, "the environment's concept_features")
         return Features(own, size, "environment", _groups(getattr(owner, "concept_groups", None), size))
     if isinstance(space, spaces.Discrete) and space.n <= MAX_FEATURES:
-        return Features(_OneHot(space), int(space.n), "categorical")
+        numbers = np.arange(space.start, space.start + space.n)
+        return Features(partial(_one_hot, numbers), int(space.n), "categorical")
     if isinstance(space, spaces.Box | spaces.MultiBinary | spaces.MultiDiscrete):
         size = int(np.prod(space.shape))
         if size <= MAX_FEATURES:
@@ -128,11 +125,7 @@ def _groups(named: Callable[[], Iterable[Mapping[str, Any]]] | None, size: int |
 
 
 def flat_size(space: gym.Space[Any]) -> int:
-    """How many numbers `observations.flatten` makes of one observation of ``space``.
-
-    Raises:
-        ValueError: Some of it is text, of which no numbers can be made.
-    """
+    """How many numbers `observations.flatten` makes of one observation of ``space``."""
     sample = _sample(space)
     parts = sample if isinstance(sample, Mapping) else {"observation": sample}
     texts = [name for name, part in parts.items() if np.asarray(part).dtype.kind in "US"]
@@ -164,11 +157,7 @@ def _size_of(feature_map: FeatureMap, space: gym.Space[Any], name: str) -> int |
 
 
 def checked_size(feature_map: FeatureMap, one: Observations, name: str = "feature_map") -> int:
-    """Dimensions d of what a feature map makes of a batch of ``one`` observation, and of a batch of two.
-
-    Raises:
-        ValueError: It does not make d numbers of every observation of a batch.
-    """
+    """Dimensions d of what a feature map makes of a batch of ``one`` observation, and of a batch of two."""
     features = np.asarray(feature_map(one))
     two = np.asarray(feature_map(concatenate([one, one])))
     d = features.shape[-1] if features.ndim else 0

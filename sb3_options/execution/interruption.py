@@ -50,13 +50,7 @@ class Interruption:
         return lambda arrived_in: self.falls_behind(action, arrived_in, available)
 
     def falls_behind(self, action: int, observation: Any, available: Callable[[], BoolArray]) -> bool:
-        """Whether Q(s, action) < max Q(s, a) over the actions that may be chosen in s.
-
-        Args:
-            action: An option, as augmented action.
-            observation: s.
-            available: Gives the mask of s, (n_actions,); called only if the agent keeps to it.
-        """
+        """Whether Q(s, action) < max Q(s, a) over the actions that may be chosen in s."""
         values = self.values(observation)
         best = np.where(available(), values, -np.inf).max() if self.masks else values.max()
         return bool(values[action] < best)

@@ -44,11 +44,7 @@ REMEMBER_NOTHING = (
 
 
 def prepare(env: Any, *, just_reset: bool = False) -> Any:
-    """The environment, with a `RecordActions` around the outermost layer that does not tell its state, if one does not.
-
-    Raises:
-        ValueError: A wrapper above `OptionsWrapper` does not tell its state; what is there cannot be repeated.
-    """
+    """The environment, with a `RecordActions` around the outermost layer that does not tell its state."""
     layers = list(_layers(env))
     silent = next((i for i, layer in enumerate(layers) if isinstance(layer, RecordActions) or not _tells(layer)), None)
     if silent is None or isinstance(layers[silent], RecordActions):
@@ -72,11 +68,7 @@ def states_of(env: gym.Env[Any, Any]) -> list[State]:
 
 
 def set_states(env: gym.Env[Any, Any], states: list[State]) -> str | None:
-    """Go on with what `states_of` gave, in an environment that was made alike and has been reset.
-
-    Returns:
-        Why its episode cannot go on where it was, so that it has to be reset; None if it can.
-    """
+    """Go on with what `states_of` gave, in an environment that was made alike and has been reset."""
     layers = list(_layers(env))
     there = [state["class"] for state in states]
     here = [type(layer).__name__ for layer in layers]

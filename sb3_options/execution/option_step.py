@@ -94,11 +94,7 @@ def run_option(
 
 
 def primitive_of(option: Option, observation: Any, n_primitive: int) -> int:
-    """The primitive action that an option's policy takes.
-
-    Raises:
-        ValueError: There is no such primitive action.
-    """
+    """The primitive action that an option's policy takes."""
     action = int(option.policy(batch_of_one(observation))[0])
     if not 0 <= action < n_primitive:
         raise ValueError(

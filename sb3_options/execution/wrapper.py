@@ -218,11 +218,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self._recording.set(bool(record), peaks, self._observation)
 
     def concept_features(self, observations: Observations) -> FloatArray:
-        """φ of a batch of observations, shape (batch, d).
-
-        Raises:
-            ValueError: There is no feature map.
-        """
+        """φ of a batch of observations, shape (batch, d)."""
         if self.features is None:
             raise ValueError(
                 f"There is no default feature map for {self.observation_space}: pass "
@@ -232,10 +228,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         return self.features.map(observations)
 
     def available(self, observations: Observations) -> BoolArray:
-        """Which augmented actions may start in each observation, shape (batch, n_primitive + max_options).
-
-        By initiation sets alone: an observation does not tell what may not run again.
-        """
+        """Which augmented actions may start by initiation sets alone, shape (batch, n_primitive + max_options)."""
         return self.bank.available(observations)
 
     def action_masks(self) -> BoolArray:

@@ -14,7 +14,7 @@ from sb3_options.experience.observations import BoolArray, FeatureMap, Observati
 from sb3_options.options import file as option_file
 from sb3_options.options.archive import Source, name_of
 from sb3_options.options.file import MAX_SLOTS, SpaceSignature
-from sb3_options.options.option import LastFeatures, Option, SubgoalOption
+from sb3_options.options.option import KnownFeatures, Option, SubgoalOption
 
 
 class OptionBank:
@@ -57,7 +57,7 @@ class OptionBank:
         self.observation_size = observation_size
         self.feature_size = feature_size
         self.signature = signature
-        self._shared: LastFeatures | None = None
+        self._shared: KnownFeatures | None = None
         self._slots: list[Option | None] = [None] * max_options
         self.filled: tuple[int, ...] = ()
 
@@ -84,14 +84,9 @@ class OptionBank:
         return len(self.filled)
 
     def add(self, option: Option, slot: int | None = None) -> int:
-        """Put an option into a slot.
+        """Put an option into a slot, by default the first empty one, and return the slot.
 
-        Args:
-            option: Any option. A `SubgoalOption` is bound to the bank's feature map, if it has one.
-            slot: Which slot, replacing what is in it; by default the first empty one.
-
-        Returns:
-            The slot it went into.
+        A `SubgoalOption` is bound to the bank's feature map, if it has one.
 
         Raises:
             TypeError: ``option`` is no `Option`.
@@ -129,11 +124,9 @@ class OptionBank:
         self._slots = [option and self._bound(option) for option in self._slots]
 
     def available(self, observations: Observations) -> BoolArray:
-        """Which augmented actions may start in each observation.
+        """Which augmented actions may start in each observation, shape (batch, n_primitive + max_options).
 
-        Returns:
-            Of shape (batch, n_primitive + max_options). Primitives are always available, options within their
-            initiation sets, empty slots never.
+        Primitives are always available, options within their initiation sets, empty slots never.
         """
         mask = np.ones((batch_size(observations), self.n_primitive + self.max_options), dtype=bool)
         mask[:, self.n_primitive :] = self.available_slots(observations)
@@ -147,13 +140,9 @@ class OptionBank:
         return mask
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the discovered options to a safetensors file: arrays and JSON, nothing that can run.
+        """Write the discovered options to a safetensors file, atomically: arrays and JSON, nothing that can run.
 
-        A hand-made option consists of code, so only its name is written. The file is replaced atomically: after an
-        error an older one is as it was.
-
-        Raises:
-            OSError: The file cannot be written.
+        A hand-made option consists of code, so only its name is written.
         """
         with atomic_write(path) as temporary:
             temporary.write_bytes(self.content())
@@ -200,7 +189,7 @@ class OptionBank:
         if isinstance(self.feature_map, LearnedMap):  # it becomes another while it is learned
             return option.bind(self.feature_map)
         if self._shared is None or self._shared.of != self.feature_map:
-            self._shared = LastFeatures(self.feature_map)
+            self._shared = KnownFeatures(self.feature_map)
         return option.bind(self._shared)
 
     def _put(self, slot: int, option: Option | None) -> None:

@@ -27,18 +27,10 @@ MAX_SLOTS = 1_000_000
 """Each slot is an action, for which a network has an output."""
 
 FILE_FORMAT = "sb3-options 1"
-"""Format of a file whose subgoals are all balls. An optional entry such as ``made_for`` needs no new number."""
-
-FILE_FORMAT_HALF_SPACE = "sb3-options 2"
-"""Format of a file with a half-space, which a reader of the first format would take for a ball."""
-
-FILE_FORMAT_GROUP = "sb3-options 3"
-"""Format of a file with an option on a group of features, whose points have fewer numbers than φ."""
+"""An optional entry such as ``made_for`` needs no new number."""
 
 MAP = "feature_map"
 """Before the names of arrays of a learned feature map. Slots have numbers."""
-
-FORMATS = (FILE_FORMAT, FILE_FORMAT_HALF_SPACE, FILE_FORMAT_GROUP)
 
 FEWER_FEATURES = (
     "Discover options on groups that both tasks have, ConceptSettings(groups=...). In MiniGrid what a mission "
@@ -122,27 +114,16 @@ def content_of(
 
 
 class OptionsFile(NamedTuple):
-    """What an options file says, checked but for the arrays of its options.
+    """What an options file says, checked but for the arrays of its options."""
 
-    Attributes:
-        name: What to call it in errors.
-        n_primitive: Actions of the environment.
-        max_options: Slots of the bank.
-        entries: Of discovered options, by slot.
-        hand_made: Names of the others, by slot.
-        made_for: What observations they act on; None for any.
-        tensors: All arrays.
-        digest: SHA-256 of the content.
-    """
-
-    name: str
+    name: str  # for errors
     n_primitive: int
     max_options: int
-    entries: dict[int, dict[str, Any]]
-    hand_made: dict[int, str]
-    made_for: SpaceSignature | None
+    entries: dict[int, dict[str, Any]]  # of discovered options, by slot
+    hand_made: dict[int, str]  # names of the others, by slot
+    made_for: SpaceSignature | None  # observations they act on; None for any
     tensors: Arrays
-    digest: str
+    digest: str  # SHA-256 of the content
 
     def feature_map(self) -> Arrays:
         """What its learned feature map consists of; nothing if it has none."""
@@ -164,12 +145,7 @@ class OptionsFile(NamedTuple):
 
 
 def opened(source: Source) -> OptionsFile:
-    """What an options file says.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is damaged, or something else.
-    """
+    """What an options file says."""
     content, name = content_in(source), name_of(source)
     about, tensors = _parts_of(content, name)
     with _errors_of(name):
@@ -250,12 +226,8 @@ def _named(first: str, tensors: Arrays) -> Arrays:
 
 def packed(about: dict[str, Any], tensors: Arrays) -> bytes:
     """JSON and arrays with their digest; `read` is the inverse."""
-    half_space = any(name.endswith(".subgoal_normal") for name in tensors)
-    slots = about.get("slots")
-    group = isinstance(slots, dict) and any("group" in entry for entry in slots.values())
-    file_format = FILE_FORMAT_GROUP if group else FILE_FORMAT_HALF_SPACE if half_space else FILE_FORMAT
-    text = json.dumps({**about, "format": file_format})  # here it is under the digest
-    metadata = {"format": file_format, "bank": text, "digest": digest(text, tensors)}
+    text = json.dumps(about)
+    metadata = {"format": FILE_FORMAT, "bank": text, "digest": digest(text, tensors)}
     return _in_order(to_safetensors(tensors, metadata=metadata))
 
 
@@ -281,10 +253,10 @@ def _parts_of(content: bytes, name: str) -> tuple[dict[str, Any], Arrays]:
     except (SafetensorError, KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(f"{name} is no options file, or it is damaged: {error}") from error
     metadata = header.get("__metadata__", {})
-    if metadata.get("format") not in FORMATS:
+    if metadata.get("format") != FILE_FORMAT:
         raise ValueError(
             f"{name} is no options file of this version: its format is {metadata.get('format')!r}, "
-            f"expected one of {', '.join(map(repr, FORMATS))}."
+            f"expected {FILE_FORMAT!r}."
         )
     if metadata.get("digest") != digest(metadata.get("bank", ""), tensors):
         raise ValueError(f"{name} is damaged: its contents are not what was written to it.")
@@ -294,8 +266,6 @@ def _parts_of(content: bytes, name: str) -> tuple[dict[str, Any], Arrays]:
         raise ValueError(f"{name} is damaged: {error!r}") from error
     if not isinstance(about, dict):
         raise ValueError(f"{name} is damaged: it says {type(about).__name__} where a dictionary should be.")
-    if about.pop("format", None) != metadata["format"]:
-        raise ValueError(f"{name} is damaged: its format is not the one it was written in.")
     return about, tensors
 
 

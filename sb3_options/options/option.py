@@ -58,8 +58,8 @@ class SingleCache(Generic[Result]):
         return result
 
 
-class LastFeatures:
-    """A feature map that knows what it gave for the last single observation: all options of a bank ask for the same.
+class KnownFeatures:
+    """A feature map that remembers what it gave for single observations: all options of a bank ask for the same.
 
     Args:
         of: φ, which gives the same for the same observation always.
@@ -67,18 +67,11 @@ class LastFeatures:
 
     def __init__(self, of: FeatureMap) -> None:
         self.of = of
-        self._key: bytes | None = None
-        self._features: FloatArray = np.zeros((1, 0))
+        self._known: SingleCache[FloatArray] = SingleCache()
 
     def __call__(self, observations: Observations) -> FloatArray:
         """φ of a batch of observations, (batch, d)."""
-        if batch_size(observations) != 1:
-            return self.of(observations)
-        key = key_of(observations)
-        if key != self._key:
-            self._features = np.asarray(self.of(observations))
-            self._key = key
-        return self._features
+        return self._known(self.of, observations)
 
 
 class Option:

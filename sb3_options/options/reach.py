@@ -54,13 +54,6 @@ def reliable_part(
 
     On a few features, states that look the same need not be the same: a step ahead leads to a door, or nowhere,
     because a wall that they do not tell of is in the way. A policy that is greedy in these then stays where it is.
-
-    Args:
-        initiation: I, in the features that ``transitions.states`` are.
-        transitions: Of the option's own task.
-        policy: A table.
-        least: Probability of `reach_probabilities`, in [0, 1].
-        steps: Within which it is to be reached.
     """
     states = flatten(transitions.states) + 0.0  # -0.0 and 0.0 are one state
     inside = np.ones(len(states), dtype=bool)

@@ -15,13 +15,10 @@ from stable_baselines3.common.vec_env import (
     DummyVecEnv,
     SubprocVecEnv,
     VecEnv,
-    VecFrameStack,
-    VecMonitor,
     VecNormalize,
     VecVideoRecorder,
 )
 
-from experiments.kills.states import differing
 from sb3_options import OptionsWrapper
 from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback
 from sb3_options.checkpoints.environments import refusal
@@ -144,34 +141,6 @@ def test_discovery_before_the_first_successes(negative_bags: bool, tmp_path: Pat
     assert discovery.discoveries
     assert discovery.discovery is not None
     assert any(each.whole is not None for each in discovery.discovery.database)
-
-
-def test_vec_monitor(tmp_path: Path) -> None:
-    """Its file begins anew when it is made again, and holds what it held."""
-
-    def rows(file: Path) -> list[list[str]]:
-        return [line.split(",")[:2] for line in file.read_text(encoding="utf-8").splitlines()[1:]]
-
-    def make(file: Path) -> Any:
-        venv: Any = vec(make_optioned_rooms)
-        venv = VecMonitor(VecFrameStack(venv, 2), str(file))
-        return model_of("A2C", VecNormalize(venv, gamma=GAMMA))
-
-    one, other = tmp_path / "one.monitor.csv", tmp_path / "other.monitor.csv"
-    _, whole = trained(lambda: make(one), [discovering(), CheckpointCallback(tmp_path / "whole", 100)], steps=1000)
-    files = sorted((tmp_path / "whole").glob("0*"))
-    _, rest = trained(
-        lambda: make(other),
-        [discovering(), CheckpointCallback(tmp_path / "rest", 10**9)],
-        resume=files[len(files) // 2],
-        steps=1000,
-    )
-    for state in (whole, rest):
-        (monitor,) = (each["state"] for each in state["environments"][0]["wrappers"] if each["class"] == "VecMonitor")
-        assert monitor.pop("file").size > 0
-    assert differing(whole, rest) == []
-    assert len(rows(one)) > 3
-    assert rows(one) == rows(other)
 
 
 def test_wrappers_above_options_in_workers(tmp_path: Path) -> None:

@@ -87,8 +87,7 @@ class TestDamage:
 
     def test_another_safetensors_file(self, tmp_path: Path) -> None:
         (tmp_path / "weights").write_bytes(to_safetensors({"w": np.zeros(3)}))
-        versions = r"'sb3-options 1', 'sb3-options 2', 'sb3-options 3'\.$"
-        message = rf"weights is no options file of this version: its format is None, expected one of {versions}"
+        message = r"weights is no options file of this version: its format is None, expected 'sb3-options 1'\.$"
         refused(tmp_path / "weights", message)
 
 
@@ -144,7 +143,7 @@ def resealed(content: bytes, change: Any) -> bytes:
     about = json.loads(json.loads(content[8 : 8 + length])["__metadata__"]["bank"])
     tensors = from_safetensors(content)
     change(about, tensors)
-    text = json.dumps({**about, "format": FILE_FORMAT})
+    text = json.dumps(about)
     return to_safetensors(tensors, {"format": FILE_FORMAT, "bank": text, "digest": digest(text, tensors)})
 
 
@@ -163,18 +162,11 @@ def tensor(name: str, array: Any) -> Any:
             put(max_duration=0),
             "slot 1, .*: max_duration must be a whole number of primitive steps, at least 1, got 0",
         ),
-        (put(max_duration=float("inf")), "slot 1, .*: max_duration must be a whole number"),
         (put(max_duration=float("nan")), "slot 1, .*: max_duration must be a whole number"),
-        (put(max_duration="10"), "slot 1, .*: max_duration must be a whole number"),
-        (put(max_duration=None), "slot 1, .*: max_duration must be a whole number"),
         (put(policy_input="state"), "its policy acts on 'state', expected one of observation, features"),
         (put(radius={"subgoal": -1.0, "initiation": 1.0}), "its subgoal holds numbers that are not finite, or a neg"),
-        (put(radius={"subgoal": 1.0, "initiation": float("nan")}), "its initiation holds numbers that are not finite"),
         (put(radius={"subgoal": 1.0}), "is damaged: KeyError"),
-        (put(radius={"subgoal": "wide", "initiation": 1.0}), "is damaged: "),
         (put(radius={"subgoal": 10**400, "initiation": 1.0}), "is damaged: "),
-        (put(radius=3), "is damaged: TypeError"),
-        (lambda about, _: about.pop("slots"), "is damaged: KeyError"),
         (lambda about, _: about.update(slots=[1]), "is damaged: AttributeError"),
         (lambda about, _: about.update(slots={"first": {}}), "does not fit: invalid literal for int"),
         (
@@ -183,13 +175,10 @@ def tensor(name: str, array: Any) -> Any:
         ),
         (lambda about, _: about.update(max_options=2), "is damaged: .*an option in slot 3 of 2"),
         (lambda about, _: about.update(n_primitive=10**12), "is damaged: .*n_primitive must be a whole number from 1"),
-        (lambda about, _: about.update(n_primitive=4.5), "is damaged: .*n_primitive must be a whole number from 1"),
         (tensor("1.table_states", np.zeros(())), r"its table has observations of shape \(\) and values of"),
         (tensor("1.subgoal", np.zeros(())), r"its subgoal has points of shape \(\) and a scale of"),
         (tensor("3.network_mean", np.zeros(())), "its network maps 1 numbers to 4 actions"),
         (lambda about, _: about.update(slots={"-1": {}}), "is damaged: .*an option in slot -1 of 5"),
-        (lambda about, _: about.update(slots={"0": 5}), "is damaged: AttributeError"),
-        (lambda about, _: about.update(slots={"0": {"hand_made": True}}), "is damaged: KeyError"),
         (tensor("1.subgoal", None), "is damaged: KeyError"),
         (tensor("1.subgoal", np.zeros(2)), r"its subgoal has points of shape \(2,\) and a scale of shape \(2,\)"),
         (
@@ -197,14 +186,12 @@ def tensor(name: str, array: Any) -> Any:
             r"its subgoal has points of shape \(1, 2\) and a scale of shape \(3,\)",
         ),
         (tensor("1.subgoal", np.full((1, 2), np.nan)), "its subgoal holds numbers that are not finite"),
-        (tensor("1.initiation_scale", np.full(2, np.inf)), "its initiation holds numbers that are not finite"),
         (
             lambda about, tensors: tensors.update({"1.initiation": np.zeros((4, 3)), "1.initiation_scale": np.ones(3)}),
             "its initiation set has 3 features, its subgoal 2",
         ),
         (tensor("1.table_values", None), "its policy lacks the array 'network_mean'"),
         (tensor("3.network_bias_0", None), "its policy lacks the array 'network_bias_0'"),
-        (tensor("3.network_weight_2", np.zeros((4, 4))), "its policy lacks the array 'network_bias_2'"),
         (tensor("3.network_weight_1", np.zeros((9, 4))), "its network maps 3 numbers to 4 actions"),
     ],
 )

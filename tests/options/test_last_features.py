@@ -3,7 +3,7 @@ import numpy as np
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import FloatArray, Observations
 from sb3_options.options.bank import OptionBank
-from sb3_options.options.option import LastFeatures, SubgoalOption
+from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 
 
@@ -23,17 +23,6 @@ def option(*points: float) -> SubgoalOption:
     return SubgoalOption(
         Region(np.zeros((1, 1)), np.ones(1), 0.25), initiation, TabularPolicy(np.ones((1, 1)), np.eye(2)[:1])
     )
-
-
-def test_the_last_single_observation_is_remembered() -> None:
-    counted = Counted()
-    last = LastFeatures(counted)
-    for x, n in ((1.0, 1), (1.0, 1), (2.0, 2), (1.0, 3)):
-        assert last(np.array([[x]])).tolist() == [[x]]
-        assert counted.n == n
-    assert last(np.array([[3.0], [4.0]])).tolist() == [[3.0], [4.0]]
-    assert last(np.array([[1.0]])).tolist() == [[1.0]]
-    assert counted.n == 4
 
 
 def test_all_options_of_a_bank_ask_once_for_the_features_of_an_observation() -> None:
