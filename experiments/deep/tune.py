@@ -27,9 +27,9 @@ from experiments.common.seeds import Part, Result, run_parts, write_json
 from experiments.common.study import show
 from experiments.deep.agents import reached_at
 from experiments.deep.conditions import train, train_source
+from experiments.deep.search import Search, best_of, choices, opened, work
 from experiments.deep.settings import DeepSettings
 from experiments.deep.tasks import TASKS, Task
-from sb3_options.runs.search import Search, best_of, choices, opened, work
 
 STEPS_AFTER = 1000
 """Training ends here, primitive steps after the first success: only steps to 90 % count."""

@@ -111,8 +111,7 @@ class TuneConfig:
         space: YAML file with ``base`` (settings) and ``search`` (name: [values] or {low, high, log}).
         out: Folder for trials, runs, pictures and best.yml. A search in it goes on.
         trials: Sets of settings to try, earlier ones included.
-        seeds: Each is run on this many seeds, or until it proves worse than the best.
-        first_seed: Seeds count up from here. Judge what was chosen on others.
+        seeds: Each is run on this many seeds, from 0, or until it proves worse than the best. Judge it on others.
         objective: "steps": fewest primitive steps to --reach, mean of logarithms; "end": best of the measure of
             --reach over the last tenth of training.
         reach: As of ``compare``: success=0.9, return=1.5 or length=40; nothing that runs have from their start.
@@ -127,7 +126,6 @@ class TuneConfig:
     out: Path
     trials: int = 30
     seeds: int = 3
-    first_seed: int = 0
     objective: Literal["steps", "end"] = "steps"
     reach: str = "success=0.9"
     jobs: int = 1
@@ -138,9 +136,8 @@ class TuneConfig:
 
     def __post_init__(self) -> None:
         """Refuse numbers that are too small."""
-        for name, least in {"trials": 1, "seeds": 1, "first_seed": 0, "jobs": 1}.items():
-            if getattr(self, name) < least:
-                raise ValueError(f"--{name.replace('_', '-')} must be at least {least}, got {getattr(self, name)}.")
+        if min(self.trials, self.seeds, self.jobs) < 1:
+            raise ValueError("--trials, --seeds and --jobs must be at least 1.")
 
 
 @dataclass(frozen=True)

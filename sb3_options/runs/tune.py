@@ -1,18 +1,18 @@
-"""Searching for settings with Optuna: the same seeds for every trial.
+"""Searching for settings with Optuna: TPE proposes, and every trial is trained on the same seeds.
 
-With several jobs, what is proposed depends on which of them ends first, so another search may choose otherwise.
+Wilcoxon's test stops a trial whose runs so far are worse, seed by seed, than those of the best one. With several jobs,
+what is proposed depends on which of them ends first, so another search may choose otherwise.
 """
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
-import hashlib
 import json
 import math
 import shlex
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,14 +20,14 @@ from typing import Any, NamedTuple
 import optuna
 from joblib import Parallel, delayed, parallel_config
 from matplotlib import pyplot
-from matplotlib.axes import Axes
 from matplotlib.ticker import NullFormatter
-from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
+from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 from optuna.visualization import matplotlib as optuna_plots
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from sb3_options.atomic import atomic_write
 from sb3_options.execution.ray_cluster import connect
@@ -40,19 +40,27 @@ from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.interrupts import raised
 from sb3_options.runs.logged import NothingLoggedError, Run, read_run
 from sb3_options.runs.pictures import DPI
-from sb3_options.runs.search import Search, best_of, choices, opened, short, values_of, work
 from sb3_options.runs.training import train
 from sb3_options.runs.under_way import held
 from sb3_options.runs.users_code import IMPORTING, flag, named_in_errors, with_trusted
 
 BEST = "best.yml"
+JOURNAL = "trials.log"
 RUNS = "runs"
 LOG = "output.txt"
+NAME = "settings"
+"""Of the study in the journal."""
 
-N_SHOWN = 5
-"""Trials in the table."""
+N_RANDOM = 8
+"""Trials that are drawn at random before TPE proposes."""
 
-PARTS = ("base", "search")
+P_THRESHOLD = 0.1
+N_BEFORE = 4
+"""Runs of a trial before it may be stopped: with fewer, Wilcoxon's test says nothing."""
+
+N_FAILED = 3
+"""Failures that end a search in which no trial was completed."""
+
 FIXED = ("algo", "seed", "tensorboard_log", "compare", "progress", *IMPORTING, *configs.GROUPS, "algo_kwargs", "method")
 """What cannot be varied: a search has one algorithm, and seeds and folders of its own."""
 
@@ -64,7 +72,6 @@ PICTURES: dict[str, Callable[..., Any]] = {
         optuna_plots.plot_param_importances, evaluator=optuna.importance.PedAnovaImportanceEvaluator()
     ),
 }
-"""Optuna's own."""
 
 
 class SearchSpace(NamedTuple):
@@ -79,54 +86,37 @@ class SearchSpace(NamedTuple):
         own = {"seed": seed, "tensorboard_log": str(folder), "progress": False, "compare": False}
         return configs.build({**self.base, **proposed, **own}, self.where)
 
-    @property
-    def digest(self) -> str:
-        """Tells two searches apart."""
-        content = {"base": self.base, "search": {name: repr(of) for name, of in self.search.items()}}
-        return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()[:16]
+    def values(self, params: Mapping[str, Any]) -> dict[str, Any]:
+        """Settings of a trial's parameters."""
+        categorical = {name for name, of in self.search.items() if isinstance(of, CategoricalDistribution)}
+        return {name: json.loads(value) if name in categorical else value for name, value in params.items()}
 
 
 def read_space(path: Path, trusted: Mapping[str, str | None]) -> SearchSpace:
-    """A file with ``base`` and ``search``.
-
-    Args:
-        path: Of the file.
-        trusted: What the user has named on the command line and may import modules.
-
-    Raises:
-        OSError: The file cannot be read.
-        ModuleNotFoundError: The algorithm is one of sb3-contrib's, which is not installed.
-        ValueError: It describes no search, or names what would import a module.
-    """
+    """A file with ``base`` and ``search``; ``trusted`` are settings of the command line that may import modules."""
     with named_in_errors("tune", path):
         content = yaml_file.read_mapping(path)
-    for name, part in content.items():
-        if name not in PARTS or not isinstance(part, dict):
-            raise ValueError(f"{path}: write `base:` and `search:`, each with `name: value` lines, not {name!r}.")
+    if not content.keys() <= {"base", "search"} or not all(isinstance(part, dict) for part in content.values()):
+        raise ValueError(f"{path}: write `base:` and `search:`, each with `name: value` lines, and nothing else.")
     base = {str(name).replace("-", "_"): value for name, value in content.get("base", {}).items()}
     search = {str(name).replace("-", "_"): value for name, value in content.get("search", {}).items()}
     if not search:
         raise ValueError(f"{path}: `search:` names nothing. Say what varies: `learning_rate: [0.001, 0.01]`.")
-    base = with_trusted(base, trusted, path)
     for name in search:
         if name in FIXED:
             raise ValueError(f"{path}: {name} cannot be varied. Search apart, or name a setting within it.")
-    space = SearchSpace(path, base, {name: _distribution(path, name, of) for name, of in search.items()})
+    distributions = {name: _distribution(path, name, of) for name, of in search.items()}
+    space = SearchSpace(path, with_trusted(base, trusted, path), distributions)
+    ends = {name: of if isinstance(of, list) else [of["low"], of["high"]] for name, of in search.items()}
     for end in (0, -1):  # names and both ends are right
-        config = space.config({name: of[end] for name, of in map(_ends, search.items())}, 0, Path("runs"))
-    class_of(config.algo)
+        class_of(space.config({name: of[end] for name, of in ends.items()}, 0, Path("runs")).algo)
     return space
 
 
-def _ends(setting: tuple[str, Any]) -> tuple[str, list[Any]]:
-    name, of = setting
-    return name, of if isinstance(of, list) else [of["low"], of["high"]]
-
-
 def _distribution(path: Path, name: str, of: Any) -> BaseDistribution:
-    if isinstance(of, list) and len(of) >= 2:
-        return choices(of)
     try:
+        if isinstance(of, list) and len(of) >= 2:
+            return CategoricalDistribution([json.dumps(value) for value in of])  # Optuna hashes values
         whole = isinstance(of["low"], int) and isinstance(of["high"], int)
         return IntDistribution(**of) if whole else FloatDistribution(**of)
     except (TypeError, ValueError, KeyError) as error:
@@ -135,14 +125,11 @@ def _distribution(path: Path, name: str, of: Any) -> BaseDistribution:
 
 
 def tune(config: TuneConfig, console: Console) -> TrainConfig:
-    """Search, and leave ``best.yml`` and pictures.
+    """Search, and leave ``best.yml`` and pictures; the best configuration is returned.
 
     Args:
         config: What, and how.
-        console: For messages and the table.
-
-    Returns:
-        The best configuration.
+        console: For messages.
 
     Raises:
         ValueError: The file describes no search, or another one than that in the folder, or trials failed.
@@ -151,37 +138,65 @@ def tune(config: TuneConfig, console: Console) -> TrainConfig:
         KeyboardInterrupt: The user ended it; the same command goes on.
     """
     goal = Goal.parsed(config.reach)
-    space = read_space(config.space, _trusted(config))
-    search = _search(config, space, goal)
+    trusted = {name: getattr(config, name) for name in IMPORTING}
+    space = read_space(config.space, trusted)
     config.out.mkdir(parents=True, exist_ok=True)
     with held(config.out):
-        study = opened(search)
-        with raised():
-            if config.jobs == 1 and config.cluster is None:
-                work(study, search, console)
-            else:
-                with _backend(config):
-                    Parallel(n_jobs=config.jobs)(delayed(_job)(config, job) for job in range(1, config.jobs + 1))
-    _, chosen = best_of(study, search)
-    best = dataclasses.replace(space.config(chosen, config.first_seed, Path("runs")), progress=True)
+        study = _opened(config, goal, 0)
+        _check_same(study, config, space)
+        for cut_off in study.get_trials(states=(TrialState.RUNNING,)):
+            study.enqueue_trial(cut_off.params)
+            study.tell(cut_off.number, state=TrialState.FAIL)
+        with raised(), _backend(config):
+            Parallel(n_jobs=config.jobs)(delayed(_work)(config, space, job) for job in range(config.jobs))
+    best = dataclasses.replace(space.config(space.values(study.best_params), 0, Path("runs")), progress=True)
     configs.save(best, config.out / BEST)
-    with pyplot.rc_context():  # Optuna changes the style of all later pictures
-        _draw(study, config, goal)
-    console.print(_table(study, search, config, goal, best.n_timesteps))
+    _draw(study, config, goal)
+    states = [trial.state for trial in study.trials]
+    console.print(
+        f"Best of {states.count(TrialState.COMPLETE)} trials on {config.seeds} seeds "
+        f"({states.count(TrialState.PRUNED)} stopped early, {states.count(TrialState.FAIL)} failed): trial "
+        f"{study.best_trial.number + 1}, {_shown(study.best_value, config)}. The best of many is better on these "
+        "seeds than on others."
+    )
     runs = [read_run(path.parent) for path in config.out.glob(f"{RUNS}/*/*/*/*/{configs.CONFIG}")]
-    if config.objective == "steps" and at_once(
-        goal, runs, "eval" if all(r.curves["eval"] for r in runs) else "rollout"
-    ):
+    source = "eval" if all(run.curves["eval"] for run in runs) else "rollout"
+    if config.objective == "steps" and at_once(goal, runs, source):
         console.print(f"[yellow]Warning:[/] most runs had {goal} at their first log entry, so chance chose. Search for")
         console.print("another --reach, such as length=40, in another --out.")
-    trusted = [word for name, text in _trusted(config).items() if text is not None for word in (flag(name), text)]
-    words = ["--config", str(config.out / BEST), "--seed", str(config.first_seed + config.seeds), *trusted]
+    words = ["--config", str(config.out / BEST), "--seed", str(config.seeds)]
+    words += [word for name, text in trusted.items() if text is not None for word in (flag(name), text)]
     console.print(escape(f"Judge it on another seed: sb3-options train {shlex.join(words)}"), soft_wrap=True)
     return best
 
 
-def _trusted(config: TuneConfig) -> dict[str, str | None]:
-    return {name: getattr(config, name) for name in IMPORTING}
+def _opened(config: TuneConfig, goal: Goal, job: int) -> optuna.Study:
+    """The search in the folder, or a new one; each job draws other settings, and so does a search that goes on."""
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+        study = optuna.create_study(
+            storage=JournalStorage(JournalFileBackend(str(config.out / JOURNAL))),
+            study_name=NAME,
+            pruner=optuna.pruners.WilcoxonPruner(p_threshold=P_THRESHOLD, n_startup_steps=N_BEFORE),
+            direction="minimize" if config.objective == "steps" or goal.measure == "length" else "maximize",
+            load_if_exists=True,
+        )
+        seed = len(study.trials) + 10_000 * job
+        study.sampler = optuna.samplers.TPESampler(
+            seed=seed, n_startup_trials=N_RANDOM, multivariate=True, constant_liar=True
+        )
+    return study
+
+
+def _check_same(study: optuna.Study, config: TuneConfig, space: SearchSpace) -> None:
+    """Refuse a folder that holds another search."""
+    asked = {name: getattr(config, name) for name in ("objective", "reach", "seeds")}
+    asked["file"] = str((space.base, space.search))
+    for name, value in study.user_attrs.get("asked", asked).items():
+        if value != asked[name]:
+            raise ValueError(f"{config.out} holds a search with another {name}. Give another --out.")
+    study.set_user_attr("asked", asked)
 
 
 def _backend(config: TuneConfig) -> contextlib.AbstractContextManager[Any]:
@@ -196,48 +211,54 @@ def _backend(config: TuneConfig) -> contextlib.AbstractContextManager[Any]:
     return backend
 
 
-def _job(config: TuneConfig, job: int) -> None:
-    """One of several processes that work on a search."""
-    space = read_space(config.space, _trusted(config))
-    search = _search(config, space, Goal.parsed(config.reach))
-    work(opened(search, job), search, Console(highlight=False, soft_wrap=True))
+def _work(config: TuneConfig, space: SearchSpace, job: int) -> None:
+    """Try one set of settings after another until there are enough; one of several processes may do so."""
+    console = Console(highlight=False, soft_wrap=True)
+    goal = Goal.parsed(config.reach)
+    study = _opened(config, goal, job)
+    counted = (TrialState.COMPLETE, TrialState.PRUNED, TrialState.RUNNING)
+    while len(study.get_trials(deepcopy=False, states=counted)) < config.trials:
+        trial = study.ask(space.search)
+        text = "stopped, for it is worse than the best"
+        try:
+            value = _mean_score(trial, config, space, goal)
+            state = TrialState.PRUNED if value is None else TrialState.COMPLETE
+            if value is not None:
+                text = _shown(value, config)
+        except Exception as error:
+            value, state, text = None, TrialState.FAIL, f"failed: {error}"
+            trial.set_user_attr("failed", str(error))
+        study.tell(trial, value, state=state)
+        settings = ", ".join(
+            f"{name} {of:.3g}" if isinstance(of, float) else f"{name} {of}" for name, of in trial.params.items()
+        )
+        console.print(escape(f"Trial {trial.number + 1}: {text} ({settings})"))
+        _check_failures(study, config)
 
 
-def _search(config: TuneConfig, space: SearchSpace, goal: Goal) -> Search:
-    def scores(place: str, proposed: dict[str, Any]) -> Iterator[float]:
-        for seed in range(config.first_seed, config.first_seed + config.seeds):
-            yield score(space.config(proposed, seed, config.out / RUNS / place / str(seed)), goal, config.objective)
+def _mean_score(trial: optuna.Trial, config: TuneConfig, space: SearchSpace, goal: Goal) -> float | None:
+    """Over the seeds; None where the trial proves worse than the best before them all."""
+    scores = []
+    for seed in range(config.seeds):
+        folder = config.out / RUNS / f"{trial.number:04}" / str(seed)
+        scores.append(score(space.config(space.values(trial.params), seed, folder), goal, config.objective))
+        trial.report(scores[-1], len(scores))
+        if trial.should_prune():
+            return None
+    return sum(scores) / len(scores)
 
-    return Search(
-        config.out,
-        space.search,
-        scores,
-        config.trials,
-        minimise=config.objective == "steps" or goal.measure == "length",
-        seed=config.first_seed,
-        asked={
-            "file": space.digest,
-            "objective": config.objective,
-            "reach": config.reach,
-            "first-seed": config.first_seed,
-            "seeds": config.seeds,
-        },
-        shown=lambda value: f"{_shown(value, config)}{' primitive steps' if config.objective == 'steps' else ''}",
-    )
+
+def _check_failures(study: optuna.Study, config: TuneConfig) -> None:
+    """End a search that leads nowhere."""
+    trials = study.get_trials(deepcopy=False)
+    failures = [trial.user_attrs["failed"] for trial in trials if "failed" in trial.user_attrs]
+    completed = any(trial.state in (TrialState.COMPLETE, TrialState.PRUNED) for trial in trials)
+    if len(failures) >= (max(N_RANDOM, config.trials) if completed else N_FAILED):
+        raise ValueError(f"{len(failures)} trials failed. The last one: {failures[-1]}")
 
 
 def score(run: TrainConfig, goal: Goal, objective: str) -> float:
-    """Train once, and say how good the run was.
-
-    Args:
-        run: Its ``tensorboard_log`` is a folder for this run alone.
-        goal: As for `score_of`.
-        objective: As for `score_of`.
-
-    Raises:
-        ValueError: Training logged nothing that can be scored.
-        KeyboardInterrupt: It was interrupted.
-    """
+    """Train once in a folder for this run alone, and say how good the run was, as `score_of` does."""
     run.tensorboard_log.mkdir(parents=True, exist_ok=True)
     with contextlib.ExitStack() as stack:
         log = stack.enter_context((run.tensorboard_log / LOG).open("w", encoding="utf-8"))
@@ -256,19 +277,9 @@ def score(run: TrainConfig, goal: Goal, objective: str) -> float:
 
 
 def score_of(run: Run, goal: Goal, objective: str, n_timesteps: int) -> float:
-    """How good a run was.
+    """Logarithm of the primitive steps to the goal, or the measure's mean over the last tenth of training.
 
-    Args:
-        run: What it logged; evaluations count, if it made any.
-        goal: What is waited for, or whose end counts.
-        objective: ``steps`` or ``end``.
-        n_timesteps: Of the whole run, which one that never reaches the goal counts with.
-
-    Returns:
-        The logarithm of the primitive steps to the goal; or the measure's mean over the last tenth of training.
-
-    Raises:
-        ValueError: The run did not log it.
+    Evaluations count, if the run made any; a run that never gets there counts with ``n_timesteps``.
     """
     curves = run.curves["eval"] or run.curves["rollout"]
     if goal.measure not in curves:
@@ -280,44 +291,23 @@ def score_of(run: Run, goal: Goal, objective: str, n_timesteps: int) -> float:
 
 
 def _shown(value: float, config: TuneConfig) -> str:
-    return f"{math.exp(value):,.0f}" if config.objective == "steps" else f"{value:.3g}"
-
-
-def _table(study: optuna.Study, search: Search, config: TuneConfig, goal: Goal, n_timesteps: int) -> Table:
-    done = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-    states = [trial.state for trial in study.get_trials(deepcopy=False)]
-    caption = (
-        f"{len(done)} trials on {config.seeds} seeds, {states.count(TrialState.PRUNED)} stopped early, "
-        f"{states.count(TrialState.FAIL)} failed. The best of many is better on these seeds than on others."
-    )
-    budgets = [math.log(float(trial.params.get("n_timesteps", n_timesteps))) for trial in done]
-    never = sum(math.isclose(trial.value or 0.0, most) for trial, most in zip(done, budgets, strict=True))
-    if config.objective == "steps" and never:
-        caption += f" In {never} of these trials no run reached {goal}: they count with all their steps."
-    measure = f"primitive steps to {goal}, geometric mean" if config.objective == "steps" else f"{goal.measure}, mean"
-    table = Table("trial", measure, *done[0].params, caption=caption)
-    for trial in sorted(done, key=lambda trial: (trial.value or 0.0) * (1 if search.minimise else -1))[:N_SHOWN]:
-        values = [short(value) for value in values_of(trial, search).values()]
-        table.add_row(str(trial.number + 1), _shown(trial.value or 0.0, config), *values)
-    return table
+    return f"{math.exp(value):,.0f} primitive steps" if config.objective == "steps" else f"{value:.3g}"
 
 
 def _draw(study: optuna.Study, config: TuneConfig, goal: Goal) -> None:
-    """Optuna's own pictures."""
+    """Optuna's own pictures, which are pyplot's."""
     unit = f"ln(primitive steps to {goal})" if config.objective == "steps" else goal.measure
     values = {trial.value for trial in study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))}
     for name, plot in PICTURES.items():
         if name == IMPORTANCES and (len(values) < 2 or len(study.best_params) < 2):
             continue  # there is nothing to compare
-        with warnings.catch_warnings():
+        with pyplot.rc_context(), warnings.catch_warnings():  # Optuna changes the style of all later pictures
             warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
             warnings.simplefilter("ignore", UserWarning)  # of axes with a single value
-            drawn = plot(study, target_name=unit)
-        axes: list[Axes] = [drawn] if isinstance(drawn, Axes) else list(drawn.flat)
-        for each in axes:
-            each.xaxis.set_minor_formatter(NullFormatter())  # a narrow logarithmic axis writes its numbers over another
-        figure = axes[0].get_figure(root=True)
-        assert figure is not None  # these are drawn
-        with atomic_write(config.out / name) as temporary:
-            figure.savefig(temporary, dpi=DPI, format="png", bbox_inches="tight")
-        pyplot.close(figure)  # Optuna's is pyplot's, which keeps all
+            plot(study, target_name=unit)
+            figure = pyplot.gcf()
+            for axes in figure.axes:
+                axes.xaxis.set_minor_formatter(NullFormatter())  # narrow logarithmic axes write numbers over another
+            with atomic_write(config.out / name) as temporary:
+                figure.savefig(temporary, dpi=DPI, format="png", bbox_inches="tight")
+            pyplot.close(figure)
