@@ -16,12 +16,13 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from benchmarks.turns import take_turns
+from experiments.common.intervals import ratio_interval
 from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import make_model
 from sb3_options.runs.config import TrainConfig, configure
-from sb3_options.runs.intervals import mean_interval, ratio_interval
+from sb3_options.runs.intervals import mean_interval
 
 BAR = 0.02
 """Largest share of the processor time of training that checkpoints may take."""

@@ -19,9 +19,10 @@ from rich.table import Table
 from experiments.cluster import calculation, measured
 from experiments.cluster.calculation import Assumptions
 from experiments.cluster.measured import PIONEER, WORKERS, Turn
+from experiments.common.intervals import ratio_interval
 from experiments.common.study import show, write
 from sb3_options.execution.ray_cluster import connect
-from sb3_options.runs.intervals import mean_interval, ratio_interval
+from sb3_options.runs.intervals import mean_interval
 
 BAR = 0.9
 """Least steps per second in as many actors as there are cores, as a share of those in worker processes."""

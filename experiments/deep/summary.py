@@ -8,17 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from experiments.common.intervals import iqm_difference, iqm_ratio, ratio_interval
 from experiments.common.seeds import Result
 from experiments.deep.agents import reached_at
 from sb3_options.experience.observations import FloatArray
-from sb3_options.runs.intervals import (
-    iqm_difference,
-    iqm_interval,
-    iqm_ratio,
-    mean_interval,
-    probability_of_improvement,
-    ratio_interval,
-)
+from sb3_options.runs.intervals import iqm_interval, mean_interval, probability_of_improvement
 
 GRID = 500
 """Curves are compared every so many primitive steps."""

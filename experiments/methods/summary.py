@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.common.intervals import iqm_ratio, ratio_interval
 from experiments.common.seeds import Result
 from experiments.methods.entrants import NONE
 from sb3_options.experience.observations import FloatArray
@@ -15,9 +16,7 @@ from sb3_options.runs.intervals import (
     interval_of,
     iqm,
     iqm_interval,
-    iqm_ratio,
     mean_interval,
-    ratio_interval,
     resampled,
     share_interval,
 )

@@ -8,11 +8,12 @@ import numpy as np
 
 from experiments.common.curves import by_ten, curves_of, window
 from experiments.common.gridworlds import NEAR
+from experiments.common.intervals import ratio_interval
 from experiments.common.seeds import Result
 from experiments.paper.plots import CURVES, Groups
 from sb3_options.envs import GridWorld
 from sb3_options.experience.observations import FloatArray
-from sb3_options.runs.intervals import mean_interval, ratio_interval, share_interval
+from sb3_options.runs.intervals import mean_interval, share_interval
 
 Numbers = dict[str, Any]
 

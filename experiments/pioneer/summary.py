@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from experiments.common.curves import by_ten, curves_of, window
+from experiments.common.intervals import ratio_interval
 from experiments.common.seeds import Result
 from experiments.pioneer.settings import TASKS
 from sb3_options.envs.pioneer.senses import MAX_WIDTH
 from sb3_options.experience.observations import FloatArray
-from sb3_options.runs.intervals import mean_interval, ratio_interval, share_interval
+from sb3_options.runs.intervals import mean_interval, share_interval
 
 Groups = Mapping[str, list[Result]]
 """The results of every run, by group."""

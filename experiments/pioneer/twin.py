@@ -24,6 +24,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from benchmarks.turns import take_turns
 from experiments.common.agents import live, wrapper_of
 from experiments.common.documents import number
+from experiments.common.intervals import ratio_interval
 from experiments.common.seeds import Result, run_seeds
 from experiments.common.study import Flags, show, write
 from experiments.pioneer.agents import discoverer, evaluate, make_agent
@@ -31,7 +32,7 @@ from experiments.pioneer.conditions import EVALUATION_SEED
 from experiments.pioneer.settings import MAIN_TASK, PioneerSettings
 from sb3_options import OptionsWrapper
 from sb3_options.envs.pioneer.env import PioneerTask
-from sb3_options.runs.intervals import mean_interval, ratio_interval, share_interval
+from sb3_options.runs.intervals import mean_interval, share_interval
 
 SIMULATORS = {"PyBullet": MAIN_TASK, "MuJoCo": "sb3_options/PioneerMuJoCo-v0"}
 """Where the option was learned, and where it is taken to."""

@@ -15,8 +15,8 @@ from rich.table import Table
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.success import learned_at
 from sb3_options.runs.commands import AUTO, CompareConfig
-from sb3_options.runs.intervals import Interval, band, interval_of, iqm_interval, probability_of_improvement
-from sb3_options.runs.logged import TAGS, Curve, Measure, Run, groups_of, lacking_of
+from sb3_options.runs.intervals import Interval, band, iqm_interval, probability_of_improvement
+from sb3_options.runs.logged import TAGS, Curve, Measure, Run, groups_of
 from sb3_options.runs.pictures import format_of, save_picture
 
 N_POINTS = 200
@@ -31,7 +31,6 @@ USUAL = "success=0.9"
 LONGER = 1.25
 """A length that is waited for, as a multiple of the shortest that a group has at the end."""
 
-COLOURS = ("#d62728", "0.45", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b")
 CAPTION = (
     "Interquartile means with 95 % stratified bootstrap intervals. A run that never gets there counts with the whole "
     "budget, that of the shortest run."
@@ -40,21 +39,12 @@ UNITS: dict[Measure, str] = {"success": "success rate", "return": "return", "len
 
 
 def show_comparison(config: CompareConfig, console: Console) -> None:
-    """Print a table of runs side by side, and draw them.
-
-    Args:
-        config: Which, and how.
-        console: For the table.
-
-    Raises:
-        ValueError: They cannot be compared.
-        OSError: A file is missing or cannot be written.
-    """
+    """Print a table of runs side by side, and draw them."""
     if not config.runs:
         raise ValueError("Name the run folders that are to be compared.")
     asked = None if config.reach == AUTO else Goal.parsed(config.reach)
     format_of(config.out)  # before runs are read
-    groups = groups_of(config.runs, lambda text: console.print(escape(text)))
+    groups = groups_of(config.runs)
     source = source_of([run for members in groups.values() for run in members], config.source)
     goal, said = goal_of(asked, groups, source)
     console.print(table_of(compared(groups, goal, source), goal))
@@ -72,11 +62,7 @@ class Goal(NamedTuple):
 
     @classmethod
     def parsed(cls, text: str) -> Goal:
-        """Of ``success=0.9``.
-
-        Raises:
-            ValueError: It names no measure, or no number that the measure can have.
-        """
+        """Of ``success=0.9``; `ValueError` where it names no measure, or a number that the measure cannot have."""
         name, _, value = text.partition("=")
         try:
             number = float(value)
@@ -101,15 +87,7 @@ class Goal(NamedTuple):
 
 
 def learned_after(curve: Curve | None, goal: Goal) -> float | None:
-    """Primitive steps after which a run has learned: the first of two entries in a row that reach the goal.
-
-    Args:
-        curve: Of the goal's measure; None where the run did not log it.
-        goal: What is waited for.
-
-    Returns:
-        None if the run never did.
-    """
+    """Primitive steps at the first of two entries in a row that reach the goal; None if a run never did."""
     at = None if curve is None else goal.reached(curve)
     return None if curve is None or at is None else float(curve.steps[at])
 
@@ -117,25 +95,16 @@ def learned_after(curve: Curve | None, goal: Goal) -> float | None:
 def goal_of(asked: Goal | None, groups: Mapping[str, Sequence[Run]], source: str) -> tuple[Goal, str]:
     """What is waited for, and what is to be said of it.
 
-    Args:
-        asked: By the user; None for success, or for a length where most runs have success from their first entry on.
-        groups: Runs by the name of their group.
-        source: ``eval`` or ``rollout``.
+    That is ``asked``, or success, or a length where most runs have success from their first entry on.
     """
-    everything = [run for runs in groups.values() for run in runs]
     goal = asked or Goal.parsed(USUAL)
-    if not at_once(goal, everything, source):
+    if asked is not None or not at_once(goal, [run for runs in groups.values() for run in runs], source):
         return goal, ""
     length = short_enough(groups, source)
-    said = f"Most runs have {goal} at their first entry already, so it does not tell them apart"
-    if asked is None and length is not None:
-        goal = length
-        if not at_once(goal, everything, source):
-            what = f"a quarter more than the shortest at the end. Say --reach {USUAL} to wait for success all the same."
-            return goal, f"Most runs succeed from their first entry on, so {goal} is waited for: {what}"
-        said = f"Most runs have {goal} and success at their first entry already, so it does not tell them apart"
-    other = "" if length in (None, goal) else f", {length.measure}={length.value:g} say"
-    return goal, f"{said}: choose another --reach{other}."
+    if length is None:
+        return goal, "Most runs succeed from their first entry on, so that tells nothing: choose another --reach."
+    what = f"a quarter more than the shortest at the end. Say --reach {USUAL} to wait for success all the same."
+    return length, f"Most runs succeed from their first entry on, so {length} is waited for: {what}"
 
 
 def at_once(goal: Goal, runs: Sequence[Run], source: str) -> bool:
@@ -162,10 +131,10 @@ class Compared(NamedTuple):
     Attributes:
         runs: How many.
         never: Of them, those that did not reach the goal.
-        steps: Primitive steps until it was reached, interquartile mean; a run that never did counts with the budget.
-        seconds: The same in wall time; a run that never did counts with its whole length.
+        steps: Primitive steps until then; a run that never did counts with the budget.
+        seconds: Wall time until then; a run that never did counts with its whole length.
         end: The measures over the last tenth of training.
-        sooner: Pr(a run of the first group takes more steps than one of this one); None for the first group.
+        sooner: Pr(a run of this group takes fewer steps than one of the first one); None for the first group.
     """
 
     runs: int
@@ -177,33 +146,16 @@ class Compared(NamedTuple):
 
 
 def source_of(runs: Sequence[Run], wanted: str) -> str:
-    """Where all runs have the same measures.
-
-    Raises:
-        ValueError: There is no such place.
-    """
+    """``eval`` or ``rollout``: where all runs have measures."""
     for source in TAGS if wanted == "auto" else (wanted,):
         if all(run.curves[source] for run in runs):
             return source
-    sources = tuple(TAGS) if wanted == "auto" else (wanted,)
-    without = [(run, [source for source in sources if not run.curves[source]]) for run in runs]
-    said = "; ".join(f"{run.folder} has {lacking_of(run.folder, lacks)}" for run, lacks in without if lacks)
-    if wanted == "auto":
-        raise ValueError(f"Not all runs logged the same: {said}. Compare those that have the same.")
-    raise ValueError(f"--source {wanted} is not in all runs: {said}. Leave these out, or choose another --source.")
+    lacking = "; ".join(f"{run.folder} has {', '.join(s for s in TAGS if run.curves[s])} only" for run in runs)
+    raise ValueError(f"--source {wanted}: not all runs logged the same. {lacking}. Leave some out.")
 
 
 def compared(groups: Mapping[str, Sequence[Run]], goal: Goal, source: str) -> dict[str, Compared]:
-    """The numbers of every group; all are cut to the shortest run.
-
-    Args:
-        groups: Runs by the name of their group; the others are compared with the first.
-        goal: What is waited for.
-        source: ``eval`` or ``rollout``.
-
-    Raises:
-        ValueError: A run did not log what is waited for.
-    """
+    """The numbers of every group, compared with the first one; all are cut to the shortest run."""
     everything = [run for runs in groups.values() for run in runs]
     for run in everything:
         if goal.measure not in run.curves[source]:
@@ -227,17 +179,10 @@ def compared(groups: Mapping[str, Sequence[Run]], goal: Goal, source: str) -> di
             iqm_interval(steps),
             iqm_interval(seconds),
             {m: iqm_interval(values) for m, values in ends.items()},
-            None if first is None else _sooner(steps, first),
+            None if first is None else probability_of_improvement(steps, first),
         )
         first = steps if first is None else first
     return numbers
-
-
-def _sooner(ours: FloatArray, theirs: FloatArray) -> Interval:
-    probability = probability_of_improvement(ours, theirs)
-    if min(len(ours), len(theirs)) > 1:
-        return probability
-    return interval_of(probability.mean, np.array([0.0, 1.0]))  # one run says nothing of others
 
 
 def budget(runs: Sequence[Run], source: str) -> float:
@@ -281,12 +226,7 @@ def _text(interval: Interval, runs: int) -> str:
 
 
 def figure_of(groups: Mapping[str, Sequence[Run]], source: str) -> Figure:
-    """Each measure over primitive steps and over seconds: interquartile means with 95 % bootstrap bands.
-
-    Args:
-        groups: As for `compared`.
-        source: Likewise.
-    """
+    """Each measure over primitive steps and over seconds: interquartile means with 95 % bootstrap bands."""
     everything = [run for runs in groups.values() for run in runs]
     limit = budget(everything, source)
     measures = [m for m in UNITS if all(m in run.curves[source] for run in everything)]
@@ -294,6 +234,7 @@ def figure_of(groups: Mapping[str, Sequence[Run]], source: str) -> Figure:
     panels = figure.subplots(len(measures), 2, squeeze=False, sharey="row")
     for row, measure in zip(panels, measures, strict=True):
         for number, (name, runs) in enumerate(groups.items()):
+            colour = f"C{number}"
             curves = [cut(run.curves[source][measure], limit) for run in runs]
             for axes, over in zip(row, ("steps", "seconds"), strict=True):
                 when = [getattr(curve, over) for curve in curves]
@@ -302,7 +243,6 @@ def figure_of(groups: Mapping[str, Sequence[Run]], source: str) -> Figure:
                     [c.values[np.searchsorted(w, at, "right") - 1] for c, w in zip(curves, when, strict=True)]
                 )
                 middle, low, high = band(values)
-                colour = COLOURS[number % len(COLOURS)]
                 axes.plot(at, middle, color=colour, linewidth=1.3, label=f"{name} ({len(runs)})")
                 if len(runs) > 1:
                     axes.fill_between(at, low, high, color=colour, alpha=0.2, linewidth=0)

@@ -34,12 +34,12 @@ from sb3_options.runs.config import CONFIG as CONFIG
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.eval_callback import BEST as BEST
 from sb3_options.runs.interrupts import ignore_interrupts
-from sb3_options.runs.logged import MONITOR as MONITOR
 from sb3_options.runs.users_code import feature_map_of, imported, named, named_in_errors
 
 MODEL = "model.zip"
 OPTIONS = NAME
 CHECKPOINTS = "checkpoints"
+MONITOR = "monitor"
 SUBGOALS = "subgoals.png"
 
 PACKAGES = {

@@ -44,17 +44,8 @@ def mean_interval(values: FloatArray) -> Interval:
     mean = float(np.mean(values))
     if len(values) < 2 or np.ptp(values) == 0:
         return Interval(mean, mean, mean)
-    return _bootstrapped(mean, (values,), np.mean)
-
-
-def ratio_interval(ours: FloatArray, theirs: FloatArray) -> Interval:
-    """Ratio of the means of paired values, with a bootstrap interval over the pairs."""
-    ratio = float(ours.mean() / theirs.mean())
-    if len(ours) < 2 or np.ptp(ours / theirs) == 0:
-        return Interval(ratio, ratio, ratio)
-    return _bootstrapped(
-        ratio, (ours, theirs), lambda a, b, axis: a.mean(axis=axis) / b.mean(axis=axis), paired=True, vectorized=True
-    )
+    result = bootstrap((values,), np.mean, n_resamples=N_RESAMPLES, rng=np.random.default_rng(0)).confidence_interval
+    return Interval(mean, float(result.low), float(result.high))
 
 
 def share_interval(successes: int, n: int) -> Interval:
@@ -86,23 +77,14 @@ def iqm_interval(values: FloatArray) -> Interval:
     return interval_of(iqm(values), iqm(resampled(values, 0)))
 
 
-def iqm_ratio(ours: FloatArray, theirs: FloatArray, *, paired: bool = False) -> Interval:
-    """Ratio of interquartile means; each side is resampled on its own (stratified bootstrap), or both as pairs."""
-    drawn = resampled(ours, 0), resampled(theirs, 0 if paired else 1)  # equal seeds draw equal rows
-    return interval_of(iqm(ours) / iqm(theirs), iqm(drawn[0]) / iqm(drawn[1]))
-
-
-def iqm_difference(ours: FloatArray, theirs: FloatArray) -> Interval:
-    """Difference of interquartile means; each side is resampled on its own."""
-    return interval_of(iqm(ours) - iqm(theirs), iqm(resampled(ours, 0)) - iqm(resampled(theirs, 1)))
-
-
 def probability_of_improvement(ours: FloatArray, theirs: FloatArray) -> Interval:
     """Pr(a run of ours takes fewer steps than one of theirs), ties counting half (Agarwal et al. 2021, §4.3)."""
 
     def share(a: FloatArray, b: FloatArray) -> Any:
         return 1.0 - mannwhitneyu(a, b, axis=-1).statistic / (a.shape[-1] * b.shape[-1])
 
+    if min(len(ours), len(theirs)) == 1:
+        return Interval(float(share(ours, theirs)), 0.0, 1.0)  # one run says nothing of others
     return interval_of(share(ours, theirs), share(resampled(ours, 0), resampled(theirs, 1)))
 
 
@@ -112,15 +94,3 @@ def band(curves: FloatArray) -> Band:
     drawn = curves[rng.integers(len(curves), size=(N_BANDS, len(curves)))]
     low, high = np.quantile(iqm(drawn, axis=1), [0.025, 0.975], axis=0)
     return iqm(curves, axis=0), low, high
-
-
-def _bootstrapped(estimate: float, samples: tuple[FloatArray, ...], statistic: Any, **kwargs: Any) -> Interval:
-    result = bootstrap(
-        samples,
-        statistic,
-        confidence_level=CONFIDENCE,
-        n_resamples=N_RESAMPLES,
-        rng=np.random.default_rng(0),
-        **kwargs,
-    )
-    return Interval(estimate, float(result.confidence_interval.low), float(result.confidence_interval.high))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import glob
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -34,10 +34,7 @@ NO_SETTING = HOW_IT_RAN | {"seed"}
 MOST_NAMED = 3
 """Settings that are named where groups differ in more."""
 
-MONITOR = "monitor"
 EVENTS = "**/*tfevents*"
-MONITOR_HEADING = 2
-"""Lines of a monitor's file before its episodes."""
 
 
 class Curve(NamedTuple):
@@ -94,91 +91,35 @@ def read_run(folder: Path) -> Run:
                 curves[source][measure] = Curve(*columns[np.argsort(columns[:, 0], kind="stable")].T)
     if not any(curves.values()):
         raise NothingLoggedError(
-            f"{folder} logged no returns, so there is nothing to compare: it has {lacking_of(folder)}."
+            f"{folder} logged no returns: it has neither an evaluation nor a training episode that ended."
         )
     config = folder / CONFIG
     return Run(folder, yaml_file.read_mapping(config) if config.is_file() else {}, curves)
 
 
-def lacking_of(folder: Path, sources: Sequence[str] = tuple(TAGS)) -> str:
-    """What a run has not logged, for people.
-
-    Args:
-        folder: Of the run.
-        sources: ``eval`` and ``rollout``, or one of them.
-    """
-    episodes = "no training episode that ended" if no_episode_ended(folder) else "no training episodes in its log"
-    said = {"eval": "no evaluations", "rollout": episodes}
-    return " and ".join(said[source] for source in sources)
-
-
-def no_episode_ended(folder: Path) -> bool:
-    """Whether a run has monitors, which have seen no episode end."""
-    files = list((folder / MONITOR).glob("*.csv"))
-    return bool(files) and not any(len(file.read_bytes().splitlines()) > MONITOR_HEADING for file in files)
-
-
-def groups_of(words: Sequence[str], said: Callable[[str], object] = lambda _: None) -> dict[str, list[Run]]:
+def groups_of(words: Sequence[str]) -> dict[str, list[Run]]:
     """Runs by the name of their group, those with a name of their own last.
 
     Args:
-        words: As `named_groups` takes them.
-        said: Likewise, and takes a line for runs that are one run made twice.
-
-    Raises:
-        As `named_groups` and `read_run`.
-    """
-    named = {name: [read_run(folder) for folder in folders] for name, folders in named_groups(words, said).items()}
-    groups = (grouped(named.pop("")) if "" in named else {}) | named
-    for name, runs in groups.items():
-        for seed, folders in run_twice(runs):
-            said(
-                f"{name}: {' and '.join(map(str, folders))} have the same settings and seed {seed}. They are one run "
-                "made twice, but count as two."
-            )
-    return groups
-
-
-def run_twice(runs: Sequence[Run]) -> list[tuple[Any, list[Path]]]:
-    """Seeds and folders of runs that have all settings and the seed in common, as far as a ``config.yml`` says."""
-    alike: dict[str, tuple[Any, list[Path]]] = {}
-    for run in runs:
-        if "seed" in run.settings:
-            seed = run.settings["seed"]
-            settings = {name: value for name, value in run.settings.items() if name not in NO_SETTING}
-            alike.setdefault(json.dumps([seed, settings], default=str), (seed, []))[1].append(run.folder)
-    return [(seed, folders) for seed, folders in alike.values() if len(folders) > 1]
-
-
-def named_groups(words: Sequence[str], said: Callable[[str], object] = lambda _: None) -> dict[str, list[Path]]:
-    """Folders by the name of their group; one that holds run folders stands for these.
-
-    Args:
-        words: ``NAME=PATTERN``, or a pattern without a name, whose group is still to be found.
-        said: Takes a line for every folder that holds run folders.
-
-    Returns:
-        Folders by name; those without one under "".
+        words: ``NAME=PATTERN``, or a pattern whose runs are grouped by their settings. A folder that holds run folders
+            stands for these.
 
     Raises:
         FileNotFoundError: A pattern fits no folder.
+        Otherwise as `read_run`.
     """
-    groups: dict[str, list[Path]] = {}
+    named: dict[str, list[Run]] = {}
     for word in words:
         name, equals, pattern = word.partition("=")
         if not equals or Path(word).exists():
             name, pattern = "", word
         for each in pattern.split(",") if name else [pattern]:
-            folders = [Path(each)] if Path(each).is_dir() else sorted(map(Path, glob.glob(each)))  # noqa: PTH207  # absolute patterns, too
-            folders = [folder for folder in folders if folder.is_dir()]
+            found = [Path(each)] if Path(each).is_dir() else sorted(map(Path, glob.glob(each)))  # noqa: PTH207  # absolute patterns, too
+            folders = [folder for folder in found if folder.is_dir()]
             if not folders:
                 raise FileNotFoundError(f"There is no run folder {each}.")
-            for folder in folders:
-                runs = runs_in(folder)
-                if runs != [folder]:
-                    said(f"{folder} holds {len(runs)} runs.")
-                groups.setdefault(name, []).extend(runs)
-    return groups
+            named.setdefault(name, []).extend(read_run(run) for folder in folders for run in runs_in(folder))
+    return (grouped(named.pop("")) if "" in named else {}) | named
 
 
 def runs_in(folder: Path) -> list[Path]:

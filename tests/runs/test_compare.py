@@ -20,7 +20,7 @@ from sb3_options.runs.compare import (
     source_of,
     table_of,
 )
-from sb3_options.runs.logged import Curve, Run, grouped, groups_of, named_groups, read_run
+from sb3_options.runs.logged import Curve, Run, grouped, groups_of, read_run
 
 STEPS = [1000, 2000, 3000, 4000]
 
@@ -102,56 +102,34 @@ def test_runs_of_others_are_grouped_by_their_folders(tmp_path: Path) -> None:
     }
 
 
+def folders(groups: dict[str, list[Run]]) -> dict[str, list[Path]]:
+    return {name: [run.folder for run in runs] for name, runs in groups.items()}
+
+
 def test_groups_by_hand(tmp_path: Path) -> None:
-    for name in ("a_1", "a_2", "b=1"):
-        (tmp_path / name).mkdir()
-    groups = named_groups([f"ours={tmp_path}/a_*", f"{tmp_path}/b=1"])
-    assert groups == {"ours": [tmp_path / "a_1", tmp_path / "a_2"], "": [tmp_path / "b=1"]}
+    one, two, other = (logged(tmp_path / name, [0.0]) for name in ("a_1", "a_2", "b=1"))
+    groups = groups_of([f"ours={tmp_path}/a_*", str(other)])
+    assert folders(groups) == {f"{tmp_path.name}/b=1": [other], "ours": [one, two]}
     with pytest.raises(FileNotFoundError, match="no run folder"):
-        named_groups([f"{tmp_path}/c_*"])
+        groups_of([f"{tmp_path}/c_*"])
 
 
 def test_a_folder_of_runs_stands_for_them(tmp_path: Path) -> None:
     runs = [logged(tmp_path / "ppo" / f"a_{n}", [0.0, 1.0], {"algo": "ppo", "seed": n}) for n in range(2)]
-    said: list[str] = []
-    assert named_groups([str(tmp_path)], said.append) == {"": runs}
-    assert named_groups([f"ours={tmp_path / 'ppo'}"], said.append) == {"ours": runs}
-    assert said == [f"{tmp_path} holds 2 runs.", f"{tmp_path / 'ppo'} holds 2 runs."]
-    found = groups_of([str(tmp_path)])
-    assert {name: [run.folder for run in members] for name, members in found.items()} == {"ppo/a": runs}
-    assert named_groups([str(runs[0])], pytest.fail) == {"": runs[:1]}
-
-
-def test_a_run_made_twice_is_told(tmp_path: Path) -> None:
-    seeds = {"a": 0, "b": 1, "c": 0}
-    a, _, c = (logged(tmp_path / n, [0.0, 1.0], {"algo": "ppo", "seed": s, "device": n}) for n, s in seeds.items())
-    logged(tmp_path / "other", [0.0, 1.0], {"algo": "dqn", "seed": 0})
-    said: list[str] = []
-    groups = groups_of([f"{tmp_path}/*"], said.append)
-    assert [len(runs) for runs in groups.values()] == [3, 1]
-    assert said == [
-        f"algo ppo: {a} and {c} have the same settings and seed 0. They are one run made twice, but count as two."
-    ]
-    logged(tmp_path / "foreign" / "PPO_1", [0.0, 1.0])
-    logged(tmp_path / "foreign" / "PPO_2", [0.0, 1.0])
-    groups_of([f"{tmp_path}/foreign/PPO_*"], pytest.fail)
+    assert folders(groups_of([f"ours={tmp_path / 'ppo'}"])) == {"ours": runs}
+    assert folders(groups_of([str(tmp_path)])) == {"ppo/a": runs}
+    assert folders(groups_of([str(runs[0])])) == {"ppo/a": runs[:1]}
 
 
 def test_logs_of_others_in_a_folder_are_runs_of_their_own(tmp_path: Path) -> None:
     one, two = logged(tmp_path / "PPO_1", [0.0]), logged(tmp_path / "PPO_2", [0.0])
-    assert named_groups([str(tmp_path)]) == {"": [one / "tensorboard_1", two / "tensorboard_1"]}
-    assert named_groups([str(one)], pytest.fail) == {"": [one]}, "with one log it is a run itself"
+    assert folders(groups_of([f"x={tmp_path}"])) == {"x": [one / "tensorboard_1", two / "tensorboard_1"]}
+    assert folders(groups_of([f"x={one}"])) == {"x": [one]}, "with one log it is a run itself"
 
 
-@pytest.mark.parametrize("text", ["0.9", "success", "success=often", "speed=1", "success=nan"])
+@pytest.mark.parametrize("text", ["0.9", "success", "speed=1", "success=nan", "success=2", "success=0"])
 def test_a_goal_that_says_nothing_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="--reach"):
-        Goal.parsed(text)
-
-
-@pytest.mark.parametrize("text", ["success=2", "success=90", "success=0", "success=-0.1"])
-def test_a_success_rate_that_cannot_be_is_refused(text: str) -> None:
-    with pytest.raises(ValueError, match=f"^--reach {text}: a success rate is more than 0 and at most 1, as in succ"):
         Goal.parsed(text)
     assert Goal.parsed("success=1") == Goal("success", 1.0)
     assert Goal.parsed("return=2") == Goal("return", 2.0)
@@ -201,34 +179,11 @@ def test_evaluations_count_where_all_have_them(tmp_path: Path) -> None:
     trained = read_run(logged(tmp_path / "b", [1.0, 1.0]))
     assert source_of([evaluated], "auto") == "eval"
     assert source_of([trained, trained], "auto") == "rollout"
-    with pytest.raises(ValueError, match="Not all runs logged the same"):
-        source_of([evaluated, trained], "auto")
-    with pytest.raises(ValueError, match="b has no evaluations"):
-        source_of([trained], "eval")
+    for wanted in ("auto", "eval"):
+        with pytest.raises(ValueError, match=r"not all runs logged the same.* has eval only.* has rollout only"):
+            source_of([evaluated, trained], wanted)
     with pytest.raises(ValueError, match="ep_len_mean"):
         compared({"b": [trained]}, Goal("length", 40), "rollout")
-
-
-def test_what_each_run_lacks_is_said(tmp_path: Path) -> None:
-    folders = [logged(tmp_path / name, [1.0, 1.0], source="eval") for name in ("unknown", "none", "some")]
-    for folder, episodes in zip(folders[1:], ("", "1.0,5,0.1\n"), strict=True):
-        (folder / "monitor").mkdir()
-        (folder / "monitor" / "0.monitor.csv").write_text(f'#{{"t_start": 0.0}}\nr,l,t\n{episodes}')
-    unknown, none, some = map(read_run, folders)
-    trained = read_run(logged(tmp_path / "trained", [1.0, 1.0]))
-    with pytest.raises(ValueError, match="Not all runs") as error:
-        source_of([unknown, none, some, trained], "auto")
-    assert str(error.value) == (
-        f"Not all runs logged the same: {unknown.folder} has no training episodes in its log; {none.folder} has no "
-        f"training episode that ended; {some.folder} has no training episodes in its log; {trained.folder} has no "
-        "evaluations. Compare those that have the same."
-    )
-    with pytest.raises(ValueError, match="--source") as error:
-        source_of([none, trained], "rollout")
-    assert str(error.value) == (
-        f"--source rollout is not in all runs: {none.folder} has no training episode that ended. Leave these out, or "
-        "choose another --source."
-    )
 
 
 def test_a_picture_has_a_row_for_each_measure(tmp_path: Path) -> None:
@@ -255,12 +210,7 @@ def test_where_success_comes_at_once_a_length_is_waited_for() -> None:
         "Most runs succeed from their first entry on, so episode length ≤ 51 is waited for: a quarter more than the "
         "shortest at the end. Say --reach success=0.9 to wait for success all the same."
     )
-    goal, said = goal_of(Goal("success", 0.9), groups, "rollout")
-    assert goal == Goal("success", 0.9)
-    assert said == (
-        "Most runs have success rate ≥ 0.9 at their first entry already, so it does not tell them apart: choose "
-        "another --reach, length=51 say."
-    )
+    assert goal_of(Goal("success", 0.9), groups, "rollout") == (Goal("success", 0.9), "")
 
 
 def test_where_success_comes_later_it_is_waited_for() -> None:
@@ -271,14 +221,9 @@ def test_where_success_comes_later_it_is_waited_for() -> None:
 
 
 def test_where_nothing_tells_runs_apart_that_is_said(tmp_path: Path) -> None:
-    groups = {"a": [lasting("a", [1.0] * 4, [40.0] * 4)]}
-    goal, said = goal_of(None, groups, "rollout")
-    assert goal == Goal("length", 50)
-    assert said.startswith("Most runs have episode length ≤ 50 and success at their first entry already")
-    assert said.endswith("choose another --reach.")
     run = logged(tmp_path / "run", [1.0, 1.0])  # no length was logged
     console = Console(width=200, no_color=True)
     with console.capture() as captured:
         show_comparison(CompareConfig((str(run),), tmp_path / "a.png"), console)
     assert "primitive steps to success rate ≥ 0.9" in captured.get()
-    assert "so it does not tell them apart: choose another --reach." in captured.get()
+    assert "so that tells nothing: choose another --reach." in captured.get()

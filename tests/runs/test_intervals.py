@@ -1,16 +1,8 @@
 import numpy as np
 import pytest
 
-from sb3_options.runs.intervals import (
-    Interval,
-    band,
-    iqm,
-    iqm_ratio,
-    mean_interval,
-    probability_of_improvement,
-    ratio_interval,
-    share_interval,
-)
+from experiments.common.intervals import iqm_ratio, ratio_interval
+from sb3_options.runs.intervals import Interval, band, iqm, mean_interval, probability_of_improvement, share_interval
 
 
 class TestIntervals:
