@@ -1,6 +1,5 @@
 import errno
 import os
-import stat
 import time
 from pathlib import Path
 from typing import Any
@@ -103,18 +102,3 @@ def test_an_error_names_the_file(tmp_path: Path) -> None:
 
     with pytest.raises(OSError, match=r"No space left on device: '.*file'"):
         write()
-
-
-@pytest.mark.skipif(os.name != "posix", reason="Windows has no such rights")
-@pytest.mark.parametrize(("mask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
-def test_a_new_file_has_the_rights_of_any_and_an_older_one_keeps_its_own(tmp_path: Path, mask: int, mode: int) -> None:
-    before = os.umask(mask)
-    try:
-        for _ in range(2):
-            with atomic_write(tmp_path / "file") as temporary:
-                temporary.write_text("text")
-            assert stat.S_IMODE((tmp_path / "file").stat().st_mode) == mode
-            mode = 0o640
-            (tmp_path / "file").chmod(mode)
-    finally:
-        os.umask(before)

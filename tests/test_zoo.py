@@ -11,7 +11,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv
 
 from sb3_options import OptionReplayBuffer
-from sb3_options.callbacks import PrimitiveStepsCallback, ZooDiscoveryCallback
+from sb3_options.callbacks import ZooDiscoveryCallback
 from sb3_options.options.archive import NAME
 from sb3_options.zoo import ZooOptionsWrapper
 from tests.support.sb3_helpers import FAST_DISCOVERY, RANDOM, TINY, optioned_rooms, small_rooms
@@ -55,18 +55,6 @@ def test_a_search_may_draw_the_discount(tmp_path: Path) -> None:
     assert venv.envs[0]._primitive["discount"] == 0.8  # type: ignore[attr-defined]  # a DummyVecEnv
 
 
-def test_a_refused_training_ends_without_another_error(tmp_path: Path) -> None:
-    """rl-zoo3 ends every training, and its error would be the last that a user sees."""
-    venv = zoo_rooms(tmp_path)
-    model = DQN("MlpPolicy", venv, gamma=0.8, replay_buffer_class=OptionReplayBuffer, **TINY)
-    for callback in (ZooDiscoveryCallback(), PrimitiveStepsCallback()):
-        with pytest.raises(ValueError, match=r"discounts with gamma=0\.9, DQN with gamma=0\.8"):
-            model.learn(50, callback=callback)
-        callback.on_training_end()
-    venv.close()
-    assert not (tmp_path / NAME).exists()
-
-
 def test_callback_needs_its_wrapper() -> None:
     model = DQN("MlpPolicy", optioned_rooms(), gamma=0.9, replay_buffer_class=OptionReplayBuffer, **TINY)
     with pytest.raises(ValueError, match=r"needs ZooOptionsWrapper, .* write `env_wrapper: sb3_options\.zoo\.Zoo"):
@@ -94,14 +82,6 @@ def test_a_model_that_was_moved_without_its_options_file_has_them(
     callback.model.save(tmp_path / "A.zip")
     monkeypatch.setattr(sys, "argv", ["rl_zoo3/train.py", "-i", f"{tmp_path}/A.zip"])
     assert ZooOptionsWrapper(small_rooms()).bank.filled == (0,)
-
-
-def test_options_beside_a_trained_agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    train(zoo_rooms(tmp_path))
-    for argv in (["rl_zoo3/train.py", "-i", f"{tmp_path}/A.zip"], ["bin/rl_zoo3", "-i", f"{tmp_path}/A.zip"]):
-        monkeypatch.setattr(sys, "argv", argv)
-        monkeypatch.setattr(sys, "orig_argv", ["python", "bin/rl_zoo3", "train", *argv[1:]])
-        assert ZooOptionsWrapper(small_rooms()).bank.filled == (0,)
 
 
 def test_a_worker_of_the_short_command_cannot_tell(monkeypatch: pytest.MonkeyPatch) -> None:

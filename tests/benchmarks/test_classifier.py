@@ -1,8 +1,5 @@
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 from sklearn.base import clone, is_classifier
@@ -10,10 +7,8 @@ from sklearn.exceptions import NotFittedError
 from sklearn.model_selection import GridSearchCV, cross_val_score
 from sklearn.utils.validation import check_is_fitted
 
-from benchmarks.diverse_density.classifier import BagStatisticsForest, DiverseDensityClassifier
+from benchmarks.diverse_density.classifier import DiverseDensityClassifier
 from sb3_options.density.arrays import BoolArray, FloatArray
-
-MUSK = Path(os.environ.get("SB3_OPTIONS_MUSK1", "../shared/data/musk1.npz"))
 
 
 def bags_and_labels(seed: int, n: int = 30) -> tuple[list[FloatArray], BoolArray]:
@@ -36,15 +31,6 @@ def test_learns_and_generalises() -> None:
     assert classifier.n_features_in_ == 6
 
 
-def test_the_baseline_learns_from_statistics_of_bags() -> None:
-    bags, labels = bags_and_labels(0, 120)
-    for bag in bags[:60]:
-        bag[:, 5] += 5
-    probabilities = BagStatisticsForest(0).fit(bags[::2], labels[::2]).predict_proba(bags[1::2])
-    assert probabilities.shape == (60, 2)
-    assert np.mean((probabilities[:, 1] >= 0.5) == labels[1::2]) > 0.9
-
-
 def test_scikit_learn_clones_splits_scores_and_selects() -> None:
     bags, labels = bags_and_labels(0)
     classifier = DiverseDensityClassifier(steps=10, max_starts=20)
@@ -57,12 +43,3 @@ def test_scikit_learn_clones_splits_scores_and_selects() -> None:
         check_is_fitted(classifier)
     with pytest.raises(ValueError, match="Invalid parameter 'step' for estimator"):
         classifier.set_params(step=1)
-
-
-@pytest.mark.skipif(not MUSK.is_file(), reason=f"needs the Musk1 data at {MUSK}, or their path in SB3_OPTIONS_MUSK1")
-def test_musk_in_one_split() -> None:
-    data = np.load(MUSK)
-    bags = [data["X"][data["bag"] == i] for i in np.unique(data["bag"])]
-    labels = np.array([data["y"][data["bag"] == i].max() for i in np.unique(data["bag"])])
-    classifier = DiverseDensityClassifier().fit(bags[::2], labels[::2])
-    assert classifier.score(bags[1::2], labels[1::2]) > 0.7

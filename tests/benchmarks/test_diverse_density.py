@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.diverse_density import __main__ as diverse_density
-from benchmarks.diverse_density.compiled import Compiled
 from benchmarks.diverse_density.data import uneven
-from benchmarks.diverse_density.parts import area_under_curve
 from benchmarks.diverse_density.references import BagByBag, Vectorised
 from tests.density.definition import oracle
 
@@ -26,24 +24,6 @@ def test_references_agree_with_the_definition() -> None:
                 step = 1e-6 * np.eye(6)[k]
                 slope = (reference(theta + step)[0] - reference(theta - step)[0]) / 2e-6
                 assert gradient[k] == pytest.approx(slope, rel=1e-5, abs=1e-7)
-
-
-def test_the_compiled_rival_agrees_with_the_definition() -> None:
-    rng = np.random.default_rng(1)
-    data = uneven(rng, 3, n_bags=6, shortest=1, longest=4)
-    rival = Compiled(data.positive, data.negative)
-    for _ in range(5):
-        t, s = rng.normal(size=3), rng.uniform(0.3, 1.5, 3)
-        value, gradient = rival(np.concatenate([t * s, s]))
-        expected = float(-oracle(t, s, data.positive, data.negative))
-        assert value == pytest.approx(expected, rel=1e-5, abs=1e-5)
-        by_point, by_scale = np.split(Vectorised(data.positive, data.negative)(np.concatenate([t, s]))[1], 2)
-        np.testing.assert_allclose(gradient[:3], by_point / s, rtol=1e-3, atol=1e-3)
-        np.testing.assert_allclose(gradient[3:], by_scale - by_point * t / s, rtol=1e-3, atol=1e-3)
-
-
-def test_area_under_curve() -> None:
-    assert area_under_curve(np.array([0.1, 0.4, 0.4, 0.9]), np.array([0, 0, 1, 1])) == pytest.approx(0.875)
 
 
 def test_runs_without_the_musk_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

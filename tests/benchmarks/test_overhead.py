@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from benchmarks import checkpoints, overhead
-from benchmarks.checkpoints import Turn
 from sb3_options.runs.config import configure
 
 
@@ -30,26 +29,9 @@ def test_benchmark_writes_results_and_picture(tmp_path: Path, scenarios: str) ->
     assert (tmp_path / "overhead.png").stat().st_size > 5_000
 
 
-def test_shares_are_of_all_turns() -> None:
-    with_ = [Turn(90.0, 10.0, 0.1, 1), Turn(198.0, 5.0, 0.19, 1)]
-    without = [Turn(100.0, 9.0, 0.0, 0), Turn(200.0, 5.0, 0.0, 0)]
-    found = checkpoints.summarise({"none": without, "checkpoints": with_})
-    assert found["share_of_processor_time"]["mean"] == pytest.approx(0.29 / 15)
-    assert found["share_of_processor_time"]["reached"]
-    assert found["rate_of_that_without"]["mean"] == pytest.approx((0.9 + 0.99) / 2)
-    assert found["checkpoints_written"] == 2
-
-
 @pytest.mark.parametrize("algo", ["ppo", "dqn"])
 def test_every_turn_has_a_checkpoint(algo: str, tmp_path: Path) -> None:
     small = configure(algo=algo, seed=0, device="cpu", checkpoint_freq=600)
     found = checkpoints.race(small, tmp_path, 2, small.checkpoint_freq, description="")
     assert found["checkpoints_written"] == 2
     assert 0 < found["share_of_processor_time"]["mean"] < 1
-
-
-def test_a_large_buffer_is_written_once(tmp_path: Path) -> None:
-    found = checkpoints.large_buffer(tmp_path, 0, 20_000, freq=300)
-    assert found["checkpoints_written"] == checkpoints.LATER
-    assert found["seconds_of_one"] < found["seconds_of_the_first"]
-    assert found["megabytes"] > 1

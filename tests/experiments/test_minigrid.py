@@ -1,5 +1,4 @@
 import json
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from experiments.minigrid.conditions import stages_of
 from experiments.minigrid.hand_made import options_on
 from experiments.minigrid.ratios import ratio_of_medians
 from experiments.minigrid.settings import ARMS, FAMILIES, Stage
-from experiments.minigrid.summary import frames_to, summarise
+from experiments.minigrid.summary import frames_to
 from sb3_options import OptionsWrapper
 
 
@@ -73,23 +72,6 @@ def test_frames_count_those_of_all_stages() -> None:
     assert frames_to(run, "MultiRoom-4", "discovered", 0.8) == stages[0].frames + 300  # where it stays
     assert frames_to(run, "MultiRoom-4", "discovered", 0.9) is None
     assert frames_to({"stages": [curve((200, 0.85))]}, "MultiRoom-4", "stock", 0.8) == 200
-
-
-def test_shares_of_runs_that_reach_are_of_all_seeds_together() -> None:
-    def seed(source: Counter[str], target: Counter[str]) -> dict[str, Any]:
-        stages = [
-            curve(option_runs={"reach key at 1": dict(ends), "other": {"subgoal": 5}}) for ends in (source, target)
-        ]
-        success = {"sampled": 1.0, "greedy": 1.0, "uniform": 0.5}
-        found = {"where": "key at 1", "stage": 0}  # twice: the first was closed
-        return {"stages": stages, "success": success, "options": [found, found]}
-
-    runs = [
-        seed(Counter(subgoal=9, left_initiation=1), Counter(subgoal=1)),
-        seed(Counter(subgoal=10), Counter(truncated=3)),
-    ]
-    summary = summarise("MultiRoom-4", {"discovered": runs})
-    assert summary["options"] == {"key at 1": {"n_runs": 2, "reached": [0.95, 0.25], "runs": [20, 4]}}
 
 
 def test_ratios_of_medians() -> None:

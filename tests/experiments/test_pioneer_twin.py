@@ -8,7 +8,6 @@ import pytest
 pytest.importorskip("pybullet")
 pytest.importorskip("mujoco")
 
-from experiments.pioneer import twin
 from experiments.pioneer.settings import PioneerSettings
 from experiments.pioneer.twin import Study, main
 
@@ -29,22 +28,3 @@ def test_an_option_is_tried_in_both_and_again_from_its_file(tmp_path: Path) -> N
     assert again["option"] == results["option"]
     assert "task" not in again
     assert f"--options {file}" in again["command"]
-
-
-def test_numbers_are_of_paired_trials() -> None:
-    def side(reached: list[bool], steps: list[int]) -> dict[str, object]:
-        return {"reached": reached, "steps": steps, "task": {"successes": [True] * 4, "steps": [10, 20, 30, 40]}}
-
-    runs = [
-        {"PyBullet": side([True, True, True, False], [1, 2, 3, 4]), "MuJoCo": side([True] * 4, [2, 3, 4, 5])},
-        {"PyBullet": side([True] * 4, [1, 1, 1, 1]), "MuJoCo": side([False] + [True] * 3, [2, 2, 2, 2])},
-    ]
-    numbers = twin.numbers_of(runs, {"PyBullet": [100.0, 200.0], "MuJoCo": [200.0, 400.0]})
-    assert numbers["option"]["success"]["PyBullet"]["mean"] == 7 / 8
-    assert numbers["option"]["success_of_runs"] == {"PyBullet": [0.75, 1.0], "MuJoCo": [1.0, 0.75]}
-    assert numbers["option"]["success_difference"]["mean"] == 0
-    assert numbers["option"]["success_difference"]["low"] < 0 < numbers["option"]["success_difference"]["high"]
-    assert numbers["option"]["steps_difference"] == {"mean": 1, "low": 1, "high": 1}
-    assert numbers["task"]["success_difference"] == {"mean": 0, "low": 0, "high": 0, "bar": 0.05, "reached": True}
-    assert numbers["speed"]["ratio"]["mean"] == 2
-    assert "| the option alone: success | 0.875 (" in twin.table(numbers)

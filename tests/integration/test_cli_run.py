@@ -1,6 +1,5 @@
 """One run, trained from the shell: what it leaves, evaluated, taken up by another run, and spoilt."""
 
-import csv
 import json
 import os
 import re
@@ -11,12 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from sb3_options import OptionBank, cli
 from sb3_options.cli import parse
 from sb3_options.runs import config as configs
-from sb3_options.runs.commands import EVAL_SEED, EvaluateConfig
+from sb3_options.runs.commands import EvaluateConfig
 from sb3_options.runs.video import CAPTION_HEIGHT
 from tests.support import processes
 from tests.support.sb3_helpers import read_video
@@ -98,45 +96,9 @@ class TestTrain:
         assert done.returncode == 0, done.stderr
         assert done.stdout.startswith("True")
 
-    def test_with_a_monitor_that_counts_primitive_steps(self, run: Run) -> None:
-        with (run.folder / "monitor" / "0.monitor.csv").open() as file:
-            file.readline()
-            rows = list(csv.DictReader(file))
-        taken = int(re.search(r"after ([\d,]+) primitive steps", run.printed)[1].replace(",", ""))  # type: ignore[index]  # it is there
-        lengths = [int(row["l"]) for row in rows]
-        assert taken - 150 < sum(lengths) <= taken
-        assert max(lengths) <= 150
-        assert {float(row["r"]) for row in rows} <= {0.0, 1.0}
-
 
 class TestOptions:
     """A run that starts with the options of another."""
-
-    @pytest.fixture(scope="class")
-    @staticmethod
-    def second(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Run:
-        """A new process, and the goal moved to the upper corner."""
-        folder = tmp_path_factory.mktemp("transfer")
-        (folder / "config.yml").write_text(CONFIG.replace("  max_steps: 150", "  max_steps: 150\n  goal: [8, 0]"))
-        args = ["--options", str(run.folder), "--max-new-options", "0", "--n-timesteps", "1500", "--eval-freq", "1000"]
-        done = shell("--config", "config.yml", *args, "--eval-episodes", "1", cwd=folder)
-        assert done.returncode == 0, done.stderr
-        return Run(folder / "runs" / "dqn" / "sb3_options-TwoRooms-v0_1", done.stdout)
-
-    def test_uses_them(self, second: Run) -> None:
-        (events,) = (second.folder / "tensorboard_1").glob("events*")
-        scalars = EventAccumulator(str(events))
-        scalars.Reload()
-        assert scalars.Scalars("options/slot_0/uses")[-1].value > 10
-        assert scalars.Scalars("options/slot_0/mean_duration")[-1].value > 1
-        assert scalars.Scalars("options/count")[0].value == 1
-
-    def test_keeps_them(self, run: Run, second: Run) -> None:
-        first, again = OptionBank(4, 4), OptionBank(4, 4)
-        first.load(run.folder / "options.safetensors")
-        again.load(second.folder / "options.safetensors")
-        assert again.filled == (0,)
-        assert again[0].subgoal.points.tolist() == first[0].subgoal.points.tolist()  # type: ignore[union-attr]  # discovered
 
     def test_discovery_goes_on_elsewhere(self, run: Run, tmp_path: Path) -> None:
         (tmp_path / "config.yml").write_text(CONFIG)
@@ -156,22 +118,6 @@ class TestEvaluate:
     def evaluated(run: Run) -> subprocess.CompletedProcess[str]:
         """The run, evaluated from the shell with a video."""
         return shell("evaluate", str(run.folder), "--episodes", "5", "--video", "film/f.mp4", cwd=run.folder)
-
-    def test_prints_means_with_intervals(self, run: Run, evaluated: subprocess.CompletedProcess[str]) -> None:
-        assert evaluated.returncode == 0, evaluated.stderr
-        for name in ("return", "success rate", "primitive steps"):
-            row = re.search(rf"{name} +│ ([\d.]+) +│ ([\d.]+) to ([\d.]+)", evaluated.stdout)
-            assert row is not None, evaluated.stdout
-            mean, low, high = map(float, row.groups())
-            assert low <= mean <= high
-        assert "5 episodes" in evaluated.stdout
-        assert "Video: film/f.mp4" in evaluated.stdout
-
-    def test_keeps_them(self, run: Run, evaluated: subprocess.CompletedProcess[str]) -> None:
-        kept = json.loads((run.folder / "evaluation.json").read_text())
-        assert (kept["episodes"], kept["seed"]) == (5, EVAL_SEED)
-        assert f"{kept['primitive_steps']['mean']:.3f}" in evaluated.stdout
-        assert set(kept["return"]) == {"mean", "low", "high"}
 
     def test_films_every_primitive_step(self, run: Run, evaluated: subprocess.CompletedProcess[str]) -> None:
         assert evaluated.returncode == 0

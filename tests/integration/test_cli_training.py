@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from sb3_options import OptionBank, cli
-from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.cli import parse
 from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.runs import config as configs
@@ -97,23 +96,6 @@ class TestTrain:
         assert (without.discover, without.compare) == (False, False)
         cli.main(args)
         assert "Against --no-discover: train with --compare" in capsys.readouterr().out
-
-    def test_switches_reach_the_callback_and_the_buffer(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        made: list[SubgoalDiscoveryCallback] = []
-
-        class Remembered(SubgoalDiscoveryCallback):
-            def _init_callback(self) -> None:
-                super()._init_callback()
-                made.append(self)
-
-        monkeypatch.setattr(training, "SubgoalDiscoveryCallback", Remembered)
-        args = ["--n-timesteps", "600", "--no-progress", "--tensorboard-log", str(tmp_path), "--eval-episodes", "1"]
-        cli.main(["dqn", *args, "--no-interruption"])
-        cli.main(["dqn", *args, "--max-option-exploration", "0.25"])
-        switched, usual = made
-        assert not switched.use.interruption
-        assert usual.use.interruption
-        assert usual.use.max_option_exploration == 0.25
 
     def test_an_interrupt_keeps_what_was_learned(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -178,19 +178,6 @@ class TestRefuses:
         assert f"{copy} is being trained by another process (process {os.getpid()} on " in said
         assert not (copy / runs.MODEL).exists()
 
-    def test_a_run_whose_checkpoints_are_damaged(
-        self, run: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
-    ) -> None:
-        copy = cut_off(run, tmp_path)
-        for file in CheckpointFolder(copy / runs.CHECKPOINTS):
-            file.write_bytes(file.read_bytes()[:-9])
-        said = self.refusal(capsys, str(copy), "--no-progress")
-        assert "is no checkpoint, or it is damaged" in said
-        assert "No other checkpoint in" in said
-        assert "is whole: train anew, in a new folder, with the same settings." in said
-        assert (copy / runs.CONFIG).is_file()
-        assert not (copy / runs.MODEL).exists()
-
 
 def test_an_environment_that_does_not_tell_its_state(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     flags = ["--n-timesteps", "400", "--n-envs", "1", "--n-steps", "32", "--batch-size", "32", "--no-progress"]

@@ -179,21 +179,6 @@ class Spy(BaseCallback):
 
 
 class TestStackedFrames:
-    @pytest.mark.parametrize("normalise", [False, True])
-    def test_masks_are_those_of_the_newest_frame(self, doorway: SubgoalOption, normalise: bool) -> None:
-        with rooms("dummy", 2) as bare:
-            venv = AROUND["VecNormalize(VecFrameStack)"](bare) if normalise else stacked(bare)
-            model = dqn(venv, OptionDQN, replay_buffer_kwargs={"macro_q": False})
-            venv.env_method("set_option", 0, doorway)
-            rng, seen = np.random.default_rng(0), set()
-            observations: Any = venv.reset()
-            for _ in range(200):
-                masks = np.stack(venv.env_method("action_masks"))
-                np.testing.assert_array_equal(model._available(observations), masks)
-                seen |= set(masks[:, SLOT_0].tolist())
-                observations, _, _, _ = venv.step(rng.integers(8, size=2))
-            assert seen == {False, True}
-
     def test_stored_transitions_know_which_options_may_start(self) -> None:
         with rooms("dummy", 2) as bare:
             model = dqn(stacked(bare), OptionDQN, replay_buffer_kwargs={"macro_q": False})

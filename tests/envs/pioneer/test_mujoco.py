@@ -14,11 +14,10 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 pytest.importorskip("mujoco")
 
 from sb3_options.envs.pioneer import Pioneer, PioneerMuJoCo
-from sb3_options.envs.pioneer.body import AXLE_TRACK, CONTROL_RATE, GRIP_AHEAD, WHEEL_RADIUS
 from sb3_options.envs.pioneer.env import ACTIONS, PioneerTask
 from sb3_options.envs.pioneer.senses import SONARS
 from sb3_options.execution import layers
-from tests.envs.pioneer.expert import Expert, play
+from tests.envs.pioneer.expert import Expert
 from tests.envs.pioneer.simulators import needs_pybullet
 
 MIDDLE, LEFT_10 = 1, 3
@@ -70,16 +69,6 @@ def test_a_pose_looks_the_same_in_both(name: str) -> None:
     env.close()
 
 
-def test_the_body_goes_as_far_as_the_wheels_roll(env: PioneerMuJoCo) -> None:
-    for left, right in ((3.0, 3.0), (-3.0, 3.0)):
-        env.reset(options={"robot": (0, 0, 0), "balls": [(-1.5, -1.5)]})
-        for _ in range(CONTROL_RATE):
-            x, _, heading = env.simulator.drive(left, right)
-        rolled = [float(env.simulator.data.joint(f"{side} wheel").qpos[0]) * WHEEL_RADIUS for side in ("left", "right")]
-        assert x == pytest.approx(sum(rolled) / 2, abs=0.005)
-        assert heading == pytest.approx((rolled[1] - rolled[0]) / AXLE_TRACK, abs=0.05)
-
-
 @needs_pybullet
 @pytest.mark.parametrize("action", range(len(ACTIONS)))
 def test_an_action_ends_where_it_ends_in_pybullet(action: int) -> None:
@@ -96,25 +85,6 @@ def test_an_action_ends_where_it_ends_in_pybullet(action: int) -> None:
     assert math.dist(ends[0][:2], ends[1][:2]) < 0.012
     assert abs(ends[0][2] - ends[1][2]) < math.radians(1.2)
     assert abs(ticks[0] - ticks[1]) <= 6
-
-
-@pytest.mark.parametrize("name", TASKS)
-def test_an_expert_solves_it(name: str) -> None:
-    """Without the noise of PyBullet's solver it may turn to and fro for ever: one in ten does."""
-    env = PioneerMuJoCo(**TASKS[name])
-    expert = Expert(corner=name == "PioneerCorner")
-    assert sum(play(env, expert, seed)[0] for seed in range(10)) >= 8
-
-
-def test_the_gripper_lets_go_and_the_ball_is_taken_away(env: PioneerMuJoCo) -> None:
-    env.reset(options={"robot": (1.2, 0, 0), "balls": [(1.75, 0)]})
-    assert env.step(MIDDLE)[4]["gripping"]
-    (x, y), (robot_x, robot_y, _) = env.ball_positions[0], env.robot_pose
-    assert (x - robot_x, y - robot_y) == pytest.approx((GRIP_AHEAD, 0), abs=0.01)
-    assert env.step(LEFT_10)[4]["deposited"]
-    assert env.ball_positions == {}
-    assert env.simulator.ball(0) == (100, 100)
-    assert not env.simulator.data.eq_active.any()
 
 
 def moment(steps: int, **kwargs: Any) -> tuple[gymnasium.Env[Any, Any], NDArray[np.float32]]:
