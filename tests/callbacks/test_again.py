@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from sb3_contrib import TRPO, MaskablePPO, RecurrentPPO
@@ -13,22 +12,10 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options import MacroQ, OptionReplayBuffer, OptionsWrapper, load_model
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
-from sb3_options.density.regions import Region
 from sb3_options.discovery.budget import STEP_SECONDS, TABLE_STEP_SECONDS
-from sb3_options.discovery.methods import DiscoveryMethod, Experience, GivenPlaces
 from sb3_options.learning import heads
 from tests.support.helpers import CountingEnv, steady_option
 from tests.support.sb3_helpers import RANDOM, TINY, fast_callback, optioned_rooms
-
-
-class Proposing:
-    """Proposes one place of so many features."""
-
-    def __init__(self, n_features: int) -> None:
-        self.n_features = n_features
-
-    def update(self, experience: Experience) -> list[Region]:
-        return [Region(np.ones((1, self.n_features)), np.ones(self.n_features), experience.radius)]
 
 
 def model_of(env: Any, **kwargs: Any) -> DQN:
@@ -109,26 +96,6 @@ def test_why_there_is_no_option_tells_of_episodes_that_could_not_be_used() -> No
     n = callback.episodes
     reason = f"{n} of {n} episodes could not be used, the last one because of ValueError: neither good nor bad."
     assert callback.why_nothing() == f"No subgoal was discovered: {reason}"
-
-
-@pytest.mark.parametrize(
-    ("method", "why"),
-    [
-        (
-            Proposing(3),
-            "Proposing proposed a Region whose points have shape (1, 3) and whose scale has (3,); they must be (n, 2)",
-        ),
-        (GivenPlaces([[5, 2, 1]]), "GivenPlaces has places of 3 features, and φ has 2."),
-    ],
-)
-def test_a_proposal_of_other_features_makes_no_option(method: DiscoveryMethod, why: str) -> None:
-    callback = SubgoalDiscoveryCallback(method=method)
-    model_of(optioned_rooms(2)).learn(2000, callback=callback)
-    assert not callback.bank.filled
-    said = callback.why_nothing()
-    assert said is not None
-    assert why in said
-    assert "that have an option" not in said
 
 
 class LastStates(BaseCallback):

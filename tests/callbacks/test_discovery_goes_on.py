@@ -119,19 +119,6 @@ def test_an_option_whose_runs_go_on_for_ever_is_closed(monkeypatch: pytest.Monke
     assert callback.bank.filled == env.bank.filled == (0,)
 
 
-def test_an_option_is_no_longer_offered_where_it_goes_on_for_ever() -> None:
-    """To the right of (3, 0) is a wall."""
-    env = optioned_rooms()
-    env.bank.add(to_the_doorway(Direction.RIGHT, (3, 2), (3, 0)))
-    callback = SubgoalDiscoveryCallback(max_new_options=0, use={"interruption": False})
-    model_of(env, seed=0).learn(6000, callback=callback)
-    assert not callback.closed
-    for bank in (callback.bank, env.bank):
-        option = bank[0]
-        assert isinstance(option, SubgoalOption)
-        assert option.initiation_set.points.tolist() == [[3, 2]]
-
-
 def test_an_option_that_no_success_needs_gives_its_slot_to_one_that_is_discovered(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

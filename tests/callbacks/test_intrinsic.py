@@ -273,20 +273,6 @@ def test_logs_and_goes_on(kind: Any, algorithm: Any, tmp_path: Path) -> None:
     assert 0 < scalars.Scalars("intrinsic/bonus")[-1].value < 0.2
 
 
-def test_an_exception_leaves_no_bonus_behind() -> None:
-    class Fails(BaseCallback):
-        def _on_step(self) -> bool:
-            if self.num_timesteps >= 100:
-                raise RuntimeError("an accident")
-            return True
-
-    model = DQN("MlpPolicy", optioned_rooms(1), gamma=0.9, replay_buffer_class=OptionReplayBuffer, learning_starts=10)
-    with pytest.raises(RuntimeError, match="an accident"):
-        model.learn(200, callback=[IntrinsicRewardCallback(), Fails()])
-    assert isinstance(model.replay_buffer, OptionReplayBuffer)
-    assert model.replay_buffer.bonus is None
-
-
 class TestErrors:
     @pytest.mark.parametrize(
         ("arguments", "text"),
@@ -320,17 +306,6 @@ class TestErrors:
         model = OptionDQN("MlpPolicy", optioned_rooms(), gamma=0.9, replay_buffer_kwargs={"macro_q": False})
         with pytest.raises(ValueError, match=r"macro_q=False does not store: leave out replay_buffer_kwargs"):
             model.learn(10, callback=[PrimitiveStepsCallback(), IntrinsicRewardCallback()])
-
-
-def test_where_features_are_learned_observations_are_counted() -> None:
-    """What was counted in a map that is learned on would be something else later."""
-    env = OptionsWrapper(
-        gym.make("sb3_options/TwoRooms-v0", observation="xy"), 1, gamma=GAMMA, feature_map="temporal-distance"
-    )
-    bonus = IntrinsicRewardCallback()
-    model = DQN("MlpPolicy", env, gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, learning_starts=10_000, seed=0)
-    model.learn(200, callback=[PrimitiveStepsCallback(), bonus])
-    assert len(visits_of(bonus)) > 10  # φ makes one and the same of all before it is learned
 
 
 def test_a_second_bonus_is_refused_where_one_would_be_lost() -> None:

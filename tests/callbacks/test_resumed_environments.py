@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 import pytest
 from stable_baselines3 import A2C, PPO
 from stable_baselines3.common.env_util import make_vec_env
@@ -202,18 +201,3 @@ def test_what_is_still_refused(tmp_path: Path) -> None:
     recorder = VecVideoRecorder(rendered, str(tmp_path / "videos"), bool)
     assert refusal(recorder) == "Checkpoints of VecVideoRecorder are not supported yet."
     recorder.close()
-
-
-def test_a_worker_process_says_why_it_refuses_and_lives() -> None:
-    """An error in it would end it, and training with it."""
-
-    class Remembering(gym.Wrapper[Any, Any, Any, Any]):
-        returns_steps_unchanged = True
-
-    venv = vec(lambda: Remembering(OptionsWrapper(Growing(), 2)), subproc=True)
-    try:
-        assert "Remembering are not supported above OptionsWrapper" in (refusal(venv) or "")
-        venv.reset()
-        assert venv.step(np.zeros(2, dtype=np.int64))[2].shape == (2,)
-    finally:
-        venv.close()

@@ -15,7 +15,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNorm
 from sb3_options import OptionReplayBuffer, OptionsWrapper, expand_action_space
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.learning import heads
-from sb3_options.learning.rollout_buffer import SMDPAdvantages
 from tests.learning.expanded import (
     GAMMA,
     KINDS,
@@ -108,33 +107,6 @@ def test_dqn_discovers_after_it_was_expanded() -> None:
     assert set(actions) == set(range(N_PRIMITIVE + 1))
     assert discounts[actions == N_PRIMITIVE].min() < GAMMA**2
     assert model.num_timesteps >= 5000
-
-
-@pytest.mark.parametrize(
-    "name", ["ppo", "a2c", "trpo", "maskableppo", pytest.param("recurrentppo", marks=pytest.mark.slow)]
-)
-def test_on_policy_algorithms_discover_after_they_were_expanded(name: str) -> None:
-    kwargs: dict[str, Any] = {} if name in ("a2c", "trpo") else {"n_epochs": 1}
-    if name in ("ppo", "a2c"):
-        kwargs["ent_coef"] = 0.5
-    model = trained(name, steps=256, **kwargs)
-    expand_action_space(model, MAX_OPTIONS)
-    callback = fast_callback()
-    steps = 0
-    while not callback.discoveries and steps < 10:
-        model.learn(1000, callback=callback, reset_num_timesteps=False)
-        steps += 1
-    assert len(callback.discoveries) == 1
-    assert np.abs(callback.discoveries[0].subgoal - DOORWAY).max() <= 1
-    chosen = False
-    while not chosen and steps < 30:
-        model.learn(256, callback=callback, reset_num_timesteps=False)
-        chosen = N_PRIMITIVE in cast("Any", model.rollout_buffer).actions
-        steps += 1
-    assert chosen
-    assert not heads.is_closed(model.policy, N_PRIMITIVE)
-    assert heads.is_closed(model.policy, N_PRIMITIVE + 1)
-    assert isinstance(model.rollout_buffer, SMDPAdvantages)
 
 
 def test_masks_of_the_environment_itself_go_on() -> None:
