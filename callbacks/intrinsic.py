@@ -11,7 +11,7 @@ from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 
 from sb3_options.callbacks.counting import all_callbacks, check_every_step
-from sb3_options.checked import is_number, whole
+from sb3_options.checked import is_number
 from sb3_options.embedding.settings import LEARNED
 from sb3_options.execution.features import MAX_FEATURES
 from sb3_options.execution.vec_env import as_wrapper_sees, space_of_environments
@@ -76,20 +76,12 @@ class IntrinsicRewardCallback(BaseCallback):
 
     STATE = ("novelty", "scale", "_bonus_weight")
 
-    def __init__(
-        self,
-        kind: NoveltyKind = "counts",
-        *,
-        weight: float = 0.1,
-        seed: int = 0,
-    ) -> None:
+    def __init__(self, kind: NoveltyKind = "counts", *, weight: float = 0.1, seed: int = 0) -> None:
         super().__init__()
         if not (isinstance(kind, str) and kind in ("counts", "rnd")):
             raise ValueError(f"kind must be 'counts' or 'rnd', got {kind!r}.")
         if not (is_number(weight) and 0.0 <= weight < math.inf):
             raise ValueError(f"weight must be at least 0 and finite, got {weight!r}.")
-        if not whole(seed, 0):
-            raise ValueError(f"seed must be a whole number of at least 0, got {seed!r}.")
         self.kind = kind
         self.weight = weight
         self.seed = seed
@@ -109,10 +101,7 @@ class IntrinsicRewardCallback(BaseCallback):
         elif len(self.scale.returns) != self.training_env.num_envs:
             self.scale.returns = np.zeros(self.training_env.num_envs)
         if self.novelty is None:
-            space = space_of_environments(self.training_env)
-            size = flatten(batch_of_one(space.sample())).shape[1]
-            counts = self.kind == "counts"
-            self.novelty = StateCounts(self._keys(space)) if counts else RandomNetworkDistillation(size, self.seed)
+            self.novelty = self._new_novelty(space_of_environments(self.training_env))
         self._has_options = any(self.training_env.env_is_wrapped(OptionsWrapper))
         if self._replay is not None:
             both = [each for each in all_callbacks(self.locals.get("callback")) if isinstance(each, type(self))]
@@ -139,6 +128,11 @@ class IntrinsicRewardCallback(BaseCallback):
     @property
     def _replay(self) -> OptionReplayBuffer | None:
         return getattr(self.model, "replay_buffer", None)
+
+    def _new_novelty(self, space: spaces.Space[Any]) -> StateCounts | RandomNetworkDistillation:
+        if self.kind == "counts":
+            return StateCounts(self._keys(space))
+        return RandomNetworkDistillation(flatten(batch_of_one(space.sample())).shape[1], self.seed)
 
     def _keys(self, space: spaces.Space[Any]) -> Keys:
         if is_table_like(space):

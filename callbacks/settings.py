@@ -46,12 +46,13 @@ class ConceptSettings:
     Attributes:
         groups: The features that make a concept together, each a `FeatureGroup` or a mapping of its fields; None takes
             those that the environment or φ names. Without any, all features do.
-        static_filter: What may be a subgoal; None leaves out what is near the start and end of a trajectory.
+        static_filter: What may be a subgoal: from the features of a trajectory's states (m, d) and of its first and
+            last state, (d,) each, to (m,) truth values. None leaves out what is near its start and end.
         embedding: How a map is learned, for environments in ``OptionsWrapper(feature_map="temporal-distance")``:
             an `EmbeddingSettings`, or a mapping of its fields.
 
     Raises:
-        TypeError: ``groups`` are no groups, the filter cannot be called, or a mapping has an unknown field.
+        TypeError: ``groups`` are no groups, or a mapping has an unknown field.
         ValueError: A field of a group is out of its range.
     """
 
@@ -63,11 +64,5 @@ class ConceptSettings:
         """Make groups of mappings."""
         if not isinstance(self.groups, Iterable | None):
             raise TypeError(f"groups must be FeatureGroups, or mappings of their fields, got {self.groups!r}.")
-        if self.static_filter is not None and not callable(self.static_filter):
-            raise TypeError(
-                "static_filter must be a function of the features of a trajectory's states (m, d), the features of its "
-                "first and of its last state, (d,) each, to which states may be subgoals, (m,), got "
-                f"{self.static_filter!r}."
-            )
         if self.groups is not None:
             object.__setattr__(self, "groups", tuple(given_as(FeatureGroup, group) for group in self.groups))

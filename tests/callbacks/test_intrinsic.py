@@ -279,7 +279,6 @@ class TestErrors:
         [
             ({"kind": "icm"}, "kind must be 'counts' or 'rnd', got 'icm'"),
             ({"weight": -0.1}, "weight must be at least 0 and finite, got -0.1"),
-            ({"seed": -1}, "seed must be a whole number of at least 0, got -1"),
         ],
     )
     def test_bad_arguments(self, arguments: dict[str, Any], text: str) -> None:
