@@ -47,9 +47,6 @@ def storable(cls: type[T]) -> type[T]:
     """Class decorator: a checkpoint stores objects of this class whole, and makes them anew from their fields.
 
     The class is a dataclass, a named tuple, or names the arguments of its constructor in ``STATE``.
-
-    Raises:
-        ValueError: Another class of this name is decorated.
     """
     other = VALUES.setdefault(cls.__name__, cls)
     if (other.__module__, other.__qualname__) != (cls.__module__, cls.__qualname__):
@@ -110,9 +107,6 @@ def state_of(owner: object) -> dict[str, Any]:
 
     It refers to the object's arrays: store or copy it before the object changes. The object's own ``get_state`` is not
     called, which may thus be ``{**state_of(self), ...}``.
-
-    Raises:
-        TypeError: Something in it cannot be stored; the text says where.
     """
     return _fields(owner, type(owner).__name__, {})
 
@@ -121,10 +115,6 @@ def restore(owner: Any, state: Mapping[str, Any]) -> None:
     """Write what `state_of` returned into an object that was made with the same arguments.
 
     The object's own ``set_state`` is not called. It takes the arrays over.
-
-    Raises:
-        ValueError: The state is of an object with other parts.
-        KeyError: A part of the state is missing.
     """
     for name in names_of(type(owner)):
         setattr(owner, name, _restored(getattr(owner, name, None), state[name], f"{type(owner).__name__}.{name}"))

@@ -41,7 +41,6 @@ class PaperSettings:
     search: Literal["exhaustive", "gradient"] = "exhaustive"
 
     initiation_steps: int = 50
-    initiation_visits: Literal["first", "every"] = "first"
     replay_sweeps: int = 20
     replay_order: Literal["forward", "backward"] = "forward"
     option_gamma: float = 0.9
@@ -94,7 +93,6 @@ class PaperSettings:
         """How options are made."""
         return OptionLearningSettings(
             initiation_steps=self.initiation_steps,
-            initiation_visits=self.initiation_visits,
             max_duration=self.max_duration,
             leave_reward=self.leave_reward,
             gamma=self.option_gamma,
@@ -127,7 +125,6 @@ IN_PAPER: dict[str, str | None] = {
     "peak_radius": None,
     "search": "§4: exhaustive",
     "initiation_steps": "§5: n, no value",
-    "initiation_visits": "§5: occurrences of the subgoal, not which",
     "replay_sweeps": None,
     "replay_order": None,
     "option_gamma": None,

@@ -70,15 +70,6 @@ class CheckpointFolder:
         """Write a checkpoint, and remove what is older than the last `KEPT`.
 
         A killed process or a full disk leaves the older ones whole.
-
-        Args:
-            steps: Primitive steps taken.
-            state: Everything.
-            growing: Arrays of the state of which only new rows are read, where this object wrote them before.
-
-        Raises:
-            OSError: It cannot be written.
-            TypeError: There is something in the state that cannot be stored.
         """
         blocks = self.path / BLOCKS
         blocks.mkdir(parents=True, exist_ok=True)

@@ -20,11 +20,6 @@ class CappedActions(spaces.Discrete):
 
     While uniform choices keep to the share, they are drawn as ``Discrete`` draws them. In the place of an empty slot a
     primitive is drawn, each as often as the others.
-
-    Args:
-        actions: The space that it replaces; it uses the same generator.
-        n_primitive: Number of primitive actions.
-        share: Largest share of options among exploratory choices, in [0, 1].
     """
 
     def __init__(self, actions: spaces.Discrete[Any], n_primitive: int, share: float) -> None:

@@ -36,22 +36,14 @@ FeatureKind = Literal["given", "environment", "categorical", "identity", "tempor
 
 
 class Features(NamedTuple):
-    """A feature map and where it comes from.
-
-    Attributes:
-        map: φ.
-        size: Dimensions d of concept space; None where φ refuses a made-up observation, until there is a real one.
-        kind: ``given`` by the user, ``environment`` (its ``concept_features``), ``categorical`` (one-hot code of a
-            ``Discrete`` space, in which all states are equally far apart), ``identity`` (the flat observation), or the
-            name of a map that is learned.
-        groups: The features that make a concept together: ``concept_groups()`` of the environment, or of a given map
-            that is an object with such a method. Empty where all features do.
-    """
+    """A feature map φ and where it comes from."""
 
     map: FeatureMap
-    size: int | None
+    size: int | None  # dimensions d; None where φ refuses a made-up observation, until there is a real one
     kind: FeatureKind
-    groups: tuple[FeatureGroup, ...] = ()
+    groups: tuple[
+        FeatureGroup, ...
+    ] = ()  # features that make a concept together; empty where all do
 
 
 def _one_hot(numbers: IntArray, observations: Observations) -> FloatArray:
@@ -63,10 +55,6 @@ def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | MapName | None) ->
     """The feature map to use for ``env``: the given one, else the environment's own, else one that fits its space.
 
     None where there is no sensible default (``Dict`` and other composite spaces, images).
-
-    Raises:
-        TypeError: ``feature_map`` is not callable.
-        ValueError: A given map or the environment's own does not return shape (batch, d), or its groups do not fit.
     """
     space = env.observation_space
     if isinstance(feature_map, str) and feature_map == LEARNED:

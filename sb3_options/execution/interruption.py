@@ -35,16 +35,7 @@ class Interruption:
     every_choice: bool = False
 
     def watch(self, action: int, observation: Any, available: Callable[[], BoolArray]) -> Callable[[Any], bool] | None:
-        """What says of each state that an option arrives in whether to end it there.
-
-        Args:
-            action: The option that is about to begin, as augmented action.
-            observation: Where it begins.
-            available: Gives the mask of the current state, (n_actions,).
-
-        Returns:
-            None if the option is to run to its end.
-        """
+        """What says of each state that an option arrives in whether to end it there."""
         if not self.every_choice and self.falls_behind(action, observation, available):
             return None
         return lambda arrived_in: self.falls_behind(action, arrived_in, available)

@@ -72,12 +72,7 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
         return observation, info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """One primitive step.
-
-        Raises:
-            ValueError: The environment itself uses a name in ``info`` under which recorders report, or what it calls
-                ``is_success`` is no truth value.
-        """
+        """One primitive step."""
         result = self.env.step(action)
         if self.recorder is None:
             return result

@@ -43,26 +43,14 @@ class SlotState:
 
 
 class Traits(NamedTuple):
-    """What an environment with options is; ``get_attr("traits")``.
-
-    Attributes:
-        n_primitive: Number of primitive actions.
-        max_options: Number of slots.
-        gamma: γ per primitive step.
-        max_runs: How often an option may run in an episode; None for any number.
-        masks_primitives: Whether the environment says which of its own actions may be taken.
-        observation_space: Of the observations that options act on; a wrapper above may have another.
-        feature_kind: Where the feature map comes from; None where there is none.
-        feature_groups: Which features make a concept together; empty where all do.
-        feature_size: Dimensions of concept space; None without a feature map, or where only an observation tells.
-    """
+    """What an environment with options is; ``get_attr("traits")``."""
 
     n_primitive: int
     max_options: int
     gamma: float
     max_runs: int | None
-    masks_primitives: bool
-    observation_space: spaces.Space[Any]
-    feature_kind: FeatureKind | None
+    masks_primitives: bool  # whether the environment says which of its own actions may be taken
+    observation_space: spaces.Space[Any]  # of what options act on; a wrapper above may have another
+    feature_kind: FeatureKind | None  # None without a feature map
     feature_groups: tuple[FeatureGroup, ...]
-    feature_size: int | None
+    feature_size: int | None  # None without a feature map, or where only an observation tells

@@ -177,12 +177,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         return described(self.outermost, self)
 
     def set_slots(self, **changes: Any) -> None:
-        """Replace fields of this environment's `SlotState`; ``options`` are added to those that it names.
-
-        Raises:
-            TypeError: There is no such field, or an option is none.
-            ValueError: There is no such slot, or the feature map is not learned.
-        """
+        """Replace fields of this environment's `SlotState`; ``options`` are added to those that it names."""
         state = dataclasses.replace(self.slot_state, **changes)
         for slot, option in changes.get("options", {}).items():
             self.bank.check_slot(slot)
@@ -236,9 +231,6 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
 
         An environment that masks its own actions goes on doing so. An option whose first primitive it masks, or that
         has run ``max_runs`` times in this episode, may not start.
-
-        Raises:
-            gymnasium.error.ResetNeeded: Before the first ``reset``.
         """
         if self.bank.max_options and not self.bank.filled:
             self._warn_once(
@@ -298,13 +290,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
     def step(self, action: int) -> StepReturn:
         """Run one primitive action once, or one option to its end, and return what the class describes.
 
-        Args:
-            action: 0 … n_primitive − 1 for a primitive, n_primitive + i for slot i.
-
         Raises:
-            ValueError: There is no such action, the environment's info uses a name that is needed here, or
-                ``check_finite`` refuses what it gave.
-            gymnasium.error.ResetNeeded: A slot is named before the first ``reset``.
+            ValueError: There is no such action, or ``check_finite`` refuses what the environment gave.
         """
         action = int(action)
         slot = action - self.n_primitive

@@ -106,11 +106,7 @@ class OptionBank:
         return slot
 
     def remove(self, slot: int) -> Option:
-        """Empty a slot, and return what was in it.
-
-        Raises:
-            ValueError: There is no such slot, or it is empty.
-        """
+        """Empty a slot, and return what was in it."""
         self.check_slot(slot)
         option = self._slots[slot]
         if option is None:
@@ -158,14 +154,6 @@ class OptionBank:
         """Fill the slots with the options of a file that `save` wrote, in the slots they were in.
 
         A hand-made option of the file must already be in its slot. Either everything is loaded or nothing is.
-
-        Args:
-            source: Path of an options file, or of a ``model.zip`` that holds one, or what `content` gave.
-
-        Raises:
-            FileNotFoundError: There is no such file.
-            ValueError: The file is damaged, is something else, or holds options for other observations, other
-                features or other primitive actions.
         """
         loaded = option_file.load(
             source,

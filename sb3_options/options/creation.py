@@ -34,22 +34,14 @@ def learn_option(
     *,
     name: str = "subgoal",
 ) -> SubgoalOption | None:
-    """An option for a proposal, made from saved trajectories.
+    """An option for a proposal, made from saved trajectories, not yet bound to a feature map.
 
-    Args:
-        proposal: A region to reach, a passage to one, or a reward to gain. If a region has a
-            group of features, the initiation set has the features that the group sees, and the policy acts on these
-            alone, whatever ``policy_input`` says.
-        trajectories: The saved ones.
-        n_primitive: Number of primitive actions.
-        settings: How. On a group of features an option lasts ``initiation_steps`` at most, the steps within which it
-            has to promise to reach its subgoal: what it does not see can make it go in a circle.
-        generator: For a network's first weights and batches.
-        name: For people.
+    On a group of features the initiation set has the features that the group sees, and the policy acts on these alone,
+    whatever ``policy_input`` says. The option lasts ``initiation_steps`` at most, within which it has to promise to
+    reach its subgoal: what it does not see can make it go in a circle.
 
-    Returns:
-        The option, not yet bound to a feature map; None if no saved trajectory leads to the subgoal or, on a group of
-        features, none promises to reach it often enough (``min_reach``), or if nothing is to be gained on any.
+    None if no saved trajectory leads to the subgoal, if none promises to reach it often enough (``min_reach``), or if
+    nothing is to be gained on any.
     """
     trajectories = list(trajectories)
     if isinstance(proposal, Region) and proposal.group is not None:

@@ -25,9 +25,7 @@ def initiation_set(
     points: list[FloatArray] = [t.features[:0] for t in trajectories[:1]] or [subgoal.points[:0]]
     for labelled in trajectories:
         visits = labelled.trajectory.visits
-        times = np.flatnonzero(subgoal.contains(labelled.features)[visits])
-        if settings.initiation_visits == "first":
-            times = times[:1]
+        times = np.flatnonzero(subgoal.contains(labelled.features)[visits])[:1]  # a later one may be from behind
         before = np.unique(
             [row for t in times for row in visits[max(0, t - settings.initiation_steps) : t]],
         ).astype(np.int64)

@@ -17,8 +17,7 @@ class OptionLearningSettings:
     Attributes:
         policy_input: What the option's policy acts on. ``features`` are enough where the way to the subgoal shows in
             concept space; then a few trajectories suffice, because there is less to tell apart.
-        initiation_steps: n: the states of the last n primitive steps before a visit of the subgoal enter I.
-        initiation_visits: ``first`` visit of the subgoal in each trajectory only, which leads forward, or ``every``.
+        initiation_steps: n: the states of the last n primitive steps before the first visit of the subgoal enter I.
         initiation_radius: An observation lies in I if its features are within this distance, in scaled units, of a
             state that entered I.
         min_reach: Of an option on a group of features: I keeps the states from where the saved steps promise to reach
@@ -38,7 +37,6 @@ class OptionLearningSettings:
 
     policy_input: PolicyInput = "observation"
     initiation_steps: Annotated[int, Field(ge=1)] = 15
-    initiation_visits: Literal["first", "every"] = "first"
     initiation_radius: Annotated[float, Field(ge=0)] = 0.5
     min_reach: Annotated[float, Field(ge=0, le=1)] = 0.5
     max_duration: Annotated[int, Field(ge=1)] = 100

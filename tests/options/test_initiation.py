@@ -1,5 +1,3 @@
-from typing import Literal
-
 import numpy as np
 import pytest
 
@@ -21,20 +19,10 @@ class TestInitiationSet:
     trajectories = (walk([1, 2, 3, 4, 5, 6, 7, 6, 5, 4]), walk([9, 8, 7]), walk([0, 1, 0, 4, 5]))
 
     @pytest.mark.parametrize(
-        ("n", "visits", "expected"),
-        [
-            (1, "first", [4]),
-            (2, "first", [0, 3, 4]),
-            (3, "first", [0, 1, 2, 3, 4]),
-            (1, "every", [4, 6]),
-            (2, "every", [0, 3, 4, 6, 7]),
-            # Four states before the second visit at time 8 lie 5 (the door itself, never in I), 6, 7 and 6.
-            (4, "every", [0, 1, 2, 3, 4, 6, 7]),
-            (100, "first", [0, 1, 2, 3, 4]),
-        ],
+        ("n", "expected"), [(1, [4]), (2, [0, 3, 4]), (3, [0, 1, 2, 3, 4]), (100, [0, 1, 2, 3, 4])]
     )
-    def test_by_hand(self, n: int, visits: Literal["first", "every"], expected: list[float]) -> None:
-        settings = OptionLearningSettings(initiation_steps=n, initiation_visits=visits)
+    def test_by_hand(self, n: int, expected: list[float]) -> None:
+        settings = OptionLearningSettings(initiation_steps=n)
         region = initiation_set(DOOR, self.trajectories, settings)
         assert centres(region) == expected
         assert region.radius == 0.5
@@ -45,9 +33,8 @@ class TestInitiationSet:
             assert region.points.shape == (0, 1)
             assert not region.contains(np.array([[5.0]])).any()
 
-    @pytest.mark.parametrize("visits", ["first", "every"])
-    def test_the_subgoal_is_never_in_it(self, visits: Literal["first", "every"], rng: np.random.Generator) -> None:
-        settings = OptionLearningSettings(initiation_visits=visits, initiation_steps=7, initiation_radius=0.0)
+    def test_the_subgoal_is_never_in_it(self, rng: np.random.Generator) -> None:
+        settings = OptionLearningSettings(initiation_steps=7, initiation_radius=0.0)
         subgoal = ball(0.0, radius=1.5)
         for _ in range(50):
             places = rng.integers(-1, 2, size=60).cumsum() + rng.integers(-6, 7)

@@ -22,7 +22,6 @@ COUNTS = ("initiation_steps", "max_duration", "sweeps", "network_updates")
         (("gamma",), (0.0, -1.0), "greater than 0"),
         (("gamma",), (1.01, math.nan), "less than or equal to 1|greater than 0"),
         (("leave_reward",), (0.0, math.nan, math.inf, -math.inf), "a finite number|less than 0"),
-        (("initiation_visits",), ("last", None), "'first' or 'every'"),
         (("policy_input",), ("state", None), "'observation' or 'features'"),
         (("value_function",), ("tree", None), "'auto', 'table' or 'network'"),
         (("grow",), (3, None), "a valid boolean"),
