@@ -68,7 +68,7 @@ def states_of(env: gym.Env[Any, Any]) -> list[State]:
 
 
 def set_states(env: gym.Env[Any, Any], states: list[State]) -> str | None:
-    """Go on with what `states_of` gave, in an environment that was made alike and has been reset."""
+    """Go on with what `states_of` gave, after a reset; returns why the episode cannot go on where it was, or None."""
     layers = list(_layers(env))
     there = [state["class"] for state in states]
     here = [type(layer).__name__ for layer in layers]
