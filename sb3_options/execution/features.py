@@ -41,9 +41,7 @@ class Features(NamedTuple):
     map: FeatureMap
     size: int | None  # dimensions d; None where φ refuses a made-up observation, until there is a real one
     kind: FeatureKind
-    groups: tuple[
-        FeatureGroup, ...
-    ] = ()  # features that make a concept together; empty where all do
+    groups: tuple[FeatureGroup, ...] = ()  # features that make a concept together; empty where all do
 
 
 def _one_hot(numbers: IntArray, observations: Observations) -> FloatArray:
