@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib
 import inspect
 import io
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
@@ -26,12 +26,11 @@ from sb3_options.extras import how_to_install
 from sb3_options.runs import config as configs
 from sb3_options.runs.commands import CompareConfig, DemoConfig, EvaluateConfig, InspectConfig, ResumeConfig, TuneConfig
 from sb3_options.runs.config import FIELDS, GROUPS, TrainConfig
-from sb3_options.runs.keywords import NUMBERS, PAIRS, value_of
+from sb3_options.runs.keywords import PAIRS, value_of
 from sb3_options.runs.program import program_name
 from sb3_options.runs.users_code import IMPORTING, named_in_errors
 
 if TYPE_CHECKING:
-    from sb3_options.runs.evaluation import Evaluation
     from sb3_options.runs.interrupts import Interrupts
 
 T = TypeVar("T")
@@ -64,8 +63,15 @@ SHORT_HELP = (
 DEFAULT_WIDTH = 20
 """Characters of a default in the help."""
 
-FOREIGN = {"lr": "learning-rate", "timesteps": "n-timesteps", "total-timesteps": "n-timesteps"}
-"""Flags of other programs, and what they are called in this one."""
+COMMANDS: dict[str, tuple[type[Any], str]] = {
+    "demo": (DemoConfig, "demo:show_demo"),
+    "evaluate": (EvaluateConfig, "evaluation:show_evaluation"),
+    "resume": (ResumeConfig, "training:resume"),
+    "compare": (CompareConfig, "compare:show_comparison"),
+    "tune": (TuneConfig, "tune:tune"),
+    "options": (InspectConfig, "report:show_options"),
+}
+"""What a command takes, and the module and function in ``sb3_options.runs`` that it calls."""
 
 INTRODUCTION = """Train an agent that discovers its own options, or evaluate one. Or --version.
   [train] ALGORITHM maskableppo (default), ppo, a2c, trpo, recurrentppo, dqn,
@@ -75,8 +81,8 @@ INTRODUCTION = """Train an agent that discovers its own options, or evaluate one
   compare RUN ...   sets runs side by side; `options RUN` shows its options
   --config FILE     reads settings, flags win over it; `tune FILE` searches them
   --n-steps 64      any argument of SB3's class is a flag, too
-  --help all        all settings; --help discovery: how --method NAME finds
-                    subgoals; --help option: how options are learned;
+  --help all        all settings of a run; --help discovery: how --method NAME
+                    finds subgoals; --help option: how options are learned;
                     --help usefulness: how they are judged
 """
 
@@ -92,19 +98,21 @@ def main(args: Sequence[str] | None = None) -> None:
     status = USAGE
     noted: Interrupts | None = None
     try:
+        target = "training:train"
         if command in COMMANDS:
-            of, run = COMMANDS[command]
+            of, target = COMMANDS[command]
             settings = parsed(of, args[1:], f"{program_name()} {command}")
         else:
-            run = train
             settings = parse(args[1:] if command == "train" else args, program_name())
         status = 1
-        if run in (train, resume):
+        run = _imported(target)
+        if target.startswith("training:"):
             from sb3_options.runs.interrupts import Interrupts  # which imports SB3
 
             noted = Interrupts()
-            run = partial(run, interrupts=noted)
-        run(settings)
+            run(settings, noted)
+        else:
+            run(settings, Console(highlight=False, soft_wrap=True))
     except KeyboardInterrupt as interrupt:
         Console(stderr=True, highlight=False).print(" ".join(["Interrupted", *interrupt.args]) + ".")
         sys.exit(INTERRUPTED if noted is None else noted.status)
@@ -116,6 +124,16 @@ def main(args: Sequence[str] | None = None) -> None:
         _stop_on(error)
     if noted is not None and noted.noted:
         sys.exit(noted.status)
+
+
+def _imported(target: str) -> Any:
+    module, _, name = target.partition(":")
+    try:
+        return getattr(importlib.import_module(f"sb3_options.runs.{module}"), name)
+    except ModuleNotFoundError as error:
+        if module != "tune":
+            raise
+        raise ModuleNotFoundError(f"{error}. Searching takes Optuna: {how_to_install('tune')}.") from error
 
 
 def _stop_on(error: Exception) -> NoReturn:
@@ -141,22 +159,17 @@ def _stop(error: BaseException, text: str, status: int) -> NoReturn:
     sys.exit(status)
 
 
-def parsed(of: type[T], args: Sequence[str], prog: str, default: T | None = None) -> T:
-    """Settings that flags describe. Help is printed as tyro has it, errors are raised.
-
-    Raises:
-        ValueError: A flag is unknown, or a value is none.
-    """
-    console_text = io.StringIO()
-    given: dict[str, Any] = {} if default is None else {"default": default}
+def parsed(of: type[T], args: Sequence[str], prog: str, **kwargs: Any) -> T:
+    """Settings that flags describe, by tyro. Help is printed, errors are raised as `ValueError`."""
+    said = io.StringIO()
     try:
-        with contextlib.redirect_stderr(console_text):
-            settings: T = tyro.cli(of, prog=prog, args=args, registry=NUMBERS, **given)
+        with contextlib.redirect_stderr(said):
+            settings: T = tyro.cli(of, prog=prog, args=args, **kwargs)
             return settings
     except SystemExit as stopped:
         if not stopped.code:
             raise
-    raise ValueError(" ".join(re.sub(r"[─-╿]", " ", console_text.getvalue()).split()))
+    raise ValueError(" ".join(re.sub(r"[─-╿]", " ", said.getvalue()).split()))
 
 
 def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
@@ -193,51 +206,43 @@ def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
             values = {name: value for name, value in values.items() if name in FIELDS and name not in configs.OWN}
         values["algo"] = asked.lower()
     default = configs.build(values, given.config or prog)
-    flags, own = _apart(words, default.algo)
-    if own:
-        default = configs.build(configs.as_values(default) | own, prog)
     if given.help is not None:
         _show_help(default, given.help, prog)
-    config = parsed(TrainConfig, flags, f"{prog} {default.algo}", default)
-    if config.algo_kwargs != default.algo_kwargs:  # --algo-kwargs adds to the defaults
-        more = configs.merged(default.algo_kwargs, config.algo_kwargs)
-        config = configs.build(configs.as_values(config) | {"algo_kwargs": more}, prog)
-    return config
+    flags = [re.sub("^--method(?==|$)", "--discovery.method", each) for each in words]
+    found: Any = parsed(TrainConfig, flags, f"{prog} {default.algo}", default=default, return_unknown_args=True)
+    config: TrainConfig = found[0]
+    others: list[str] = found[1]
+    own = configs.merged(config.algo_kwargs, _arguments(others, default.algo))
+    if own == default.algo_kwargs:
+        return config
+    more = configs.merged(default.algo_kwargs, own)  # --algo-kwargs adds to the defaults
+    return configs.build(configs.as_values(config) | {"algo_kwargs": more}, prog)
 
 
-def _apart(words: Sequence[str], algo: str) -> tuple[list[str], dict[str, Any]]:
-    """Flags of `TrainConfig`, and arguments of the algorithm's class that were given as flags."""
-    flags: list[str] = []
+def _arguments(words: Sequence[str], algo: str) -> dict[str, Any]:
+    """Flags that `TrainConfig` does not have, as arguments of the algorithm's class."""
+    if not words:
+        return {}
+    from sb3_options.runs.algorithms import arguments_of  # which imports SB3
+
+    known = arguments_of(algo)
     own: dict[str, Any] = {}
-    arguments: Mapping[str, Any] | None = None
-    i = 0
-    while i < len(words):
-        name, equals, value = words[i].partition("=")
-        values = [value] if equals else []
-        i += 1
-        while i < len(words) and not words[i].startswith("--") and not equals:
-            values.append(words[i])
-            i += 1
-        key = name.removeprefix("--").replace("-", "_")
-        if name == "--method":
-            name = "--discovery.method"
-        elif key in FOREIGN or key.replace("_", "-") in FOREIGN:
-            raise ValueError(f"There is no flag {name}. Did you mean --{FOREIGN[key.replace('_', '-')]}?")
-        elif name.startswith("--") and "." not in key and key.removeprefix("no_") not in FIELDS:
-            if arguments is None:
-                from sb3_options.runs.algorithms import arguments_of  # which imports SB3
-
-                arguments = arguments_of(algo)
-            if key in arguments and values:
-                read = [value_of(key, each) for each in values]
-                own[key] = read if len(read) > 1 or key == "net_arch" else read[0]
-                continue
-            raise ValueError(f"{algo}: {configs.unknown(key, arguments)}")
-        flags += [f"{name}={value}"] if equals else [name, *values]
-    return flags, own
+    key = ""
+    for word in words:
+        if word.startswith("--"):
+            name, equals, value = word.partition("=")
+            key = name.removeprefix("--").replace("-", "_")
+            own[key] = [value_of(key, value)] if equals else []
+        else:
+            own.setdefault(key, []).append(value_of(key, word))
+    for key, read in own.items():
+        if key not in known or not read:
+            raise ValueError(f"{algo}: {configs.unknown(key, known)}")
+        own[key] = read if len(read) > 1 or key == "net_arch" else read[0]
+    return own
 
 
-def _read(path: Path, trusted: Mapping[str, str]) -> dict[str, Any]:
+def _read(path: Path, trusted: dict[str, str]) -> dict[str, Any]:
     """The settings of ``--config``: a file, or a run folder that has one."""
     file = path / configs.CONFIG if path.is_dir() else path
     if path.is_dir() and not file.is_file():
@@ -261,7 +266,7 @@ def _show_help(default: TrainConfig, section: str, prog: str) -> NoReturn:
         names = SHORT_HELP if section == "short" else [name for name in FIELDS if name not in ("algo", *GROUPS)]
         rows += [_row(name, getattr(default, name), texts[name]) for name in names]
     for group, of in GROUPS.items():
-        if section in (group, "all"):
+        if section == group:
             part = vars(getattr(default, group))
             rows += [_row(f"{group}.{name}", part[name], text) for name, text in _texts_of(of).items()]
     table = Table(box=None, show_header=False, pad_edge=False, expand=True)
@@ -289,73 +294,3 @@ def _texts_of(settings: type[Any]) -> dict[str, str]:
     attributes = inspect.cleandoc(settings.__doc__ or "").partition("Attributes:\n")[2]
     entries = re.split(r"\n(?=    \w)", attributes)
     return {name.strip(): " ".join(text.split()) for name, _, text in (entry.partition(": ") for entry in entries)}
-
-
-def train(config: TrainConfig, interrupts: Interrupts | None = None) -> Path:
-    """Train, and leave a run folder; see `runs.training.train`."""
-    from sb3_options.runs import training
-
-    return training.train(config, interrupts).folder
-
-
-def resume(config: ResumeConfig, interrupts: Interrupts | None = None) -> None:
-    """Go on with a run that was cut off; see `runs.training.resume`."""
-    from sb3_options.runs import training
-
-    training.resume(config, interrupts)
-
-
-def demo(config: DemoConfig) -> None:
-    """Show the gain; see `runs.demo.show_demo`."""
-    from sb3_options.runs.demo import show_demo
-
-    show_demo(config, _console())
-
-
-def evaluate(config: EvaluateConfig) -> Evaluation:
-    """Evaluate a run; see `runs.evaluation.show_evaluation`."""
-    from sb3_options.runs.evaluation import show_evaluation
-
-    return show_evaluation(config, _console())
-
-
-def compare(config: CompareConfig) -> None:
-    """Set runs side by side; see `runs.compare.show_comparison`."""
-    from sb3_options.runs.compare import show_comparison
-
-    show_comparison(config, _console())
-
-
-def tune(config: TuneConfig) -> None:
-    """Search for settings; see `runs.tune.tune`.
-
-    Raises:
-        ModuleNotFoundError: Optuna is not installed.
-    """
-    try:
-        from sb3_options.runs import tune as tuning  # Optuna is in an extra
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(f"{error}. Searching takes Optuna: {how_to_install('tune')}.") from error
-    tuning.tune(config, _console())
-
-
-def options(config: InspectConfig) -> None:
-    """Show what is in an options file; see `runs.report.show_options`."""
-    from sb3_options.runs.report import show_options
-
-    show_options(config, _console())
-
-
-def _console() -> Console:
-    return Console(highlight=False, soft_wrap=True)
-
-
-COMMANDS: dict[str, tuple[type[Any], Callable[[Any], object]]] = {
-    "demo": (DemoConfig, demo),
-    "evaluate": (EvaluateConfig, evaluate),
-    "resume": (ResumeConfig, resume),
-    "compare": (CompareConfig, compare),
-    "tune": (TuneConfig, tune),
-    "options": (InspectConfig, options),
-}
-"""What a command takes, and what it does."""

@@ -15,11 +15,11 @@ from experiments.common.seeds import Result
 from experiments.pioneer.agents import described, discoverer, evaluate, make_agent
 from experiments.pioneer.settings import MAIN_TASK, TASKS, PioneerSettings
 from sb3_options.atomic import atomic_write
-from sb3_options.cli import train
 from sb3_options.envs.pioneer.env import DEPOSIT_REWARD, STEP_REWARD, TOUCH_REWARD
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.evaluation import evaluate_run
 from sb3_options.runs.folder import MONITOR
+from sb3_options.runs.training import train
 
 EVALUATION_SEED = 10_000
 """Added to a run's seed for the trials in which it is evaluated."""
@@ -77,7 +77,7 @@ def dqn(config: TrainConfig, artifacts: Path, seed: int) -> Result:
     for name, discover in (("primitive", False), ("discovery", True)):
         folder = artifacts / str(seed) / name
         with redirect_stdout(StringIO()):
-            run = train(replace(config, seed=seed, discover=discover, progress=False, tensorboard_log=folder))
+            run = train(replace(config, seed=seed, discover=discover, progress=False, tensorboard_log=folder)).folder
             found = evaluate_run(run, episodes=DQN_EVALUATION_EPISODES, seed=EVALUATION_SEED + seed)
         returns, steps, _ = np.loadtxt(run / MONITOR / "0.monitor.csv", delimiter=",", skiprows=2, ndmin=2).T
         result[name] = {

@@ -24,7 +24,7 @@ from sb3_options.experience.success import success_rule
 from sb3_options.options.settings import OptionLearningSettings, UsefulnessSettings
 from sb3_options.runs import yaml_file
 from sb3_options.runs.keywords import PAIRS, keywords_of
-from sb3_options.runs.users_code import flag, with_trusted
+from sb3_options.runs.users_code import with_trusted
 
 ALGORITHMS = {
     "maskableppo": ("sb3_contrib", "MaskablePPO"),
@@ -40,13 +40,6 @@ ALGORITHMS = {
 
 OFF_POLICY = ("dqn", "qrdqn", "optiondqn")
 
-ONLY_FOR = {
-    "interruption": OFF_POLICY,
-    "max_option_exploration": (*OFF_POLICY, "maskableppo"),
-    "max_runs": ("maskableppo",),
-}
-"""Settings that have no effect on the other algorithms."""
-
 COMMANDS = ("train", "demo", "evaluate", "resume", "compare", "tune", "options")
 """The other first words of a command line."""
 
@@ -61,10 +54,9 @@ SAME_NAME = 0.7
 """Least similarity of a suggested algorithm or command, as `difflib` measures it."""
 
 NAME, KIND = (tyro.conf.arg(metavar=name) for name in ("NAME", "KIND"))
-N, X = (tyro.conf.arg(metavar=name) for name in "NX")  # short, so that the help fits a line
+N = tyro.conf.arg(metavar="N")  # short, so that the help fits a line
 Natural: TypeAlias = Annotated[int, Field(ge=0)]
 Count: TypeAlias = Annotated[int, Field(ge=1)]
-Share: TypeAlias = Annotated[float, Field(ge=0.0, le=1.0), X]
 
 
 def _algo_keywords(pairs: Any) -> Any:
@@ -97,9 +89,6 @@ class TrainConfig:
         tensorboard_log: Folder for run folders.
         gamma: Discount γ per primitive step.
         algo_kwargs: Arguments of SB3's class; or as flags: --n-steps 64.
-        max_option_exploration: Largest share of options in exploring.
-        interruption: End options that are worth less than others.
-        max_runs: Most runs of an option in an episode.
         env_wrapper: Wrapper of the environment, module:Class.
         feature_map: φ: module:function, or temporal-distance.
         bonus: Intrinsic reward: none, counts or rnd.
@@ -130,9 +119,6 @@ class TrainConfig:
     tensorboard_log: Path = Path("runs")
     gamma: Annotated[float, Field(gt=0.0, le=1.0)] = 0.97
     algo_kwargs: Annotated[dict[str, Any], BeforeValidator(_algo_keywords), PAIRS] = field(default_factory=dict)
-    max_option_exploration: Share = 0.5
-    interruption: bool = True
-    max_runs: Annotated[Count | None, N] = None
     env_wrapper: Annotated[str | None, NAME] = None
     feature_map: Annotated[str | None, NAME] = None
     bonus: Annotated[Literal["none", "counts", "rnd"], KIND] = "none"
@@ -148,13 +134,8 @@ class TrainConfig:
     usefulness: UsefulnessSettings = field(default_factory=UsefulnessSettings)
 
     def __post_init__(self) -> None:
-        """Refuse settings that would have no effect."""
+        """Refuse the name of no algorithm."""
         check_algo(self.algo)
-        for name, algorithms in ONLY_FOR.items():
-            if self.algo not in algorithms and getattr(self, name) != FIELDS[name].default:
-                raise ValueError(f"{flag(name)} has no effect on {self.algo}, only on {', '.join(algorithms)}")
-        if self.max_runs is not None and self.discovery.segmentation == "peaks":
-            raise ValueError("--max-runs counts in an episode, and a continuing task has none")
 
 
 FIELDS = {f.name: f for f in dataclasses.fields(TrainConfig)}
@@ -167,7 +148,7 @@ HOW_IT_RAN = frozenset({"checkpoint_freq", "compare", "device", "progress", "ten
 CONFIG = "config.yml"
 """File of the settings in a run folder."""
 
-OWN = ("algo", "algo_kwargs", "n_envs", *ONLY_FOR)
+OWN = ("algo", "algo_kwargs", "n_envs")
 """What a file says of its own algorithm only."""
 
 SETTINGS_FOLDER = Path(__file__).parent

@@ -257,7 +257,7 @@ def _play(
         bank.load(saved.with_name(runs.OPTIONS) if saved.name == runs.MODEL else saved)
         if not bank.filled:
             venv.env_method("set_slots", expect_empty=True)  # the model has no others, so nothing is missing
-        if config.algo in OFF_POLICY and config.interruption:
+        if config.algo in OFF_POLICY:
             interrupt_options(model, venv)
         venv.env_method("set_slots", record=True)
         played = greedy_episodes(model, venv, episodes, masked=config.algo == "maskableppo")

@@ -238,7 +238,6 @@ def make_env(
             gamma=config.gamma,
             feature_map=feature_map_of(config.feature_map),
             options_file=options,
-            max_runs=config.max_runs,
             check_finite=True,
         )
 

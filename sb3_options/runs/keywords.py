@@ -1,4 +1,4 @@
-"""Values on the command line: pairs ``name:value`` and whole numbers."""
+"""Values on the command line: pairs ``name:value``."""
 
 from __future__ import annotations
 
@@ -52,41 +52,3 @@ PAIRS = tyro.constructors.PrimitiveConstructorSpec[dict[str, Any]](
     str_from_instance=lambda keywords: [f"{name}:{json.dumps(value)}" for name, value in keywords.items()],
 )
 """How the command line spells keyword arguments."""
-
-
-def whole_number(text: str) -> int:
-    """A whole number, also written as 1e4.
-
-    Raises:
-        ValueError: It is none.
-    """
-    try:
-        return int(text)
-    except ValueError:
-        pass
-    try:
-        number = float(text)
-        if number == int(number):
-            return int(number)
-    except (ValueError, OverflowError):
-        pass
-    raise ValueError(f"a whole number is expected, such as 5000 or 5e3, not {text!r}")
-
-
-NUMBERS = tyro.constructors.ConstructorRegistry()
-"""How the command line reads numbers."""
-
-
-@NUMBERS.primitive_rule
-def _whole_numbers(
-    info: tyro.constructors.PrimitiveTypeInfo,
-) -> tyro.constructors.PrimitiveConstructorSpec[int] | None:
-    if info.type is not int:
-        return None
-    return tyro.constructors.PrimitiveConstructorSpec(
-        nargs=1,
-        metavar="INT",
-        instance_from_str=lambda words: whole_number(words[0]),
-        is_instance=lambda value: isinstance(value, int) and not isinstance(value, bool),
-        str_from_instance=lambda value: [str(value)],
-    )

@@ -88,7 +88,6 @@ def discovery_callback(config: TrainConfig, *, verbose: int = 0) -> SubgoalDisco
         config.discovery,
         config.option,
         max_new_options=config.max_new_options if config.discover else 0,
-        use={"max_option_exploration": config.max_option_exploration, "interruption": config.interruption},
         success=config.success,
         usefulness=config.usefulness,
         seed=config.seed,

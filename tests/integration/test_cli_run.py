@@ -14,9 +14,10 @@ import pytest
 from sb3_options import OptionBank, cli
 from sb3_options.cli import parse
 from sb3_options.runs import config as configs
-from sb3_options.runs.commands import EvaluateConfig
+from sb3_options.runs.evaluation import evaluate_run
 from sb3_options.runs.video import CAPTION_HEIGHT
 from tests.support import processes
+from tests.support.runs import train
 from tests.support.sb3_helpers import read_video
 
 ROOT = Path(__file__).parents[2]
@@ -104,7 +105,7 @@ class TestOptions:
         (tmp_path / "config.yml").write_text(CONFIG)
         args = ["--config", str(tmp_path / "config.yml"), "--options", str(run.folder / "options.safetensors")]
         args += ["--discovery.min-passing", "0", "--discovery.loops", "keep"]  # the doorway is taken: any place will do
-        folder = cli.train(parse([*args, "--tensorboard-log", str(tmp_path), "--seed", "1"]))
+        folder = train(parse([*args, "--tensorboard-log", str(tmp_path), "--seed", "1"]))
         bank = OptionBank(4, 4)
         bank.load(folder / "options.safetensors")
         assert bank.filled == (0, 1)
@@ -131,7 +132,7 @@ class TestEvaluate:
 
     def test_the_same_seed_gives_the_same_result_and_another_does_not(self, run: Run) -> None:
         def play(seed: int) -> Any:
-            return cli.evaluate(EvaluateConfig(run.folder, episodes=4, seed=seed))
+            return evaluate_run(run.folder, episodes=4, seed=seed)
 
         assert play(3) == play(3)
         assert len({play(seed).steps.mean for seed in range(3, 7)}) > 1

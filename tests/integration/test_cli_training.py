@@ -14,9 +14,10 @@ from sb3_options.cli import parse
 from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.runs import config as configs
 from sb3_options.runs import training
-from sb3_options.runs.commands import EvaluateConfig
 from sb3_options.runs.config import ALGORITHMS
+from sb3_options.runs.evaluation import evaluate_run
 from tests.integration.test_cli_run import CONFIG
+from tests.support.runs import train
 from tests.support.sb3_helpers import DOORWAY
 
 
@@ -70,13 +71,13 @@ class TestTrain:
         (tmp_path / "config.yml").write_text(text)
         args = ["--config", str(tmp_path / "config.yml"), "--algo", algo, "--tensorboard-log", str(tmp_path)]
         args += ["--n-epochs", "2"]
-        folder = cli.train(parse([*args, "--discovery.min-positive", "5", "--discovery.decay", "0.5"]))
+        folder = train(parse([*args, "--discovery.min-positive", "5", "--discovery.decay", "0.5"]))
         bank = OptionBank(4, 4)
         bank.load(folder / "options.safetensors")
         assert bank.filled == (0,)
         subgoal = bank[0].subgoal.points[0]  # type: ignore[union-attr]  # discovered
         assert np.abs(subgoal - DOORWAY).sum() <= 1
-        result = cli.evaluate(EvaluateConfig(folder, episodes=2))
+        result = evaluate_run(folder, episodes=2)
         assert result.episodes == 2
 
     def test_says_how_it_went_beside_training_without_discovery(
@@ -117,7 +118,7 @@ class TestTrain:
 @pytest.mark.parametrize(("algo", "bonus"), [("optiondqn", "rnd"), ("maskableppo", "counts")])
 def test_an_intrinsic_reward(algo: str, bonus: str, tmp_path: Path) -> None:
     args = [algo, "--bonus", bonus, "--n-timesteps", "1500", "--max-options", "1", "--no-progress"]
-    folder = cli.train(parse([*args, "--env-kwargs", "max_steps:100", "--tensorboard-log", str(tmp_path)]))
+    folder = train(parse([*args, "--env-kwargs", "max_steps:100", "--tensorboard-log", str(tmp_path)]))
     assert configs.load(folder / "config.yml").bonus == bonus
     (events,) = folder.rglob("events*")
     scalars = EventAccumulator(str(events))

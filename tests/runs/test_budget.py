@@ -16,6 +16,7 @@ from sb3_options.runs.algorithms import check_device
 from sb3_options.runs.budget import KeepToBudget, memory_is_short, rounded_up
 from sb3_options.runs.config import TrainConfig, configure
 from tests.support.helpers import CountingEnv, steady_option
+from tests.support.runs import train
 
 
 def trained(train_freq: int, budget: int, *, option: bool = False) -> DQN:
@@ -121,7 +122,7 @@ def test_training_tells_it_and_keeps_to_it(tmp_path: Path, capsys: pytest.Captur
         device="cpu",
         tensorboard_log=tmp_path,
     )
-    cli.train(config)
+    train(config)
     said = capsys.readouterr().out
     assert "--n-timesteps 40 is rounded up to 60, for a2c learns from whole rollouts: --n-steps 30 times" in said
     assert "Finished after 60 primitive steps" in said

@@ -20,14 +20,14 @@ def test_every_field_survives_saving_and_loading(tmp_path: Path) -> None:
         env_wrapper="a_module:Wrapper", feature_map="a_module:phi", eval_max_steps=70, checkpoint_freq=60, n_envs=3,
         tensorboard_log=Path("else/where"), eval_freq=50, eval_episodes=4, progress=False, device="cpu",
         vec_env="subproc", options=Path("a/run"), max_options=2, max_new_options=None, discover=False, compare=True,
-        gamma=0.5, bonus="rnd", success="return:3", max_option_exploration=0.25, max_runs=3,
+        gamma=0.5, bonus="rnd", success="return:3",
         n_steps=12, clip_range=0.25, policy_kwargs={"ortho_init": False}, net_arch=[3],
         discovery={"decay": 0.8, "scale": 2.5}, option={"max_duration": 9}, usefulness={"min_reached": 0.3},
     )  # fmt: skip
     changed = {f.name for f in dataclasses.fields(config) if getattr(config, f.name) != getattr(configure(), f.name)}
-    assert changed == {*FIELDS} - {"algo", "interruption"}
+    assert changed == {*FIELDS} - {"algo"}
     trusted = {"env_wrapper": config.env_wrapper, "feature_map": config.feature_map}
-    for each in (config, configure(algo="dqn", interruption=False), configure(discovery={"segmentation": "peaks"})):
+    for each in (config, configure(algo="dqn"), configure(discovery={"segmentation": "peaks"})):
         configs.save(each, tmp_path / "config.yml")
         assert configs.load(tmp_path / "config.yml", trusted if each is config else {}) == each
 

@@ -21,6 +21,7 @@ from sb3_options.runs.config import configure
 from sb3_options.runs.evaluation import evaluate_run
 from sb3_options.runs.logged import read_run
 from tests.support.helpers import CountingEnv
+from tests.support.runs import train
 
 Register = Callable[..., list[int]]
 
@@ -72,7 +73,7 @@ def test_success_is_logged_by_the_rule(rule: str, told: str, rate: float | None,
 
     gym.register("Evaluated-v0", lambda: CountingEnv(step=step))  # type: ignore[arg-type]  # no arguments
     try:
-        folder = cli.train(settings(tmp_path, success=rule, n_envs=1, n_timesteps=400, eval_episodes=4))
+        folder = train(settings(tmp_path, success=rule, n_envs=1, n_timesteps=400, eval_episodes=4))
     finally:
         gym.registry.pop("Evaluated-v0")
     curves = read_run(folder).curves
@@ -88,13 +89,13 @@ def test_an_evaluation_ends_where_the_policy_never_arrives(
     own: int | None, limit: int, expected: int, register: Register, tmp_path: Path
 ) -> None:
     register(ends_after=np.inf, max_episode_steps=own)
-    folder = cli.train(settings(tmp_path, n_timesteps=60, eval_max_steps=limit, eval_episodes=2))
+    folder = train(settings(tmp_path, n_timesteps=60, eval_max_steps=limit, eval_episodes=2))
     assert np.load(folder / "evaluations.npz")["ep_lengths"].tolist() == [[expected] * 2]
 
 
 def test_the_limit_is_for_evaluation_only(register: Register, tmp_path: Path) -> None:
     register(ends_after=40)
-    folder = cli.train(settings(tmp_path, n_timesteps=100, eval_max_steps=30, eval_episodes=1))
+    folder = train(settings(tmp_path, n_timesteps=100, eval_max_steps=30, eval_episodes=1))
     assert [line.split(",")[1] for line in (folder / "monitor" / "0.monitor.csv").read_text().splitlines()[2:]] == [
         "40"
     ] * 2
@@ -108,7 +109,7 @@ def test_the_progress_bar_says_where_an_evaluation_is(
     bar = "stable_baselines3.common.callbacks.tqdm.set_description"
     monkeypatch.setattr(bar, lambda self, text, refresh=True: said.append(text))
     register(ends_after=150)
-    cli.train(settings(tmp_path, algo, n_envs=1, n_timesteps=110, eval_freq=100, eval_episodes=2, progress=True))
+    train(settings(tmp_path, algo, n_envs=1, n_timesteps=110, eval_freq=100, eval_episodes=2, progress=True))
     assert said == [
         "evaluating: episode 1 of 2, decision 0",
         "evaluating: episode 1 of 2, decision 100",
@@ -122,7 +123,7 @@ def test_an_interrupt_ends_an_evaluation_and_training(
     register: Register, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     steps = register(ends_after=10, in_step=lambda step: os.kill(os.getpid(), signal.SIGINT) if step == 75 else None)
-    folder = cli.train(settings(tmp_path, eval_episodes=1_000, checkpoint_freq=0))
+    folder = train(settings(tmp_path, eval_episodes=1_000, checkpoint_freq=0))
     assert steps == [75]
     assert "Interrupted after 50 primitive steps" in capfd.readouterr().out
     assert DQN.load(folder / "model.zip").num_timesteps == 50
@@ -140,7 +141,7 @@ def test_a_short_evaluation_is_waited_for_to_write_a_checkpoint(
 
     monkeypatch.setattr(training, "PATIENCE", patience)
     register(ends_after=10, in_step=slow)
-    folder = cli.train(settings(tmp_path, eval_episodes=10))
+    folder = train(settings(tmp_path, eval_episodes=10))
     assert DQN.load(folder / "model.zip").num_timesteps == ends
     there = next(iter(CheckpointFolder(folder / runs.CHECKPOINTS)))
     assert int(there.stem) == (ends if patience > 1 else 0)
@@ -152,7 +153,7 @@ class TestBestModel:
         self, register: Register, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
         register(ends_after=10)
-        folder = cli.train(settings(tmp_path, n_timesteps=120))
+        folder = train(settings(tmp_path, n_timesteps=120))
         assert "Best model:   add --best" in capsys.readouterr().out
         assert DQN.load(folder / "best_model.zip").num_timesteps == 50  # no later one was better
         OptionBank(2, 4).load(folder / "best_model.zip")
@@ -163,7 +164,7 @@ class TestBestModel:
 
     def test_is_missed_with_the_remedy(self, register: Register, tmp_path: Path) -> None:
         register(ends_after=10)
-        folder = cli.train(settings(tmp_path, n_timesteps=20, eval_freq=0))
+        folder = train(settings(tmp_path, n_timesteps=20, eval_freq=0))
         assert not (folder / runs.BEST).exists()
         with pytest.raises(FileNotFoundError, match=r"has no best_model\.zip: train with --eval-freq, which"):
             evaluate_run(folder, best=True)

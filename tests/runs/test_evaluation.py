@@ -15,6 +15,7 @@ from sb3_options.runs import folder as runs
 from sb3_options.runs.config import configure
 from sb3_options.runs.evaluation import evaluate_run
 from tests.support.helpers import CountingEnv
+from tests.support.runs import train
 
 
 def test_a_configuration_that_would_import_a_module_is_refused(tmp_path: Path) -> None:
@@ -30,7 +31,7 @@ def test_an_episode_that_never_ends_is_an_error(tmp_path: Path, monkeypatch: pyt
         algo="dqn", env_kwargs={"continuing": True, "max_steps": None}, n_timesteps=50, discover=False, progress=False,
         tensorboard_log=tmp_path, device="cpu",
     )  # fmt: skip
-    run = cli.train(config)
+    run = train(config)
     monkeypatch.setattr(evaluation, "LONGEST_EPISODE", 300)
     with pytest.raises(
         ValueError,
@@ -43,7 +44,7 @@ def test_an_episode_that_never_ends_is_an_error(tmp_path: Path, monkeypatch: pyt
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs")
     config = configure(algo="dqn", n_timesteps=50, progress=False, device="cpu", tensorboard_log=folder)
-    return cli.train(config)
+    return train(config)
 
 
 def test_an_environment_with_other_spaces_is_named_with_them(run: Path) -> None:
@@ -90,7 +91,7 @@ def test_of_an_environment_that_draws_nothing_no_video_is_proposed_or_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(gym.registry, "Blank-v0", EnvSpec("Blank-v0", blank))  # type: ignore[arg-type]  # no arguments
-    run = cli.train(
+    run = train(
         configure(algo="dqn", env="Blank-v0", n_timesteps=50, progress=False, device="cpu", tensorboard_log=tmp_path)
     )
     (proposed,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("Evaluate:")]
@@ -118,5 +119,5 @@ def test_a_run_without_options_lacks_none(tmp_path: Path, caplog: pytest.LogCapt
         n_timesteps=64, n_steps=64, n_envs=1, discover=False, progress=False, device="cpu", tensorboard_log=tmp_path,
         env_kwargs={"max_steps": 50},
     )  # fmt: skip
-    evaluate_run(cli.train(config), episodes=1)
+    evaluate_run(train(config), episodes=1)
     assert "No slot holds an option" not in caplog.text

@@ -75,23 +75,14 @@ def test_keyword_arguments_of_the_environment(text: str, tmp_path: Path) -> None
     ("args", "expected"),
     [
         (["--n-timesteps", "0"], "n_timesteps should be greater than or equal to 1, got 0"),
-        (["--n-envs", "100000000"], "n_envs should be less than or equal to"),
-        (["--gamma", "nan"], "gamma should be less than or equal to 1, got nan"),
         (["--env-kwargs", "map"], "takes pairs name:value, got map"),
         (["--discovery.min-positive", "0"], "min_positive"),
         (["--seed", "many"], "--seed"),
         (["--max-option", "3"], "Did you mean 'max_options'"),
-        (["--max-runs=5", "--discovery.segmentation=peaks"], "--max-runs counts in an episode, and a continuing task"),
         (["ppo", "--learning-starts", "9"], "ppo: there is no setting 'learning_starts'"),
-        (["ppo", "--no-interruption"], "--interruption has no effect on ppo, only on dqn, qrdqn, optiondqn"),
-        (["ppo", "--max-option-exploration=1"], "--max-option-exploration has no effect on ppo"),
-        (["ppo", "--max-runs=5"], "--max-runs has no effect on ppo, only on maskableppo"),
         (["--algo", "sarsa"], "There is no algorithm 'sarsa': choose from maskableppo, ppo,"),
         (["evaluat", "run"], "Did you mean 'evaluate'?"),
         (["ppo", "--algo", "dqn"], "One algorithm is trained at a time: ppo or dqn?"),
-        (["--lr", "0.1"], "There is no flag --lr. Did you mean --learning-rate?"),
-        (["ppo", "--total-timesteps=9"], "There is no flag --total-timesteps. Did you mean --n-timesteps?"),
-        (["--n-timesteps", "1.5"], "a whole number is expected, such as 5000 or 5e3, not '1.5'"),
         (["--config"], "--config: expected one argument"),
         (["--help", "bags"], "invalid choice: 'bags'"),
         (["--method", "hand"], "random"),  # what there is
@@ -149,13 +140,6 @@ def test_the_algorithm_comes_first_in_any_case(args: list[str]) -> None:
     assert parse(args) == configure(algo="dqn", seed=1)
 
 
-def test_whole_numbers_may_have_exponents() -> None:
-    words = ["--n-timesteps", "1e4", "--net-arch=3e1", "--max-new-options", "None", "--discovery.capacity=1.5e2"]
-    config = parse(words)
-    assert (config.n_timesteps, config.discovery.capacity, config.max_new_options) == (10_000, 150, None)
-    assert config.algo_kwargs["policy_kwargs"] == {"net_arch": [30]}
-
-
 @pytest.mark.parametrize("words", [["--method", "l-cut"], ["--method=l-cut"], ["--discovery.method", "l-cut"]])
 def test_the_method_of_discovery(words: list[str], tmp_path: Path) -> None:
     expected = parse(words)
@@ -184,12 +168,14 @@ class TestHelp:
             assert len(lines) <= 30  # a screen
 
     def test_all_shows_all(self, capsys: pytest.CaptureFixture[str]) -> None:
-        flags = {
-            word.replace("--no-", "--").replace(".no-", ".") for word in self.text(capsys, "--help", "all").split()
-        }
+        def shown(section: str) -> set[str]:
+            words = self.text(capsys, "--help", section).split()
+            return {word.replace("--no-", "--").replace(".no-", ".") for word in words}
+
         own = {name for name in FIELDS if name not in ("algo", *GROUPS)}
-        parts = {f"{group}.{f.name}" for group, of in GROUPS.items() for f in dataclasses.fields(of)}
-        assert {f"--{name.replace('_', '-')}" for name in own | parts} <= flags
+        assert {f"--{name.replace('_', '-')}" for name in own} <= shown("all")
+        for group, of in GROUPS.items():
+            assert {f"--{group}.{f.name.replace('_', '-')}" for f in dataclasses.fields(of)} <= shown(group)
 
     def test_shows_the_defaults_of_the_environment(
         self, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

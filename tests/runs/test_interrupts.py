@@ -23,6 +23,7 @@ from sb3_options.runs import training
 from sb3_options.runs.config import configure
 from sb3_options.runs.interrupts import TERMINAL, Interrupts, raised
 from tests.support.helpers import CountingEnv
+from tests.support.runs import train
 
 SIGNALS = [*TERMINAL, signal.SIGTERM]
 AT_STEP = 60
@@ -70,8 +71,8 @@ def command_line(tmp_path: Path, *more: str) -> list[str]:
     return ["dqn", "--env", "Interrupted-v0", "--no-progress", "--tensorboard-log", str(tmp_path), *more]
 
 
-def train(tmp_path: Path, **kwargs: Any) -> Path:
-    return cli.train(
+def trained(tmp_path: Path, **kwargs: Any) -> Path:
+    return train(
         configure(algo="dqn", env="Interrupted-v0", progress=False, device="cpu", tensorboard_log=tmp_path, **kwargs)
     )
 
@@ -81,7 +82,7 @@ def test_a_signal_ends_training_after_its_step(
     number: int, counting: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     counting(lambda step: send(number) if step == AT_STEP else None)
-    folder = train(tmp_path, checkpoint_freq=0)
+    folder = trained(tmp_path, checkpoint_freq=0)
     said = capfd.readouterr()
     assert f"Interrupted after {AT_STEP} primitive steps" in said.out
     assert str(folder) in said.out
@@ -96,7 +97,7 @@ def test_a_signal_ends_training_at_a_checkpoint(
     number: int, counting: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     counting(lambda step: send(number) if step == AT_STEP + 1 else None)
-    folder = train(tmp_path)
+    folder = trained(tmp_path)
     said = capfd.readouterr()
     ends = AT_STEP + 4  # train_freq
     assert "Interrupted: training ends where it can go on from, or after 5 s, and is saved." in said.err
@@ -113,7 +114,7 @@ def test_a_rollout_that_takes_too_long_is_not_waited_for(
 ) -> None:
     monkeypatch.setattr(training, "PATIENCE", 0.2)
     counting(lambda step: send() if step == AT_STEP else time.sleep(0.05 * (step > AT_STEP)))
-    folder = train(tmp_path, train_freq=50)
+    folder = trained(tmp_path, train_freq=50)
     said = capfd.readouterr().out
     assert 100 > DQN.load(folder / "model.zip").num_timesteps > AT_STEP
     assert "The last checkpoint is of 0 primitive steps: what came after it is trained again." in said
@@ -160,14 +161,14 @@ def test_code_that_takes_all_exceptions_does_not_take_it(counting: Any, tmp_path
             pass
 
     counting(swallow)
-    assert DQN.load(train(tmp_path) / "model.zip").num_timesteps == AT_STEP
+    assert DQN.load(trained(tmp_path) / "model.zip").num_timesteps == AT_STEP
 
 
 def test_where_it_was_ignored_as_in_a_script_s_background(counting: Any, tmp_path: Path) -> None:
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         counting(lambda step: send() if step == AT_STEP else None)
-        assert DQN.load(train(tmp_path) / "model.zip").num_timesteps == AT_STEP
+        assert DQN.load(trained(tmp_path) / "model.zip").num_timesteps == AT_STEP
         assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
     finally:
         signal.signal(signal.SIGINT, before)
@@ -183,7 +184,7 @@ def test_a_second_one_does_not_wait_for_the_step(
             pytest.fail("went on")
 
     counting(twice)
-    folder = train(tmp_path)
+    folder = trained(tmp_path)
     assert f"Interrupted after {AT_STEP - 1} primitive steps" in capfd.readouterr().out
     assert DQN.load(folder / "model.zip").num_timesteps == AT_STEP - 1
 
@@ -203,7 +204,7 @@ def test_while_saving_it_changes_nothing(
 
     monkeypatch.setattr(DQN, "save", interrupted)
     counting(lambda step: send() if step == AT_STEP and not finished else None)
-    folder = train(tmp_path, n_timesteps=2 * AT_STEP)
+    folder = trained(tmp_path, n_timesteps=2 * AT_STEP)
     said = capfd.readouterr()
     assert ("Finished after" if finished else "Interrupted after") in said.out
     assert said.err.count("What was learned is being saved. A moment, please.") == 2
@@ -248,7 +249,7 @@ def test_a_worker_that_the_signal_ended_as_well_is_no_error(
             raise WorkerLostError("Environment 0 of 1 is gone")
 
     counting(lost)
-    assert (train(tmp_path) / "model.zip").is_file()
+    assert (trained(tmp_path) / "model.zip").is_file()
     assert f"Interrupted after {AT_STEP - 1} primitive steps" in capfd.readouterr().out
 
 
@@ -260,7 +261,7 @@ def test_an_error_keeps_what_was_learned(at: int, *, kept: bool, counting: Any, 
 
     counting(fail)
     with pytest.raises(ValueError, match="the environment's own error") as error:
-        train(tmp_path)
+        trained(tmp_path)
     notes = getattr(error.value, "__notes__", [])
     folders = list(tmp_path.glob("dqn/*"))
     assert len(notes) == len(folders) == kept
