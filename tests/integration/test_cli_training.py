@@ -26,7 +26,7 @@ class TestTrain:
         ("args", "text"),
         [
             (["--n-timesteps", "30"], "No subgoal was discovered: no episode has ended. Train for longer"),
-            (["--algo", "dqn", "--env", "CliffWalking-v1"], "No subgoal was discovered: none of the"),
+            (["--algo", "dqn", "--env", "CliffWalking-v1"], "No subgoal was discovered: no success in"),
             (["--no-discover"], "Discovery was switched off."),
             (["--max-options", "0"], "There was no free slot for an option"),
         ],
