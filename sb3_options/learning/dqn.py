@@ -52,10 +52,6 @@ class OptionDQN(MaskedPrediction, DQN):
         n_steps: int = 1,
         **kwargs: Any,
     ) -> None:
-        if not issubclass(replay_buffer_class, OptionReplayBuffer):
-            raise ValueError(
-                f"OptionDQN needs replay_buffer_class=OptionReplayBuffer, got {replay_buffer_class.__name__}."
-            )
         # SB3 hands its own `n_steps` to its own buffers only.
         kwargs["replay_buffer_kwargs"] = {"n_steps": n_steps, **(kwargs.get("replay_buffer_kwargs") or {})}
         super().__init__(policy, env, replay_buffer_class=replay_buffer_class, **kwargs)  # type: ignore[arg-type]  # SB3 passes None when loading

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import DictRolloutBuffer, RolloutBuffer
 from stable_baselines3.common.vec_env import VecNormalize
@@ -187,19 +186,7 @@ class OptionRolloutBuffer(SMDPAdvantages, RolloutBuffer):
     ``PPO("MlpPolicy", env, rollout_buffer_class=OptionRolloutBuffer)``; `SubgoalDiscoveryCallback` and
     `PrimitiveStepsCallback` replace the buffer of a model that was built without (`option_rollout_buffer`). For
     ``Dict`` observations it is `OptionDictRolloutBuffer`.
-
-    Args:
-        *args: As for ``RolloutBuffer``; ``buffer_size`` counts decisions per environment.
-        **kwargs: As for ``RolloutBuffer``.
-
-    Raises:
-        ValueError: Observations are a ``Dict``.
     """
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        if any(isinstance(value, spaces.Dict) for value in (*args, *kwargs.values())):
-            raise ValueError("For Dict observations pass rollout_buffer_class=OptionDictRolloutBuffer.")
-        super().__init__(*args, **kwargs)
 
 
 class OptionDictRolloutBuffer(SMDPAdvantages, DictRolloutBuffer):

@@ -289,11 +289,6 @@ def test_without_a_callback_it_says_what_to_pass() -> None:
         model.learn(16)
 
 
-def test_refuses_dict_observations() -> None:
-    with pytest.raises(ValueError, match="For Dict observations pass rollout_buffer_class=OptionDictRolloutBuffer"):
-        OptionRolloutBuffer(8, DictEnv().observation_space, DictEnv().action_space)
-
-
 @pytest.mark.parametrize(("share", "n_present"), [(0.5, 1), (0.8, 1), (0.5, 2)])
 def test_an_option_opens_with_its_share_of_the_probability_where_masks_keep_it_in_its_place(
     share: float, n_present: int
