@@ -75,38 +75,26 @@ def set_states(root: BaseCallback | None, states: list[State]) -> None:
 
 
 def _settings(callback: BaseCallback) -> State:
-    """What `SubgoalDiscoveryCallback` was made with."""
+    """What `SubgoalDiscoveryCallback` was made with: settings, and the class and the numbers of a method of ours."""
     if not hasattr(callback, "discoveries"):
         return {}
     given: Any = callback
-    settings = {name: dataclasses.asdict(getattr(given, name)) for name in SETTINGS}
-    return settings if given.method is None else {**settings, "method": _identity(given.method)}
-
-
-def _identity(method: object) -> State:
-    """The class of a method of discovery, and with what numbers it was made if it is ours."""
-    ours = type(method).__module__.startswith("sb3_options.")
-    given = vars(method) if ours else {}
-    numbers = {name: of for name, of in given.items() if not name.startswith("_") and isinstance(of, int | float)}
-    return {"class": type(method).__name__, **numbers}
+    parts = {name: dataclasses.asdict(getattr(given, name)) for name in SETTINGS}
+    ours = type(given.method).__module__.startswith("sb3_options.")
+    numbers = {name: of for name, of in (vars(given.method) if ours else {}).items() if isinstance(of, int | float)}
+    parts["method"] = {"class": type(given.method).__name__, **numbers}
+    return {f"{part} {name}": of for part, names in parts.items() for name, of in names.items() if name[0] != "_"}
 
 
 def _check_settings(callback: BaseCallback, there: State) -> None:
     """Refuse a callback that was made with other settings."""
     here = _settings(callback)
-    if "method" in there and "method" not in here:
-        raise ValueError(
-            f"The checkpoint was written with a method of discovery of your own, {there['method']['class']}: pass it "
-            f"as {type(callback).__name__}(method=...)."
-        )
-    for name in here.keys() & there.keys():
-        for field, value in here[name].items():
-            before = there[name].get(field, value)
-            if before != value:
-                raise ValueError(
-                    f"The checkpoint was written with {name} {field}={before!r} of {type(callback).__name__}, "
-                    f"and here it is {value!r}: what goes on has the same."
-                )
+    for name, before in there.items():
+        if here.get(name, before) != before:
+            raise ValueError(
+                f"The checkpoint was written with {name}={before!r} of {type(callback).__name__}, and here it is "
+                f"{here[name]!r}: what goes on has the same."
+            )
 
 
 def _callbacks(root: BaseCallback | None) -> list[BaseCallback]:

@@ -72,7 +72,7 @@ class TestLoadCheckpoint:
         ("method", "text"),
         [
             (Betweenness(), r"with method class='LCut' of SubgoalDiscoveryCallback, and here it is 'Betweenness'"),
-            (None, r"^The checkpoint was written with a method of discovery of your own, LCut: pass it as"),
+            (None, r"with method class='LCut' of SubgoalDiscoveryCallback, and here it is 'NoneType'"),
             (LCut(min_share=0.9), r"with method min_share=0\.2 of SubgoalDiscoveryCallback, and here it is 0\.9"),
         ],
     )
