@@ -149,32 +149,24 @@ class _Pipe:
 
 
 class RayVecEnv(SubprocVecEnv):
-    """A ``VecEnv`` whose environments live in Ray actors, several to an actor, on all machines of a cluster.
+    """A ``SubprocVecEnv`` whose environments live in Ray actors, several to an actor, on all machines of a cluster.
 
-    It behaves as ``SubprocVecEnv``, and gives the same trajectories for the same seeds. Actions go out and results come
-    back as one message an actor, with one ``ray.get`` a step. So it is for environments that cost: a step takes a
-    millisecond more than theirs.
+    It gives the same trajectories for the same seeds. A step is one message to each actor and takes a millisecond more
+    than the environments, so it is for environments that cost. Every machine needs the same Python and packages.
 
     The loss of a machine, or of a process, ends no training. The environments of its actors start anew elsewhere, with
-    what their slots held (`SlotState`) and the attributes that ``set_attr`` has set. The episodes that were in flight
-    end as truncated: reward 0, ``info["TimeLimit.truncated"]``, the last observation that is known as
-    ``terminal_observation``, and ``info["lost"]``. There is one warning a loss; `lost_actors` counts them, and
-    callbacks of this library log it as ``time/lost_actors``. The new environments draw from seeds of their own. What is
-    lost before the first reset starts anew and is not counted.
-
-    Ray notices that a process or a machine has ended, and after a minute that a machine hangs. It never notices that a
-    single process hangs; ``step_timeout`` does.
-
-    Every machine needs the same Python, the same packages, and the files that the environments read.
+    seeds of their own, what their slots held (`SlotState`) and the attributes that ``set_attr`` has set. The episodes
+    that were in flight end as truncated: reward 0, ``info["TimeLimit.truncated"]``, the last observation that is known
+    as ``terminal_observation``, and ``info["lost"]``. There is one warning a loss. What is lost before the first reset
+    starts anew and is not counted.
 
     Args:
         env_fns: Each makes an environment.
         n_actors: Actors, at most one an environment; by default one a core of the cluster. Ray spreads them.
         address: As `connect` takes it.
-        num_cpus: Cores that an actor reserves. By default it reserves none, so that the environments of a lost machine
-            always find a place.
-        step_timeout: Seconds that an actor may take for a step, a reset or another call, of all its environments.
-            Whoever takes longer hangs, and is lost. None waits for ever. To start an actor may take any time.
+        num_cpus: Cores that an actor reserves; by default none, so that environments always find another place.
+        step_timeout: Seconds that an actor may take for an answer before it is lost; None waits for ever. Ray itself
+            notices a process that ended, and after a minute a machine that hangs, but no process that hangs.
 
     Attributes:
         lost_actors: How often an actor was lost.

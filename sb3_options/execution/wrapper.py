@@ -55,11 +55,6 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
     next primitive is masked, and may not start where its first one is. Chosen all the same it runs a legal primitive,
     as an empty slot does: the first one from its number on.
 
-    With ``max_runs`` no option begins more often than that in an episode; then its slot counts as empty until the
-    next one. Without a limit an option whose subgoal is a dead end leads an untrained agent there again and again. It
-    is for algorithms that mask: others go on choosing the slot, and take single steps. How often an option has run is
-    not in the observation; what is learned is an average over it.
-
     Args:
         env: Its action space must be ``Discrete`` and start at 0.
         max_options: Number of slots, at least 0.
@@ -69,8 +64,9 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             ``Box``. A ``Dict`` space has no default. ``"temporal-distance"`` is learned by
             `SubgoalDiscoveryCallback` while the model trains, from images too.
         options_file: Start with the options of this file, which `OptionBank.save` wrote, or of this ``model.zip``.
-        max_runs: How often one option may run in an episode, at least 1; None for any number. Runs that were
-            interrupted count; single steps, where an option was chosen outside its initiation set, do not.
+        max_runs: How often one option may run in an episode, at least 1, before its slot counts as empty until the
+            next one; None for any number. Without a limit an option whose subgoal is a dead end leads an untrained
+            agent there again and again. For algorithms that mask.
         check_finite: Whether to refuse observations and rewards that are NaN, infinite, or too large for single
             precision, instead of learning from them.
 

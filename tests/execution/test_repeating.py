@@ -1,8 +1,6 @@
 """Environments that do not tell their state go on in mid-episode, because the episode is repeated."""
 
 from collections.abc import Callable
-from importlib.util import find_spec
-from multiprocessing import get_context
 from typing import Any
 
 import gymnasium as gym
@@ -29,8 +27,6 @@ MAKERS: dict[str, Callable[[], Env]] = {
     "rooms": small_rooms,
     "Pendulum": lambda: gym.make("Pendulum-v1"),
 }
-
-PIONEER = "sb3_options/Pioneer-v0"
 
 
 def advanced(env: Env, steps: int, random: np.random.Generator) -> list[Any]:
@@ -68,45 +64,6 @@ def test_goes_on_in_mid_episode(name: str, steps: int) -> None:
     random.bit_generator.state = drawn
     assert failure is None
     assert advanced(copy, 100, random) == there
-
-
-needs_pybullet = pytest.mark.skipif(find_spec("pybullet") is None, reason="PyBullet is not installed")
-
-
-def moment(seed: int, steps: int = 200) -> tuple[list[layers.State], list[Any]]:
-    """A state of a Pioneer at a random moment, with even seeds one in which it holds a ball; and what comes then."""
-    env = layers.prepare(gym.make(PIONEER, n_balls=2, n_obstacles=2, max_steps=None))
-    observation, _ = env.reset(seed=seed)
-    random = np.random.default_rng(seed)
-    taken, least = 0, random.integers(1, 150)
-    while taken < least or (seed % 2 == 0 and not observation[10]):
-        ahead = bool(observation[7]) and random.random() > 0.3
-        towards = 1 if abs(observation[8]) < 0.1 else 3 if observation[8] > 0 else 5
-        observation, _, over, _, _ = env.step(towards if ahead else int(random.integers(7)))
-        taken += 1
-        if over:
-            observation, _ = env.reset()
-    states = layers.states_of(env)
-    there = advanced(env, steps, np.random.default_rng(seed))
-    env.close()
-    return states, there
-
-
-def continued(seed: int, states: list[layers.State], steps: int = 200) -> tuple[str | None, list[Any]]:
-    env, failure = another(lambda: gym.make(PIONEER, n_balls=2, n_obstacles=2, max_steps=None), states)
-    there = advanced(env, steps, np.random.default_rng(seed))
-    env.close()
-    return failure, there
-
-
-@needs_pybullet
-@pytest.mark.slow
-def test_the_pioneer_goes_on_in_a_new_process() -> None:
-    """Twenty random moments, in half of them with a ball in its gripper, and 200 random steps from each."""
-    moments = [moment(seed) for seed in range(20)]
-    with get_context("spawn").Pool(1) as pool:
-        again = pool.starmap(continued, [(seed, states) for seed, (states, _) in enumerate(moments)])
-    assert again == [(None, there) for _, there in moments]
 
 
 def test_is_put_around_the_outermost_that_does_not_tell() -> None:

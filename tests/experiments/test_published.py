@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 
 from experiments.published import measures
 from experiments.published.__main__ import Study, main
-from experiments.published.graphs import cover_time, diffusion_time, joined
+from experiments.published.graphs import diffusion_time
 
 LINE = csr_array(np.diag(np.ones(2), 1) + np.diag(np.ones(2), -1))
 """Three cells in a row."""
@@ -23,12 +23,6 @@ def test_diffusion_time_by_hand() -> None:
         others = [i for i in range(3) if i != goal]
         times += np.linalg.solve(np.eye(2) - chance[np.ix_(others, others)], np.ones(2)).tolist()
     assert diffusion_time(LINE, []) == pytest.approx(np.mean(times))
-
-
-def test_cover_time_of_a_line() -> None:
-    """4 decisions from an end, 5 from the middle: one to an end, and from there 4 to the other."""
-    assert cover_time(LINE, np.random.default_rng(0), 4000) == pytest.approx((4 + 5 + 4) / 3, rel=0.05)
-    assert joined(LINE, [(0, 2)]).toarray().sum() == 6
 
 
 """Ten cells in a row; two of the four moves lead against walls."""

@@ -1,7 +1,7 @@
 """A cluster for the tests of a module."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -25,19 +25,3 @@ def ray_envs(nodes: "TwoNodes") -> Iterator[list["RayVecEnv"]]:
     yield made
     for venv in made:
         venv.close()
-
-
-@pytest.fixture
-def losses(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Why, for each actor that was lost."""
-    from sb3_options.execution.ray_vec_env import RayVecEnv
-
-    noted: list[str] = []
-    start_anew = RayVecEnv._start_anew
-
-    def note(venv: Any, actor: int, why: Exception) -> None:
-        noted.append(str(why))
-        start_anew(venv, actor, why)
-
-    monkeypatch.setattr(RayVecEnv, "_start_anew", note)
-    return noted

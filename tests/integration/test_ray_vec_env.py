@@ -164,25 +164,6 @@ def kill(nodes: TwoNodes, actor: Any) -> None:
     wait_until(lambda: is_dead(nodes, actor))
 
 
-def test_what_is_lost_before_the_first_reset_has_lost_nothing(
-    nodes: TwoNodes, losses: list[str], ray_envs: list[RayVecEnv]
-) -> None:
-    begun: list[list[float]] = []
-    for lost in (False, True):
-        venv = RayVecEnv([make_optioned_rooms] * 2, 1)
-        ray_envs.append(venv)
-        venv.seed(5)
-        venv.set_attr("mark", 7)
-        if lost:
-            kill(nodes, venv._actors[0])
-        observations: Any = venv.reset()
-        assert venv.get_attr("mark") == [7, 7]
-        assert venv.lost_actors == 0
-        begun.append(observations.tolist())
-    assert begun[0] == begun[1]
-    assert len(losses) == 1
-
-
 @pytest.mark.parametrize(
     ("number", "workers"), [(signal.SIGSTOP, True), (signal.SIGKILL, False)], ids=["it hangs", "its raylet is killed"]
 )

@@ -139,17 +139,6 @@ def zipped_steps(model: Path) -> int:
 
 
 class TestFinished:
-    def test_is_said_and_left_as_it_was(self, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        copy = tmp_path / run.name
-        shutil.copytree(run, copy)
-        before = {file: file.read_bytes() for file in copy.rglob("*") if file.is_file()}
-        capsys.readouterr()
-        cli.main(["resume", str(copy), "--no-progress"])
-        said = capsys.readouterr().out
-        assert "is finished: it has trained for 2,000 primitive steps." in said
-        assert "To train on, pass --n-timesteps with a larger number." in said
-        assert {file: file.read_bytes() for file in copy.rglob("*") if file.is_file()} == before
-
     def test_goes_on_for_longer(self, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         copy = tmp_path / run.name
         shutil.copytree(run, copy)

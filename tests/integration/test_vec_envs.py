@@ -129,8 +129,6 @@ def stacked(venv: VecEnv) -> VecEnv:
 
 AROUND: dict[str, Callable[[VecEnv], VecEnv]] = {
     "VecNormalize": lambda venv: VecNormalize(venv, gamma=0.9, clip_reward=np.inf),
-    "VecFrameStack": stacked,
-    "VecCheckNan": lambda venv: VecCheckNan(venv, raise_exception=True),
     "VecNormalize(VecFrameStack)": lambda venv: VecNormalize(stacked(venv), gamma=0.9, clip_reward=np.inf),
     "VecCheckNan(VecNormalize(VecFrameStack))": lambda venv: VecCheckNan(
         VecNormalize(stacked(venv), gamma=0.9, clip_reward=np.inf), raise_exception=True

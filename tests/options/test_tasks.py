@@ -71,6 +71,13 @@ class TestIntrinsicReward:
         assert set(inside(option)) >= {1, 2, 3, 4}
         assert option.policy(PLACES[1:5]).tolist() == [RIGHT] * 4
 
+    def test_with_a_network_it_ends_where_it_does_with_a_table(self) -> None:
+        """A network's values are above 0 at the top, too, and the option would go on for ever."""
+        made = [option_for(hill(0, 1, 2, 3, 4, 3, 2), value_function=how) for how in ("network", "table")]
+        by_network, by_table = (option for option in made if option is not None)
+        assert inside(by_network) == inside(by_table)
+        assert np.flatnonzero(by_network.termination(PLACES)).tolist() == [4]
+
     def test_a_flat_reward_makes_no_option(self) -> None:
         assert option_for(hill(1, 1, 1, 1, 1, 1, 1)) is None
 
