@@ -11,7 +11,7 @@ import numpy as np
 from stable_baselines3.common.logger import Figure, HParam, Logger, TensorBoardOutputFormat
 
 from sb3_options.callbacks.keeper import OptionKeeper
-from sb3_options.discovery.figures import discovery_figures, options_figure
+from sb3_options.discovery.figures import discovery_figures
 from sb3_options.experience.success import learned_at
 from sb3_options.experience.trajectories import EpisodeRecord
 from sb3_options.options.bank import OptionBank
@@ -59,10 +59,7 @@ def draw_discovery(log: Logger, keeper: OptionKeeper) -> None:
     """Draw discovery for TensorBoard, with the next dump of the log."""
     if not takes_more_than_numbers(log):
         return
-    search, bank, discoveries = keeper.search, keeper.options.bank, keeper.discoveries
-    figures = discovery_figures(search, bank)
-    options = options_figure(search, bank, discoveries[-1].slot if discoveries else None)
-    for name, figure in (figures if options is None else {**figures, "options": options}).items():
+    for name, figure in discovery_figures(keeper.search, keeper.options.bank).items():
         log.record(f"discovery/{name}", Figure(figure, close=True), exclude=NUMBERS_ONLY)
 
 

@@ -15,8 +15,6 @@ from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.maps import (
     HEIGHTS,
     PANEL_WIDTH,
-    SUBGOAL,
-    SUBGOAL_COLOUR,
     Cells,
     Marks,
     Title,
@@ -35,16 +33,6 @@ SHARE_SHOWN = 0.25
 
 TEXT_WIDTH = 80
 """Characters of a line of text."""
-
-OPTION_PANEL_WIDTH = 3.4
-"""Of a panel that shows one option, in inches."""
-
-OPTION_COLUMNS = 2
-MOST_OPTIONS = 8
-"""Panels of one picture; the oldest options are left out."""
-
-ROW_HEIGHT = 0.55
-"""Of an option's row where states are numbered, in inches."""
 
 
 def discovery_figures(discovery: Discovery, bank: OptionBank) -> dict[str, Figure]:
@@ -100,82 +88,8 @@ def subgoals_figure(discovery: Discovery, bank: OptionBank, text: str | None = N
     return figure
 
 
-def options_figure(discovery: Discovery, bank: OptionBank, newest: int | None = None) -> Figure | None:
-    """Every option by itself: where it may begin, where its policy leads, its subgoal.
-
-    Args:
-        discovery: After at least one search.
-        bank: The options made so far.
-        newest: Slot of the newest one, which stands last and in a frame; None marks none.
-
-    Returns:
-        A figure; None before any search, and where there is no option that can be drawn.
-    """
-    about = _seen(discovery)
-    slots = [slot for slot, option in enumerate(bank.slots) if _is_drawn(option)]
-    if about is None or not slots:
-        return None
-    if newest in slots:
-        slots = [slot for slot in slots if slot != newest] + [newest]
-    shown = slots[-MOST_OPTIONS:]
-    options = {slot: option for slot in shown if isinstance(option := bank[slot], SubgoalOption)}
-    titles = {slot: f"{slot}{', newest' * (slot == newest)}: {option.name}" for slot, option in options.items()}
-    if discovery.kind == "categorical":
-        figure = Figure(figsize=(1.5 * PANEL_WIDTH, 1.5 + ROW_HEIGHT * len(shown)), layout="compressed")
-        _draw_rows(figure.add_subplot(), about, options, titles, newest)
-    else:
-        assert discovery.scale is not None  # there was a search
-        columns = min(OPTION_COLUMNS, len(shown))
-        cells = Cells(about.seen, discovery.scale, about.marks)
-        rows, height = -(-len(shown) // columns), cells.height * OPTION_PANEL_WIDTH / PANEL_WIDTH
-        figure = Figure(figsize=(OPTION_PANEL_WIDTH * columns, (height + 0.6) * rows + 0.4), layout="constrained")
-        for i, (slot, option) in enumerate(options.items()):
-            axes = figure.add_subplot(rows, columns, i + 1)
-            subgoals = np.reshape(option.subgoal.points, (-1, about.seen.shape[1]))
-            own = about.marks._replace(starts=subgoals[:0], subgoals=subgoals)  # starts would hide arrows
-            cells.draw_option(axes, option.initiation_set, _moves_of(discovery, [option]), own, titles[slot])
-            if i + columns < len(shown):
-                axes.set_xlabel("")
-            if i % columns:
-                axes.set_ylabel("")
-            if slot == newest:
-                _frame(axes)
-    if len(slots) > len(shown):
-        figure.suptitle(f"the newest {len(shown)} of {len(slots)} options", fontsize="medium")
-    _add_legend(figure)
-    return figure
-
-
 def _is_drawn(option: Option | None) -> bool:
     return isinstance(option, SubgoalOption) and option.subgoal.group is None
-
-
-def _frame(axes: Axes) -> None:
-    """Let a panel stand out."""
-    axes.title.set(color=SUBGOAL_COLOUR, fontweight="bold")
-    for spine in axes.spines.values():
-        spine.set(edgecolor=SUBGOAL_COLOUR, linewidth=2.5)
-
-
-def _draw_rows(
-    axes: Axes, about: _Seen, options: dict[int, SubgoalOption], titles: dict[int, str], newest: int | None
-) -> None:
-    """A row for each option over the numbers of the states."""
-    states = np.sort(about.seen.argmax(axis=1))
-    for row, option in enumerate(options.values()):
-        axes.plot(states, np.full(len(states), row), "|", markersize=7, color="0.85", zorder=1)
-        began = option.initiation_set.points.argmax(axis=1)
-        first, last = ("may begin here", "subgoal") if row == 0 else ("", "")  # once in the legend
-        axes.plot(began, np.full(len(began), row), "|", markersize=13, markeredgewidth=2, color="#3182bd", label=first)
-        ends = option.subgoal.points.argmax(axis=1)
-        axes.plot(ends, np.full(len(ends), row), linestyle="", label=last, **SUBGOAL)
-    labels = axes.set_yticks(range(len(options)), titles.values())
-    for slot, tick in zip(options, labels, strict=True):
-        if slot == newest:
-            tick.label1.set(color=SUBGOAL_COLOUR, fontweight="bold")
-    axes.set_ylim(len(options) - 0.4, -0.6)
-    axes.set(title="options over all states seen", xlabel="number of the state")
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
 def _add_legend(figure: Figure) -> None:

@@ -88,26 +88,13 @@ class Cells:
         """Shade the initiation sets over everything seen."""
         self._ground(axes)
         for region in regions:
-            self._shade(axes, region)
+            squares = self._squares(region.points)
+            axes.add_collection(PatchCollection(squares, facecolor=INITIATION_COLOUR, edgecolor="white"))
         self._finish(axes, "initiation set")
 
     def draw_arrows(self, axes: Axes, starts: FloatArray, moves: FloatArray) -> None:
         """Draw where the greedy action leads on average, from each state of the initiation sets."""
         self._ground(axes)
-        self._arrows(axes, starts, moves)
-        self._finish(axes, "option policy: where the greedy action leads")
-
-    def draw_option(
-        self, axes: Axes, initiation: Region, moves: tuple[FloatArray, FloatArray] | None, marks: Marks, title: str
-    ) -> None:
-        """Draw one option: its initiation set, and where its policy leads from states there, if that is known."""
-        self._ground(axes)
-        self._shade(axes, initiation)
-        if moves is not None:
-            self._arrows(axes, *moves)
-        self._finish(axes, title, marks)
-
-    def _arrows(self, axes: Axes, starts: FloatArray, moves: FloatArray) -> None:
         length = np.linalg.norm(moves, axis=1, keepdims=True)
         unit = np.divide(moves, length, out=np.zeros_like(moves), where=length > 0) * self.side * 0.8
         axes.quiver(
@@ -120,23 +107,18 @@ class Cells:
             color="#08519c",
             zorder=3,  # above the marks
         )
+        self._finish(axes, "option policy: where the greedy action leads")
 
     def _ground(self, axes: Axes) -> None:
         axes.add_collection(PatchCollection(self._squares(self.positions), facecolor="0.93", edgecolor="white"))
-
-    def _shade(self, axes: Axes, region: Region) -> None:
-        squares = self._squares(region.points)
-        axes.add_collection(PatchCollection(squares, facecolor=INITIATION_COLOUR, edgecolor="white"))
 
     def _squares(self, positions: FloatArray) -> list[Rectangle]:
         if positions.shape[1] == 1:
             positions = np.column_stack([positions, np.zeros(len(positions))])
         return [Rectangle(tuple(p - self.side / 2), *self.side) for p in positions[:, :2]]
 
-    def _finish(self, axes: Axes, title: str, marks: Marks | None = None) -> None:
-        (self.marks if marks is None else marks).draw(
-            axes, lambda points: tuple(np.array([plane(p) for p in points]).T)
-        )
+    def _finish(self, axes: Axes, title: str) -> None:
+        self.marks.draw(axes, lambda points: tuple(np.array([plane(p) for p in points]).T))
         margin = MARGIN * self.side
         low, high = self.positions.min(axis=0) - margin, self.positions.max(axis=0) + margin
         axes.set_xlim(low[0], high[0])

@@ -139,7 +139,7 @@ class TestTensorBoard:
 
     def test_images(self, events: tuple[EventAccumulator, Any]) -> None:
         accumulator, _ = events
-        names = {"diverse_density", "first_visits", "initiation_set", "option_policy", "options"}
+        names = {"diverse_density", "first_visits", "initiation_set", "option_policy"}
         assert set(accumulator.Tags()["images"]) == {f"discovery/{name}" for name in names}
         for name in names:
             picture = iio.imread(accumulator.Images(f"discovery/{name}")[-1].encoded_image_string)

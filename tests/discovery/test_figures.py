@@ -10,15 +10,13 @@ import numpy.typing as npt
 import pytest
 import torch
 from matplotlib.collections import PatchCollection
-from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.discovery import Discovery
-from sb3_options.discovery.figures import discovery_figures, options_figure, subgoals_figure
-from sb3_options.discovery.maps import INITIATION_COLOUR, SUBGOAL_COLOUR
+from sb3_options.discovery.figures import discovery_figures, subgoals_figure
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.bank import OptionBank
@@ -147,12 +145,6 @@ class TestMaps:
         bars = [figures[name].axes[1] for name in NAMES[:2]]
         assert [axes.get_ylabel() for axes in bars] == ["nats", "trajectories"]
 
-    def test_ticks_are_whole_numbers(self) -> None:
-        for figure in discovery_figures(*discovered("environment", xy)).values():
-            drawn(figure)
-            ticks = [axes.get_yticks() for axes in figure.axes] + [figure.axes[0].get_xticks()]
-            assert all(len(t) > 1 and np.array_equal(t, np.round(t)) for t in ticks)
-
     def test_without_a_leak_a_quarter_of_the_states_is_told_apart(self) -> None:
         discovery, bank = discovered("environment", xy)
         settings = dataclasses.replace(discovery.settings, leak=0.0, scale=4.0, start_radius=0.0, goal_radius=0.0)
@@ -181,26 +173,6 @@ class TestMaps:
         subgoal = discovery.found[0].subgoal.points[0]
         nearer = np.linalg.norm(starts + 0.1 * moves - subgoal, axis=1) < np.linalg.norm(starts - subgoal, axis=1)
         assert nearer.mean() > 0.7
-
-    def test_initiation_sets_have_a_colour_of_their_own(self) -> None:
-        axes = discovery_figures(*discovered("environment", xy))["initiation_set"].axes[0]
-        colours_of: list[Any] = [c.get_facecolor() for c in axes.collections if isinstance(c, PatchCollection)]
-        (ground,), (shaded,) = colours_of
-        assert to_hex(shaded) == INITIATION_COLOUR
-        assert len(set(ground[:3])) == 1, "all else is grey"
-        assert ground[0] < 1.0
-
-    def test_rows_are_counted_downwards_and_cells_are_squares(self) -> None:
-        axes = discovery_figures(*discovered("environment", xy))["diverse_density"].axes[0]
-        bottom, top = axes.get_ylim()
-        assert bottom > top
-        assert axes.get_aspect() == 1.0
-
-    def test_a_panel_has_the_shape_of_its_map(self) -> None:
-        figure = discovery_figures(*discovered("environment", xy))["first_visits"]
-        (left, right), (bottom, top) = figure.axes[0].get_xlim(), figure.axes[0].get_ylim()
-        width, height = figure.get_size_inches()
-        assert height / width == pytest.approx((bottom - top) / (right - left))
 
     def test_one_picture_of_all(self) -> None:
         figure = subgoals_figure(*discovered("environment", xy))
@@ -231,54 +203,6 @@ def test_spaces_of_other_sizes(kind: str, features: Callable[[Any], npt.NDArray[
     assert colours(subgoals_figure(discovery, bank)) > 50
 
 
-class TestOptions:
-    def two(self, kind: str, features: Callable[[Any], npt.NDArray[np.float64]]) -> tuple[Discovery, OptionBank]:
-        """The discovered option, and the same with a smaller initiation set in the slot before it."""
-        discovery, found = discovered(kind, features)
-        option, bank = found[0], OptionBank(4, 3)
-        assert isinstance(option, SubgoalOption)
-        bank.add(option, 2)
-        fewer = dataclasses.replace(option.initiation_set, points=option.initiation_set.points[:3])
-        bank.add(option.with_regions(option.subgoal, fewer), 1)
-        return discovery, bank
-
-    def test_the_newest_is_the_last_and_framed(self) -> None:
-        discovery, bank = self.two("environment", xy)
-        figure = options_figure(discovery, bank, newest=1)
-        assert figure is not None
-        name = bank[1].name  # type: ignore[union-attr]  # it is filled
-        assert [axes.get_title() for axes in figure.axes] == [f"2: {name}", f"1, newest: {name}"]
-        edges = [to_hex(axes.spines["left"].get_edgecolor()) for axes in figure.axes]
-        assert edges == ["#000000", SUBGOAL_COLOUR]
-        assert colours(figure) > 20
-
-    def test_each_has_its_own_initiation_set_and_arrows_within_it(self) -> None:
-        discovery, bank = self.two("environment", xy)
-        figure = options_figure(discovery, bank)
-        assert figure is not None
-        for axes, slot in zip(figure.axes, (1, 2), strict=True):
-            points = bank[slot].initiation_set.points  # type: ignore[union-attr]  # it is filled
-            _, shaded = (c for c in axes.collections if isinstance(c, PatchCollection))
-            assert len(shaded.get_paths()) == len(points)
-            (arrows,) = [c for c in axes.collections if isinstance(c, Quiver)]
-            starts = np.asarray(arrows.get_offsets()) + np.column_stack([arrows.U, arrows.V]) / 2
-            assert {tuple(s) for s in starts.round(6)} <= {tuple(p) for p in points}
-
-    def test_numbered_states_have_a_row_for_each(self) -> None:
-        figure = options_figure(*self.two("categorical", one_hot), newest=2)
-        assert figure is not None
-        (axes,) = figure.axes
-        labels = [label.get_text() for label in axes.get_yticklabels()]
-        assert [label.partition(":")[0] for label in labels] == ["1", "2, newest"]
-        assert [t.get_text() for t in figure.legends[0].get_texts()] == ["may begin here", "subgoal"]
-        assert colours(figure) > 20
-
-    def test_without_an_option_or_a_search_there_is_none(self) -> None:
-        discovery, bank = discovered("environment", xy)
-        assert options_figure(discovery, OptionBank(4, 2)) is None
-        assert options_figure(Discovery(), bank) is None
-
-
 def test_numbered_states_are_bars() -> None:
     discovery, bank = discovered("categorical", one_hot)
     figures = discovery_figures(discovery, bank)
@@ -292,11 +216,6 @@ def test_numbered_states_are_bars() -> None:
         assert set(marked) == {".", "o", "D", "*"}
         assert figure.axes[0].get_xlabel() == "number of the state"
         assert figure.axes[0].get_ylabel() in ("nats", "trajectories")
-
-
-def test_two_panels_are_one_row() -> None:
-    assert len(subgoals_figure(*discovered("categorical", one_hot)).axes) == 2
-    assert subgoals_figure(*discovered("categorical", one_hot)).get_size_inches().tolist() == [12.8, 3.4]
 
 
 def test_a_single_success_is_counted_in_whole_trajectories() -> None:
