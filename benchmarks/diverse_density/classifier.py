@@ -14,7 +14,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Concept, Point
+from sb3_options.density.concepts import Point
 from sb3_options.density.diverse_density import DiverseDensity
 
 CHUNK = 1 << 20
@@ -48,7 +48,7 @@ class DiverseDensityClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[
 
     def __init__(
         self,
-        concept: Concept | None = None,
+        concept: Point | None = None,
         *,
         start_scales: Sequence[float] = (0.25, 0.5),
         max_starts: int | None = None,
@@ -94,21 +94,20 @@ class DiverseDensityClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[
         varies = np.flatnonzero(deviation > 0)
         if not len(varies):
             raise ValueError("no feature varies: there is nothing to learn from")
-        self._concept: Concept = self.concept or Point(scale_bounds=(0, math.inf), prior="small", prior_width=0.5)
+        self._concept: Point = self.concept or Point(scale_bounds=(0, math.inf), prior="small", prior_width=0.5)
         search = DiverseDensity(
             concept=self._concept,
             method="thorough",
-            scale=1 / np.where(deviation > 0, deviation, 1),
-            features=varies.tolist(),
+            scale=1 / deviation[varies],
             start_scales=[scale * math.sqrt(REFERENCE_FEATURES / len(varies)) for scale in self.start_scales],
             max_starts=self.max_starts,
         )
         packed = Bags.pack(
-            [a for a, p in zip(arrays, positive, strict=True) if p],
-            [a for a, p in zip(arrays, positive, strict=True) if not p],
+            [a[:, varies] for a, p in zip(arrays, positive, strict=True) if p],
+            [a[:, varies] for a, p in zip(arrays, positive, strict=True) if not p],
         )
         evidence = search.evidence(packed)
-        self._frame, self._threshold = evidence.frame, self.threshold
+        self._varies, self._frame, self._threshold = varies, evidence.frame, self.threshold
         descent = search.descent(search.starts(evidence).float(), evidence)
         descent.run(self.steps)  # no start is dropped, and none merged
         self._theta = self._concept.canonical(descent.theta.double()).numpy()
@@ -134,7 +133,7 @@ class DiverseDensityClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[
         return np.asarray(self.classes_[positive.astype(int)])
 
     def _positive(self, bag: FloatArray) -> float:
-        scaled = self._frame.scaled(bag)
+        scaled = self._frame.scaled(bag[:, self._varies])
         none = np.ones(self._theta.shape[1])
         for part in np.array_split(scaled, -(-scaled.size // CHUNK)):
             none *= (1 - self._concept.probabilities(self._theta, part)).prod(0)

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Concept, Point
+from sb3_options.density.concepts import Point
 from sb3_options.density.diverse_density import DiverseDensity, Peak
 from sb3_options.density.evidence import Evidence
 from sb3_options.density.lbfgs import BatchedLBFGS
@@ -26,8 +26,8 @@ class ExpectationMaximisation:
     """EM-DD from the starts of a thorough `DiverseDensity`.
 
     Attributes:
-        search: Gives the concept, which must be gaussian, scaled features, starts, and the radius within which peaks
-            are merged. Its `negative_strength` multiplies p of negative instances; its `negative_width` is not used.
+        search: Gives the concept, scaled features, starts, and the radius within which peaks
+            are merged. Its `negative_strength` multiplies p of negative instances.
         rounds: Most selections of instances.
         steps: Most evaluations of a fit between two selections.
 
@@ -44,8 +44,6 @@ class ExpectationMaximisation:
         for name in ("rounds", "steps"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if self.search.concept.link != "gaussian":
-            raise ValueError(f"search must be for a gaussian concept, got {self.search.concept}")
 
     def fit(self, bags: Bags) -> list[Peak]:
         """Peaks of the likelihood of the most likely instances, most probable first.
@@ -65,7 +63,7 @@ class ExpectationMaximisation:
             descent = BatchedLBFGS(
                 lambda t, chosen=selected: likelihood.loss(t, chosen),  # type: ignore[misc]  # mypy 2: default of lambda
                 theta,
-                self.search.concept.bounds(len(evidence.frame.features)),
+                self.search.concept.bounds(len(evidence.frame.scale)),
                 tolerance=self.search.tolerance,
             )
             descent.run(self.steps)
@@ -83,14 +81,13 @@ class ExpectationMaximisation:
 
 
 class MostLikely:
-    """log Π_i p(most likely of B_i⁺) Π_i (1 − η p(most likely of B_i⁻)), with the bags' weights as exponents."""
+    """log Π_i p(most likely of B_i⁺) Π_i (1 − η p(most likely of B_i⁻))."""
 
-    def __init__(self, bags: Bags, evidence: Evidence, concept: Concept, strength: float) -> None:
+    def __init__(self, bags: Bags, evidence: Evidence, concept: Point, strength: float) -> None:
         x = torch.from_numpy(evidence.scaled(bags.instances.numpy()))
         self._powers = torch.cat([torch.ones_like(x[:, :1]), x, x * x], dim=1)
         self._bags = torch.split(torch.arange(len(x), device=x.device), list(bags.lengths))
         self._n_positive = bags.n_positive
-        self._weights = torch.tensor(bags.bag_weights, dtype=x.dtype, device=x.device)[:, None]
         self._concept, self._strength = concept, strength
 
     def select(self, theta: Tensor) -> Tensor:
@@ -104,8 +101,8 @@ class MostLikely:
         energy = torch.einsum("bsk,ks->bs", powers, self._concept.coefficients(theta)).clamp(min=0)
         p = self._strength * torch.exp(-energy[self._n_positive :])
         miss = (1 - p).clamp(min=torch.finfo(p.dtype).eps)
-        value = torch.cat([energy[: self._n_positive], -miss.log()]) * self._weights
-        slope = torch.cat([torch.ones_like(energy[: self._n_positive]), -p / miss]) * self._weights
+        value = torch.cat([energy[: self._n_positive], -miss.log()])
+        slope = torch.cat([torch.ones_like(energy[: self._n_positive]), -p / miss])
         prior, pull = self._concept.log_prior(theta)
         gradient = self._concept.pull_back(theta, torch.einsum("bsk,bs->ks", powers, slope))
         return value.sum(0) - prior, gradient - pull

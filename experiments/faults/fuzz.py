@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 import sb3_options
 from sb3_options.callbacks import IntrinsicRewardCallback, SubgoalDiscoveryCallback
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Plane, Point
+from sb3_options.density.concepts import Point
 from sb3_options.density.diverse_density import DiverseDensity
 from sb3_options.density.log_density import log_diverse_density
 from sb3_options.discovery.discovery import Discovery
@@ -42,7 +42,6 @@ SETTINGS: dict[str, Callable[..., Any]] = {
         RewardPeaks,
         DiverseDensity,
         Point,
-        Plane,
         TrainConfig,
         SubgoalDiscoveryCallback,
         IntrinsicRewardCallback,

@@ -7,9 +7,6 @@ the place. Ways:
 
 - plain: the noisy-or (Maron & Lozano-Pérez 1998), in which one such bag rules the place out;
 - weak: negative instances at a tenth of their strength, log(1 − 0.1 p);
-- narrow: their Gaussians 0.3 times as wide (McGovern & Barto 2001, §8: "through the width of the Gaussians");
-- weighted: each negative bag counts by 1 − its measure of success (§8: "give each bag a relative measure of
-  success"), which here says which bags are contaminated only vaguely: uniform on [0.3, 1], against [0, 0.7];
 - em_dd: the most likely instance of each bag in place of the noisy-or (Zhang & Goldman 2001).
 """
 
@@ -38,9 +35,8 @@ PLACE = np.array([3.0, -2.0])
 REACH = 10.0
 SPREAD = 0.2
 NEAR = 0.5
-WEAK, NARROW = 0.1, 0.3
-CLEAN_SUCCESS, CONTAMINATED_SUCCESS = (0.0, 0.7), (0.3, 1.0)
-WAYS = ("plain", "weak", "narrow", "weighted", "em_dd")
+WEAK = 0.1
+WAYS = ("plain", "weak", "em_dd")
 
 
 @dataclass(frozen=True)
@@ -63,11 +59,10 @@ class Study:
 
 
 class Task(NamedTuple):
-    """Bags, and how successful each negative one was."""
+    """Bags of a run."""
 
     positive: list[FloatArray]
     negative: list[FloatArray]
-    success: FloatArray
 
 
 def make(seed: int, share: float, n_bags: int, n_instances: int) -> Task:
@@ -81,23 +76,20 @@ def make(seed: int, share: float, n_bags: int, n_instances: int) -> Task:
         return rng.normal(PLACE, SPREAD, (1, 2))
 
     positive = [np.vstack([bag, near()]) for bag in noise()]
-    negative, extra, uniform = noise(), [near() for _ in range(n_bags)], rng.uniform(size=n_bags)
+    negative, extra = noise(), [near() for _ in range(n_bags)]
     contaminated = np.arange(n_bags) < round(share * n_bags)
     negative = [np.vstack([b, e]) if c else b for b, e, c in zip(negative, extra, contaminated, strict=True)]
-    low, high = (np.where(contaminated, *pair) for pair in zip(CONTAMINATED_SUCCESS, CLEAN_SUCCESS, strict=True))
-    return Task(positive, negative, low + (high - low) * uniform)
+    return Task(positive, negative)
 
 
 def found(way: str, task: Task) -> float:
     """Distance of the best peak from the place, in widths."""
-    weights = np.concatenate([np.ones(len(task.positive)), 1 - task.success]) if way == "weighted" else None
-    bags = Bags.pack(task.positive, task.negative, weights=weights)
+    bags = Bags.pack(task.positive, task.negative)
     search = DiverseDensity(
         method="thorough",
         max_starts=48,
         finalists=2,
         negative_strength=WEAK if way == "weak" else 1.0,
-        negative_width=NARROW if way == "narrow" else 1.0,
     )
     peaks = ExpectationMaximisation(search=search).fit(bags) if way == "em_dd" else search.search(bags)
     return float(np.linalg.norm(peaks[0].region().points[0] - PLACE))

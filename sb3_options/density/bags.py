@@ -27,33 +27,23 @@ class Bags:
         instances: (N, d) in float64, bag after bag, the positive bags first.
         lengths: Number of instances in each bag.
         n_positive: Number of positive bags.
-        weights: Of every bag, a relative measure of how far it can be trusted (the paper's §8): its log probability
-            is multiplied by it. None for 1.
     """
 
     instances: Tensor
     lengths: tuple[int, ...]
     n_positive: int
-    weights: tuple[float, ...] | None = None
 
     @classmethod
-    def pack(
-        cls,
-        positive: Sequence[ArrayLike],
-        negative: Sequence[ArrayLike] = (),
-        *,
-        weights: ArrayLike | None = None,
-    ) -> Self:
+    def pack(cls, positive: Sequence[ArrayLike], negative: Sequence[ArrayLike] = ()) -> Self:
         """Pack bags of shape (n_i, d). An instance given twice counts twice: pass first visits only.
 
         Args:
             positive: Bags that hold an instance of the concept.
             negative: Bags that hold none.
-            weights: One for each bag, the positive ones first; 1 by default.
 
         Raises:
-            ValueError: No bag at all, an empty bag, bags that disagree about d, features that are NaN, infinite, too
-                large to square, masked or no real numbers, or weights that are negative, not finite, or not one a bag.
+            ValueError: No bag at all, an empty bag, bags that disagree about d, or features that are NaN, infinite, too
+                large to square, masked or no real numbers.
         """
         names = [f"positive bag {i}" for i in range(len(positive))]
         names += [f"negative bag {i}" for i in range(len(negative))]
@@ -71,19 +61,7 @@ class Bags:
         if not np.abs(instances).max() <= LARGEST_FEATURE:  # nor if it is NaN
             for name, array in zip(names, arrays, strict=True):
                 check_finite(name, array)
-        if weights is not None:
-            weights = real_array("weights", weights)
-            if weights.shape != (len(arrays),) or not (np.isfinite(weights) & (weights >= 0)).all():
-                raise ValueError(
-                    f"weights must be {len(arrays)} finite numbers of at least 0, one a bag, got {weights}"
-                )
-            weights = tuple(weights.tolist())
-        return cls(torch.from_numpy(instances), tuple(map(len, arrays)), len(positive), weights)
-
-    @property
-    def bag_weights(self) -> tuple[float, ...]:
-        """The weight of every bag."""
-        return (1.0,) * len(self.lengths) if self.weights is None else self.weights
+        return cls(torch.from_numpy(instances), tuple(map(len, arrays)), len(positive))
 
     @property
     def n_features(self) -> int:
@@ -99,8 +77,7 @@ class Bags:
     def arrays(self, transform: Callable[[FloatArray], FloatArray]) -> BagArrays:
         """The bags as arrays, with their instances transformed."""
         positive = np.arange(len(self.lengths)) < self.n_positive
-        instances = transform(self.instances.numpy())
-        return BagArrays(instances, np.array(self.lengths), positive, np.array(self.bag_weights))
+        return BagArrays(transform(self.instances.numpy()), np.array(self.lengths), positive)
 
     @cached_property
     def origin(self) -> Tensor:
@@ -118,7 +95,7 @@ class Bags:
         """The bags in double precision as the kernels read them, relative to the `origin`; packed once."""
         origin = self.origin.numpy()
         arrays = self.arrays(lambda instances: instances - origin)
-        return segments_of(arrays, n_powers=2, width=1.0, dtype=torch.float64)
+        return segments_of(arrays, torch.float64)
 
 
 def distinct(points: FloatArray) -> FloatArray:

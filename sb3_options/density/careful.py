@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from sb3_options.density.energies import (
-    LOG2_E,
     Columns,
     Evaluation,
     Likelihood,
@@ -31,15 +30,9 @@ def careful(columns: Columns, segment: Segment, likelihood: Likelihood, workspac
     floor = math.log2(precision.tiny) / 2  # keeps products of two above the subnormal numbers, which are slow
     arrays = workspace.take(segment, columns.coefficients.shape[1], columns.coefficients)
     share, blocks = arrays.p, arrays.p_blocks
-    outside = close = None
-    factor = -LOG2_E if likelihood.link == "gaussian" else -1.0
-    scaled = exponents(columns, segment, likelihood, factor)
+    scaled = exponents(columns, segment, likelihood)
     torch.mm(segment.powers[:, : len(scaled)], scaled, out=share)
-    if likelihood.link == "logistic":
-        outside = (-share).sigmoid_()
-        share.copy_(torch.nn.functional.logsigmoid(share).mul_(LOG2_E))
-    elif len(columns.centre):
-        close = measure_close_pairs(share, columns, segment, likelihood)
+    close = measure_close_pairs(share, columns, segment, likelihood)
     odds = torch.expm1(share.clamp_(max=0) * math.log(2)).neg_()  # 1 − p, exact where p is near 1
     row_top = _chain(blocks, torch.maximum)
     top = torch.zeros_like(row_top)  # instances of negative bags are taken as they are
@@ -59,7 +52,7 @@ def careful(columns: Columns, segment: Segment, likelihood: Likelihood, workspac
         rows = hit[: len(block)]
         rows.copy_(unite(rows, block, largest[: len(block)]))
     miss = _chain(torch.split(odds, list(segment.counts)), torch.mul)
-    factors = hit.new_ones(len(segment.bag_weight) + 1, hit.shape[1])
+    factors = hit.new_ones(segment.n_positive + 1, hit.shape[1])
     log_density = hit.new_zeros(hit.shape[1])
     if segment.rows_of_bags:
         first, *others = segment.rows_of_bags
@@ -73,26 +66,20 @@ def careful(columns: Columns, segment: Segment, likelihood: Likelihood, workspac
             unleaked = log_hit.exp().mul_(1 - likelihood.leak)
             log_hit = (unleaked + likelihood.leak).log()
             factors[:-1] *= unleaked / (unleaked + likelihood.leak)
-        log_density += segment.bag_weight @ log_hit
-    ratio = factors[segment.bag_of_row] * segment.row_weight
-    is_negative = segment.bag_of_row == len(segment.bag_weight)
+        log_density += log_hit.sum(0)
+    ratio = factors[segment.bag_of_row]
+    is_negative = segment.bag_of_row == segment.n_positive
     negative = torch.cat([is_negative[:count] for count in segment.counts])
     if bool(negative.any()):
         # log(1 − p) from p where p is small, from 1 − p where it is not: the row's product may underflow.
-        p, rows_weight = share[negative], torch.cat([segment.row_weight[:count] for count in segment.counts])[negative]
-        log_miss = torch.where(p < 0.5, torch.log1p(-p), odds[negative].log())
-        log_density += torch.where(rows_weight > 0, log_miss * rows_weight, 0).sum(0)
+        p = share[negative]
+        log_density += torch.where(p < 0.5, torch.log1p(-p), odds[negative].log()).sum(0)
     weights = torch.div(share, odds.clamp_(min=precision.tiny if columns.exact else precision.eps**2), out=share)
     for block in blocks:
         block.mul_(ratio[: len(block)])
-    if close is not None:
-        # An instance that is hit lies at its smallest energy: it pulls nowhere, whatever its weight.
-        weights[close.place[close.hit], close.start[close.hit]] = 0
-    if outside is not None:
-        weights.mul_(outside)
-    near = columns.centre[:0]
-    if columns.exact and close is not None:
-        near = take_near(weights, close, columns, segment)
+    # An instance that is hit lies at its smallest energy: it pulls nowhere, whatever its weight.
+    weights[close.place[close.hit], close.start[close.hit]] = 0
+    near = take_near(weights, close, columns, segment) if columns.exact else columns.centre[:0]
     return Evaluation(log_density, moments(segment, weights, len(columns.coefficients)), near)
 
 

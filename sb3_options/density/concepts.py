@@ -1,26 +1,22 @@
 """Concepts: what a subgoal may look like, as energies that are linear in coefficients of 1, x_k and x_k².
 
-A concept class says how its parameters θ make coefficients and how gradients come back; where a search starts and
-which bounds and prior hold θ; and which region of concept space θ means, so that β can test it. Everything is in
-scaled features, whose unit is the width of a concept of scale 1.
+Everything is in scaled features, whose unit is the width of a concept of scale 1.
 """
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from sb3_options.checked import is_number
-from sb3_options.density.arrays import FloatArray, IntArray
-from sb3_options.density.energies import Link
-from sb3_options.density.regions import HalfSpace, Region
+from sb3_options.density.arrays import FloatArray
+from sb3_options.density.regions import Region
 from sb3_options.state import storable
 
 SCALE_BOUNDS = (0.1, 10.0)
@@ -33,92 +29,29 @@ without an upper bound it may shrink onto one instance.
 
 @storable
 class Frame(NamedTuple):
-    """How scaled features come from features: (x[features] − origin) · scale.
+    """How scaled features come from features: (x − origin) · scale.
 
     Attributes:
-        features: Numbers of the m features that count.
-        origin: (m,) in features.
-        scale: (m,) one over a width.
-        n_features: All there are, d.
+        origin: (d,) in features.
+        scale: (d,) one over a width.
     """
 
-    features: IntArray
     origin: FloatArray
     scale: FloatArray
-    n_features: int
 
     def scaled(self, instances: FloatArray) -> FloatArray:
-        """Features (n, d) in scaled features (n, m)."""
-        return (instances[:, self.features] - self.origin) * self.scale
-
-    def spread(self, values: FloatArray) -> FloatArray:
-        """Values of the features that count (m,) among zeros for the others (d,)."""
-        out = np.zeros(self.n_features)
-        out[self.features] = values
-        return out
-
-
-class Concept(ABC):
-    """A class of concepts with parameters θ, batched over starts in columns: (n_parameters, S)."""
-
-    link: ClassVar[Link]
-    n_powers: ClassVar[int]
-    """2 if the energy has coefficients of x_k², else 1."""
-
-    @property
-    def learns_scale(self) -> bool:
-        """Whether starts at several scales differ."""
-        return True
-
-    @abstractmethod
-    def coefficients(self, theta: Tensor) -> Tensor:
-        """Of 1, x_k and perhaps x_k²: (K, S)."""
-
-    @abstractmethod
-    def pull_back(self, theta: Tensor, gradient: Tensor) -> Tensor:
-        """The gradient in θ from the gradient in the coefficients (K, S): the chain rule."""
-
-    def centre(self, theta: Tensor) -> Tensor:
-        """Where the energy is 0 (d, S), if it is Σ_k c_kk (x_k − centre_k)²; else (0, S)."""
-        return theta[:0]
-
-    @abstractmethod
-    def start(self, instances: Tensor, scale: float) -> Tensor:
-        """θ of concepts at scaled instances (S, d), with one scale for all: (n_parameters, S)."""
-
-    @abstractmethod
-    def bounds(self, n_features: int) -> tuple[Tensor, Tensor]:
-        """Smallest and largest θ, each (n_parameters, 1), in double precision."""
-
-    @abstractmethod
-    def region(self, theta: FloatArray, frame: Frame, level: float) -> Region:
-        """Where Pr(x ∈ concept) ≥ level, in features, for one θ (n_parameters,)."""
-
-    def canonical(self, theta: Tensor) -> Tensor:
-        """One θ for all that mean the same concept."""
-        return theta
-
-    def log_prior(self, theta: Tensor) -> tuple[Tensor, Tensor]:
-        """Logarithm of the prior (S,), up to a constant, and its gradient in θ; flat by default."""
-        return theta.new_zeros(theta.shape[1]), torch.zeros_like(theta)
-
-    def probabilities(self, theta: FloatArray, scaled: FloatArray) -> FloatArray:
-        """Pr(x ∈ concept) of scaled instances (n, m) under every column of θ (P, S): (n, S)."""
-        powers = np.concatenate([np.ones((len(scaled), 1)), scaled, scaled**2], axis=1)
-        coefficients = self.coefficients(torch.from_numpy(np.ascontiguousarray(theta))).numpy()
-        energy = powers[:, : len(coefficients)] @ coefficients
-        if self.link == "gaussian":
-            return np.asarray(np.exp(-np.maximum(energy, 0)))
-        return np.asarray(torch.from_numpy(-energy).sigmoid().numpy())
+        """Features (n, d) in scaled features (n, d)."""
+        return (instances - self.origin) * self.scale
 
 
 @storable
 @dataclass(frozen=True)
-class Point(Concept):
-    """A point t with scales s: z = Σ_k (s_k (x_k − t_k))² (Maron & Lozano-Pérez 1998).
+class Point:
+    """A class of concepts: a point t with scales s, z = Σ_k (s_k (x_k − t_k))² (Maron & Lozano-Pérez 1998).
 
     Searched in a = s · t and s, where z = Σ_k (s_k x_k − a_k)² is convex, a feature whose scale goes to 0 drops out
-    without taking t_k anywhere, and both kinds of parameters are curved alike. θ holds a, then the learned scales.
+    without taking t_k anywhere, and both kinds of parameters are curved alike. θ holds a, then the learned scales, for
+    each start in a column: (n_parameters, S).
 
     Attributes:
         scales: Learned for "each" feature, "one" for all, or "fixed" at the scale given.
@@ -138,8 +71,6 @@ class Point(Concept):
     scale_bounds: tuple[float, float] = SCALE_BOUNDS
     prior: Literal["near", "small"] | None = "near"
     prior_width: float = 1.0
-    link: ClassVar[Link] = "gaussian"
-    n_powers: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         """Refuse arguments out of range."""
@@ -160,12 +91,12 @@ class Point(Concept):
         return self.scales != "fixed"
 
     def coefficients(self, theta: Tensor) -> Tensor:
-        """‖a‖², −2 s a and s²."""
+        """‖a‖², −2 s a and s², the factors of 1, x_k and x_k²: (2 d + 1, S)."""
         a, s = self._split(theta)
         return torch.cat([(a * a).sum(0, keepdim=True), (a * s).mul_(-2), s * s])
 
     def pull_back(self, theta: Tensor, gradient: Tensor) -> Tensor:
-        """∂/∂a = 2 (a g₀ − s g_k) and ∂/∂s = 2 (s g_kk − a g_k)."""
+        """The gradient in θ from that in the coefficients: ∂/∂a = 2 (a g₀ − s g_k) and ∂/∂s = 2 (s g_kk − a g_k)."""
         a, s = self._split(theta)
         m = len(a)
         first, second = gradient[1 : 1 + m], gradient[1 + m :]
@@ -176,19 +107,22 @@ class Point(Concept):
         return torch.cat([in_a, in_s.sum(0, keepdim=True) if self.scales == "one" else in_s]).mul_(2)
 
     def centre(self, theta: Tensor) -> Tensor:
-        """T = a / s; not finite where a scale is 0."""
+        """The point t = a / s, (d, S); not finite where a scale is 0."""
         a, s = self._split(theta)
         return a / s
 
     def start(self, instances: Tensor, scale: float) -> Tensor:
-        """The instances themselves. A fixed scale stays 1."""
+        """θ of concepts at scaled instances (S, d), with one scale for all; a fixed scale stays 1."""
         if self.scales == "fixed":
             return instances.T.contiguous()
         n_scales = 1 if self.scales == "one" else instances.shape[1]
         return torch.cat([instances.T * scale, instances.new_full((n_scales, len(instances)), scale)])
 
     def bounds(self, n_features: int) -> tuple[Tensor, Tensor]:
-        """None on a. With no lower bound s may change its sign, which changes nothing: (−s, −a) is the same."""
+        """Smallest and largest θ, (n_parameters, 1) each, in double precision.
+
+        None on a. With no lower bound s may change its sign, which changes nothing: (−s, −a) is the same.
+        """
         n_scales = {"fixed": 0, "one": 1, "each": n_features}[self.scales]
         low, high = self.scale_bounds
         free = torch.full((n_features, 1), math.inf, dtype=torch.float64)
@@ -199,9 +133,12 @@ class Point(Concept):
         )
 
     def log_prior(self, theta: Tensor) -> tuple[Tensor, Tensor]:
-        """−½ Σ_k (log s_k)² / width² for "near", −½ Σ_k s_k² / width² for "small"."""
+        """Logarithm of the prior (S,), up to a constant, and its gradient in θ.
+
+        −½ Σ_k (log s_k)² / width² for "near", −½ Σ_k s_k² / width² for "small".
+        """
         if self.scales == "fixed" or self.prior is None:
-            return super().log_prior(theta)
+            return theta.new_zeros(theta.shape[1]), torch.zeros_like(theta)
         n_scales = 1 if self.scales == "one" else len(theta) // 2
         scales, precision, gradient = theta[-n_scales:], self.prior_width**-2, torch.zeros_like(theta)
         if self.prior == "small":
@@ -212,7 +149,7 @@ class Point(Concept):
         return -precision / 2 * logs.square().sum(0), gradient
 
     def canonical(self, theta: Tensor) -> Tensor:
-        """With no scale below 0."""
+        """One θ for all that mean the same concept: with no scale below 0."""
         if self.scales == "fixed":
             return theta
         a, s = self._split(theta)
@@ -228,10 +165,16 @@ class Point(Concept):
         return t.reshape(shape), np.abs(s).reshape(shape)
 
     def region(self, theta: FloatArray, frame: Frame, level: float) -> Region:
-        """The ellipsoid ‖s (x − t)‖² ≤ −log level; a feature with scale 0 may be anything."""
+        """Where Pr(x ∈ concept) ≥ level: the ellipsoid ‖s (x − t)‖² ≤ −log level; where a scale is 0, anything is."""
         t, s = self.point_and_scale(theta)
-        centre = frame.spread(t / frame.scale + frame.origin)
-        return Region(centre[None], frame.spread(s * frame.scale), math.sqrt(-math.log(level)))
+        centre = t / frame.scale + frame.origin
+        return Region(centre[None], s * frame.scale, math.sqrt(-math.log(level)))
+
+    def probabilities(self, theta: FloatArray, scaled: FloatArray) -> FloatArray:
+        """Pr(x ∈ concept) of scaled instances (n, d) under every column of θ (P, S): (n, S)."""
+        powers = np.concatenate([np.ones((len(scaled), 1)), scaled, scaled**2], axis=1)
+        coefficients = self.coefficients(torch.from_numpy(np.ascontiguousarray(theta))).numpy()
+        return np.asarray(np.exp(-np.maximum(powers @ coefficients, 0)))
 
     def _split(self, theta: Tensor) -> tuple[Tensor, Tensor]:
         """Parameters a and s, each (m, S)."""
@@ -241,70 +184,3 @@ class Point(Concept):
             return theta[:-1], theta[-1:].expand_as(theta[:-1])
         m = len(theta) // 2
         return theta[:m], theta[m:]
-
-
-@storable
-@dataclass(frozen=True)
-class Plane(Concept):
-    """A half-space: Pr(x ∈ c) = 1 / (1 + exp(b − v·x)), the paper's "linearly discriminable surfaces" (§8).
-
-    The steepness ‖v‖ takes the place of the scale: a Gaussian prior keeps it from growing without end where bags can
-    be separated, and b from −∞ where there are no negative bags, when a half-space that holds everything explains
-    everything. θ holds v, then b.
-
-    Attributes:
-        steepness: Standard deviation of the prior of v_k, per width of a scaled feature, > 0.
-        offset: Standard deviation of the prior of b, > 0.
-    """
-
-    steepness: float = 3.0
-    offset: float = 10.0
-    link: ClassVar[Link] = "logistic"
-    n_powers: ClassVar[int] = 1
-
-    def __post_init__(self) -> None:
-        """Refuse arguments out of range."""
-        for name in ("steepness", "offset"):
-            if not (is_number(getattr(self, name)) and 0 < getattr(self, name) < math.inf):
-                raise ValueError(f"{name} must be positive and finite, got {getattr(self, name)}")
-
-    def coefficients(self, theta: Tensor) -> Tensor:
-        """B and −v."""
-        return torch.cat([theta[-1:], -theta[:-1]])
-
-    def pull_back(self, theta: Tensor, gradient: Tensor) -> Tensor:
-        """∂/∂v = −g_k and ∂/∂b = g₀."""
-        return torch.cat([-gradient[1:], gradient[:1]])
-
-    def start(self, instances: Tensor, scale: float) -> Tensor:
-        """Facing each instance from the middle of all, half way, as steep as ``scale`` says."""
-        away = instances - instances.mean(0)
-        length = away.norm(dim=1, keepdim=True)
-        axis = torch.zeros_like(away)
-        axis[:, 0] = 1
-        v = scale * torch.where(length > 0, away / length.clamp(min=torch.finfo(away.dtype).tiny), axis)
-        b = (v * (instances - away / 2)).sum(1, keepdim=True)
-        return torch.cat([v, b], dim=1).T.contiguous()
-
-    def bounds(self, n_features: int) -> tuple[Tensor, Tensor]:
-        """None: the prior does their work."""
-        free = torch.full((n_features + 1, 1), math.inf, dtype=torch.float64)
-        return -free, free
-
-    def log_prior(self, theta: Tensor) -> tuple[Tensor, Tensor]:
-        """−½ ‖v / steepness‖² − ½ (b / offset)²."""
-        precision = theta.new_full((len(theta), 1), self.steepness**-2)
-        precision[-1] = self.offset**-2
-        gradient = -precision * theta
-        return (gradient * theta).sum(0) / 2, gradient
-
-    def region(self, theta: FloatArray, frame: Frame, level: float) -> HalfSpace:
-        """Where v·x ≥ b + log(level / (1 − level))."""
-        v, offset = theta[:-1], float(theta[-1]) + math.log(level / (1 - level))
-        nearest = v * (offset / max(float(v @ v), np.finfo(np.float64).tiny))  # of the boundary, to the origin
-        return HalfSpace(
-            frame.spread(nearest / frame.scale + frame.origin)[None],
-            frame.spread(frame.scale),
-            0.0,
-            frame.spread(v * frame.scale),
-        )

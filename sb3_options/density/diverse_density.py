@@ -1,7 +1,7 @@
 """The search for concepts of highest diverse density.
 
-A concept is a point t with a scale s (one over its width) per feature, or a half-space, in the feature space of the
-instances. Its diverse density is high where many positive bags, and no negative bag, have an instance nearby.
+A concept is a point t with a scale s (one over its width) per feature, in the feature space of the instances. Its
+diverse density is high where many positive bags, and no negative bag, have an instance nearby.
 Sources: Maron and Lozano-Pérez, "A framework for multiple-instance learning" (1998); McGovern and Barto,
 "Accelerating reinforcement learning through the discovery of useful subgoals" (2001), section 4.
 """
@@ -22,7 +22,7 @@ from sb3_options.checked import is_number, whole
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags, distinct, held_by_all
 from sb3_options.density.checks import positive_scale, real_array, refuse
-from sb3_options.density.concepts import Concept, Frame, Point
+from sb3_options.density.concepts import Frame, Point
 from sb3_options.density.energies import Likelihood
 from sb3_options.density.evidence import Evidence, evenly
 from sb3_options.density.lbfgs import BatchedLBFGS
@@ -68,7 +68,7 @@ class Peak(NamedTuple):
     """A concept of high diverse density.
 
     Attributes:
-        point: (d,) in the units of the features: the centre of the concept, or a point on the plane.
+        point: (d,) in the units of the features: the centre of the concept.
         scale: (d,) one over the width; 0 for a feature that does not count.
         log_density: Log diverse density there, in nats, without the prior.
         converged: Whether the ascent had come to rest.
@@ -81,7 +81,7 @@ class Peak(NamedTuple):
     scale: FloatArray
     log_density: float
     converged: bool
-    concept: Concept | None = None
+    concept: Point | None = None
     theta: FloatArray | None = None
     frame: Frame | None = None
 
@@ -114,55 +114,42 @@ class DiverseDensity:
         method: "gradient": the instances of the smallest positive bags are evaluated, and the best of them ascend a few
             steps; for points of known scale, and the default for these. "thorough": all distinct instances of positive
             bags ascend in single precision, the best go on, and the finalists climb to rest in double precision;
-            for any concept. "exhaustive": a finite set of candidates is evaluated, by default all instances of
+            also for learned scales. "exhaustive": a finite set of candidates is evaluated, by default all instances of
             positive bags; for points of known scale.
-        features: Numbers of the features that count; by default all. For a thorough search.
         start_scales: Scales of the starts of a thorough search, as factors of `scale`.
         max_starts: Most instances that a thorough search starts from, evenly spaced among all; None for all.
         finalists: Most starts that a thorough search climbs to the end.
         tolerance: Of a thorough search, in nats relative to the value.
         merge_radius: A peak this close to a better one is merged into it, in parameters: for points, in widths.
-        negative_strength: η in (0, 1]: log(1 − η p) of every negative instance. For a half-space η multiplies the odds
-            of p.
-        negative_width: Of a thorough search. Energies of negative instances are divided by its square: below 1 they
-            reach less far (McGovern & Barto 2001, §8).
+        negative_strength: η in (0, 1]: log(1 − η p) of every negative instance.
         leak: λ in [0, 1): the probability that a bag is positive for a reason other than the concept.
     """
 
-    concept: Concept = POINT
+    concept: Point = POINT
     scale: ArrayLike = 1.0
     method: Literal["gradient", "thorough", "exhaustive"] | None = None
-    features: Sequence[int] | None = None
     start_scales: Sequence[float] = (1.0,)
     max_starts: int | None = 256
     finalists: int = 32
     tolerance: float = 1e-8
     merge_radius: float = 0.5
     negative_strength: float = 1.0
-    negative_width: float = 1.0
     leak: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse arguments out of range, by name."""
-        known_scale = isinstance(self.concept, Concept) and self.concept == POINT
+        known_scale = self.concept == POINT
         if self.method is None:
             object.__setattr__(self, "method", "gradient" if known_scale else "thorough")
-        features = self.features
-        numbered = features is None or (
-            isinstance(features, Collection)
-            and all(whole(number, 0) for number in features)
-            and len(features) == len(set(features)) > 0
-        )
         several = isinstance(self.start_scales, Collection) and len(self.start_scales) > 0
         refuse(
             self,
-            concept=("a Concept", isinstance(self.concept, Concept)),
+            concept=("a Point", isinstance(self.concept, Point)),
             scale=("positive, finite, a number or (d,)", positive_scale(self.scale)),
             method=(
                 '"gradient", "thorough" or "exhaustive"',
                 isinstance(self.method, str) and self.method in ("gradient", "thorough", "exhaustive"),
             ),
-            features=("distinct whole numbers of features, from 0, at least one", numbered),
             start_scales=(
                 "positive and finite, at least one",
                 several and all(map(positive_scale, self.start_scales)),
@@ -172,14 +159,10 @@ class DiverseDensity:
             tolerance=("above 0", is_number(self.tolerance) and self.tolerance > 0),
             merge_radius=("at least 0", is_number(self.merge_radius) and self.merge_radius >= 0),
             negative_strength=("in (0, 1]", is_number(self.negative_strength) and 0 < self.negative_strength <= 1),
-            negative_width=(
-                "positive and finite",
-                is_number(self.negative_width) and 0 < self.negative_width < math.inf,
-            ),
             leak=("in [0, 1)", is_number(self.leak) and 0 <= self.leak < 1),
         )
-        if self.method != "thorough" and not (known_scale and self.features is None and self.negative_width == 1):
-            raise ValueError(f'{self.concept}, features and negative_width need method="thorough", got {self.method!r}')
+        if self.method != "thorough" and not known_scale:
+            raise ValueError(f'{self.concept} needs method="thorough", got {self.method!r}')
 
     def log_density(self, points: ArrayLike, bags: Bags) -> FloatArray:
         """Log diverse density, shape (S,), of points (S, d) at the given scale, as `log_diverse_density`."""
@@ -257,16 +240,11 @@ class DiverseDensity:
     def evidence(self, bags: Bags) -> Evidence:
         """The bags in scaled features, as the searches see them."""
         d = bags.n_features
-        if self.features is not None and max(self.features) >= d:
-            raise ValueError(f"features names feature {max(self.features)}, the bags have {d} features")
         if np.ndim(self.scale) and np.shape(self.scale) != (d,):
             raise ValueError(f"scale has shape {np.shape(self.scale)}, the bags have {d} features")
-        features = np.arange(d) if self.features is None else np.array(self.features, dtype=np.int64)
         # In the middle of the data, where products of features are smallest and lose the fewest digits.
-        origin = bags.instances.mean(0).numpy()[features]
-        frame = Frame(features, origin, self._scale(d)[features], d)
-        likelihood = Likelihood(self.concept.link, self.negative_strength, self.leak)
-        return Evidence(bags, self.concept, frame, likelihood=likelihood, negative_width=self.negative_width)
+        frame = Frame(bags.instances.mean(0).numpy(), self._scale(d))
+        return Evidence(bags, self.concept, frame, likelihood=Likelihood(self.negative_strength, self.leak))
 
     def starts(self, evidence: Evidence, points: FloatArray | None = None) -> Tensor:
         """θ (P, S) of every start of a thorough search: at scaled points (m, k), by default the instances."""
@@ -280,7 +258,7 @@ class DiverseDensity:
 
     def descent(self, theta: Tensor, evidence: Evidence) -> BatchedLBFGS:
         """The ascent of log density plus log prior from θ (P, S)."""
-        bounds = self.concept.bounds(len(evidence.frame.features))
+        bounds = self.concept.bounds(len(evidence.frame.scale))
         return BatchedLBFGS(evidence.loss, theta, bounds, tolerance=self.tolerance)
 
     def peaks(
@@ -331,7 +309,7 @@ class DiverseDensity:
         converged = loss <= 0  # nothing is denser than 1
         if loss[0] > 0:
             # Of a point whose every bag pulls with all its weight: a step is then never much too long.
-            curvature = 2 * max(1.0, evidence.positive_weight)
+            curvature = 2 * max(1.0, evidence.n_positive)
             bounds = self.concept.bounds(bags.n_features)
             descent = BatchedLBFGS(evidence.loss, theta, bounds, tolerance=ARRIVED, curvature=curvature)
             descent.run(SORTING_STEPS)
@@ -352,9 +330,9 @@ class DiverseDensity:
         return found
 
     def _exhaustive_values(self, points: FloatArray, bags: Bags) -> FloatArray:
-        """`log_density` of points, (m,); of one-hot codes that weigh alike, without comparing features."""
-        scale, alike = self._scale(bags.n_features), bags.weights is None
-        if alike and (scale == scale[0]).all() and is_one_hot(points) and is_one_hot(bags.instances.numpy()):
+        """`log_density` of points, (m,); of one-hot codes without comparing features."""
+        scale = self._scale(bags.n_features)
+        if (scale == scale[0]).all() and is_one_hot(points) and is_one_hot(bags.instances.numpy()):
             return one_hot_log_density(points, float(scale[0]), bags, self.negative_strength, self.leak)
         return self.log_density(points, bags)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -22,19 +22,15 @@ CLOSE_PAIRS = 1 << 18
 
 LOG2_E = math.log2(math.e)
 
-Link = Literal["gaussian", "logistic"]
-
 
 class Likelihood(NamedTuple):
     """What bags say of a concept.
 
     Attributes:
-        link: How an energy becomes a probability.
-        strength: η in (0, 1] of negative instances. For "logistic" it multiplies the odds of p.
+        strength: η in (0, 1] of negative instances.
         leak: λ in [0, 1).
     """
 
-    link: Link = "gaussian"
     strength: float = 1.0
     leak: float = 0.0
 
@@ -43,9 +39,9 @@ class Columns(NamedTuple):
     """Concepts as the kernels read them, one a column.
 
     Attributes:
-        coefficients: (K, S), of 1, x_k and perhaps x_k².
-        centre: (d, S), if the energy is Σ_k c_kk (x_k − centre_k)², so that small energies can be measured without
-            cancellation; a column that is not finite is not. (0, S) if the energy is no such sum.
+        coefficients: (2 d + 1, S), of 1, x_k and x_k².
+        centre: (d, S): the energy is Σ_k c_kk (x_k − centre_k)², so that small ones can be measured without
+            cancellation; a column that is not finite is not.
         exact: Whether small energies are measured so for every start, in double precision, and their part of the
             gradient comes in ``Evaluation.near``; else only for starts that are done carefully.
     """
@@ -75,11 +71,11 @@ class Evaluation(NamedTuple):
     near: Tensor
 
 
-def exponents(columns: Columns, segment: Segment, likelihood: Likelihood, factor: float) -> Tensor:
-    """``factor`` times the coefficients; where there are weak negative instances, with a row that makes p of it η p."""
-    scaled = columns.coefficients * factor
+def exponents(columns: Columns, segment: Segment, likelihood: Likelihood) -> Tensor:
+    """Coefficients of −z / log 2; where there are weak negative instances, with a row that makes p of it η p."""
+    scaled = columns.coefficients * -LOG2_E
     if likelihood.strength < 1 and len(segment.negative_rows):
-        strength = scaled.new_full((1, scaled.shape[1]), -factor * math.log(likelihood.strength))
+        strength = scaled.new_full((1, scaled.shape[1]), LOG2_E * math.log(likelihood.strength))
         scaled = torch.cat([scaled, strength])
     return scaled
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Concept, Frame
+from sb3_options.density.concepts import Frame, Point
 from sb3_options.density.energies import Columns, Likelihood
 from sb3_options.density.layout import Segment, Workspace, segments_of
 from sb3_options.density.objective import evaluate
@@ -28,24 +28,21 @@ class Evidence:
         concept: The class of concepts they are evidence for.
         frame: Scaled features.
         likelihood: What they say.
-        negative_width: Width of negative instances of `DiverseDensity`.
         max_pairs: (instances × starts) held at once; by default `objective.MAX_PAIRS`.
     """
 
     def __init__(
         self,
         bags: Bags,
-        concept: Concept,
+        concept: Point,
         frame: Frame,
         *,
         likelihood: Likelihood,
-        negative_width: float,
         max_pairs: int | None = None,
     ) -> None:
         self.concept = concept
         self.frame = frame
         self._likelihood = likelihood
-        self._width = negative_width
         self._max_pairs = max_pairs
         self._arrays = bags.arrays(self.scaled)
         self._workspace = Workspace()
@@ -57,9 +54,9 @@ class Evidence:
         return len(self._arrays.instances)
 
     @property
-    def positive_weight(self) -> float:
-        """Sum of the weights of the positive bags."""
-        return float(self._arrays.weights[self._arrays.positive].sum())
+    def n_positive(self) -> int:
+        """How many positive bags there are."""
+        return int(self._arrays.positive.sum())
 
     def sample(self, n: int) -> Evidence:
         """Evidence of up to ``n`` positive and ``n`` negative bags, evenly spaced."""
@@ -90,7 +87,7 @@ class Evidence:
     def value(self, theta: Tensor) -> Tensor:
         """The loss alone, (S,); in double precision small energies are measured exactly."""
         centre = self.concept.centre(theta)
-        columns = Columns(self.concept.coefficients(theta), centre, theta.dtype == torch.float64 and len(centre) > 0)
+        columns = Columns(self.concept.coefficients(theta), centre, theta.dtype == torch.float64)
         segments, limit = self.segments(theta.dtype), self._max_pairs
         at = evaluate(columns, segments, self._likelihood, self._workspace, gradient=False, max_pairs=limit)
         return at.log_density.add_(self.concept.log_prior(theta)[0]).neg_()
@@ -102,8 +99,7 @@ class Evidence:
     def segments(self, dtype: torch.dtype) -> list[Segment]:
         """The bags in this precision; packed once."""
         if dtype not in self._segments:
-            n_powers = self.concept.n_powers
-            self._segments[dtype] = segments_of(self._arrays, n_powers=n_powers, width=self._width, dtype=dtype)
+            self._segments[dtype] = segments_of(self._arrays, dtype)
         return self._segments[dtype]
 
     def scaled(self, instances: FloatArray) -> FloatArray:

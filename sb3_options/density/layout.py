@@ -31,16 +31,12 @@ class Segment(NamedTuple):
     """Some bags, as the kernels read them; R rows, N instances, B positive bags.
 
     Attributes:
-        powers: (N, K): 1, x_k and perhaps x_k², for negative instances over the square of their width; and, if there
-            are negative instances, a column that is 1 for those, else 0.
+        powers: (N, K): 1, x_k and x_k², and, if there are negative instances, a column that is 1 for those, else 0.
         powers_by_power: (K, N), the same.
         reach: (K,), the largest magnitude of each power.
         counts: Rows that have a first, second, … instance; their sum is N.
         negative_rows: Numbers of the rows of negative bags.
-        negative_weight: Weights of their bags.
-        row_weight: (R, 1): weight of the bag of each row.
-        weighted: Whether any weight is not 1.
-        bag_weight: (B,): weights of the positive bags.
+        n_positive: B, the number of positive bags.
         bag_of_row: (R,): positive bag of each row, B for rows of negative bags.
         rows_by_bag: The first rows of all positive bags, the second rows of those that have one, …
         rows_of_bags: The same in parts.
@@ -51,28 +47,24 @@ class Segment(NamedTuple):
     reach: Tensor
     counts: tuple[int, ...]
     negative_rows: Tensor
-    negative_weight: Tensor
-    row_weight: Tensor
-    weighted: bool
-    bag_weight: Tensor
+    n_positive: int
     bag_of_row: Tensor
     rows_by_bag: Tensor
     rows_of_bags: tuple[Tensor, ...]
 
 
 class BagArrays(NamedTuple):
-    """Bags as arrays: instances (N, m) bag after bag, lengths (n,), which are positive (n,), and weights (n,)."""
+    """Bags as arrays: instances (N, d) bag after bag, lengths (n,), and which are positive (n,)."""
 
     instances: FloatArray
     lengths: IntArray
     positive: BoolArray
-    weights: FloatArray
 
     def take(self, numbers: IntArray) -> BagArrays:
         """Some of these bags, at least one."""
         ends = np.cumsum(self.lengths)
         instances = np.concatenate([self.instances[ends[i] - self.lengths[i] : ends[i]] for i in numbers])
-        return BagArrays(instances, self.lengths[numbers], self.positive[numbers], self.weights[numbers])
+        return BagArrays(instances, self.lengths[numbers], self.positive[numbers])
 
     def split(self, n_instances: int) -> list[BagArrays]:
         """Parts of up to ``n_instances`` instances, no bag divided between two."""
@@ -83,21 +75,17 @@ class BagArrays(NamedTuple):
             last = max(first + 1, int(np.searchsorted(ends, began + n_instances, side="right")))
             bags = slice(first, last)
             instances = self.instances[began : ends[last - 1]]
-            parts.append(BagArrays(instances, self.lengths[bags], self.positive[bags], self.weights[bags]))
+            parts.append(BagArrays(instances, self.lengths[bags], self.positive[bags]))
             first = last
         return parts
 
 
-def segments_of(bags: BagArrays, *, n_powers: int, width: float, dtype: torch.dtype) -> list[Segment]:
-    """Lay out bags in segments, in the units the concept is searched in.
-
-    ``n_powers`` is 2 where energies have coefficients of x_k². Powers of negative instances, and so their energies, are
-    divided by the square of ``width``.
-    """
-    return [_segment_of(part, n_powers, width, dtype) for part in bags.split(SEGMENT_INSTANCES)]
+def segments_of(bags: BagArrays, dtype: torch.dtype) -> list[Segment]:
+    """Lay out bags in segments, in the units the concept is searched in."""
+    return [_segment_of(part, dtype) for part in bags.split(SEGMENT_INSTANCES)]
 
 
-def _segment_of(bags: BagArrays, n_powers: int, width: float, dtype: torch.dtype) -> Segment:
+def _segment_of(bags: BagArrays, dtype: torch.dtype) -> Segment:
     longest = max(SHORTEST_WIDTH, math.isqrt(int(bags.lengths.max()) - 1) + 1)
     rows = -(-bags.lengths // longest)
     bag = np.repeat(np.arange(len(rows)), rows)
@@ -123,8 +111,7 @@ def _segment_of(bags: BagArrays, n_powers: int, width: float, dtype: torch.dtype
     negative_rows = np.flatnonzero(~bags.positive[bag])
     x = bags.instances[index]
     negative = np.concatenate([~bags.positive[bag[:count]] for count in counts])[:, None]
-    powers = np.concatenate([np.ones((len(x), 1)), x, *([x * x] if n_powers > 1 else [])], axis=1)
-    powers *= np.where(negative, width**-2, 1.0)
+    powers = np.concatenate([np.ones((len(x), 1)), x, x * x], axis=1)
     if len(negative_rows):
         powers = np.concatenate([powers, negative], axis=1)
 
@@ -134,10 +121,7 @@ def _segment_of(bags: BagArrays, n_powers: int, width: float, dtype: torch.dtype
         reach=torch.from_numpy(np.abs(powers).max(axis=0)).to(dtype),
         counts=tuple(counts),
         negative_rows=torch.from_numpy(negative_rows),
-        negative_weight=torch.from_numpy(bags.weights[bag][negative_rows]).to(dtype),
-        row_weight=torch.from_numpy(bags.weights[bag][:, None]).to(dtype),
-        weighted=bool((bags.weights != 1).any()),
-        bag_weight=torch.from_numpy(bags.weights[positive]).to(dtype),
+        n_positive=len(positive),
         bag_of_row=torch.from_numpy(number[bag]),
         rows_by_bag=rows_by_bag,
         rows_of_bags=torch.split(rows_by_bag, row_counts) if row_counts else (),
@@ -202,7 +186,7 @@ class Workspace:
             p=p,
             rows=rows,
             divisor=divisor,
-            divisors=like.new_ones(len(segment.bag_weight) + 1, n_starts),
+            divisors=like.new_ones(segment.n_positive + 1, n_starts),
             ends=like.new_tensor([1, 0]).view(2, 1, 1),
             p_blocks=torch.split(p, list(segment.counts)),
             spare_blocks=tuple(spare[:count] for count in segment.counts),

@@ -1,12 +1,11 @@
 """Log diverse density of any concept, value and closed-form gradient, near the speed of the machine.
 
-A concept enters as one number per instance, its energy z = c₀ + Σ_k c_k x_k + Σ_k c_kk x_k², linear in coefficients
-c that the concept computes from its parameters (`concepts`). Two links turn an energy into p = Pr(x ∈ concept):
-"gaussian" exp(−z) for z ≥ 0, and "logistic" 1 / (1 + exp(z)). The bags are noisy-ors (Maron & Lozano-Pérez 1998) with
-a leak λ (Henrion 1989), and η is the strength of negative instances:
+A concept enters as one number per instance, its energy z = c₀ + Σ_k c_k x_k + Σ_k c_kk x_k² ≥ 0, linear in
+coefficients c that the concept computes from its parameters (`concepts`); p = Pr(x ∈ concept) = exp(−z). The bags are
+noisy-ors (Maron & Lozano-Pérez 1998) with a leak λ (Henrion 1989), and η is the strength of negative instances:
 
     h_i = λ + (1 − λ) (1 − Π_j (1 − p_ij))
-    log DD = Σ_i w_i log h_i + Σ_i w_i Σ_j log(1 − η p_ij)      (positive bags, negative bags)
+    log DD = Σ_i log h_i + Σ_i Σ_j log(1 − η p_ij)      (positive bags, negative bags)
 
 The gradient in the coefficients is Σ_ij (∂ log DD / ∂z_ij) (1, x, x²): two matrix products, and between them one
 exponential and five cheap passes over the (instances × starts) matrix, a block at a time so that it stays in the
@@ -28,7 +27,6 @@ from torch import Tensor
 
 from sb3_options.density.careful import careful
 from sb3_options.density.energies import (
-    LOG2_E,
     Columns,
     Evaluation,
     Likelihood,
@@ -97,18 +95,14 @@ def _quick(
     precision = torch.finfo(columns.coefficients.dtype)
     arrays = workspace.take(segment, columns.coefficients.shape[1], columns.coefficients)
     p, close, none = arrays.p, None, columns.centre[:0]
-    if likelihood.link == "gaussian":
-        scaled = exponents(columns, segment, likelihood, -LOG2_E)
-        if not columns.exact:
-            # A product that rounds to an energy below 0 would make p > 1; the margin keeps p below 1, costs 1e-6 of it.
-            scaled[0].mul_(1 + 4 * precision.eps).sub_(4 * precision.eps)
-        _energies(scaled, segment, p, 0.95 * math.log2(precision.tiny))
-        if columns.exact:
-            close = measure_close_pairs(p, columns, segment, likelihood)
-        p.exp2_()
-    else:
-        _energies(exponents(columns, segment, likelihood, -1.0), segment, p, 0.95 * math.log(precision.tiny))
-        p.sigmoid_()
+    scaled = exponents(columns, segment, likelihood)
+    if not columns.exact:
+        # A product that rounds to an energy below 0 would make p > 1; the margin keeps p below 1, costs 1e-6 of it.
+        scaled[0].mul_(1 + 4 * precision.eps).sub_(4 * precision.eps)
+    _energies(scaled, segment, p, 0.95 * math.log2(precision.tiny))
+    if columns.exact:
+        close = measure_close_pairs(p, columns, segment, likelihood)
+    p.exp2_()
     _rows(arrays)
     value, fine = _bags_of_rows(arrays, segment, likelihood, precision.tiny**0.75)
     if not gradient:
@@ -116,14 +110,10 @@ def _quick(
     if close is not None:
         # A p that rounds to 1 leaves 0/0, and its instance lies where it hardly pulls.
         p[close.place, close.start] *= p[close.place, close.start] < 1
-    if likelihood.link == "gaussian":
-        steps = zip(arrays.p_blocks, arrays.spare_blocks, arrays.divisor_blocks, strict=True)
-        for block, spare, divisor in reversed(list(steps)):  # the last are in the cache still
-            torch.addcmul(divisor, block, divisor, value=-1, out=spare)
-            block.div_(spare)
-    else:
-        for block, divisor in zip(arrays.p_blocks, arrays.divisor_blocks, strict=True):
-            block.div_(divisor)
+    steps = zip(arrays.p_blocks, arrays.spare_blocks, arrays.divisor_blocks, strict=True)
+    for block, spare, divisor in reversed(list(steps)):  # the last are in the cache still
+        torch.addcmul(divisor, block, divisor, value=-1, out=spare)
+        block.div_(spare)
     near = none if close is None else take_near(p, close, columns, segment)
     slope = moments(segment, p, len(columns.coefficients))
     # A p of exactly 1 leaves 0/0.
@@ -162,7 +152,7 @@ def _bags_of_rows(arrays: Arrays, segment: Segment, likelihood: Likelihood, smal
     if len(segment.negative_rows):
         negative = rows[1].index_select(0, segment.negative_rows)
         fine.append(negative.amin(0) > near)
-        parts.append(_weighted_sum(negative.log_(), segment.negative_weight, segment))
+        parts.append(negative.log_().sum(0))
     if segment.rows_of_bags:
         torch.index_select(rows, 1, segment.rows_by_bag, out=arrays.by_bag)
         one = arrays.ends[0]
@@ -176,15 +166,9 @@ def _bags_of_rows(arrays: Arrays, segment: Segment, likelihood: Likelihood, smal
             miss.mul_(1 - likelihood.leak)
         fine += [hit.amin(0) > smallest, hit.amax(0) <= 1]
         torch.div(hit, miss, out=arrays.divisors[:-1]).clamp_(max=1 / smallest).neg_()
-        parts.append(_weighted_sum(hit.log_(), segment.bag_weight, segment))
+        parts.append(hit.log_().sum(0))
     if arrays.divisor.is_contiguous():
         torch.index_select(arrays.divisors, 0, segment.bag_of_row, out=arrays.divisor)
     else:
         arrays.divisor.copy_(arrays.divisors.index_select(0, segment.bag_of_row))
-    if segment.weighted:
-        arrays.divisor.div_(segment.row_weight).clamp_(-1 / smallest, 1 / smallest)
     return functools.reduce(torch.add, parts), functools.reduce(torch.logical_and, fine)
-
-
-def _weighted_sum(rows: Tensor, weights: Tensor, segment: Segment) -> Tensor:
-    return (rows * weights[:, None]).sum(0) if segment.weighted else rows.sum(0)

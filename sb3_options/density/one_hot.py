@@ -23,7 +23,7 @@ def one_hot_log_density(
 
     Every other state is at the same distance, where p = exp(−2 s²). So with n instances in a bag, a positive one has
     probability 1 if the state is in it, else λ + (1 − λ) (1 − (1 − p)ⁿ). −inf where a state is in a negative bag at
-    full strength. The bags have no weights.
+    full strength.
     """
     log_elsewhere = -2.0 * scale**2
     elsewhere = math.exp(log_elsewhere)

@@ -1,4 +1,4 @@
-"""Regions of concept space: unions of balls, and half-spaces."""
+"""Regions of concept space: unions of balls."""
 
 from __future__ import annotations
 
@@ -82,20 +82,3 @@ class Region:
     def own(self, features: FloatArray) -> FloatArray:
         """The features that count, of all features (batch, d)."""
         return features if self.group is None else self.group.own(features)
-
-
-@storable
-@dataclass(frozen=True)
-class HalfSpace(Region):
-    """One side of a plane in concept space, ``points`` being one point of the plane.
-
-    Attributes:
-        normal: (d,), at right angles to the plane, towards the side that is meant; 0 for features of no importance.
-    """
-
-    normal: FloatArray
-
-    def covers(self, points: FloatArray) -> BoolArray:
-        """Whether normal · (feature − point) ≥ 0, shape (batch,)."""
-        inside: BoolArray = (points - self.points[0]) @ self.normal >= 0
-        return inside

@@ -16,7 +16,7 @@ from safetensors.numpy import save as to_safetensors
 
 from sb3_options.checked import whole
 from sb3_options.density.groups import FeatureGroup
-from sb3_options.density.regions import HalfSpace, Region
+from sb3_options.density.regions import Region
 from sb3_options.embedding.settings import LEARNED
 from sb3_options.options import policies
 from sb3_options.options.archive import Source, content_in, name_of
@@ -278,8 +278,6 @@ def _encode(option: SubgoalOption) -> tuple[dict[str, Any], Arrays]:
         "initiation_scale": option.initiation_set.scale,
         **option.option_policy.arrays(),
     }
-    if isinstance(option.subgoal, HalfSpace):
-        arrays["subgoal_normal"] = option.subgoal.normal
     entry = {
         "name": option.name,
         "max_duration": option.max_duration,
@@ -341,12 +339,7 @@ def _region(arrays: Arrays, name: str, radius: float, group: FeatureGroup | None
         raise ValueError(f"its {name} has points of shape {points.shape} and a scale of shape {scale.shape}")
     if not (np.isfinite(points).all() and np.isfinite(scale).all() and np.isfinite(radius) and radius >= 0):
         raise ValueError(f"its {name} holds numbers that are not finite, or a negative radius")
-    normal = arrays.get(f"{name}_normal")
-    if normal is None:
-        return Region(points, scale, float(radius), group=group)
-    if len(points) != 1 or normal.shape != scale.shape or not np.isfinite(normal).all():
-        raise ValueError(f"its {name} has points of shape {points.shape} and a normal of shape {normal.shape}")
-    return HalfSpace(points, scale, float(radius), normal, group=group)
+    return Region(points, scale, float(radius), group=group)
 
 
 def digest(about: str, tensors: Arrays) -> str:

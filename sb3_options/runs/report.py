@@ -17,7 +17,6 @@ from rich.table import Table
 from sb3_options.atomic import atomic_write
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.checkpoints.file import CheckpointFolder
-from sb3_options.density.regions import HalfSpace
 from sb3_options.discovery.settings import described
 from sb3_options.options import file as option_file
 from sb3_options.options.archive import NAME
@@ -107,8 +106,7 @@ def subgoal_of(option: SubgoalOption, features: str | None) -> str:
     """Its subgoal for people."""
     if not len(option.subgoal.points):
         return "none"
-    place = described(option.subgoal.points[0], features, option.subgoal.group)
-    return f"beyond the plane through {place}" if isinstance(option.subgoal, HalfSpace) else place
+    return described(option.subgoal.points[0], features, option.subgoal.group)
 
 
 def option_rows(contents: Contents, found: Mapping[int, int] | None = None) -> list[list[str]]:

@@ -28,10 +28,8 @@ def test_no_real_numbers(bag: Any, said: str) -> None:
         Bags.pack([[[0.0]], bag])
 
 
-def test_points_weights_and_scales() -> None:
+def test_points_and_scales() -> None:
     bags = Bags.pack([[[0.0]]])
-    with pytest.raises(ValueError, match="weights must hold real numbers"):
-        Bags.pack([[[0.0]]], weights=[1j])
     with pytest.raises(ValueError, match="points has masked values"):
         log_diverse_density(MASKED, 1.0, bags)
     with pytest.raises(ValueError, match="scale must be positive, finite, a number"):

@@ -103,12 +103,6 @@ def test_a_hit_on_a_negative_instance_pulls_nowhere(eta: float) -> None:
     np.testing.assert_allclose(gradient[:, 0], np.r_[in_a, in_s], rtol=1e-8)
 
 
-def test_a_negative_bag_of_weight_0_that_is_hit_says_nothing() -> None:
-    bags = Bags.pack([np.ones((1, 2))], [np.zeros((1, 2)), np.full((1, 2), 30.0)], weights=[1, 0, 1])
-    assert log_diverse_density([[0.0, 0.0]], 1.0, bags).item() == pytest.approx(-2)
-    assert evidence_of(bags).loss(torch.tensor([[0.0], [0.0], [1.0], [1.0]]).double())[0].item() == pytest.approx(2)
-
-
 @pytest.mark.parametrize("scale", [1e-6, 1e-3, 0.3, 1.0, 3.0, 1e3, 1e6])
 def test_what_single_precision_is_worth(scale: float) -> None:
     """The bound that `Evidence.loss` states, of concepts from a millionth to a million times the width of the data."""

@@ -86,7 +86,7 @@ def test_leaky_noisy_or_against_the_definition(leak: float, d: int) -> None:
 @pytest.mark.parametrize("d", [1, 2, 6])
 def test_gradient_with_a_leak(d: int) -> None:
     rng = np.random.default_rng(7)
-    bags = Bags.pack(random_bags(rng, 3, d, 1.5), random_bags(rng, 2, d, 1.5), weights=[1, 2, 1, 1, 3])
+    bags = Bags.pack(random_bags(rng, 3, d, 1.5), random_bags(rng, 2, d, 1.5))
     points = torch.tensor(rng.normal(scale=2, size=(4, d)), requires_grad=True)
     scales = torch.tensor(rng.uniform(0.5, 1.5, size=(4, d)), requires_grad=True)
     assert torch.autograd.gradcheck(lambda t, s: log_diverse_density(t, s, bags, leak=0.2), (points, scales))

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Concept, Frame, Plane, Point
+from sb3_options.density.concepts import Frame, Point
 from sb3_options.density.energies import Likelihood
 from sb3_options.density.evidence import Evidence
 from sb3_options.density.log_density import log_diverse_density
@@ -22,17 +22,14 @@ from tests.density.definition import oracle, random_bags
 
 def evidence_of(
     bags: Bags,
-    concept: Concept | None = None,
+    concept: Point | None = None,
     eta: float = 1.0,
-    width: float = 1.0,
     max_pairs: int = MAX_PAIRS,
     leak: float = 0.0,
 ) -> Evidence:
-    d = bags.n_features
-    frame = Frame(np.arange(d), np.zeros(d), np.ones(d), d)
+    frame = Frame(np.zeros(bags.n_features), np.ones(bags.n_features))
     concept = concept or Point(prior=None)
-    likelihood = Likelihood(concept.link, eta, leak)
-    return Evidence(bags, concept, frame, likelihood=likelihood, negative_width=width, max_pairs=max_pairs)
+    return Evidence(bags, concept, frame, likelihood=Likelihood(eta, leak), max_pairs=max_pairs)
 
 
 def theta_of(points: FloatArray, scales: FloatArray) -> Tensor:
@@ -122,27 +119,26 @@ def check_gradient(evidence: Evidence, theta: Tensor) -> None:
         Point(prior=None),
         Point(prior="small", prior_width=0.5),
         Point("one", prior="small"),
-        Plane(),
     ],
 )
-@pytest.mark.parametrize(("eta", "width"), [(1.0, 1.0), (0.3, 1.0), (1.0, 0.5), (0.2, 2.0)])
-def test_gradient_of_every_concept(concept: Concept, eta: float, width: float) -> None:
+@pytest.mark.parametrize("eta", [1.0, 0.3])
+def test_gradient_of_every_concept(concept: Point, eta: float) -> None:
     rng = np.random.default_rng(6)
-    bags = Bags.pack(random_bags(rng, 4, 3, 1.5), random_bags(rng, 3, 3, 1.5), weights=rng.uniform(0, 2, size=7))
-    evidence = evidence_of(bags, concept, eta, width)
+    bags = Bags.pack(random_bags(rng, 4, 3, 1.5), random_bags(rng, 3, 3, 1.5))
+    evidence = evidence_of(bags, concept, eta)
     theta = concept.start(torch.from_numpy(rng.normal(size=(5, 3))), 0.7)
     check_gradient(evidence, theta + torch.from_numpy(0.1 * rng.normal(size=theta.shape)))
 
 
-@pytest.mark.parametrize("concept", [Point(prior=None), Point("fixed"), Plane(offset=1e9, steepness=1e9)])
+@pytest.mark.parametrize("concept", [Point(prior=None), Point("fixed")])
 @pytest.mark.parametrize("reach", [1.0, 40.0, 1e3])  # bags that are too far to be quick
-def test_gradient_with_a_leak(concept: Concept, reach: float) -> None:
+def test_gradient_with_a_leak(concept: Point, reach: float) -> None:
     rng = np.random.default_rng(12)
-    bags = Bags.pack(random_bags(rng, 4, 3, 1.5), random_bags(rng, 3, 3, 1.5), weights=rng.uniform(0, 2, size=7))
+    bags = Bags.pack(random_bags(rng, 4, 3, 1.5), random_bags(rng, 3, 3, 1.5))
     evidence = evidence_of(bags, concept, eta=0.3, leak=0.2)
     theta = concept.start(torch.from_numpy(rng.normal(scale=reach, size=(5, 3))), 0.7)
     check_gradient(evidence, theta)
-    assert (-evidence.loss(theta)[0] >= math.log(0.2) * sum(bags.bag_weights) - 10).all()
+    assert (-evidence.loss(theta)[0] >= math.log(0.2) * len(bags.lengths) - 10).all()
 
 
 def test_one_leak_in_every_precision_and_way() -> None:
@@ -154,59 +150,6 @@ def test_one_leak_in_every_precision_and_way() -> None:
     theta = theta_of(points, np.ones(2))
     for value in (evidence.value(theta), evidence.value(theta.float()), evidence.loss(theta)[0]):
         np.testing.assert_allclose(-value.double().numpy(), expected, rtol=1e-4, atol=1e-5)
-
-
-@pytest.mark.parametrize("eta", [1.0, 0.2])
-def test_weak_negatives_of_a_plane_are_weak_at_any_distance(eta: float) -> None:
-    """η multiplies the odds of p; a positive bag far away makes the kernel take its careful way."""
-    near, far = np.array([[0.5, 0.0]]), np.array([[-1e3, 0.0]])
-    theta = torch.tensor([[1.0], [0.0], [0.0]], dtype=torch.float64)
-    flat = Plane(offset=1e9, steepness=1e9)
-    alone = evidence_of(Bags.pack([], [near]), flat, eta)
-    both = evidence_of(Bags.pack([far], [near]), flat, eta)
-    expected = -math.log1p(eta * math.exp(0.5))
-    assert -alone.loss(theta)[0].item() == pytest.approx(expected, rel=1e-9)
-    assert -both.loss(theta)[0].item() == pytest.approx(expected - 1e3, rel=1e-9)
-
-
-@pytest.mark.parametrize("reach", [1.0, 300.0])
-def test_a_plane_at_any_distance(reach: float) -> None:
-    rng = np.random.default_rng(7)
-    positive, negative = random_bags(rng, 3, 2, 1.0), random_bags(rng, 2, 2, 1.0)
-    theta = torch.from_numpy(np.array([[1.0], [2.0], [reach]]))
-    evidence = evidence_of(Bags.pack(positive, negative), Plane(offset=1e9, steepness=1e9))
-
-    def log_p(x: FloatArray) -> FloatArray:
-        return np.asarray(-np.logaddexp(0, reach - x @ [1.0, 2.0]))
-
-    expected = sum(
-        math.log(-math.expm1(np.log1p(-np.exp(log_p(b))).sum())) if reach < 100 else np.logaddexp.reduce(log_p(b))
-        for b in positive
-    ) + sum(float(np.log1p(-np.exp(log_p(b))).sum()) for b in negative)
-    assert -evidence.loss(theta)[0].item() == pytest.approx(expected, rel=1e-6)
-    check_gradient(evidence, theta)
-
-
-def test_weights_repeat_bags() -> None:
-    rng = np.random.default_rng(8)
-    positive, negative = random_bags(rng, 3, 2, 1.0), random_bags(rng, 2, 2, 1.0)
-    theta = theta_of(rng.normal(size=(4, 2)), np.ones(2))
-    weighted = evidence_of(Bags.pack(positive, negative, weights=[1, 3, 1, 2, 0]))
-    repeated = evidence_of(Bags.pack([*positive, positive[1], positive[1]], [negative[0]] * 2))
-    for once, thrice in zip(weighted.loss(theta), repeated.loss(theta), strict=True):
-        torch.testing.assert_close(once, thrice, rtol=1e-12, atol=1e-12)
-    points = rng.normal(size=(4, 2))
-    torch.testing.assert_close(
-        log_diverse_density(points, 1.0, Bags.pack(positive, negative, weights=[1, 3, 1, 2, 0])),
-        log_diverse_density(points, 1.0, Bags.pack([*positive, positive[1], positive[1]], [negative[0]] * 2)),
-    )
-
-
-def test_narrow_negatives() -> None:
-    positive, negative = [np.ones((1, 2))], [np.zeros((1, 2)), np.full((1, 2), 2.0)]
-    value = densities(evidence_of(Bags.pack(positive, negative), width=0.5), np.array([[1.0, 0.5]]), np.ones(2))
-    expected = -0.25 + math.log1p(-math.exp(-4 * 1.25)) + math.log1p(-math.exp(-4 * 3.25))
-    assert value[0] == pytest.approx(expected, rel=1e-12)
 
 
 def test_saturation() -> None:

@@ -42,23 +42,21 @@ def test_far_states_have_a_density() -> None:
 
 
 @pytest.mark.parametrize(
-    ("scale", "weights", "points", "short"),
+    ("scale", "points", "short"),
     [
-        (1.0, None, CODES, True),
-        (np.full(N_STATES, 2.0), None, CODES, True),
-        (np.arange(1.0, N_STATES + 1), None, CODES, False),
-        (1.0, [1.0, 2.0], CODES, False),
-        (1.0, None, CODES * 0.5, False),
+        (1.0, CODES, True),
+        (np.full(N_STATES, 2.0), CODES, True),
+        (np.arange(1.0, N_STATES + 1), CODES, False),
+        (1.0, CODES * 0.5, False),
     ],
 )
 def test_where_it_is_taken(
     scale: float | FloatArray,
-    weights: list[float] | None,
     points: FloatArray,
     short: bool,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Not with scales that differ, weights, or candidates between states: there the peaks are those of any features."""
+    """Not with scales that differ, or candidates between states: there the peaks are those of any features."""
     taken = []
 
     def counted(*args: object) -> FloatArray:
@@ -66,7 +64,7 @@ def test_where_it_is_taken(
         return one_hot.one_hot_log_density(*args)  # type: ignore[arg-type]
 
     monkeypatch.setattr("sb3_options.density.diverse_density.one_hot_log_density", counted)
-    bags = Bags.pack([CODES[[0, 3]], CODES[[3, 4]]], weights=weights)
+    bags = Bags.pack([CODES[[0, 3]], CODES[[3, 4]]])
     engine = DiverseDensity(scale=scale, method="exhaustive")
     best = engine.search(bags, candidates=points)[0]
     assert bool(taken) is short

@@ -15,8 +15,6 @@ def test_contamination_adds_an_instance_to_some_negative_bags() -> None:
     assert [len(bag) for bag in dirty.negative] == [6] * 3 + [5] * 7
     np.testing.assert_array_equal(dirty.negative[0][:5], clean.negative[0])
     assert np.linalg.norm(dirty.negative[0][5] - noisy_bags.PLACE) < 1
-    assert dirty.success[:3].min() >= 0.3
-    assert dirty.success[3:].max() <= 0.7
 
 
 @pytest.mark.parametrize("way", noisy_bags.WAYS)

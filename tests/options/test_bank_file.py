@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from sb3_options.density.groups import FeatureGroup
-from sb3_options.density.regions import HalfSpace, Region
+from sb3_options.density.regions import Region
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
-from tests.options.banks import N_PRIMITIVE, OBSERVATIONS, behaviour, empty_bank, filled_bank, table
+from tests.options.banks import N_PRIMITIVE, OBSERVATIONS, behaviour, empty_bank, filled_bank
 from tests.support import processes
 from tests.support.helpers import steady_option
 
@@ -55,21 +55,6 @@ class TestFile:
             assert 0 < sum(option[2]) < 1000
             assert len(set(option[3])) > 1
             assert 0 < sum(option[4]) < 1000
-
-    def test_a_half_space_comes_back_as_one(self, tmp_path: Path) -> None:
-        bank, flat = empty_bank(), table()
-        half_space = HalfSpace(np.array([[0.3, -0.2]]), np.ones(2), 0.0, np.array([1.0, 2.0]))
-        bank.add(SubgoalOption(half_space, flat.initiation_set, flat.option_policy))
-        bank.add(table(1))
-        bank.save(tmp_path / "bank.safetensors")
-        loaded = empty_bank()
-        loaded.load(tmp_path / "bank.safetensors")
-        subgoal, ball = loaded[0].subgoal, loaded[1].subgoal  # type: ignore[union-attr]  # both are SubgoalOptions
-        assert isinstance(subgoal, HalfSpace)
-        assert not isinstance(ball, HalfSpace)
-        points = np.random.default_rng(0).normal(size=(50, 2))
-        np.testing.assert_array_equal(subgoal.contains(points), half_space.contains(points))
-        np.testing.assert_array_equal(subgoal.contains(points), (points - [0.3, -0.2]) @ [1.0, 2.0] >= 0)
 
     def test_an_option_on_a_group_of_features(self, tmp_path: Path) -> None:
         group = FeatureGroup("second", [1], present=[[1]], scale=[2])

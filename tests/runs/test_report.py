@@ -13,7 +13,7 @@ from rich.console import Console
 
 from sb3_options import OptionBank
 from sb3_options.density.groups import FeatureGroup
-from sb3_options.density.regions import HalfSpace, Region
+from sb3_options.density.regions import Region
 from sb3_options.experience.trajectories import EpisodeRecord
 from sb3_options.options.option import Option, SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
@@ -40,9 +40,9 @@ def file(tmp_path: Path) -> Path:
     near = Region(np.array([[1.0, 5.0], [2.0, 5.0]]), ONE, 0.5)
     bank.add(reach(Region(np.array([[10.0, 5.0]]), ONE, 0.5), near, name="reach 10, 5", max_duration=40))
     bank.add(Option(np.asarray, np.asarray, np.asarray, name="turn round"))
-    plane = HalfSpace(np.array([[3.0, 0.0]]), ONE, 0.0, np.array([1.0, 0.0]))
+    place = Region(np.array([[3.0, 0.0]]), ONE, 0.5)
     network = NetworkPolicy(np.zeros(2), ONE, [np.zeros((2, 3))], [np.zeros(3)])
-    bank.add(reach(plane, near, network, policy_input="features"))
+    bank.add(reach(place, near, network, policy_input="features"))
     group = FeatureGroup("door", (4, 7))
     own = Region(np.array([[1.0, 0.0]]), ONE, 0.0, group=group)
     bank.add(reach(own, Region(near.points, ONE, 0.5, group=group), policy_input="features"))
@@ -65,7 +65,7 @@ class TestOptions:
         policy = "table of 1 states on the observation"
         assert rows[0] == ["0", "reach 10, 5", "10, 5", "4,000", "2", policy, "40 steps"]
         assert rows[1][:4] == ["1", "turn round", "by hand: code, not in the file", "given at the start"]
-        assert rows[2][2] == "beyond the plane through 3, 0"
+        assert rows[2][2] == "3, 0"
         assert rows[2][5] == "network on the features"
         assert [row[2] for row in rows[3:]] == ["door at 1, 0", "key at forward 2, lateral 0"]
 
