@@ -18,7 +18,7 @@ from sb3_options.envs.gridworld.observations import ImageView, OneHotView, View,
 from sb3_options.envs.gridworld.window import Window
 
 ObservationKind = Literal["onehot", "xy", "image"]
-RenderMode = Literal["human", "rgb_array", "ansi"]
+RenderMode = Literal["human", "rgb_array"]
 
 KEY_FEATURE_SCALE = 5.0
 """How far having the key is from not having it in concept space, in cells.
@@ -63,8 +63,7 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         continuing: Whether the agent goes on from a start, in the same episode, when it has reached the goal.
             ``is_success`` then says whether the episode has reached it so far.
         observation: What the agent sees.
-        render_mode: ``"rgb_array"`` for pictures, ``"ansi"`` for the map as text with ``A`` for the agent,
-            ``"human"`` for a matplotlib window.
+        render_mode: ``"rgb_array"`` for pictures, ``"human"`` for a matplotlib window.
 
     Attributes:
         goal: The goal cell.
@@ -232,19 +231,12 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         return features
 
     def render(self) -> RenderFrame | list[RenderFrame] | None:
-        """Draws the current state as the render mode says.
-
-        Returns:
-            For ``"rgb_array"`` a uint8 picture of shape (32 * height, 32 * width, 3), for ``"ansi"`` the
-            map's rows as one string, else None.
-        """
+        """Draws the current state; for ``"rgb_array"`` returns a uint8 picture (32 * height, 32 * width, 3)."""
         if self.render_mode is None:
             gymnasium.logger.warn("render() does nothing without a render mode: pass render_mode='rgb_array'")
             return None
         if self._state is None:
             raise gymnasium.error.ResetNeeded("render() was called before the first reset(): call reset() first")
-        if self.render_mode == "ansi":
-            return self._text(self._state)
         picture = self._picture(self._state)
         if self.render_mode == "rgb_array":
             return picture
@@ -258,12 +250,6 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         if self._window is not None:
             self._window.close()
             self._window = None
-
-    def _text(self, state: int) -> str:
-        x, y = self._grid.cell(state)
-        rows = self._grid.rows(has_key=state >= self._grid.n_cells)
-        rows[y] = rows[y][:x] + "A" + rows[y][x + 1 :]
-        return "\n".join(rows)
 
     def _picture(self, state: int) -> NDArray[np.uint8]:
         has_key = state >= self._grid.n_cells

@@ -153,15 +153,6 @@ class GridMap:
                     queue.append(state)
         return frozenset(found)
 
-    def rows(self, has_key: bool = False) -> list[str]:
-        """The map as text, starts not marked; with the key, the keys are gone and the doors are floor."""
-        marks = np.where(self.walls, WALL, FLOOR)
-        for things, mark in ((self.keys, KEY), (self.doors, DOOR)):
-            for x, y in things:
-                marks[y, x] = FLOOR if has_key else mark
-        marks[self.goal[1], self.goal[0]] = GOAL
-        return ["".join(row) for row in marks]
-
     def state(self, cell: Cell, has_key: bool = False) -> int:
         """The state of an agent that enters a cell: where a key lies, it holds the key from then on."""
         return cell[1] * self.width + cell[0] + self.n_cells * (has_key or cell in self.keys)

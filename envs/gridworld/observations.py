@@ -1,7 +1,6 @@
 """What the agent of a gridworld sees: three kinds of observation, each of which can be read back."""
 
 import math
-from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
@@ -15,35 +14,7 @@ MIN_IMAGE_PX = 36
 """Least side of an image, px: the smallest that the convolutions of SB3's NatureCNN accept."""
 
 
-class View(ABC):
-    """One kind of observation of a map's states.
-
-    Attributes:
-        space: The space of one observation.
-    """
-
-    space: spaces.Space[NDArray[Any]]
-
-    @abstractmethod
-    def __init__(self, grid: GridMap) -> None: ...
-
-    @abstractmethod
-    def observe(self, state: int) -> NDArray[Any]:
-        """The observation of a state, as a new array."""
-
-    @abstractmethod
-    def positions(self, observations: NDArray[Any]) -> NDArray[np.float64]:
-        """Column, row and, on a map with a key, 0 or 1 for having it.
-
-        Args:
-            observations: Observations of any integer or floating dtype, shape (batch, *space.shape).
-
-        Returns:
-            A new array of shape (batch, 2), with a key on the map (batch, 3).
-        """
-
-
-class OneHotView(View):
+class OneHotView:
     """A vector of zeros with a one at the index of the state."""
 
     def __init__(self, grid: GridMap) -> None:
@@ -52,18 +23,18 @@ class OneHotView(View):
         self._positions = _position_table(grid)
 
     def observe(self, state: int) -> NDArray[np.float32]:
-        """See `View.observe`."""
+        """The observation of a state, as a new array."""
         observation = np.zeros(self._n_states, np.float32)
         observation[state] = 1
         return observation
 
     def positions(self, observations: NDArray[Any]) -> NDArray[np.float64]:
-        """See `View.positions`."""
+        """Column, row and, on a map with a key, 0 or 1 for having it: (batch, 2 or 3)."""
         positions: NDArray[np.float64] = self._positions[observations.argmax(axis=1)]
         return positions
 
 
-class XYView(View):
+class XYView:
     """The position itself, in cells."""
 
     def __init__(self, grid: GridMap) -> None:
@@ -72,16 +43,16 @@ class XYView(View):
         self.space = spaces.Box(np.zeros_like(high), high)
 
     def observe(self, state: int) -> NDArray[np.float32]:
-        """See `View.observe`."""
+        """The observation of a state, as a new array."""
         observation: NDArray[np.float32] = self._positions[state].copy()
         return observation
 
     def positions(self, observations: NDArray[Any]) -> NDArray[np.float64]:
-        """See `View.positions`."""
+        """Column, row and, on a map with a key, 0 or 1 for having it: (batch, 2 or 3)."""
         return observations.astype(np.float64)
 
 
-class ImageView(View):
+class ImageView:
     """A picture (height, width, RGB) with one colour a cell; a held key is gone, and its doors are open."""
 
     def __init__(self, grid: GridMap) -> None:
@@ -93,13 +64,13 @@ class ImageView(View):
         self.space = spaces.Box(0, 255, self._backgrounds[0].shape, np.uint8)
 
     def observe(self, state: int) -> NDArray[np.uint8]:
-        """See `View.observe`."""
+        """The observation of a state, as a new array."""
         picture = self._backgrounds[state >= self._grid.n_cells].copy()
         drawing.fill_cell(picture, self._grid.cell(state), self._cell_px, drawing.AGENT)
         return picture
 
     def positions(self, observations: NDArray[Any]) -> NDArray[np.float64]:
-        """See `View.positions`."""
+        """Column, row and, on a map with a key, 0 or 1 for having it: (batch, 2 or 3)."""
         # A cell has one colour, so one of its pixels says it all.
         cells = observations[:, :: self._cell_px, :: self._cell_px]
         is_agent = (cells == drawing.AGENT).all(axis=3)
@@ -116,6 +87,9 @@ class ImageView(View):
             key_x, key_y = min(self._grid.keys)
             columns.append((cells[:, key_y, key_x] != drawing.KEY).any(axis=1))
         return np.stack(columns, axis=1).astype(np.float64)
+
+
+View = OneHotView | XYView | ImageView
 
 
 def _position_table(grid: GridMap) -> NDArray[np.float64]:

@@ -20,12 +20,7 @@ class _Written(NamedTuple):
 
 
 class KnownBlocks:
-    """The names of the blocks that the last checkpoint was written with, for arrays that tell how they grow.
-
-    Args:
-        growing: The arrays as they are now.
-        before: Those of the checkpoint before, if there is one.
-    """
+    """The names of the blocks that the last checkpoint was written with, for arrays that tell how they grow."""
 
     def __init__(self, growing: Sequence[Growing] = (), before: KnownBlocks | None = None) -> None:
         self._growing = {_address(each.array): each for each in growing}

@@ -18,9 +18,6 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
 
     `OptionsWrapper` puts it beneath itself when recording is first asked for, and takes from it what is finished.
 
-    Args:
-        env: Any.
-
     Attributes:
         finished: What is complete and was not yet taken.
     """

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import sb3_options.envs  # noqa: F401  # registers them
-from experiments.faults import checkpoints, files, fuzz, memory, workers
+from experiments.faults import checkpoints, files, fuzz, memory
 from sb3_options.checkpoints import file as checkpoint_file
 from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.options.bank import OptionBank
@@ -44,12 +44,3 @@ def test_fuzzed_bags_and_settings() -> None:
     for found, n in ((fuzz.check_bags(25, 0), 50), (fuzz.check_settings(30, 0), 30)):
         assert sum(sum(of.values()) for of in found.values()) == n
         assert {name for of in found.values() for name in of} == {"result", "refused"}
-
-
-@pytest.mark.slow
-def test_workers_that_are_killed(tmp_path: Path) -> None:
-    found = workers.run(tmp_path / "out", 8_192, 2.0, seed=0, n_workers=2)
-    assert found["ended"] == {"one line": found["times_killed"], "otherwise": 0, "hanging": 0}
-    assert found["times_killed"] > 0
-    assert found["orphans"] == found["checkpoints_lost"] == 0
-    assert not any(found["differences"].values())

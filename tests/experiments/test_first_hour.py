@@ -1,18 +1,14 @@
 """The study of a new user's first hour, small."""
 
 import json
-import re
 from pathlib import Path
 
 from experiments.first_hour import __main__ as first_hour
 from experiments.first_hour.conditions import (
     COMPETENT_EPISODES,
-    README,
     competent_after,
 )
 from sb3_options.experience.trajectories import EpisodeRecord
-
-RESULTS = Path(__file__).parents[2] / "docs" / "results"
 
 
 def test_writes_what_it_found(tmp_path: Path) -> None:
@@ -23,16 +19,6 @@ def test_writes_what_it_found(tmp_path: Path) -> None:
     assert set(content["summary"]) == set(conditions)
     assert [run["seed"] for run in content["runs"]["maskableppo"]] == [1000, 1001]
     assert content["command"].endswith("--n-timesteps 300 --conditions maskableppo 'maskableppo, filter by distances'")
-
-
-def test_the_program_of_the_readme_has_these_settings(tmp_path: Path) -> None:
-    shown = re.search(r"MaskablePPO\(.*\)", (RESULTS.parents[1] / "README.md").read_text())
-    assert shown is not None
-    assert all(f"{name}={value}" in shown[0] for name, value in README["as shown"].items())
-    study = first_hour.Study(task="readme", out=tmp_path, runs=1, n_timesteps=600, jobs=1, conditions=("as shown",))
-    first_hour.main(study)
-    (run,) = json.loads((tmp_path / "results.json").read_text())["runs"]["as shown"]
-    assert (run["episodes"], run["where"]) == (0, [])
 
 
 def test_competence_takes_success_and_short_ways() -> None:

@@ -65,7 +65,7 @@ def test_ids_make_their_maps(env_id: str, goal: Cell, max_steps: int) -> None:
         (
             {"render_mode": "depth"},
             ValueError,
-            r"render_mode must be one of 'human', 'rgb_array', 'ansi', got 'depth'",
+            r"render_mode must be one of 'human', 'rgb_array', got 'depth'",
         ),
     ],
 )

@@ -9,7 +9,6 @@ import torch
 from gymnasium.utils.env_checker import check_env
 from minigrid.core.constants import COLOR_TO_IDX, OBJECT_TO_IDX
 from minigrid.core.world_object import Lava
-from minigrid.wrappers import ViewSizeWrapper
 from stable_baselines3 import PPO
 
 from sb3_options import OptionsWrapper
@@ -155,18 +154,10 @@ def test_convolutions_read_the_cells_as_a_picture() -> None:
         (picture,) = seen
         objects = picture[0, :OBJECTS].argmax(dim=0).numpy()
         np.testing.assert_array_equal(objects, env.images(observation[None])[0, ..., 0])
-    wider = MiniGridWrapper(ViewSizeWrapper(gym.make("MiniGrid-LockedRoom-v0"), agent_view_size=9))  # type: ignore[no-untyped-call]  # of minigrid
-    assert MiniGridCNN(wider.observation_space, view=9).view == 9
-    with pytest.raises(ValueError, match=r"got 1719\. For another view pass policy_kwargs="):
-        MiniGridCNN(wider.observation_space)
-    with pytest.raises(ValueError, match="1029 numbers for a view of 7 by 7 cells and some for the mission, got 500"):
-        MiniGridCNN(gym.spaces.Box(0, 1, (500,)))
-    for n_frames in (2, 3, 4, 9):
-        with pytest.raises(ValueError, match=r"reads no stacked frames \(VecFrameStack\)"):
-            MiniGridCNN(gym.spaces.Box(0, 1, (n_frames * 1029,)))
-    for view in (5, 8):
-        with pytest.raises(ValueError, match=f"an odd view of 7 cells or more, got {view}"):
-            MiniGridCNN(wider.observation_space, view=view)
+    assert MiniGridCNN(gym.spaces.Box(0, 1, (1719,)), view=9).view == 9
+    for n_numbers in (500, 1719, 2 * 1029):
+        with pytest.raises(ValueError, match=f"1029 numbers for a view of 7 by 7 cells and some for .* {n_numbers}"):
+            MiniGridCNN(gym.spaces.Box(0, 1, (n_numbers,)))
     optioned = OptionsWrapper(make("MiniGrid-DoorKey-5x5-v0"), max_options=2, gamma=0.99)
     how = {"features_extractor_class": MiniGridCNN}
     PPO("MlpPolicy", optioned, n_steps=16, batch_size=16, n_epochs=1, device="cpu", policy_kwargs=how).learn(32)
