@@ -123,7 +123,7 @@ OptionPolicy: TypeAlias = TabularPolicy | NetworkPolicy
 def from_arrays(
     arrays: dict[str, npt.NDArray[np.float64]], observation_size: int | None, n_primitive: int
 ) -> OptionPolicy:
-    """The inverse of `OptionPolicy.arrays`, for observations of any size where ``observation_size`` is None."""
+    """The inverse of ``arrays``, for observations of any size where ``observation_size`` is None."""
     numbers = "some" if observation_size is None else observation_size
     expected = f"expected {numbers} numbers an observation and {n_primitive} primitive actions"
     if "table_states" in arrays and "table_values" in arrays:
