@@ -60,11 +60,7 @@ def whole(value: object, least: int) -> bool:
 
 
 def given_as(cls: type[T], given: T | Mapping[str, Any]) -> T:
-    """Settings as they were given, or those with the given fields.
-
-    Raises:
-        TypeError: They are neither.
-    """
+    """Settings as they were given, or those with the given fields."""
     if not isinstance(given, Mapping | cls):
         raise TypeError(f"{cls.__name__} must be given as one, or as a mapping of its fields, got {given!r}.")
     if isinstance(given, Mapping) and "self" in given:  # SB3 calls a class with the variables of learn()
@@ -78,15 +74,7 @@ def given_as(cls: type[T], given: T | Mapping[str, Any]) -> T:
 
 
 def truth_values(given: Mapping[str, Any], made: object) -> str:
-    """What is wrong with truth values where a number is meant: pydantic takes True, and YAML's ``yes``, for 1.
-
-    Args:
-        given: Settings by name.
-        made: What pydantic made of them.
-
-    Returns:
-        One line; empty where there are none.
-    """
+    """What is wrong with truth values where a number is meant: pydantic takes True, and YAML's ``yes``, for 1."""
     wrong = []
     for name, value in given.items():
         got = getattr(made, name, value)
@@ -105,12 +93,7 @@ def _stands_for_a_number(value: Any, got: Any) -> bool:
 
 
 def readable(error: ValidationError, names: Sequence[str] = ()) -> str:
-    """One line that says of every wrong field its name, what was expected and what came.
-
-    Args:
-        error: What pydantic found.
-        names: Of the fields in order, for those that were passed by position.
-    """
+    """One line that says of every wrong field its name, what was expected and what came."""
     return "; ".join(_readable(e, names) for e in error.errors(include_url=False))
 
 

@@ -88,11 +88,7 @@ INTRODUCTION = """Train an agent that discovers its own options, or evaluate one
 
 
 def main(args: Sequence[str] | None = None) -> None:
-    """Run a command line: a command and its arguments, or an algorithm and flags.
-
-    Args:
-        args: Without the program's name; by default those of the process.
-    """
+    """Run a command line: a command and its arguments, or an algorithm and flags."""
     args = sys.argv[1:] if args is None else list(args)
     command = args[0] if args else ""
     status = USAGE
@@ -173,19 +169,7 @@ def parsed(of: type[T], args: Sequence[str], prog: str, **kwargs: Any) -> T:
 
 
 def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
-    """The configuration that a command line describes.
-
-    Args:
-        args: Without the program's name: the algorithm or nothing, and flags.
-        prog: For the help text.
-
-    Returns:
-        The configuration: flags over the file of ``--config`` over the defaults of environment and algorithm.
-
-    Raises:
-        ValueError: A flag or a setting makes no sense.
-        OSError: A file cannot be read.
-    """
+    """The configuration that a command line describes."""
     early = argparse.ArgumentParser(prog=prog, add_help=False, allow_abbrev=False, exit_on_error=False)
     for name in ("--algo", "--env", "--env-wrapper", "--feature-map", "--config"):
         early.add_argument(name)

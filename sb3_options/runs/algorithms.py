@@ -35,11 +35,7 @@ RESERVED = frozenset({"self", "policy", "env", "verbose", "_init_setup_model"}) 
 
 
 def class_of(algo: str) -> Any:
-    """The class of an algorithm.
-
-    Raises:
-        ModuleNotFoundError: It is one of sb3-contrib's, which is not installed.
-    """
+    """The class of an algorithm."""
     module, name = ALGORITHMS[algo]
     try:
         return getattr(importlib.import_module(module), name)
@@ -66,16 +62,7 @@ def arguments_of(algo: str) -> dict[str, inspect.Parameter]:
 
 
 def checked_arguments(algo: str, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments of an algorithm, checked against the signature of its class.
-
-    Args:
-        algo: Its name.
-        values: By name.
-
-    Raises:
-        ValueError: The class has no such argument, or it is of another type or not finite.
-        ModuleNotFoundError: The algorithm is one of sb3-contrib's, which is not installed.
-    """
+    """Arguments of an algorithm, checked against the signature of its class."""
     arguments = arguments_of(algo)
     for name in values:
         if name not in arguments:
@@ -100,17 +87,7 @@ def _without_functions(annotation: Any) -> Any:
 
 
 def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> BaseAlgorithm:
-    """The untrained model of a run.
-
-    Args:
-        config: Of the run.
-        env: As `make_env` makes it.
-        playing: Whether it is to be loaded and played only, which needs no large buffer.
-
-    Raises:
-        ModuleNotFoundError: The algorithm is one of sb3-contrib's, which is not installed.
-        ValueError: There is no such device, or an argument is out of its range.
-    """
+    """The untrained model of a run."""
     check_device(config.device)
     space = env.observation_space
     # NatureCNN takes no smaller picture, such as a view of 7 x 7 cells.
@@ -140,11 +117,7 @@ def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> Ba
 
 
 def check_device(name: str) -> None:
-    """Refuse a device that torch cannot compute on here. Without a GPU, "cuda" means "cpu", as SB3 has it.
-
-    Raises:
-        ValueError: There is no such device.
-    """
+    """Refuse a device that torch cannot compute on here. Without a GPU, "cuda" means "cpu", as SB3 has it."""
     try:
         device = get_device(name)
         torch.zeros(1, device=device).item()

@@ -47,11 +47,7 @@ class KeepToBudget(BaseCallback):
 
 
 def rounded_up(config: TrainConfig) -> str:
-    """What to say of a budget that whole rollouts make larger by more than `TOLERATED`; nothing of any other.
-
-    Args:
-        config: Of the run.
-    """
+    """What to say of a budget that whole rollouts make larger by more than `TOLERATED`; nothing of any other."""
     if config.algo in OFF_POLICY:
         return ""
     n_steps = config.algo_kwargs["n_steps"]
@@ -66,11 +62,7 @@ def rounded_up(config: TrainConfig) -> str:
 
 
 def memory_is_short(error: BaseException) -> str | None:
-    """What to tell a user whose settings do not fit the memory; None for any other error.
-
-    Args:
-        error: numpy raises `MemoryError`, torch a `RuntimeError` that differs from others by its text.
-    """
+    """What to tell a user whose settings do not fit the memory; None for any other error."""
     text = " ".join(str(error).split())
     if not isinstance(error, MemoryError) and "memory" not in text:
         return None

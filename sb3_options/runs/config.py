@@ -165,16 +165,7 @@ def configure(**values: Any) -> TrainConfig:
 
 
 def build(values: Mapping[str, Any], source: str | Path) -> TrainConfig:
-    """The configuration with these settings; the others have the defaults of environment and algorithm.
-
-    Args:
-        values: By name. Names may be spelled as flags, and have dots for parts of a group. A name that `TrainConfig`
-            does not have is an argument of the algorithm's class.
-        source: The values come from, for errors.
-
-    Raises:
-        ValueError: A setting is unknown, has no effect, or is out of its range.
-    """
+    """The configuration with these settings; the others have the defaults of environment and algorithm."""
     try:
         return _built(values)
     except ValidationError as error:
@@ -256,11 +247,7 @@ def default_algo(env_id: str) -> str:
 
 
 def check_algo(algo: str) -> None:
-    """Refuse the name of no algorithm.
-
-    Raises:
-        ValueError: There is none of that name.
-    """
+    """Refuse the name of no algorithm."""
     if algo not in ALGORITHMS:
         near = difflib.get_close_matches(algo, [*ALGORITHMS, *COMMANDS], n=1, cutoff=SAME_NAME)
         hint = f" Did you mean {near[0]!r}?" if near else ""
@@ -268,12 +255,7 @@ def check_algo(algo: str) -> None:
 
 
 def unknown(name: str, arguments: Mapping[str, Any] | None = None) -> str:
-    """What to say of an unknown setting, with the nearest one.
-
-    Args:
-        name: With a dot where it stands in a group.
-        arguments: Of the algorithm's class, by name.
-    """
+    """What to say of an unknown setting, with the nearest one."""
     known = {name: name for name in (*FIELDS, *(arguments or {}))}
     for group, of in GROUPS.items():
         known = {f.name: f"{group}.{f.name}" for f in dataclasses.fields(of)} | known
@@ -283,16 +265,7 @@ def unknown(name: str, arguments: Mapping[str, Any] | None = None) -> str:
 
 
 def load(path: Path, trusted: Mapping[str, str | None] | None = None) -> TrainConfig:
-    """The configuration that `save` wrote.
-
-    Args:
-        path: Of the file.
-        trusted: What the user has named on the command line, as `read` takes it.
-
-    Raises:
-        OSError: The file cannot be read.
-        ValueError: It is no configuration, or names what would import a module.
-    """
+    """The configuration that `save` wrote."""
     return build(read(path, trusted), path)
 
 
@@ -309,16 +282,7 @@ def as_values(config: TrainConfig) -> dict[str, Any]:
 
 
 def read(path: Path, trusted: Mapping[str, str | None] | None = None) -> dict[str, Any]:
-    """The settings in a file, not checked yet.
-
-    Args:
-        path: Of the file.
-        trusted: ``env``, ``env_wrapper`` and ``feature_map``, which take the place of the file's own; None leaves it.
-
-    Raises:
-        OSError: The file cannot be read.
-        ValueError: It holds no settings, or names what would import a module.
-    """
+    """The settings in a file, not checked yet."""
     values = yaml_file.read_mapping(path)
     values = {str(name).replace("-", "_"): value for name, value in values.items()}
     return with_trusted(values, trusted or {}, path)

@@ -25,15 +25,7 @@ class _InterruptedError(Exception):
 
 
 class WatchedEvalCallback(EvalCallback):
-    """SB3's ``EvalCallback`` with progress, interrupts and the run's rule of success.
-
-    Args:
-        interrupts: Notes them.
-        folder: Where to write.
-        success: The rule; None for what the environment reports.
-        eval_env: Where to play.
-        **kwargs: Of ``EvalCallback``.
-    """
+    """SB3's ``EvalCallback`` with progress, interrupts and the run's rule of success."""
 
     remembers_nothing = True  # more than EvalCallback does, from one evaluation to the next
 

@@ -71,11 +71,7 @@ def table(result: Evaluation, run: str) -> Table:
 
 
 def save(result: Evaluation, seed: int, path: Path) -> None:
-    """Write the result as JSON.
-
-    Raises:
-        OSError: It cannot be written.
-    """
+    """Write the result as JSON."""
     found = {name.replace(" ", "_"): interval._asdict() for name, interval in result.intervals().items()}
     with atomic_write(path) as temporary:
         content = json.dumps({"episodes": result.episodes, "seed": seed, **found}, indent=2)
@@ -83,19 +79,7 @@ def save(result: Evaluation, seed: int, path: Path) -> None:
 
 
 def show_evaluation(config: EvaluateConfig, console: Console) -> Evaluation:
-    """Evaluate a run, print the result, and write it to ``evaluation.json`` in the run folder if that is possible.
-
-    Args:
-        config: Which run, and how.
-        console: Where to print.
-
-    Returns:
-        The evaluation.
-
-    Raises:
-        ValueError: Something does not fit.
-        OSError: A file of the run is missing, or the video cannot be written.
-    """
+    """Evaluate a run, print the result, and write it to ``evaluation.json`` in the run folder if that is possible."""
     result = evaluate_run(**asdict(config))
     console.print(table(result, escape(str(config.run))))
     file = config.run / "evaluation.json"
@@ -120,19 +104,6 @@ def greedy_episodes(
     """Act greedily.
 
     Every environment plays its share of the episodes, so that short ones are not preferred.
-
-    Args:
-        model: Chooses the actions.
-        venv: Where; it is reset first.
-        episodes: How many.
-        masked: Whether the model is to be given the environments' ``action_masks``.
-        explore: Takes the actions chosen, shape (n_envs,), and gives those taken.
-
-    Yields:
-        Of every episode that ends, the environment it was in and its last info.
-
-    Raises:
-        ValueError: An episode does not end.
     """
     left = [(episodes + i) // venv.num_envs for i in range(venv.num_envs)]
     steps = [0] * venv.num_envs
@@ -160,15 +131,6 @@ def evaluate_run(run: Path, **settings: Any) -> Evaluation:
     """Load a run folder and act greedily in its environment, with options interrupted as in training.
 
     Weights and options are read as arrays only; nothing in the folder can run code.
-
-    Args:
-        run: The run folder.
-        **settings: Of `EvaluateConfig`.
-
-    Raises:
-        FileNotFoundError: The folder lacks a file of a run.
-        ValueError: A setting is out of its range, a file does not fit, the environment draws no pictures, or an
-            episode does not end.
     """
     asked = EvaluateConfig(run, **settings)
     if asked.episodes < 1:

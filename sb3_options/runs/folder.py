@@ -192,27 +192,6 @@ def make_env(
 
     The slots start with the options of ``--options``. An environment of MiniGrid gets a `MiniGridWrapper`, unless
     ``--env-wrapper`` names another.
-
-    Args:
-        config: Of the run.
-        n_envs: How many.
-        seed: Of the first; the others count on from it.
-        monitor_dir: Where each writes its episodes; None writes nothing. In a folder that there is they are added.
-        beneath: A wrapper to put beneath the options as well.
-        render_mode: For the environment.
-        vec_env: Where they live: here, each in a process of its own, or in Ray actors.
-        max_steps: Primitive steps after which an episode is cut off, if the environment does not end it; 0 for never.
-
-    Returns:
-        A ``DummyVecEnv``, a ``SubprocVecEnv`` whose workers are watched, or a `RayVecEnv`.
-
-    Raises:
-        FileNotFoundError: ``--options`` names no file.
-        ModuleNotFoundError: ``--env-wrapper`` or ``--feature-map`` names a module that there is not, or Ray is missing.
-        ConnectionError: ``RAY_ADDRESS`` names a cluster that there is not.
-        TypeError: ``--env-wrapper`` names what cannot wrap an environment.
-        ValueError: The options do not fit, or one of these two names nothing.
-        WorkerLostError: A worker process has ended.
     """
     keywords = config.env_kwargs | ({} if render_mode is None else {"render_mode": render_mode})
     if max_steps:

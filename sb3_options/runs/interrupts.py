@@ -87,9 +87,6 @@ class StopWhenNoted(BaseCallback):
     """Ends training after a step, once an interrupt is due.
 
     A rollout whose update would take longer than there is time for is not waited for.
-
-    Args:
-        interrupts: Notes it.
     """
 
     remembers_nothing = True

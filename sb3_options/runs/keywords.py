@@ -11,15 +11,7 @@ from sb3_options.runs import yaml_file
 
 
 def keywords_of(pairs: Any, source: str = "--env-kwargs") -> Any:
-    """Pairs ``name:value`` as keyword arguments; a value is read as YAML, so that 3 is a number.
-
-    Args:
-        pairs: Of the command line or a file; a mapping is let be.
-        source: The flag.
-
-    Raises:
-        ValueError: A pair has no colon, or a value is no YAML that can be read safely.
-    """
+    """Pairs ``name:value`` as keyword arguments; a value is read as YAML, so that 3 is a number."""
     if not isinstance(pairs, str | list | tuple):
         return pairs  # a mapping, or what pydantic refuses
     keywords = {}
@@ -32,11 +24,7 @@ def keywords_of(pairs: Any, source: str = "--env-kwargs") -> Any:
 
 
 def value_of(name: str, text: str) -> Any:
-    """A value of the command line, read as YAML; None is None.
-
-    Raises:
-        ValueError: It is no YAML that can be read safely.
-    """
+    """A value of the command line, read as YAML; None is None."""
     try:
         return None if text == "None" else yaml_file.parse(text)
     except ValueError as error:

@@ -70,13 +70,7 @@ class NothingLoggedError(ValueError):
 
 
 def read_run(folder: Path) -> Run:
-    """Read what a run logged, of this library, of SB3 or of rl-zoo3.
-
-    Raises:
-        FileNotFoundError: There is no such folder, or no TensorBoard file in it.
-        NothingLoggedError: Nothing was logged that can be compared.
-        ValueError: The configuration is damaged.
-    """
+    """Read what a run logged, of this library, of SB3 or of rl-zoo3."""
     files = sorted({file.parent for file in folder.glob(EVENTS)})
     if not files:
         raise FileNotFoundError(f"{folder} has no TensorBoard file, which is where runs are read from.")
@@ -98,16 +92,7 @@ def read_run(folder: Path) -> Run:
 
 
 def groups_of(words: Sequence[str]) -> dict[str, list[Run]]:
-    """Runs by the name of their group, those with a name of their own last.
-
-    Args:
-        words: ``NAME=PATTERN``, or a pattern whose runs are grouped by their settings. A folder that holds run folders
-            stands for these.
-
-    Raises:
-        FileNotFoundError: A pattern fits no folder.
-        Otherwise as `read_run`.
-    """
+    """Runs by the name of their group, those with a name of their own last."""
     named: dict[str, list[Run]] = {}
     for word in words:
         name, equals, pattern = word.partition("=")
@@ -138,11 +123,7 @@ def runs_in(folder: Path) -> list[Path]:
 
 
 def grouped(runs: Sequence[Run]) -> dict[str, list[Run]]:
-    """Runs that differ in nothing but their seed make a group, named by what it has and others have not.
-
-    Args:
-        runs: At least one. Those without a ``config.yml`` are grouped by their folder's name without its number.
-    """
+    """Runs that differ in nothing but their seed make a group, named by what it has and others have not."""
     flat = [_flat({k: v for k, v in run.settings.items() if k not in NO_SETTING}) for run in runs]
     names = sorted({name for each in flat for name in each})
     values = {name: [json.dumps(each.get(name), default=str) for each in flat] for name in names}

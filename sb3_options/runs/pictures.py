@@ -27,11 +27,7 @@ PANEL = (4.6, 3.4)
 
 
 def format_of(picture: Path) -> str:
-    """The format that a picture's name asks for.
-
-    Raises:
-        ValueError: It is none that can be drawn.
-    """
+    """The format that a picture's name asks for."""
     name = picture.suffix.removeprefix(".").lower()
     if name not in FigureCanvasAgg.get_supported_filetypes():
         raise ValueError(f"--out {picture}: choose a name that ends with .png, .pdf or .svg.")
@@ -39,24 +35,13 @@ def format_of(picture: Path) -> str:
 
 
 def save_picture(figure: Figure, picture: Path) -> None:
-    """Write the picture that ``--out`` names, in the format that its name asks for.
-
-    Raises:
-        ValueError: The format is none that can be drawn.
-        OSError: It cannot be written.
-    """
+    """Write the picture that ``--out`` names, in the format that its name asks for."""
     with named_in_errors("--out", picture, "cannot be written"), atomic_write(picture) as temporary:
         figure.savefig(temporary, dpi=DPI, format=format_of(picture))
 
 
 def options_picture(options: Mapping[int, SubgoalOption | str], titles: Mapping[int, str], features: str | None) -> Any:
-    """A panel for each discovered option: its initiation set and its subgoal, in the first two features that count.
-
-    Args:
-        options: By slot.
-        titles: Subgoals in words, by slot.
-        features: Where φ comes from.
-    """
+    """A panel for each discovered option: its initiation set and its subgoal, in the first two features that count."""
     drawn = {slot: option for slot, option in options.items() if isinstance(option, SubgoalOption)}
     columns = min(COLUMNS, max(1, len(drawn)))
     rows = max(1, -(-len(drawn) // columns))

@@ -90,12 +90,7 @@ class Contents(NamedTuple):
 
 
 def contents_of(path: Path) -> Contents:
-    """Read a run folder, an options file or a ``model.zip``; nothing is unpickled.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is damaged, or something else.
-    """
+    """Read a run folder, an options file or a ``model.zip``; nothing is unpickled."""
     file = option_file.opened(path / NAME if path.is_dir() else path)
     space, features = (file.made_for.space, file.made_for.features) if file.made_for else (None, None)
     options: dict[int, SubgoalOption | str] = {**file.hand_made, **file.options()}
@@ -110,12 +105,7 @@ def subgoal_of(option: SubgoalOption, features: str | None) -> str:
 
 
 def option_rows(contents: Contents, found: Mapping[int, int] | None = None) -> list[list[str]]:
-    """A row of `HEADINGS` for every option.
-
-    Args:
-        contents: Of a file.
-        found: Primitive steps after which an option was discovered, by slot; None where nobody knows.
-    """
+    """A row of `HEADINGS` for every option; ``found`` has the primitive steps of discovery by slot, if they are known."""
     rows = []
     for slot, option in contents.options.items():
         when = "" if found is None else f"{found[slot]:,}" if slot in found else "given at the start"
@@ -139,16 +129,7 @@ def option_rows(contents: Contents, found: Mapping[int, int] | None = None) -> l
 
 
 def show_options(config: InspectConfig, console: Console) -> None:
-    """Print what is in an options file, and draw it.
-
-    Args:
-        config: Which.
-        console: For the table.
-
-    Raises:
-        ValueError: It is damaged, or something else.
-        OSError: There is none, or the picture cannot be written.
-    """
+    """Print what is in an options file, and draw it."""
     contents = contents_of(config.file)
     console.print(_table(HEADINGS, option_rows(contents)))
     console.print(
@@ -164,14 +145,7 @@ def show_options(config: InspectConfig, console: Console) -> None:
 
 
 def closing_report(console: Console, trained: Trained, other: Trained | None, *, draws: bool) -> None:
-    """Print what training found and how it went, and the commands that follow.
-
-    Args:
-        console: Where to print.
-        trained: The run.
-        other: What ``--compare`` trained after it without discovery; None where that was not begun.
-        draws: Whether the environment draws pictures, of which a video can be made.
-    """
+    """Print what training found and how it went, and the commands that follow; ``other`` is the run of ``--compare``."""
     config = trained.config
     episodes = trained.discovery.episodes
     unit = "episode" if config.discovery.segmentation == "episodes" else "segment"
@@ -300,11 +274,7 @@ def _importing(config: TrainConfig) -> str:
 
 
 def write_card(trained: Trained) -> None:
-    """Write the card into the run folder, whose model and options are saved already.
-
-    Raises:
-        OSError: It cannot be written.
-    """
+    """Write the card into the run folder, whose model and options are saved already."""
     with atomic_write(trained.folder / CARD) as temporary:
         temporary.write_text(_card(trained), encoding="utf-8")
 

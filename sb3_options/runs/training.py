@@ -49,17 +49,6 @@ def train(config: TrainConfig, interrupts: Interrupts | None = None, *, resumed:
 
     An interrupt or an error ends training early, and what was learned is kept. Before the first step nothing is kept,
     and no folder is left.
-
-    Args:
-        config: Of the run.
-        interrupts: Notes them; by default one of its own.
-        resumed: The run folder to go on in; None for a new one.
-
-    Raises:
-        KeyboardInterrupt: An interrupt came before the first step.
-        ValueError: Something in the configuration does not fit.
-        OSError: The run folder cannot be written.
-        WorkerLostError: A worker process of ``--vec-env subproc`` has ended.
     """
     if "OMP_NUM_THREADS" not in os.environ:
         torch.set_num_threads(1)  # small networks are fastest with one
@@ -96,17 +85,7 @@ def discovery_callback(config: TrainConfig, *, verbose: int = 0) -> SubgoalDisco
 
 
 def resume(resumed: ResumeConfig, interrupts: Interrupts | None = None) -> None:
-    """Go on with a run. A finished run is left as it is.
-
-    Args:
-        resumed: Which.
-        interrupts: As for `train`.
-
-    Raises:
-        OSError: There is no run, no checkpoint in it, or it cannot be written to.
-        ValueError: Another process trains in it, or something does not fit.
-        Otherwise as `train`.
-    """
+    """Go on with a run. A finished run is left as it is."""
     run = resumed.run
     if not (run / runs.CONFIG).is_file():
         raise FileNotFoundError(f"{run} is no run folder: there is no {runs.CONFIG} in it.")
@@ -120,13 +99,7 @@ def resume(resumed: ResumeConfig, interrupts: Interrupts | None = None) -> None:
 
 
 def config_of(resumed: ResumeConfig) -> TrainConfig:
-    """The configuration of a run as it goes on. The options it started with are in the checkpoint.
-
-    Raises:
-        FileNotFoundError: There is no checkpoint in it.
-        ValueError: Its configuration names what would import a module, something in it is a link or no file, or it is
-            to be shorter than it was.
-    """
+    """The configuration of a run as it goes on. The options it started with are in the checkpoint."""
     _refuse_links(resumed.run)
     if not any(CheckpointFolder(resumed.run / runs.CHECKPOINTS)):
         raise FileNotFoundError(
@@ -199,11 +172,7 @@ def _hparams_of(config: TrainConfig, options: Path | None) -> dict[str, object]:
 def _learn(
     config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path, interrupts: Interrupts, *, resume: bool
 ) -> bool:
-    """Train, and save what was learned, however training ends; without a step taken, remove a new folder.
-
-    Returns:
-        Whether training came to its end.
-    """
+    """Train, and save what was learned, however training ends; without a step taken, remove a new folder."""
     interrupts.saving = False
     interrupts.patience = 0.0
     discovery.save_path = folder / runs.OPTIONS

@@ -125,18 +125,7 @@ def _distribution(path: Path, name: str, of: Any) -> BaseDistribution:
 
 
 def tune(config: TuneConfig, console: Console) -> TrainConfig:
-    """Search, and leave ``best.yml`` and pictures; the best configuration is returned.
-
-    Args:
-        config: What, and how.
-        console: For messages.
-
-    Raises:
-        ValueError: The file describes no search, or another one than that in the folder, or trials failed.
-        OSError: A file cannot be read or written, or there is no ``--cluster``.
-        ModuleNotFoundError: The algorithm needs sb3-contrib, or ``--cluster`` Ray, which is not installed.
-        KeyboardInterrupt: The user ended it; the same command goes on.
-    """
+    """Search, and leave ``best.yml`` and pictures; the best configuration is returned."""
     goal = Goal.parsed(config.reach)
     trusted = {name: getattr(config, name) for name in IMPORTING}
     space = read_space(config.space, trusted)

@@ -22,13 +22,6 @@ def held(run: Path) -> Iterator[None]:
     """Keep other processes from training in a run folder. A process that is killed keeps none from it any more.
 
     Where the file system has no locks, nothing is kept.
-
-    Args:
-        run: The run folder.
-
-    Raises:
-        OSError: The file of the lock cannot be made.
-        ValueError: Another process trains in it.
     """
     descriptor = os.open(run / LOCK, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
     try:

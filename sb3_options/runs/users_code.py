@@ -25,16 +25,7 @@ def importing(values: Mapping[str, Any]) -> dict[str, str]:
 
 
 def with_trusted(values: Mapping[str, Any], trusted: Mapping[str, str | None], source: str | Path) -> dict[str, Any]:
-    """Settings of a file, with those that the command line names in their place.
-
-    Args:
-        values: Of the file.
-        trusted: ``env``, ``env_wrapper`` and ``feature_map`` of the command line; None leaves the file's own.
-        source: The file.
-
-    Raises:
-        ValueError: The file names what would import a module, and the command line does not.
-    """
+    """Settings of a file, with those that the command line names in their place."""
     named = {name: value for name, value in trusted.items() if value is not None}
     for name, text in importing(values).items():
         if name not in named:
@@ -51,12 +42,7 @@ def flag(name: str) -> str:
 
 
 def feature_map_of(text: str | None) -> Any:
-    """The feature map that ``--feature-map`` names: of a module, or one that is learned, by its name.
-
-    Raises:
-        ModuleNotFoundError: There is no such module.
-        ValueError: It names nothing that can be called.
-    """
+    """The feature map that ``--feature-map`` names: of a module, or one that is learned, by its name."""
     if text is None or text == LEARNED:
         return text
     if ":" not in text:
@@ -65,16 +51,7 @@ def feature_map_of(text: str | None) -> Any:
 
 
 def named(text: str, source: str) -> Callable[..., Any]:
-    """What ``module:name`` names.
-
-    Args:
-        text: From the command line, for it imports the module.
-        source: The flag.
-
-    Raises:
-        ModuleNotFoundError: There is no such module.
-        ValueError: It names nothing that can be called.
-    """
+    """What ``module:name`` names."""
     module, _, name = text.partition(":")
     if not (module and name):
         raise ValueError(f"{source} takes module:name, got {text!r}.")
@@ -85,11 +62,7 @@ def named(text: str, source: str) -> Callable[..., Any]:
 
 
 def imported(module: str, source: str) -> ModuleType:
-    """Import a module that the command line names. The current folder is not searched.
-
-    Raises:
-        ModuleNotFoundError: There is no such module, or it imports one that is missing.
-    """
+    """Import a module that the command line names. The current folder is not searched."""
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
@@ -104,11 +77,7 @@ def imported(module: str, source: str) -> ModuleType:
 
 @contextmanager
 def named_in_errors(source: str, path: Path, problem: str = "cannot be read") -> Iterator[None]:
-    """Say of an error of the operating system which flag or command named the file.
-
-    Raises:
-        OSError: In place of another one, of the same class.
-    """
+    """Say of an error of the operating system which flag or command named the file."""
     try:
         yield
     except OSError as error:

@@ -41,11 +41,6 @@ GIF_PICTURES = 600
 class RecordFrames(gym.Wrapper[Any, Any, Any, Any]):
     """Hands over the pictures of every primitive step, also of those inside options.
 
-    Args:
-        env: With ``render_mode="rgb_array"``, or ``"rgb_array_list"`` if it draws several for a step.
-        take: Is given each picture.
-        episodes: After this many, nothing more is recorded.
-
     Attributes:
         caption: Text to write below each picture; None writes nothing.
     """
@@ -97,16 +92,7 @@ def _font(size: int) -> Any:
 
 
 class Video:
-    """An MP4 file that grows picture by picture, so that a long one needs no memory; or a GIF, which is short.
-
-    Args:
-        path: Of the file.
-        fps: Pictures per second.
-        gif: GIF, which repeats for ever and takes the first `GIF_PICTURES`, rather than MP4.
-
-    Raises:
-        OSError: It cannot be written.
-    """
+    """An MP4 file that grows picture by picture, so that a long one needs no memory; or a GIF, which is short."""
 
     def __init__(self, path: Path, fps: float, *, gif: bool = False) -> None:
         self._left = GIF_PICTURES if gif else math.inf
@@ -120,11 +106,7 @@ class Video:
         )
 
     def take(self, picture: Any) -> None:
-        """Append a picture, shape (height, width, 3).
-
-        Raises:
-            ValueError: There is no picture.
-        """
+        """Append a picture, shape (height, width, 3)."""
         if picture is None:
             raise ValueError("The environment draws no pictures: it has no render_mode 'rgb_array'.")
         self._left -= 1
@@ -141,15 +123,7 @@ class Video:
 
 @contextmanager
 def video_file(path: Path, fps: float) -> Iterator[Video]:
-    """A video that is there, whole, once everything has been taken.
-
-    Args:
-        path: An .mp4 or .gif file.
-        fps: Pictures per second.
-
-    Raises:
-        OSError: It cannot be written.
-    """
+    """A video that is there, whole, once everything has been taken."""
     with ExitStack() as stack:
         with named_in_errors("--video", path, "cannot be written"):
             temporary = stack.enter_context(atomic_write(path))
@@ -164,15 +138,7 @@ def mode_among(metadata: Mapping[str, Any]) -> str | None:
 
 
 def render_mode_of(env_id: str, keywords: dict[str, Any]) -> tuple[str, float]:
-    """The render mode that shows most of an environment, and its pictures per second.
-
-    Args:
-        env_id: Of the environment.
-        keywords: Its arguments.
-
-    Raises:
-        ValueError: It draws no pictures.
-    """
+    """The render mode that shows most of an environment, and its pictures per second."""
     if is_minigrid(env_id):
         keywords = {name: value for name, value in keywords.items() if name not in KEYWORDS}
     with closing(gym.make(env_id, **keywords)) as env:

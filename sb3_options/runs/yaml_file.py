@@ -24,15 +24,7 @@ class Loader(yaml.SafeLoader):
     """PyYAML's safe loader, to which `SCIENTIFIC` numbers are numbers, and which takes a name once."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        """The values of a mapping by their names, of which none may be there twice.
-
-        Args:
-            node: The mapping.
-            deep: As PyYAML has it.
-
-        Raises:
-            ValueError: A name is there twice, be it with hyphens and with underscores.
-        """
+        """The values of a mapping by their names, of which none may be there twice."""
         lines: dict[tuple[str, str], int] = {}
         for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
             name, line = (key.tag, key.value.replace("-", "_")), key.start_mark.line + 1
@@ -52,12 +44,7 @@ for each in (Loader, Dumper):
 
 
 def read_mapping(path: Path) -> dict[str, Any]:
-    """A YAML file with ``name: value`` lines at its top; an empty file holds none.
-
-    Raises:
-        OSError: The file cannot be read.
-        ValueError: It is no such YAML.
-    """
+    """A YAML file with ``name: value`` lines at its top; an empty file holds none."""
     try:
         with path.open(encoding="utf-8") as file:
             content = parse(file.read(MAX_CHARACTERS + 1))
@@ -73,10 +60,6 @@ def parse(text: str) -> Any:
 
     Tags, anchors and aliases are refused: a tag chooses how a value is made, and a few aliases stand for any number of
     values.
-
-    Raises:
-        ValueError: The text is no such YAML, has a name twice, or is longer than `MAX_CHARACTERS` or nested deeper than
-            `MAX_DEPTH`.
     """
     if len(text) > MAX_CHARACTERS:
         raise ValueError(f"it has more than {MAX_CHARACTERS:,} characters.")
