@@ -137,14 +137,11 @@ def _stop_on(error: Exception) -> NoReturn:
     import gymnasium as gym
 
     from sb3_options.execution.workers import WorkerLostError
-    from sb3_options.runs.budget import memory_is_short
 
     if isinstance(error, WorkerLostError):
         _stop(error, error.what, TRY_AGAIN if error.killed else 1)
-    if isinstance(error, gym.error.Error):
+    if isinstance(error, gym.error.Error | MemoryError | NotImplementedError):
         _stop(error, str(error), 1)
-    if isinstance(error, MemoryError | RuntimeError) and (text := memory_is_short(error)) is not None:
-        _stop(error, text, 1)
     raise error
 
 
@@ -196,11 +193,11 @@ def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
     found: Any = parsed(TrainConfig, flags, f"{prog} {default.algo}", default=default, return_unknown_args=True)
     config: TrainConfig = found[0]
     others: list[str] = found[1]
-    own = configs.merged(config.algo_kwargs, _arguments(others, default.algo))
-    if own == default.algo_kwargs:
+    own = _arguments(others, default.algo)
+    if not own and config.algo_kwargs == default.algo_kwargs:
         return config
-    more = configs.merged(default.algo_kwargs, own)  # --algo-kwargs adds to the defaults
-    return configs.build(configs.as_values(config) | {"algo_kwargs": more}, prog)
+    more = configs.merged(default.algo_kwargs, config.algo_kwargs)  # --algo-kwargs adds to the defaults
+    return configs.build(configs.as_values(config) | {"algo_kwargs": more} | own, prog)
 
 
 def _arguments(words: Sequence[str], algo: str) -> dict[str, Any]:

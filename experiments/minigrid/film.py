@@ -49,7 +49,7 @@ def main(film: Study) -> None:
     """Play, and film it."""
     with video_file(film.out, FPS) as video:
         task = make(film.env_id, render_mode="rgb_array", tile_size=PIXELS, highlight=True)
-        camera = RecordFrames(task, video.take, film.episodes)
+        camera = RecordFrames(task, video, film.episodes)
         with closing(OptionsWrapper(camera, 4, gamma=GAMMA)) as env:
             camera.caption = env.running_option
             model = load_model(MaskablePPO, film.model, env=env, device="cpu")

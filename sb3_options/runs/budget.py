@@ -59,14 +59,3 @@ def rounded_up(config: TrainConfig) -> str:
         f"--n-timesteps {config.n_timesteps:,} is rounded up to {taken:,}, for {config.algo} learns from whole "
         f"rollouts: --n-steps {n_steps:,} times --n-envs {config.n_envs:,}. Smaller ones come closer."
     )
-
-
-def memory_is_short(error: BaseException) -> str | None:
-    """What to tell a user whose settings do not fit the memory; None for any other error."""
-    text = " ".join(str(error).split())
-    if not isinstance(error, MemoryError) and "memory" not in text:
-        return None
-    return (
-        f"There is not enough memory{': ' + text.rstrip('.') if text else ''}. Less is needed with a smaller "
-        "buffer_size, n_steps, n_envs, net_arch or max_options."
-    )

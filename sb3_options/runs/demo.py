@@ -366,4 +366,4 @@ def _film(claim: Claim, seed: int, learnings: Mapping[str, Learning], options: P
     with video_file(path, FILM_FPS) as film:
         for i in range(longest):
             left, right = (side[min(i, len(side) - 1)] for side in sides)
-            film.take(np.concatenate([left, gap, right], axis=1))
+            film(np.concatenate([left, gap, right], axis=1))

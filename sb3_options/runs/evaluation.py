@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
 from pickle import UnpicklingError
@@ -29,14 +29,12 @@ from sb3_options.learning.value_snapshot import interrupt_options
 from sb3_options.options.bank import OptionBank
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
-from sb3_options.runs import yaml_file
 from sb3_options.runs.algorithms import make_model
 from sb3_options.runs.commands import EvaluateConfig
 from sb3_options.runs.config import OFF_POLICY, TrainConfig
 from sb3_options.runs.intervals import Interval, mean_interval, share_interval
-from sb3_options.runs.report import how_to_resume
-from sb3_options.runs.users_code import IMPORTING, importing
-from sb3_options.runs.video import RecordFrames, Video, render_mode_of, video_file
+from sb3_options.runs.users_code import IMPORTING
+from sb3_options.runs.video import RecordFrames, render_mode_of, video_file
 
 VIDEO_EPISODES = 10
 """A video shows this many episodes at most."""
@@ -145,7 +143,6 @@ def evaluate_run(run: Path, **settings: Any) -> Evaluation:
     # What the run started with is in its own options file, too.
     config = replace(configs.load(run / runs.CONFIG, trusted), options=None)
     runs.check_env_id(config.env)
-    _check_spaces(run, config)
     if asked.video is not None:
         mode, fps = render_mode_of(config.env, config.env_kwargs)
         with video_file(asked.video, fps) as film:
@@ -155,50 +152,25 @@ def evaluate_run(run: Path, **settings: Any) -> Evaluation:
 
 def _check_complete(run: Path, model: str) -> None:
     """Refuse a folder that lacks a file."""
-    lacking = [name for name in (runs.CONFIG, model, runs.OPTIONS) if not (run / name).is_file()]
-    if not lacking:
-        return
-    if lacking[0] == runs.CONFIG:
-        raise FileNotFoundError(f"{run} is no run folder: it lacks {runs.CONFIG}.")
-    error = FileNotFoundError(f"{run} has no {lacking[0]}: its training was cut off, or has not ended yet.")
-    with suppress(ValueError):  # what is in its configuration is refused elsewhere
-        how = how_to_resume(configs.build(yaml_file.read_mapping(run / runs.CONFIG), run / runs.CONFIG), run)
-        error.add_note(how or "There is no checkpoint to go on from: train anew.")
-    raise error
-
-
-def _check_spaces(run: Path, config: TrainConfig) -> None:
-    """Refuse an environment whose spaces are not those of the run's own, where that can be made."""
-    own = yaml_file.read_mapping(run / runs.CONFIG).get("env", config.env)
-    if own == config.env or importing({"env": own}):
-        return
-    here = _spaces(config)
-    try:
-        there = _spaces(replace(config, env=str(own)))
-    except Exception:  # whatever it takes is not here; the weights will tell
-        return
-    if here != there:
-        (observed, n_actions), (others, n_others) = ((" ".join(str(space).split()), n) for space, n in (there, here))
-        raise ValueError(
-            f"{run} was trained in {own}, with observations {observed} and {n_actions} actions; {config.env} has "
-            f"observations {others} and {n_others} actions. Choose an environment with the same."
-        )
-
-
-def _spaces(config: TrainConfig) -> tuple[gym.Space[Any], int]:
-    """Observations, and how many primitive actions there are."""
-    with closing(runs.make_env(config, 1, config.seed)) as venv:
-        return venv.observation_space, venv.get_attr("traits")[0].n_primitive
+    for name in (runs.CONFIG, model, runs.OPTIONS):
+        if not (run / name).is_file():
+            what = f"{run} is no run folder" if name == runs.CONFIG else f"The training of {run} was cut off"
+            raise FileNotFoundError(f"{what}: it lacks {name}. `resume` goes on from a checkpoint, if there is one.")
 
 
 def _play(
-    saved: Path, config: TrainConfig, episodes: int, seed: int, film: Video | None = None, mode: str | None = None
+    saved: Path,
+    config: TrainConfig,
+    episodes: int,
+    seed: int,
+    film: Callable[[Any], None] | None = None,
+    mode: str | None = None,
 ) -> Evaluation:
     cameras: list[RecordFrames] = []
 
     def record(env: gym.Env[Any, Any]) -> RecordFrames:
         assert film is not None  # it is not called then
-        cameras.append(RecordFrames(env, film.take, episodes))
+        cameras.append(RecordFrames(env, film, episodes))
         return cameras[0]
 
     beneath = None if film is None else record

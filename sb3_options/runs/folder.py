@@ -9,6 +9,7 @@ import shutil
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from itertools import count
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -17,7 +18,6 @@ from gymnasium.envs.registration import EnvSpec
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.preprocessing import get_obs_shape
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from sb3_options.atomic import atomic_write, remove_stale
@@ -42,12 +42,6 @@ CHECKPOINTS = "checkpoints"
 MONITOR = "monitor"
 SUBGOALS = "subgoals.png"
 
-PACKAGES = {
-    "ALE/": ("ale-py", "ale_py"),
-    "highway-": ("highway-env", "highway_env"),
-}
-"""Package and module that register environments, by how their ids begin."""
-
 ALIKE = 0.6
 """Least similarity of an id that is suggested in place of another, as `difflib` measures it."""
 
@@ -61,22 +55,15 @@ OWN_NAMESPACE = "sb3_options/"
 def new_run_folder(config: TrainConfig) -> Path:
     """Make the next free folder ``ALGO/ENV_N`` below ``tensorboard_log``; clean those of killed runs."""
     with named_in_errors("--tensorboard-log", config.tensorboard_log, "cannot hold run folders"):
-        return _new_folder(config.tensorboard_log / config.algo, config.env.replace("/", "-"))
-
-
-def _new_folder(parent: Path, name: str) -> Path:
-    """The next free one, ``NAME_N``."""
-    parent.mkdir(parents=True, exist_ok=True)
-    remove_stale(parent, "*/")
-    number = 1
-    while True:
-        folder = parent / f"{name}_{number}"
-        try:
-            folder.mkdir()
-        except FileExistsError:
-            number += 1
-        else:
-            return folder
+        parent = config.tensorboard_log / config.algo
+        parent.mkdir(parents=True, exist_ok=True)
+        remove_stale(parent, "*/")
+        for number in count(1):
+            folder = parent / f"{config.env.replace('/', '-')}_{number}"
+            with suppress(FileExistsError):
+                folder.mkdir()
+                break
+    return folder
 
 
 def discard(folder: Path) -> None:
@@ -98,9 +85,6 @@ def check_env_id(env_id: str) -> None:
         return
     near = difflib.get_close_matches(env_id, gym.registry, n=1, cutoff=ALIKE)
     hint = f"Did you mean {near[0]!r}?" if near else "If a package registers it, name its module: --env module:ID."
-    for prefix, (package, module) in PACKAGES.items():
-        if env_id.startswith(prefix):
-            hint = f"The package {package} registers it: pip install {package}, and pass --env {module}:{env_id}."
     raise ValueError(f"There is no environment {env_id!r}. {hint}")
 
 
@@ -110,17 +94,6 @@ def _spec_of(env_id: str) -> EnvSpec:
     if module:
         importlib.import_module(module)
     return gym.spec(name)
-
-
-def check_observations(venv: VecEnv, env_id: str) -> None:
-    """Refuse observations that SB3 cannot learn from."""
-    try:
-        get_obs_shape(venv.observation_space)
-    except NotImplementedError as error:
-        raise ValueError(
-            f"{env_id} has observations that Stable-Baselines3 cannot learn from, {venv.observation_space}: register "
-            "an environment that flattens them (gymnasium.wrappers.FlattenObservation), and pass --env module:ID."
-        ) from error
 
 
 def options_file(config: TrainConfig) -> Path | None:
@@ -221,7 +194,7 @@ def make_env(
         )
 
     def wrapped(**kwargs: Any) -> gym.Env[Any, Any]:
-        return minigrid.make(env_id, **kwargs) if wrapper is None else _wrapped(config, wrapper, env_id, kwargs)
+        return minigrid.make(env_id, **kwargs) if wrapper is None else wrapper(gym.make(env_id, **kwargs))
 
     env_id = config.env
     wrapper: Callable[..., gym.Env[Any, Any]] | None = None
@@ -252,18 +225,3 @@ def _begin_monitors(folder: Path, n_envs: int, env_id: str) -> None:
         if not path.exists():
             head = json.dumps({"t_start": time.time(), "env_id": env_id})
             path.write_text(f"#{head}\nr,l,t\n", encoding="utf-8")
-
-
-def _wrapped(
-    config: TrainConfig, wrapper: Callable[..., gym.Env[Any, Any]], env_id: str, keywords: dict[str, Any]
-) -> gym.Env[Any, Any]:
-    """An environment in the wrapper of ``--env-wrapper``, if that is one."""
-    env, flag = gym.make(env_id, **keywords), f"--env-wrapper {config.env_wrapper}"
-    advice = "Name a gymnasium.Wrapper that takes the environment alone."
-    try:
-        wrapped = wrapper(env)
-    except TypeError as error:
-        raise TypeError(f"{flag} cannot wrap {env_id}: {str(error).rstrip('.')}. {advice}") from error
-    if not isinstance(wrapped, gym.Env):
-        raise TypeError(f"{flag} makes of {env_id} no environment, but {type(wrapped).__name__}. {advice}")
-    return wrapped

@@ -13,7 +13,6 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator
 from types import FrameType
 from typing import Any
 
@@ -108,25 +107,6 @@ class StopWhenNoted(BaseCallback):
         if self.interrupts.due(self._update):
             self.interrupts.ended = True
         return not self.interrupts.ended
-
-
-@contextlib.contextmanager
-def raised() -> Iterator[None]:
-    """Have SIGINT, SIGTERM and SIGHUP raise `KeyboardInterrupt`, for work that may end anywhere but has to clean up.
-
-    They are taken as by `Interrupts`: SIGINT even where it was ignored, and nothing outside the main thread.
-    """
-    before: dict[signal.Signals, Any] = {}
-    if threading.current_thread() is threading.main_thread():
-        before = {number: signal.getsignal(number) for number in (*TERMINAL, signal.SIGTERM)}
-    taken = {number: old for number, old in before.items() if number == signal.SIGINT or old != signal.SIG_IGN}
-    for number in taken:
-        signal.signal(number, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        for number, old in taken.items():
-            signal.signal(number, signal.SIG_DFL if old is None else old)
 
 
 def ignore_interrupts() -> None:

@@ -105,7 +105,7 @@ def subgoal_of(option: SubgoalOption, features: str | None) -> str:
 
 
 def option_rows(contents: Contents, found: Mapping[int, int] | None = None) -> list[list[str]]:
-    """A row of `HEADINGS` for every option; ``found`` has the primitive steps of discovery by slot, if they are known."""
+    """A row of `HEADINGS` for every option; ``found`` has the primitive steps of discovery by slot, if known."""
     rows = []
     for slot, option in contents.options.items():
         when = "" if found is None else f"{found[slot]:,}" if slot in found else "given at the start"
@@ -145,7 +145,7 @@ def show_options(config: InspectConfig, console: Console) -> None:
 
 
 def closing_report(console: Console, trained: Trained, other: Trained | None, *, draws: bool) -> None:
-    """Print what training found and how it went, and the commands that follow; ``other`` is the run of ``--compare``."""
+    """Print what training found and how it went, and what follows; ``other`` is the run of ``--compare``."""
     config = trained.config
     episodes = trained.discovery.episodes
     unit = "episode" if config.discovery.segmentation == "episodes" else "segment"

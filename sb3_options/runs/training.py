@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, EveryNTimesteps
+from stable_baselines3.common.preprocessing import get_obs_shape
 from stable_baselines3.common.vec_env import VecEnv
 
 import sb3_options.envs  # noqa: F401  # registers them
@@ -58,7 +59,7 @@ def train(config: TrainConfig, interrupts: Interrupts | None = None, *, resumed:
     other: Trained | None = None
     with interrupts or Interrupts() as interrupts:
         with closing(runs.make_env(config, 1, config.seed)) as env:  # an error leaves no folder
-            runs.check_observations(env, config.env)
+            get_obs_shape(env.observation_space)  # refuses what SB3 cannot learn from
             draws = mode_among(env.get_attr("metadata")[0]) is not None
         trained = _train_once(config, interrupts, resumed)
         if config.compare and config.discover and resumed is None and not interrupts.noted:

@@ -37,7 +37,6 @@ from sb3_options.runs.algorithms import class_of
 from sb3_options.runs.commands import TuneConfig
 from sb3_options.runs.compare import Goal, at_once, at_the_end, learned_after
 from sb3_options.runs.config import TrainConfig
-from sb3_options.runs.interrupts import raised
 from sb3_options.runs.logged import NothingLoggedError, Run, read_run
 from sb3_options.runs.pictures import DPI
 from sb3_options.runs.training import train
@@ -136,7 +135,7 @@ def tune(config: TuneConfig, console: Console) -> TrainConfig:
         for cut_off in study.get_trials(states=(TrialState.RUNNING,)):
             study.enqueue_trial(cut_off.params)
             study.tell(cut_off.number, state=TrialState.FAIL)
-        with raised(), _backend(config):
+        with _backend(config):
             Parallel(n_jobs=config.jobs)(delayed(_work)(config, space, job) for job in range(config.jobs))
     best = dataclasses.replace(space.config(space.values(study.best_params), 0, Path("runs")), progress=True)
     configs.save(best, config.out / BEST)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
-import socket
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -12,9 +10,6 @@ from pathlib import Path
 
 LOCK = ".training"
 """File in the run folder; it is removed when training ends."""
-
-WHO = re.compile(r"(\d{1,10}) on ([\w.-]{1,255})")
-"""What is in it: the process, and its machine."""
 
 
 @contextmanager
@@ -26,14 +21,7 @@ def held(run: Path) -> Iterator[None]:
     descriptor = os.open(run / LOCK, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
     try:
         if not _locked(descriptor):
-            who = WHO.fullmatch(os.read(descriptor, 300).decode("utf-8", "replace"))
-            named = "" if who is None else f" (process {who[1]} on {who[2]})"
-            raise ValueError(f"{run} is being trained by another process{named}: wait until it has ended, or end it.")
-        try:
-            os.ftruncate(descriptor, 0)
-            os.write(descriptor, f"{os.getpid()} on {socket.gethostname()}".encode())
-        except OSError:
-            pass  # a full disk; the lock holds without a name
+            raise ValueError(f"{run} is being trained by another process: wait until it has ended, or end it.")
         try:
             yield
         finally:

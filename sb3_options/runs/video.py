@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import gymnasium as gym
 import imageio.v2 as imageio
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
 from sb3_options.atomic import atomic_write
 from sb3_options.envs.minigrid import KEYWORDS, is_minigrid
@@ -24,9 +23,6 @@ CAPTION_HEIGHT = 24
 
 CAPTION_MARGIN = (4, 2)
 """Pixels left and right of the text, and above it."""
-
-SMALLEST_CAPTION = 10
-"""Pixels of the smallest letters that can be read."""
 
 DEFAULT_FPS = 15
 """Pictures per second where the environment does not say."""
@@ -68,67 +64,40 @@ class RecordFrames(gym.Wrapper[Any, Any, Any, Any]):
             return
         drawn = self.env.render()
         for picture in drawn if isinstance(drawn, list) else [drawn]:
-            self._take(picture if self.caption is None or picture is None else captioned(picture, self.caption()))
+            self._take(picture if self.caption is None else captioned(picture, self.caption()))
 
 
 def captioned(picture: Any, text: str) -> npt.NDArray[np.uint8]:
-    """A picture, shape (height, width, 3), above a strip of `CAPTION_HEIGHT` rows with a text in it.
-
-    A text that is too long for the picture is written smaller, and one that stays too long ends in dots.
-    """
-    strip, (left, top) = Image.new("RGB", (picture.shape[1], CAPTION_HEIGHT), "white"), CAPTION_MARGIN
-    draw, room = ImageDraw.Draw(strip), picture.shape[1] - 2 * left
-    sizes = range(CAPTION_HEIGHT - 8, SMALLEST_CAPTION, -1)
-    font = _font(next((size for size in sizes if draw.textlength(text, _font(size)) <= room), SMALLEST_CAPTION))
-    while len(text) > 1 and draw.textlength(text, font) > room:
+    """A picture, shape (height, width, 3), above a strip of `CAPTION_HEIGHT` rows with a text, cut to its width."""
+    strip = Image.new("RGB", (picture.shape[1], CAPTION_HEIGHT), "white")
+    draw = ImageDraw.Draw(strip)
+    while len(text) > 1 and draw.textlength(text) > picture.shape[1] - 2 * CAPTION_MARGIN[0]:
         text = f"{text[:-2]}…"
-    draw.text((left, top), text, fill="black", font=font)
+    draw.text(CAPTION_MARGIN, text, fill="black")
     return np.concatenate([picture, np.asarray(strip, dtype=picture.dtype)])
 
 
-@cache
-def _font(size: int) -> Any:
-    return ImageFont.load_default(size)
-
-
-class Video:
-    """An MP4 file that grows picture by picture, so that a long one needs no memory; or a GIF, which is short."""
-
-    def __init__(self, path: Path, fps: float, *, gif: bool = False) -> None:
-        self._left = GIF_PICTURES if gif else math.inf
-        self._writer = (
-            imageio.get_writer(path, format="GIF", duration=1000 / fps, loop=0)
-            if gif
-            # The sides are padded below: macro_block_size would scale the picture instead.
-            else imageio.get_writer(
-                path, format="FFMPEG", fps=fps, codec="libx264", pixelformat="yuv420p", macro_block_size=1
-            )
-        )
-
-    def take(self, picture: Any) -> None:
-        """Append a picture, shape (height, width, 3)."""
-        if picture is None:
-            raise ValueError("The environment draws no pictures: it has no render_mode 'rgb_array'.")
-        self._left -= 1
-        if self._left < 0:
-            return
-        height, width = picture.shape[:2]
-        # The codec of MP4 wants even sides.
-        self._writer.append_data(np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge"))
-
-    def close(self) -> None:
-        """Finish the file."""
-        self._writer.close()
-
-
 @contextmanager
-def video_file(path: Path, fps: float) -> Iterator[Video]:
-    """A video that is there, whole, once everything has been taken."""
+def video_file(path: Path, fps: float) -> Iterator[Callable[[Any], None]]:
+    """Takes the pictures of an MP4 or GIF file, (height, width, 3) each; it is there, whole, once all are taken."""
+    if path.suffix.lower() == ".gif":
+        settings: dict[str, Any] = {"format": "GIF", "duration": 1000 / fps, "loop": 0}
+    else:  # the sides are padded below: macro_block_size would scale the picture instead
+        settings = {"format": "FFMPEG", "fps": fps, "codec": "libx264", "pixelformat": "yuv420p", "macro_block_size": 1}
+    left = GIF_PICTURES if settings["format"] == "GIF" else math.inf
+
+    def take(picture: Any) -> None:
+        nonlocal left
+        left -= 1
+        if left >= 0:
+            height, width = picture.shape[:2]
+            writer.append_data(np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge"))  # for the codec
+
     with ExitStack() as stack:
         with named_in_errors("--video", path, "cannot be written"):
             temporary = stack.enter_context(atomic_write(path))
-            video = stack.enter_context(closing(Video(temporary, fps, gif=path.suffix.lower() == ".gif")))
-        yield video
+            writer = stack.enter_context(closing(imageio.get_writer(temporary, **settings)))
+        yield take
 
 
 def mode_among(metadata: Mapping[str, Any]) -> str | None:
@@ -142,13 +111,8 @@ def render_mode_of(env_id: str, keywords: dict[str, Any]) -> tuple[str, float]:
     if is_minigrid(env_id):
         keywords = {name: value for name, value in keywords.items() if name not in KEYWORDS}
     with closing(gym.make(env_id, **keywords)) as env:
-        mode, fps = mode_among(env.metadata), env.metadata.get("render_fps", DEFAULT_FPS)
+        mode = mode_among(env.metadata)
     if mode is None:
-        raise ValueError(
-            f"{env_id} draws no pictures, for its metadata['render_modes'] has neither rgb_array nor rgb_array_list: "
-            "leave --video out."
-        )
-    if mode == "rgb_array_list":  # its pictures may come faster
-        with closing(gym.make(env_id, **keywords, render_mode=mode)) as env:
-            fps = env.metadata.get("render_fps", DEFAULT_FPS)
-    return mode, float(fps)
+        raise ValueError(f"{env_id} draws no pictures, for it has no render_mode 'rgb_array': leave --video out.")
+    with closing(gym.make(env_id, **keywords, render_mode=mode)) as env:  # pictures of a list may come faster
+        return mode, float(env.metadata.get("render_fps", DEFAULT_FPS))

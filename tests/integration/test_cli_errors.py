@@ -30,7 +30,7 @@ class TestErrors(Stopping):
         [
             (
                 ["--env", "Blackjack-v1"],
-                "Blackjack-v1 has observations that Stable-Baselines3 cannot learn from, Tuple(",
+                "observation space is not supported",
             ),
             (["--env-kwargs", "mapp:1"], "unexpected keyword argument 'mapp'"),
             (["--env", "no_such_module:Env-v0"], "no_such_module"),

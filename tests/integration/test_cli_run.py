@@ -181,7 +181,7 @@ class TestErrors(Stopping):
         if missing == "config.yml":
             assert f"{tmp_path} is no run folder: it lacks config.yml." in text
         else:
-            assert f"{tmp_path} has no {missing}: its training was cut off, or has not ended yet. There is no" in text
+            assert f"The training of {tmp_path} was cut off: it lacks {missing}." in text
 
     @pytest.mark.parametrize(
         ("name", "spoil", "expected"),

@@ -1,5 +1,4 @@
 import dataclasses
-import re
 import shlex
 import shutil
 from pathlib import Path
@@ -47,12 +46,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return train(config)
 
 
-def test_an_environment_with_other_spaces_is_named_with_them(run: Path) -> None:
-    with pytest.raises(ValueError, match="Choose an environment with the same") as error:
+def test_an_environment_with_other_spaces_is_refused(run: Path) -> None:
+    with pytest.raises(ValueError, match=r"model\.zip is damaged, or does not fit"):
         evaluate_run(run, env="CartPole-v1")
-    said = str(error.value)
-    assert "was trained in sb3_options/TwoRooms-v0, with observations Box(0.0, 1.0, (210,), float32) and 4 act" in said
-    assert re.search(r"; CartPole-v1 has observations Box\(.+, \(4,\), float32\) and 2 actions\. Choose", said)
 
 
 def test_weights_that_do_not_fit_are_named_in_one_line(run: Path, tmp_path: Path) -> None:
@@ -66,24 +62,13 @@ def test_weights_that_do_not_fit_are_named_in_one_line(run: Path, tmp_path: Path
     assert "\n" not in str(error.value)
 
 
-def test_a_run_that_was_cut_off_says_how_to_go_on(run: Path, tmp_path: Path) -> None:
+def test_a_run_that_was_cut_off_is_refused(run: Path, tmp_path: Path) -> None:
     copy = tmp_path / "run"
     shutil.copytree(run, copy)
     (copy / runs.MODEL).unlink()
-    with pytest.raises(FileNotFoundError, match=r"has no model\.zip: its training was cut off, or has not en") as error:
+    with pytest.raises(FileNotFoundError, match=r"was cut off: it lacks model\.zip"):
         evaluate_run(copy)
-    (note,) = error.value.__notes__
-    assert note.startswith("Go on from its last checkpoint: ")
-    _, _, shown = note.rpartition(" resume ")  # relative to where tests run, if that is near
-    assert Path(shown).resolve() == copy.resolve()
-    shutil.rmtree(copy / runs.CHECKPOINTS)
-    with pytest.raises(FileNotFoundError) as error:
-        evaluate_run(copy)
-    assert error.value.__notes__ == ["There is no checkpoint to go on from: train anew."]
-
-
-def test_a_folder_without_settings_is_no_run(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match=r"is no run folder: it lacks config\.yml\."):
+    with pytest.raises(FileNotFoundError, match=r"is no run folder: it lacks config\.yml"):
         evaluate_run(tmp_path)
 
 
@@ -100,10 +85,7 @@ def test_of_an_environment_that_draws_nothing_no_video_is_proposed_or_made(
     cli.main([*words[words.index("evaluate") :], "--episodes", "1"])
     with pytest.raises(SystemExit):
         cli.main(["evaluate", str(run), "--video", str(tmp_path / "film.mp4")])
-    said = (
-        "Error: Blank-v0 draws no pictures, for its metadata['render_modes'] has neither rgb_array nor rgb_array_list: "
-        "leave --video out.\n"
-    )
+    said = "Error: Blank-v0 draws no pictures, for it has no render_mode 'rgb_array': leave --video out.\n"
     assert capsys.readouterr().err == said
     assert not (tmp_path / "film.mp4").exists()
 

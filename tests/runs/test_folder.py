@@ -31,11 +31,6 @@ def test_runs_of_different_seeds_share_no_environment(algo: str, n_envs: int) ->
 @pytest.mark.parametrize(
     ("env_id", "hint"),
     [
-        ("ALE/Pong-v5", "The package ale-py registers it: pip install ale-py, and pass --env ale_py:ALE/Pong-v5."),
-        (
-            "highway-v0",
-            "The package highway-env registers it: pip install highway-env, and pass --env highway_env:highway-v0.",
-        ),
         ("MiniGrid-DorKey-5x5-v0", "Did you mean 'MiniGrid-DoorKey-5x5-v0'?"),
         ("TwoRoms-v0", "Did you mean 'sb3_options/TwoRooms-v0'?"),
         ("my/Puzzle-v3", "If a package registers it, name its module: --env module:ID."),
@@ -53,7 +48,6 @@ def test_minigrid_is_ready_for_training_and_its_workers_know_it() -> None:
         runs.check_env_id(env_id)
         config = configure(algo="maskableppo", env=env_id, device="cpu")
         env = runs.make_env(config, 1, 0, vec_env="subproc" if env_id.startswith("minigrid:") else "dummy")
-        runs.check_observations(env, env_id)
         assert env.get_attr("traits")[0].feature_kind == "environment"
         env.close()
 

@@ -21,7 +21,7 @@ from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
 from sb3_options.runs import training
 from sb3_options.runs.config import configure
-from sb3_options.runs.interrupts import TERMINAL, Interrupts, raised
+from sb3_options.runs.interrupts import TERMINAL, Interrupts
 from tests.support.helpers import CountingEnv
 from tests.support.runs import train
 
@@ -294,14 +294,3 @@ def test_what_nohup_ignores_stays_ignored() -> None:
             assert not interrupts.noted
     finally:
         signal.signal(signal.SIGHUP, before)
-
-
-@pytest.mark.parametrize("number", SIGNALS)
-def test_work_that_cleans_up_is_interrupted_by_each(number: signal.Signals) -> None:
-    ignored = signal.signal(signal.SIGINT, signal.SIG_IGN)  # as in the background of a script
-    try:
-        with pytest.raises(KeyboardInterrupt), raised():
-            send(number)
-        assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
-    finally:
-        signal.signal(signal.SIGINT, ignored)

@@ -37,11 +37,6 @@ number = 3
 
 class Bare:
     pass
-
-
-class Emptying:
-    def __init__(self, env):
-        pass
 """
 FLAGS = ["--env-wrapper", "users_module:Named", "--feature-map", "users_module:cell"]
 
@@ -104,17 +99,7 @@ def test_a_file_that_names_one_is_refused_with_the_flag(tmp_path: Path, capsys: 
         ("--env", "no_such_module:A-v0", "Error: --env: No module named 'no_such_module'. One in the current folder is "
          "found with PYTHONPATH=. before the command, or by `python -m sb3_options`."),
         ("--feature-map", "importing_module:a", "Error: No module named 'no_such_package' 1"),
-        (
-            "--env-wrapper",
-            "users_module:Bare",
-            "Error: --env-wrapper users_module:Bare cannot wrap sb3_options/TwoRooms-v0: Bare() takes no arguments. "
-            "Name a gymnasium.Wrapper that takes the environment alone.",
-        ),
-        (
-            "--env-wrapper",
-            "users_module:Emptying",
-            "Error: --env-wrapper users_module:Emptying makes of sb3_options/TwoRooms-v0 no environment, but Emptying.",
-        ),
+        ("--env-wrapper", "users_module:Bare", "Error: Bare() takes no arguments"),
         ("--feature-map", "users_module:a", "--feature-map: the module users_module has nothing named a that can be"),
         ("--feature-map", "users_module:number", "has nothing named number that can be called"),
     ],

@@ -51,7 +51,7 @@ def test_a_picture_of_options(file: Path, tmp_path: Path, capsys: pytest.Capture
 def test_a_picture_of_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     steps = np.arange(1.0, 11.0)
     run = Run(tmp_path, {}, {"eval": {}, "rollout": {"success": Curve(steps, steps, steps / 10)}})
-    monkeypatch.setattr(compare, "groups_of", lambda names, say: {"this": [run], "that": [run]})
+    monkeypatch.setattr(compare, "groups_of", lambda names: {"this": [run], "that": [run]})
     picture = tmp_path / "compare.png"
     said = f"Error: --out {picture} cannot be written: Read-only file system. Name another one."
     assert refused(capsys, "compare", "this", "that", "--out", str(picture)) == said

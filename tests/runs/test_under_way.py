@@ -23,19 +23,13 @@ def test_another_process_is_refused_until_the_first_is_gone(tmp_path: Path) -> N
         try:
             assert other.stdout is not None
             assert other.stdout.readline() == b"holds it\n"
-            with (
-                pytest.raises(
-                    ValueError,
-                    match=rf"is being trained by another process \(process {other.pid} on .+\): wait until it has",
-                ),
-                held(tmp_path),
-            ):
+            with pytest.raises(ValueError, match="is being trained by another process"), held(tmp_path):
                 pytest.fail("two hold it")
         finally:
             os.kill(other.pid, signal.SIGKILL)
     assert (tmp_path / LOCK).is_file()  # which keeps nobody
     with held(tmp_path):
-        assert (tmp_path / LOCK).read_text(encoding="utf-8").startswith(f"{os.getpid()} on ")
+        pass
     assert not (tmp_path / LOCK).exists()
 
 
@@ -44,13 +38,6 @@ def test_nor_do_two_in_one_process_hold_it(tmp_path: Path) -> None:
         with pytest.raises(ValueError, match="is being trained by another process"), held(tmp_path):
             pytest.fail("two hold it")
         assert (tmp_path / LOCK).is_file()
-
-
-def test_what_it_says_of_the_other_is_a_process_or_nothing(tmp_path: Path) -> None:
-    with held(tmp_path):
-        (tmp_path / LOCK).write_text("\033[31mevil", encoding="utf-8")
-        with pytest.raises(ValueError, match=r"by another process: wait"), held(tmp_path):
-            pytest.fail("two hold it")
 
 
 def test_nothing_is_written_through_a_link(tmp_path: Path) -> None:

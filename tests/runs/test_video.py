@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from sb3_options import OptionsWrapper
-from sb3_options.runs.video import CAPTION_HEIGHT, RecordFrames, Video, captioned
+from sb3_options.runs.video import CAPTION_HEIGHT, RecordFrames, captioned, video_file
 from tests.support.helpers import CountingEnv, steady_option
 from tests.support.sb3_helpers import read_video
 
@@ -29,19 +29,17 @@ class DrawingOften(gym.Wrapper[Any, Any, Any, Any]):
 
 class TestVideo:
     def test_of_odd_sides_is_padded(self, tmp_path: Path) -> None:
-        video = Video(tmp_path / "f.mp4", 10.0)
-        for shade in (0, 100, 200):
-            video.take(np.full((33, 47, 3), shade, dtype=np.uint8))
-        video.close()
+        with video_file(tmp_path / "f.mp4", 10.0) as take:
+            for shade in (0, 100, 200):
+                take(np.full((33, 47, 3), shade, dtype=np.uint8))
         frames = read_video(tmp_path / "f.mp4", 34, 48)
         assert frames.shape == (3, 34, 48, 3)
         np.testing.assert_allclose(frames.mean(axis=(1, 2, 3)), [0, 100, 200], atol=4)
 
     def test_gif_repeats_for_ever(self, tmp_path: Path) -> None:
-        video = Video(tmp_path / "f.gif", 10.0, gif=True)
-        for shade in (0, 100, 200):
-            video.take(np.full((33, 47, 3), shade, dtype=np.uint8))
-        video.close()
+        with video_file(tmp_path / "f.gif", 10.0) as take:
+            for shade in (0, 100, 200):
+                take(np.full((33, 47, 3), shade, dtype=np.uint8))
         with Image.open(tmp_path / "f.gif") as image:
             assert (image.n_frames, image.info["duration"], image.info["loop"]) == (3, 100, 0)  # type: ignore[attr-defined]  # a GIF has it
 
@@ -83,13 +81,7 @@ class TestVideo:
 
     @pytest.mark.parametrize("n", [1, 30, 300])
     def test_a_caption_keeps_to_the_picture(self, n: int) -> None:
-        """It is written smaller, or cut: nothing of it is at the right margin."""
+        """It is cut: nothing of it is at the right margin."""
         strip = captioned(np.zeros((5, 120, 3), np.uint8), "m" * n)[5:]
         assert (strip[:, -4:] == 255).all()
         assert (strip < 255).any()
-
-    def test_of_an_environment_that_draws_nothing(self, tmp_path: Path) -> None:
-        video = Video(tmp_path / "f.mp4", 10.0)
-        with pytest.raises(ValueError, match="The environment draws no pictures: it has no render_mode 'rgb_array'"):
-            video.take(None)
-        video.close()
