@@ -12,15 +12,14 @@ import multiprocessing
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 from stable_baselines3.common.monitor import Monitor
 
-from sb3_options.embedding.settings import MapName
 from sb3_options.execution.wrapper import OptionsWrapper
-from sb3_options.experience.observations import FeatureMap
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.options.archive import NAME, content_in
 
@@ -38,11 +37,8 @@ class ZooOptionsWrapper(OptionsWrapper):
     Args:
         env: Its action space must be ``Discrete`` and start at 0.
         max_options: Number of slots.
-        gamma: Discount γ per primitive step; must equal the algorithm's.
-        feature_map: As for `OptionsWrapper`.
         options_file: Another file to start with.
-        max_runs: As for `OptionsWrapper`.
-        check_finite: Likewise.
+        **kwargs: Of `OptionsWrapper`; ``gamma`` must equal the algorithm's.
 
     Raises:
         FileNotFoundError: The run has neither an options file nor a model.
@@ -54,24 +50,13 @@ class ZooOptionsWrapper(OptionsWrapper):
         env: gym.Env[Any, Any],
         max_options: int = 4,
         *,
-        gamma: float = 0.99,
-        feature_map: FeatureMap | MapName | None = None,
         options_file: str | os.PathLike[str] | None = None,
-        max_runs: int | None = None,
-        check_finite: bool = False,
+        **kwargs: Any,
     ) -> None:
         if options_file is None:
             loaded = loaded_model(_program(), sys.argv[1:])
             options_file = None if loaded is None else _options_of(loaded)
-        super().__init__(
-            env,
-            max_options,
-            gamma=gamma,
-            feature_map=feature_map,
-            options_file=options_file,
-            max_runs=max_runs,
-            check_finite=check_finite,
-        )
+        super().__init__(env, max_options, options_file=options_file, **kwargs)
 
     def discount_with(self, gamma: float) -> None:
         """Take another discount: a search for hyperparameters draws the algorithm's."""
@@ -89,38 +74,24 @@ class ZooOptionsWrapper(OptionsWrapper):
 
 
 def _options_of(model: Path) -> Path:
-    """The file that holds the options of a model: the model itself, else the one beside it.
-
-    Raises:
-        FileNotFoundError: There is neither.
-        ValueError: The model holds no options, and there is no other file.
-    """
-    beside, why = model.with_name(NAME), f"there is no {model.name}."
+    """The file that holds the options of a model: the model itself, else the one beside it."""
+    beside = model.with_name(NAME)
     if model.is_file():
-        try:
+        with suppress(ValueError):  # it holds none
             content_in(model)
-        except ValueError as error:
-            why = str(error)
-        else:
             return model
     if beside.is_file():
         return beside
-    raise (ValueError if model.is_file() else FileNotFoundError)(
-        f"There is no {NAME} in {model.parent}, and {why} Train with ZooDiscoveryCallback under `callback`, or name an "
-        "options_file for ZooOptionsWrapper."
+    raise FileNotFoundError(
+        f"There are no options in {model}, and there is no {beside}. Train with ZooDiscoveryCallback under `callback`, "
+        "or name an options_file for ZooOptionsWrapper."
     )
 
 
 def loaded_model(program: str, arguments: Sequence[str]) -> Path | None:
-    """The model that a program of rl-zoo3 loads.
+    """The model file that a program of rl-zoo3 loads, such as ``enjoy``; None where it loads none.
 
-    Args:
-        program: ``train``, ``enjoy``, ``record_video`` …
-        arguments: Of its command line. Flags may be abbreviated, as rl-zoo3 has it: what is ambiguous there has ended
-            its program before.
-
-    Returns:
-        The file, which need not be there; None where it loads none.
+    Flags may be abbreviated, as rl-zoo3 has it: what is ambiguous there has ended its program before.
     """
     parser = argparse.ArgumentParser(add_help=False)
     if program == "train":
@@ -153,11 +124,7 @@ def loaded_model(program: str, arguments: Sequence[str]) -> Path | None:
 
 
 def _program() -> str:
-    """The name of the program that runs.
-
-    Raises:
-        ValueError: In a worker process of the ``rl_zoo3`` command, which has no way to tell.
-    """
+    """The name of the program that runs."""
     name = Path(sys.argv[0]).stem
     if name != "rl_zoo3":
         return name

@@ -68,21 +68,16 @@ def table(result: Evaluation, run: str) -> Table:
     return rows
 
 
-def save(result: Evaluation, seed: int, path: Path) -> None:
-    """Write the result as JSON."""
-    found = {name.replace(" ", "_"): interval._asdict() for name, interval in result.intervals().items()}
-    with atomic_write(path) as temporary:
-        content = json.dumps({"episodes": result.episodes, "seed": seed, **found}, indent=2)
-        temporary.write_text(content + "\n", encoding="utf-8")
-
-
 def show_evaluation(config: EvaluateConfig, console: Console) -> Evaluation:
     """Evaluate a run, print the result, and write it to ``evaluation.json`` in the run folder if that is possible."""
     result = evaluate_run(**asdict(config))
     console.print(table(result, escape(str(config.run))))
     file = config.run / "evaluation.json"
+    found = {name.replace(" ", "_"): interval._asdict() for name, interval in result.intervals().items()}
+    content = json.dumps({"episodes": result.episodes, "seed": config.seed, **found}, indent=2)
     try:
-        save(result, config.seed, file)
+        with atomic_write(file) as temporary:
+            temporary.write_text(content + "\n", encoding="utf-8")
     except OSError as error:  # as of a run that belongs to somebody else
         why = escape(f"{file} cannot be written: {error.strerror or error}.")
         console.print(f"[yellow]Not kept:[/] {why} Evaluate a copy of the run folder to keep the result.")

@@ -39,9 +39,6 @@ CARD = "README.md"
 LAST = 100
 """Episodes at the end of training that are averaged."""
 
-FEW = 50
-"""Episodes with which discovery can hardly begin."""
-
 PACKAGES = ("sb3-options", "stable-baselines3", "sb3-contrib", "torch", "gymnasium", "numpy")
 HEADINGS = ("slot", "option", "subgoal", "found after primitive steps", "initiation states", "policy", "longest run")
 
@@ -147,22 +144,15 @@ def show_options(config: InspectConfig, console: Console) -> None:
 def closing_report(console: Console, trained: Trained, other: Trained | None, *, draws: bool) -> None:
     """Print what training found and how it went, and what follows; ``other`` is the run of ``--compare``."""
     config = trained.config
-    episodes = trained.discovery.episodes
-    unit = "episode" if config.discovery.segmentation == "episodes" else "segment"
-    steps = f"{trained.discovery.num_timesteps:,} primitive steps, {episodes:,} {unit}{'' if episodes == 1 else 's'}"
+    unit = "episodes" if config.discovery.segmentation == "episodes" else "segments"
+    steps = f"{trained.discovery.num_timesteps:,} primitive steps, {trained.discovery.episodes:,} {unit}"
     console.print(f"\n[bold]{'Finished' if trained.finished else 'Interrupted'}[/] after {steps}.")
     contents = contents_of(trained.folder)
-    if config.options is not None:
-        given = [f"{slot} ({name})" for slot, name, *_ in option_rows(contents) if int(slot) not in trained.found]
-        text = ", ".join(given) or "none"
-        console.print(f"Started with the options of {escape(str(config.options))}: {escape(text)}.")
     if contents.options:
         console.print("Options:")
         console.print(_table(HEADINGS, option_rows(contents, trained.found)))
     elif trained.discovery.max_new_options == 0:  # else the callback has said why
         console.print(escape(str(trained.discovery.why_nothing())))
-    elif episodes < FEW:
-        console.print(f"{episodes:,} {unit}s are few for discovery: raise --n-timesteps, or shorten the {unit}s.")
     both = other is not None and other.finished
     columns = {"this run": trained} | ({"--no-discover": other} if other is not None and both else {})
     console.print(_table(["", *columns], measures(columns)))
@@ -175,7 +165,9 @@ def closing_report(console: Console, trained: Trained, other: Trained | None, *,
         console.print("Against --no-discover: train with --compare, which trains once more without discovery.")
     _next_commands(console, trained, draws=draws)
     last = other or trained
-    goes_on = not last.finished and _after_interrupt(console, last)
+    goes_on = not last.finished and any(CheckpointFolder(last.folder / runs.CHECKPOINTS))
+    if goes_on:
+        console.print(f"Resume:       {escape(_resume(last.config, last.folder))}")
     if config.compare and config.discover and not both:
         _how_to_compare(console, trained, last.folder if other is not None and goes_on else None)
 
@@ -228,21 +220,7 @@ def _next_commands(console: Console, trained: Trained, *, draws: bool) -> None:
         f"TensorBoard:  {python()} -m tensorboard.main --logdir {path}",
         f"Evaluate:     {command()} evaluate {path}{video}{_importing(trained.config)}",
     ]
-    if (folder / runs.BEST).is_file():
-        lines.append("Best model:   add --best; it is the one whose evaluation gave the highest return")
     console.print(*map(escape, lines), sep="\n")
-
-
-def _after_interrupt(console: Console, trained: Trained) -> bool:
-    """Print how to go on, where there is a checkpoint; whether there is one."""
-    checkpoint = next(iter(CheckpointFolder(trained.folder / runs.CHECKPOINTS)), None)
-    if checkpoint is None:
-        return False
-    since = int(checkpoint.stem)
-    if since < trained.discovery.num_timesteps:
-        console.print(f"The last checkpoint is of {since:,} primitive steps: what came after it is trained again.")
-    console.print(f"Resume:       {escape(_resume(trained.config, trained.folder))}")
-    return True
 
 
 def _how_to_compare(console: Console, trained: Trained, other: Path | None) -> None:

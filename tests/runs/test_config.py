@@ -2,7 +2,6 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import pytest
 
 import sb3_options.envs  # noqa: F401  # registers them
@@ -58,12 +57,6 @@ def test_an_environment_brings_its_own_defaults() -> None:
             assert {"settings", "option_settings"} == set(DISCOVERY)
 
 
-def test_every_shipped_default_is_of_an_environment_there_is() -> None:
-    for env_id in configs.TUNED:
-        assert env_id in gym.registry
-        assert configure(env=env_id) != configure(env="CartPole-v1")
-
-
 @pytest.mark.parametrize("algo", ALGORITHMS)
 def test_every_algorithm_has_defaults_that_its_class_takes(algo: str) -> None:
     defaults = dict(configure(algo=algo).algo_kwargs)
@@ -89,20 +82,6 @@ def test_every_algorithm_has_defaults_that_its_class_takes(algo: str) -> None:
 def test_values_out_of_range_are_refused(values: dict[str, Any], text: str) -> None:
     with pytest.raises(ValueError, match=rf"^run\.yml: .*{text}"):
         configs.build(values, "run.yml")
-
-
-def test_keyword_arguments_are_read_as_yaml() -> None:
-    pairs: Any = ("is_rainy:true", 'map:"S#\\nSG"', "max_steps:7", "p:0.5", "goal:[1, 1]", "note:a:b", "limit:None")
-    expected = {
-        "limit": None,
-        "is_rainy": True,
-        "map": "S#\nSG",
-        "max_steps": 7,
-        "p": 0.5,
-        "goal": [1, 1],
-        "note": "a:b",
-    }
-    assert configure(env_kwargs=pairs).env_kwargs == configure(env_kwargs=expected).env_kwargs == expected
 
 
 def test_keyword_arguments_run_nothing(tmp_path: Path) -> None:

@@ -154,7 +154,6 @@ class TestBestModel:
     ) -> None:
         register(ends_after=10)
         folder = train(settings(tmp_path, n_timesteps=120))
-        assert "Best model:   add --best" in capsys.readouterr().out
         assert DQN.load(folder / "best_model.zip").num_timesteps == 50  # no later one was better
         OptionBank(2, 4).load(folder / "best_model.zip")
         (folder / "model.zip").unlink()

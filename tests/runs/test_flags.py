@@ -25,11 +25,6 @@ def test_flags_win_over_the_file_wherever_they_stand(tmp_path: Path) -> None:
     assert parse([]) == configure() == TrainConfig(algo_kwargs=configure().algo_kwargs)
 
 
-def test_an_empty_file_means_the_defaults(tmp_path: Path) -> None:
-    (tmp_path / "config.yml").write_text("# nothing\n")
-    assert parse(["--config", str(tmp_path / "config.yml")]) == configure()
-
-
 @pytest.mark.parametrize("algo", ALGORITHMS)
 def test_a_saved_configuration_is_read_back(algo: str, tmp_path: Path) -> None:
     config = parse([algo, "--seed", "5", "--env-kwargs", "max_steps:7", "--options", "a/run", "--net-arch", "3"])
@@ -92,12 +87,6 @@ def test_what_makes_no_sense_is_refused_in_one_line(args: list[str], expected: s
     with pytest.raises(ValueError, match=r"^[^\n]*$") as error:
         parse(args)
     assert expected in str(error.value)
-
-
-def test_sac_is_not_taken_for_a2c() -> None:
-    with pytest.raises(ValueError, match="There is no algorithm 'sac'") as error:
-        parse(["sac"])
-    assert "Did you mean" not in str(error.value)
 
 
 def test_files_that_are_not_there(tmp_path: Path) -> None:

@@ -22,29 +22,19 @@ HOSTILE = {
     "a tag that calls": ("seed: !!python/object/apply:os.mkdir ['{trace}']\n", "has the tag"),
     "a tag that makes an object": ("seed: !!python/object:os.system {{}}\n", "has the tag"),
     "a tag that names a module": ("env: !!python/module:evil_module\n", "has the tag"),
-    "a plain tag": ("seed: !!int '3'\n", "has the tag"),
     "an alias bomb": (BOMB.replace("{", "{{").replace("}", "}}"), "has the anchor or alias 'a'"),
     "a value within itself": ("env_kwargs: &a\n  a: *a\n", "has the anchor or alias 'a'"),
-    "a mapping within itself": ("&a\n? *a\n: *a\n", "has the anchor or alias 'a'"),
     "deep lists": ("net_arch: " + "[" * 20_000 + "\n", "is nested deeper than 20 levels"),
     "deep mappings": ("env_kwargs: " + "{{a: " * 9_000 + "\n", "is nested deeper than 20 levels"),
-    "deep keys": ("? " * 9_000 + "a\n", "is nested deeper than 20 levels"),
     "a long file": ("# " + "x" * 200_000 + "\n", "has more than 100,000 characters"),
     "many settings": ("".join(f"a{i}: 1\n" for i in range(9_000)), "there is no setting 'a0'"),
     "one setting many times": ("a: 1\n" * 15_000, "it has 'a' twice, in lines 1 and 2; give it once."),
     "many digits": ("seed: " + "9" * 5_000 + "\n", "is no YAML that can be read safely"),
     "a date that is none": ("seed: 2020-13-45\n", "is no YAML that can be read safely"),
     "two documents": ("seed: 1\n---\nseed: 2\n", "is no YAML that can be read safely"),
-    "a null byte": ("seed: \x00\n", "is no YAML that can be read safely"),
     "an open bracket": ("seed: [1\n", "is no YAML that can be read safely"),
     "a list": ("- 1\n- 2\n", "must hold `name: value` lines, got a list"),
-    "words": ("just words\n", "must hold `name: value` lines, got a str"),
     "tyro's own flag": ("tyro_write_completion: [bash, '{trace}']\n", "there is no setting 'tyro_write_completion'"),
-    "tyro's own flag in a group": (
-        "discovery:\n  tyro_print_completion: bash\n",
-        "there is no setting 'discovery.tyro_print_completion'",
-    ),
-    "a flag as a value": ("env: --tyro-write-completion\n", "There is no environment '--tyro-write-completion'"),
     "flags in a list": ("net_arch: [--tyro-write-completion, bash, '{trace}']\n", "net_arch.0 should be"),
     "flags in env_kwargs": ("env_kwargs: ['--tyro-write-completion', bash, '{trace}']\n", "takes pairs name:value"),
     "help as a value": ("seed: --help\n", "seed should be a valid integer"),
@@ -54,16 +44,11 @@ HOSTILE = {
         "env: GymV26Environment-v0\nenv_kwargs: {{env_id: 'evil_module:Env-v0'}}\n",
         "would import a module",
     ),
-    "an older environment": (
-        "env: GymV21Environment-v0\nenv_kwargs: {{env_id: 'evil_module:Env-v0'}}\n",
-        "would import a module",
-    ),
     "a module in a list": ("env: ['evil_module:Env-v0']\n", "would import a module"),
     "a module as algorithm": ("algo: evil_module\n", "There is no algorithm 'evil_module'"),
     "a list as algorithm": ("algo: [ppo]\n", "There is no algorithm"),
     "a number as key": ("1: 2\n", "there is no setting '1'"),
     "a class as setting": ("__class__: evil_module\n", "there is no setting '__class__'"),
-    "an attribute as setting": ("discovery:\n  __post_init__: 1\n", "there is no setting 'discovery.__post_init__'"),
     "a tag in a value of a pair": ("env_kwargs: ['a:!!python/name:os.system']\n", "has the tag"),
     "another environment's id": ("env_kwargs: {{id: 'evil_module:Env-v0'}}\n", "'id'"),
     "an environment's entry point": ("env_kwargs: {{entry_point: 'evil_module:Env'}}\n", "'entry_point'"),
@@ -75,7 +60,6 @@ HOSTILE = {
     "a negative size": ("net_arch: [-1]\n", "net_arch.0 should be"),
     "a null character in a path": ('options: "a\\0b"\n', "Error: "),
     "a device as a flag": ("algo: dqn\ndevice: --help\n", "--device '--help' cannot be used"),
-    "a list as group": ("discovery: [1]\n", "discovery should be"),
 }
 
 
@@ -124,12 +108,3 @@ def test_files_that_are_no_text(tmp_path: Path) -> None:
     (tmp_path / "config.yml").write_bytes(b"\xff\xfe\x00\x80")
     with pytest.raises(ValueError, match=r"config\.yml is no YAML that can be read safely"):
         yaml_file.read_mapping(tmp_path / "config.yml")
-
-
-@pytest.mark.parametrize(
-    ("wrong", "near"), [("n_timestep: 5", "n_timesteps"), ("discovery:\n  capacitty: 5", "discovery.capacity")]
-)
-def test_a_near_miss_is_named(wrong: str, near: str, tmp_path: Path) -> None:
-    (tmp_path / "config.yml").write_text(wrong + "\n")
-    with pytest.raises(ValueError, match=rf"config\.yml: there is no setting '.+'\. Did you mean '{near}'\?"):
-        configs.load(tmp_path / "config.yml")

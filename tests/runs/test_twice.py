@@ -147,17 +147,3 @@ def test_options_that_the_first_began_with_are_not_taken_over(
         assert words[words.index("--options") + 1] == "None"
     cli.main(words)
     assert configs.load(folders(tmp_path)[0].with_name("Interrupted-v0_3") / runs.CONFIG).options is None
-
-
-def test_it_says_beforehand_that_a_file_asks_for_it(
-    tmp_path: Path, counting: Any, capfd: pytest.CaptureFixture[str]
-) -> None:
-    counting(lambda step: None)
-    said = "Afterwards once more without discovery; --no-compare leaves that out."
-    cli.main(command_line(tmp_path, *SHORT))
-    assert capfd.readouterr().out.count(said) == 1
-    again = ["--config", str(folders(tmp_path)[0]), "--no-progress"]
-    cli.main(again)
-    assert said in capfd.readouterr().out
-    cli.main([*again, "--no-compare"])
-    assert said not in capfd.readouterr().out
