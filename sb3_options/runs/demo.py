@@ -92,7 +92,7 @@ CLAIMS = {
         second="The goal moves to the upper right, one move in five goes astray, an episode ends after 100 steps.",
     ),
     "key": Claim(
-        source={"env": "sb3_options/KeyDoor-v0"},
+        source={"env": "sb3_options/KeyDoor-v0", "max_new_options": None},
         target={
             "env": "sb3_options/KeyDoor-v0",
             "env_kwargs": {"goal": [12, 0], "max_steps": 150, "success_probability": 0.8},
@@ -101,7 +101,7 @@ CLAIMS = {
         target_steps=30_000,
         evaluate_every=1_000,
         cells=(13, 8),
-        first="A locked door, and a key. The agent discovers an option while it learns.",
+        first="A locked door, and a key. The agent discovers options while it learns.",
         second="The goal moves, one move in five goes astray, an episode ends after 150 steps.",
     ),
     "minigrid": Claim(
