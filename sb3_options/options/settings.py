@@ -45,7 +45,7 @@ class OptionLearningSettings:
     value_function: Literal["auto", "table", "network"] = "auto"
     sweeps: Annotated[int, Field(ge=1)] = 500
     network_updates: Annotated[int, Field(ge=1)] = 2000
-    grow: bool = False
+    grow: bool = True
 
 
 @settings
