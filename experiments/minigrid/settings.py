@@ -145,9 +145,6 @@ DISCOVERY: dict[str, Any] = {
 features near the start is nearly everywhere. What stands out by its contrast is no accident, so peaks need not persist
 for long. The study was run before there was a `max_share`."""
 
-OPTIONS: dict[str, Any] = {"grow": True}
-"""Options are learned anew as more is seen: the first ones know only what a small room shows."""
-
 GROWING_STAGES = 2
 """After so many tasks options stay as they are. In a third one a later version is another more than a better one, and
 what the agent learned of the former is wrong."""
@@ -162,7 +159,7 @@ REACHED = (0.5, 0.8, 0.9)
 
 def options_of(stage: int) -> dict[str, Any]:
     """How options are learned in a stage, counted from 0."""
-    return {} if stage >= GROWING_STAGES else OPTIONS
+    return {"grow": stage < GROWING_STAGES}
 
 
 def primitive_rollouts(stage: Stage) -> bool:
@@ -182,7 +179,7 @@ def of(arm: Arm, family: str) -> dict[str, Any]:
         special |= {"primitive_rollouts": True}
     if arm in DISCOVERING:
         special |= {"discovery": DISCOVERY, "opening_share": OPENING_SHARE}
-        special |= {"options": OPTIONS, "growing_stages": GROWING_STAGES}
+        special |= {"options": options_of(0), "growing_stages": GROWING_STAGES}
         special |= {"discovers_in": "all stages but the last"}
     if arm in (*RANDOM, *CONTRASTING):
         special |= {"subgoals": "drawn" if arm in RANDOM else "drawn from what contrasts"}

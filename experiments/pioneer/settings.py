@@ -89,6 +89,7 @@ class PioneerSettings:
             gamma=self.option_gamma,
             value_function="network",
             network_updates=self.network_updates,
+            grow=False,
         )
 
     def described(self) -> dict[str, dict[str, Any]]:
