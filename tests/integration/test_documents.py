@@ -99,7 +99,7 @@ def test_an_option_by_hand_is_one_to_mypy_too(tmp_path: Path) -> None:
 def test_the_program_of_the_readme_discovers_the_doorway(tmp_path: Path) -> None:
     """As pasted, at its full length; with a seed and one thread, which it has not."""
     (program,) = python_of(README)
-    seeded = program.replace("n_steps=512", "n_steps=512, seed=0")
+    seeded = program.replace('"n_steps": 512', '"n_steps": 512, "seed": 0')
     assert seeded != program
     result = processes.python("-c", f"import torch; torch.set_num_threads(1)\n{seeded}", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
