@@ -305,14 +305,14 @@ def figure_of(
     left, right = figure.subplots(1, 2)
     left.imshow(task)
     left.set_axis_off()
-    left.set_title("the harder task", fontsize="medium")
+    left.set_title("the second task", fontsize="medium")
     if claim.cells is not None and options:
         size = np.array([task.shape[1], task.shape[0]]) / claim.cells
         cells = np.array(
             [option.subgoal[:2] for option in options]
         )  # column and row; on a map with a key, also the key
         x, y = (cells + 0.5).T * size[:, None]
-        left.plot(x, y, "*", color=COLOURS[WITH], markersize=14, label="subgoal of an option")
+        left.plot(x, y, "*", color=COLOURS[WITH], markersize=14, label="discovered subgoal")
         left.legend(loc="lower right", fontsize="small")
     right.set_title("success rate while training", fontsize="medium")
     _draw_curves(right, results, claim.target_steps)
