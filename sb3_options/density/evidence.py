@@ -21,15 +21,7 @@ FARTHEST = 1e15
 
 
 class Evidence:
-    """Bags in scaled features, in as many precisions as are asked for.
-
-    Args:
-        bags: What there is.
-        concept: The class of concepts they are evidence for.
-        frame: Scaled features.
-        likelihood: What they say.
-        max_pairs: (instances × starts) held at once; by default `objective.MAX_PAIRS`.
-    """
+    """Bags in scaled features, in as many precisions as are asked for."""
 
     def __init__(
         self,

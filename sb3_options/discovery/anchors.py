@@ -19,15 +19,7 @@ def nearest_instance(instances: FloatArray, point: FloatArray, scale: FloatArray
 
 
 def nearest_observations(points: FloatArray, trajectories: Iterable[LabelledTrajectory]) -> Observations:
-    """The observations whose features are nearest to some points of concept space.
-
-    Args:
-        points: (n, d), n ≥ 1.
-        trajectories: At least one.
-
-    Returns:
-        A batch of n, one for each point.
-    """
+    """The observations whose features are nearest to some points of concept space."""
     least = np.full(len(points), np.inf)
     nearest: list[Observations | None] = [None] * len(points)
     for labelled in trajectories:
@@ -40,11 +32,5 @@ def nearest_observations(points: FloatArray, trajectories: Iterable[LabelledTraj
 
 
 def moved(region: Region, observations: Observations, feature_map: FeatureMap) -> Region:
-    """A region around the same observations in the space of another feature map.
-
-    Args:
-        region: In the old space.
-        observations: Those of its centres, in any order.
-        feature_map: Into the new space.
-    """
+    """A region around the same observations in the space of another feature map."""
     return replace(region, points=np.unique(feature_map(observations), axis=0))

@@ -68,16 +68,7 @@ class _Bag(Way):
 
 
 class BagMaker:
-    """Makes bags. All but the `cuts` follows from the database, and is not in a checkpoint.
-
-    Args:
-        settings: Which states are instances.
-        filters: Which states may be subgoals.
-        contrast: Of the group of features: by what a state of a successful trajectory must stand out.
-
-    Attributes:
-        cuts: Of all states that were visited; None where ``DiscoverySettings.min_cut`` has no effect.
-    """
+    """Makes bags. All but the `cuts` follows from the database, and is not in a checkpoint."""
 
     STATE = ("cuts",)
 
@@ -92,12 +83,7 @@ class BagMaker:
         self.cuts = LocalCuts() if has_cuts else None
 
     def make(self, database: Iterable[LabelledTrajectory], others: Sequence[Region]) -> FilteredBags | None:
-        """The bags of a database; None if fewer than `min_positive` successful trajectories have an instance.
-
-        Args:
-            database: Trajectories, oldest first.
-            others: Subgoals that no instance may be near.
-        """
+        """The bags of a database; None if fewer than `min_positive` successful trajectories have an instance."""
         database = list(database)
         positive = [t for t in database if t.success]
         if len(positive) < self.settings.min_positive:

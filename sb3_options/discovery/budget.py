@@ -76,14 +76,7 @@ NUMBER_SECONDS = 1e-9
 
 
 def seconds_of_bags(n_trajectories: int, n_new: int, n_instances: int, n_features: int) -> float:
-    """Nominal seconds of making the bags of a database.
-
-    Args:
-        n_trajectories: In the database.
-        n_new: States of the trajectories that are new.
-        n_instances: In all bags.
-        n_features: Of an instance.
-    """
+    """Nominal seconds of making the bags of a database."""
     of_pairs = WAY_PAIR_SECONDS * n_instances * (n_features + POINT_FEATURES)
     of_a_state = STATE_SECONDS + STATE_FEATURE_SECONDS * n_features + of_pairs
     return n_trajectories * TRAJECTORY_SECONDS + n_new * of_a_state
@@ -92,14 +85,7 @@ def seconds_of_bags(n_trajectories: int, n_new: int, n_instances: int, n_feature
 def seconds_of_search(
     kind: Literal["gradient", "exhaustive", "one-hot"], sizes: Sequence[int], n_instances: int, n_features: int
 ) -> float:
-    """Nominal seconds of a search.
-
-    Args:
-        kind: By gradient ascent, at all instances of positive bags, or there between one-hot codes.
-        sizes: Instances of each positive bag.
-        n_instances: In all bags.
-        n_features: Of an instance.
-    """
+    """Nominal seconds of a search."""
     if kind == "one-hot":
         return ONE_HOT_SEARCH_SECONDS + ONE_HOT_SECONDS * n_instances * n_features
     if kind == "exhaustive":

@@ -38,21 +38,12 @@ class Contrast:
     An unsuccessful trajectory lasts until the time is up, and in so much time it comes nearly everywhere. So a visit at
     time t counts for as much as the share of the successes that took t steps or more: of what it did, it counts what it
     did in the time that a success has. Without this, what takes time to reach stands out too little (a key, say).
-
-    Args:
-        group: The features that count.
-        radius: A state is visited within this distance, in scaled units.
-        parts: Of groups whose features are some of this one's.
-        equal_time: Whether visits of unsuccessful trajectories count by when they were; otherwise all count 1.
     """
 
-    def __init__(
-        self, group: FeatureGroup, radius: float, parts: Sequence[Contrast] = (), *, equal_time: bool = True
-    ) -> None:
+    def __init__(self, group: FeatureGroup, radius: float, parts: Sequence[Contrast] = ()) -> None:
         self.group = group
         self.radius = radius
         self.parts = parts
-        self.equal_time = equal_time
         self._forget()
 
     def _forget(self) -> None:
@@ -75,7 +66,7 @@ class Contrast:
             return
         of_whom = np.repeat(np.arange(len(visits)), [len(v.states) for v in visits])
         weights = np.ones(len(states))
-        if self.equal_time and success.any():
+        if success.any():
             durations = np.sort([len(t.trajectory) for t in trajectories if t.success])
             late = np.searchsorted(durations, np.concatenate([v.times for v in visits])) / len(durations)
             weights = np.where(success[of_whom], 1.0, 1.0 - late)
@@ -137,15 +128,7 @@ class Contrast:
 
 
 class _Reached:
-    """How many trajectories visited each state, those that succeeded and the others.
-
-    Args:
-        states: Numbers of the states of all visits, (n,).
-        of_whom: The trajectory of each visit, (n,).
-        weights: What it counts, (n,).
-        success: Of each trajectory.
-        n_states: How many states there are.
-    """
+    """How many trajectories visited each state, those that succeeded and the others."""
 
     def __init__(
         self, states: IntArray, of_whom: IntArray, weights: FloatArray, success: BoolArray, n_states: int
@@ -168,19 +151,7 @@ class _Reached:
 
 
 class _Visits:
-    """What a trajectory visited.
-
-    Args:
-        labelled: The trajectory.
-        group: The features that count.
-        numbers: Of all states of the group that were visited so far; new ones are added.
-
-    Attributes:
-        numbers: Of each observation the number of its state, -1 where it is no place of the group, (m,).
-        states: The distinct ones, (n,).
-        times: When each was first, (n,).
-        first: That in which the trajectory began, or -1.
-    """
+    """What a trajectory visited."""
 
     def __init__(self, labelled: LabelledTrajectory, group: FeatureGroup, numbers: dict[bytes, int]) -> None:
         self.labelled = labelled  # kept, so that no other takes its id

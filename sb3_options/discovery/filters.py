@@ -43,17 +43,7 @@ class Way:
 
 @dataclass
 class Filters:
-    """The static filter and the spacing, in a concept space and its scale.
-
-    Args:
-        settings: Radii, `spacing`, and the scale if it is given.
-        static_filter: What may be a subgoal; by default not near start and goal.
-        kind: Where φ comes from, for `default_scale`.
-        group: The features that count, if not all do.
-
-    Attributes:
-        scale: Factor for every feature that counts, (d,); None before `find_scale`.
-    """
+    """The static filter and the spacing, in a concept space and its scale."""
 
     settings: DiscoverySettings = field(metadata=TRANSIENT)
     static_filter: StaticFilter | None = field(default=None, metadata=TRANSIENT)

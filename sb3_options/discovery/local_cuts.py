@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sb3_options.density.arrays import LONGEST_KEY, row_keys, short_key
+from sb3_options.density.arrays import row_keys, short_key
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 
 STEPS = 3
@@ -14,9 +14,6 @@ STEPS = 3
 
 MAX_STATES = 10_000
 """As many are in the graph; of states that come later nothing is known."""
-
-FEW = LONGEST_KEY // 8
-"""The key of a state of so many features is the state itself, which takes no longer to make than a digest."""
 
 NO_STATE: IntArray = np.array([-1])
 """Between the states of one trajectory and those of the next."""
@@ -56,12 +53,7 @@ class LocalCuts:
         self._shares[-1] = UNKNOWN
 
     def add(self, features: FloatArray, visits: IntArray) -> None:
-        """Add the steps of a trajectory.
-
-        Args:
-            features: φ of its distinct states, (m, d).
-            visits: Row of ``features`` at every time t = 0 … T, (T + 1,).
-        """
+        """Add the steps of a trajectory."""
         self._pending.append((features, visits))
         self._pending_bytes += features.nbytes
         if len(self._pending) == PENDING or self._pending_bytes > PENDING_BYTES:
@@ -94,30 +86,18 @@ class LocalCuts:
             self._shares[list(self._around(changed))] = np.nan
 
     def numbers(self, features: FloatArray) -> IntArray:
-        """The numbers of some states that were added, (n,), which do not change; −1 for those that have none.
-
-        Args:
-            features: Of the states, (n, d).
-        """
+        """The numbers of some states that were added, (n,), which do not change; −1 for those that have none."""
         self._enter()
         return np.array([self._number.get(key, -1) for key in keys_of(features)], dtype=np.int64)
 
     def are_known(self, numbers: IntArray) -> BoolArray:
-        """Whether more than one trajectory visited each of some states, so that its share says something, (n,).
-
-        Args:
-            numbers: Of the states, (n,).
-        """
+        """Whether more than one trajectory visited each of some states, so that its share says something, (n,)."""
         self._enter()
         known: BoolArray = (numbers >= 0) & (self._n_trajectories[numbers] > 1)
         return known
 
     def shares(self, numbers: IntArray) -> FloatArray:
-        """What share of its surroundings each of some states cuts off from their largest part, (n,), in [0, 0.5].
-
-        Args:
-            numbers: Of the states, (n,).
-        """
+        """What share of its surroundings each of some states cuts off from their largest part, (n,), in [0, 0.5]."""
         self._enter()
         once = self._n_trajectories[numbers] == 1
         for number in set(numbers[np.isnan(self._shares[numbers]) & ~once].tolist()):
@@ -184,17 +164,5 @@ class LocalCuts:
 
 
 def keys_of(features: FloatArray) -> list[bytes]:
-    """A key for each state (n, d), which equal ones share: the state itself, or, if it has many features, a digest.
-
-    Args:
-        features: Of the states. Where a single feature is not 0, as in a one-hot code, that one is the key.
-    """
-    if features.shape[1] <= FEW:
-        return row_keys(features)
-    one = np.count_nonzero(features, axis=1) == 1
-    rows, columns = np.nonzero(features[one])
-    keys = row_keys(np.stack([columns, features[one][rows, columns]], axis=1))
-    if one.all():
-        return keys
-    some, others = iter(keys), map(short_key, row_keys(features[~one]))
-    return [next(some if each else others) for each in one.tolist()]
+    """A key for each state (n, d), which equal ones share."""
+    return list(map(short_key, row_keys(features)))

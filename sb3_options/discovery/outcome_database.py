@@ -16,14 +16,6 @@ class OutcomeDatabase(TrajectoryDatabase):
     """The last ``capacity`` successful trajectories and as many of the others.
 
     Where few trajectories succeed, the last ones of all hardly hold any that did.
-
-    Args:
-        capacity: Of each kind, at least 1.
-        max_bytes: Likewise.
-        salience: Which failures stand for successes; None: none does.
-
-    Attributes:
-        n_entered: How many entered as successes so far.
     """
 
     STATE = ("_successful", "_salience", "n_entered")

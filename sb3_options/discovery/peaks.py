@@ -20,15 +20,6 @@ def plateau_centres(points: FloatArray, scale: FloatArray, radius: float) -> tup
 
     In two rooms every crossing visits the doorway and both its neighbours, so that the three tie exactly: the middle
     of them is the doorway, any other choice is an accident.
-
-    Args:
-        points: Peaks of equal diverse density, shape (n, d), n ≥ 1.
-        scale: Factor for every feature before distances are taken, shape (d,).
-        radius: Peaks within this distance touch.
-
-    Returns:
-        The medoid of each plateau, the first where several are equally central, shape (m, d), in order of first peak;
-        and the farthest that any peak is from the medoid of its plateau.
     """
     if len(points) == 1:
         return points.copy(), 0.0
@@ -69,11 +60,6 @@ class PeakTracker:
     After every search c̄ ← λ(c̄ + 1) for a concept found this time and c̄ ← λ c̄ for the others, so that c̄ of a
     concept found every time rises to λ/(1−λ). In a continuous space two searches never find the very same point: a
     peak belongs to the nearest known concept within ``radius``.
-
-    Args:
-        decay: λ in (0, 1).
-        threshold: Share of the limit λ/(1−λ) above which a concept is persistent, in [0, 1).
-        radius: In scaled units of concept space, ≥ 0.
     """
 
     STATE = ("concepts",)
@@ -93,12 +79,7 @@ class PeakTracker:
         return self.decay / (1.0 - self.decay)
 
     def update(self, peaks: FloatArray, scale: FloatArray) -> None:
-        """Enter the peaks of one search.
-
-        Args:
-            peaks: Shape (n, d), best first.
-            scale: Factor for every feature before distances are taken, shape (d,).
-        """
+        """Enter the peaks of one search."""
         for concept in self.concepts:
             concept.found = False
         for peak in peaks:
@@ -123,11 +104,7 @@ class PeakTracker:
         return 0.0 if leading is None else leading.average
 
     def persistent(self, threshold: float | None = None) -> list[TrackedConcept]:
-        """The concepts of the last search whose average exceeds the threshold, largest first.
-
-        Args:
-            threshold: Another share of the limit than the tracker's.
-        """
+        """The concepts of the last search whose average exceeds the threshold, largest first."""
         share = self.threshold if threshold is None else threshold
         above = [c for c in self.concepts if c.found and c.average > share * self.limit]
         return sorted(above, key=lambda c: -c.average)

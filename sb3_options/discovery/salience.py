@@ -25,11 +25,6 @@ class Salience:
 
     Only groups about a single thing count, those with one set of features in ``present``: a pair is rarer than its
     parts, and no more to look for.
-
-    Args:
-        groups: Of features.
-        share: A thing is rare if at most this share of all trajectories come upon it; 0: nothing is.
-        enough: With so many real successes nothing is rare any more.
     """
 
     STATE = ("rare", "_n", "_successes", "_came")
@@ -59,12 +54,7 @@ class Salience:
         return self.rare != before
 
     def label(self, trajectory: LabelledTrajectory) -> LabelledTrajectory:
-        """What a trajectory counts as.
-
-        Returns:
-            A failure that came upon something rare, which was not there in its first state, up to the first moment of
-            that, as a success; its ``whole`` is what it was made of. Any other trajectory itself.
-        """
+        """What a trajectory counts as."""
         visits = trajectory.trajectory.visits
         times = []
         for number in () if trajectory.success else self.rare:

@@ -36,31 +36,14 @@ def near_start_and_goal(start_radius: float = 2.0, goal_radius: float = 2.0) -> 
 
 
 def steps_from_start_and_goal(visits: IntArray, start_radius: float, goal_radius: float) -> BoolArray:
-    """`near_start_and_goal` where states have no distances: within these numbers of steps along the trajectory.
-
-    Args:
-        visits: Row of the state at every time t = 0 … T, (T + 1,), rows in order of first visit.
-        start_radius: In primitive steps before the first visit.
-        goal_radius: In primitive steps after the last visit.
-
-    Returns:
-        Which states may be subgoals, (m,).
-    """
+    """`near_start_and_goal` where states have no distances: within these numbers of steps along the trajectory."""
     first = np.unique(visits, return_index=True)[1]
     left = np.unique(visits[::-1], return_index=True)[1]
     return (first > start_radius) & (left > goal_radius)
 
 
 def steps_from(rows: IntArray, visits: IntArray) -> IntArray:
-    """Fewest steps along a trajectory between each of its states and a visit of some of them.
-
-    Args:
-        rows: Of these, (n,).
-        visits: Row of the state at every time, (T + 1,).
-
-    Returns:
-        Steps, (m,); T + 1 where there was no visit.
-    """
+    """Fewest steps along a trajectory between each of its states and a visit of some of them."""
     fewest = np.full(int(visits.max()) + 1, len(visits))
     if len(rows) == 0:
         return fewest
@@ -74,14 +57,7 @@ def steps_from(rows: IntArray, visits: IntArray) -> IntArray:
 
 
 def kept_by(static_filter: StaticFilter, features: FloatArray, last: int, scale: FloatArray) -> BoolArray:
-    """Which states of a trajectory a filter leaves, shape (m,).
-
-    Args:
-        static_filter: What may be a subgoal.
-        features: φ of the trajectory's distinct observations, in order of first visit, shape (m, d).
-        last: Row of the last state.
-        scale: Factor for every feature, shape (d,).
-    """
+    """Which states of a trajectory a filter leaves, shape (m,)."""
     keep = np.asarray(static_filter(features * scale, features[0] * scale, features[last] * scale), dtype=bool)
     if keep.shape != (len(features),):
         raise ValueError(f"static_filter must return shape ({len(features)},), one bool a state, got {keep.shape}.")

@@ -68,10 +68,6 @@ class PassingShare:
 
     All ways that come near a doorway pass it. Of the ways that come near a place in open space most pass beside it. One
     way more is taken to pass beside every place, so that one or two ways show nothing.
-
-    Args:
-        radius: In scaled units. A way leads through a place within this distance, and comes near it within `NEAR` times
-            as much.
     """
 
     def __init__(self, radius: float) -> None:
@@ -82,15 +78,7 @@ class PassingShare:
         self._counts: IntArray = np.zeros((2, 0), dtype=np.int64)  # by number: ways near, ways through
 
     def update(self, ways: Sequence[FloatArray]) -> FloatArray:
-        """The shares among these ways; only what is new or gone since the last call is counted.
-
-        Args:
-            ways: Each in scaled units, shape (k_i, d), k_i ≥ 1, none of them twice. A way is known again by being the
-                same array.
-
-        Returns:
-            Those of their states, way after way, shape (Σ k_i,), in [0, 1).
-        """
+        """The shares among these ways; only what is new or gone since the last call is counted."""
         current = set(map(id, ways))
         for gone in [key for key in self._ways if key not in current]:
             self._remove(gone)
@@ -113,12 +101,8 @@ class PassingShare:
         starts = np.cumsum([0, *map(len, ways[:-1])])
         own = np.split(numbers, starts[1:])
         self._ways |= {id(way): (way, of) for way, of in zip(ways, own, strict=True)}
-        if len(numbers) * max(len(self._states), together.shape[1]) <= AT_ONCE:
-            nearest = np.minimum.reduceat(cdist(together, self._states), starts)
-            self._counts += (nearest <= self._limits[..., None]).sum(axis=1)
-        else:
-            for of in own:
-                self._counts += self._leads_by(of)
+        for of in own:
+            self._counts += self._leads_by(of)
 
     def _led_by_others(self, states: FloatArray, n_known: int) -> IntArray:
         """How many of the ways before come near new states, and lead through them, (2, n)."""

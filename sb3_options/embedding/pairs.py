@@ -20,10 +20,6 @@ class Replay:
 
     An observation that is in a batch many times is encoded once: in a gridworld this is what learning from images
     takes most of its time for.
-
-    Args:
-        trajectories: Oldest first, at least one of at least one step.
-        form: Of their observations.
     """
 
     def __init__(self, trajectories: Iterable[Trajectory], form: ObservationForm) -> None:

@@ -149,8 +149,7 @@ def test_few_successes_are_not_pushed_out_by_many_failures() -> None:
     assert [t for t in database if t.success] == [second, third]
 
 
-@pytest.mark.parametrize(("equal_time", "contrast"), [(True, 0.75 - 2 / 4), (False, 0.75 - 0.75)])
-def test_the_unsuccessful_count_for_what_they_did_in_the_time_of_a_success(equal_time: bool, contrast: float) -> None:
+def test_the_unsuccessful_count_for_what_they_did_in_the_time_of_a_success() -> None:
     """The key is reached after 1 or 3 steps by the successful, after 2 by one of the others, after 9 by the other."""
 
     def comes_to_the_key(after: int, duration: int, success: bool) -> LabelledTrajectory:
@@ -159,9 +158,9 @@ def test_the_unsuccessful_count_for_what_they_did_in_the_time_of_a_success(equal
         return LabelledTrajectory(*trajectory(states, success), success)
 
     lived = [comes_to_the_key(*how) for how in ((1, 2, True), (3, 4, True), (2, 9, False), (9, 9, False))]
-    own = Contrast(KEY, 0.5, equal_time=equal_time)
+    own = Contrast(KEY, 0.5)
     own.update(lived)
-    assert own.of(np.array([[1.0, 1, 0, 0, 0]])) == pytest.approx(contrast)
+    assert own.of(np.array([[1.0, 1, 0, 0, 0]])) == pytest.approx(0.75 - 2 / 4)
 
 
 def test_what_is_near_counts_with_when_it_was_first() -> None:

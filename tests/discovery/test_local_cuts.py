@@ -83,7 +83,7 @@ def test_negative_zero_is_zero() -> None:
     assert shares_of(cuts, [[-0.0], [1.0]]).tolist() == [0.0, 0.5]
 
 
-def test_states_of_many_features_have_short_keys_and_the_same_shares(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_states_of_many_features_have_short_keys_and_the_same_shares() -> None:
     many = np.zeros((3, 20))
     many[:, 19] = np.arange(3.0)
     ways = [[tuple(many[row]) for row in way] for way in ((0, 1, 2), (1, 2), (2, 1))]
@@ -91,22 +91,8 @@ def test_states_of_many_features_have_short_keys_and_the_same_shares(monkeypatch
     again = LocalCuts()
     again.set_state(cuts.get_state())
     assert {len(key) for key in cuts._number} == {16}
-    monkeypatch.setattr(local_cuts, "FEW", 100)
-    before = walked(LocalCuts(), ways)
-    expected = shares_of(before, many).tolist()
-    assert {len(key) for key in before._number} == {160}
-    monkeypatch.undo()
     for each in (cuts, again):
-        assert shares_of(each, many).tolist() == expected == [0.5, 0.5, 0.0]
-
-
-def test_keys_of_many_features() -> None:
-    states: npt.NDArray[np.float64] = np.zeros((6, 20))
-    states[[0, 1, 3, 4], [4, 7, 4, 4]] = 1.0, 1.0, 1.0, 2.0
-    states[5, [4, 9]] = 1.0  # and one of nothing but zeros
-    keys = local_cuts.keys_of(states)
-    assert [keys.index(key) for key in keys] == [0, 1, 2, 0, 4, 5]
-    assert [local_cuts.keys_of(states[[row]])[0] for row in range(6)] == keys  # whatever else is asked for
+        assert shares_of(each, many).tolist() == [0.5, 0.5, 0.0]
 
 
 def test_what_waits_is_entered_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -50,12 +50,7 @@ def check_positive(**numbers: object) -> None:
 
 
 def often_enough(min_seen: int, min_share: float) -> Accept:
-    """Accept what was seen so often and was a candidate in this share of the times (Şimşek, Wolfe & Barto 2005).
-
-    Args:
-        min_seen: t_o.
-        min_share: t_p, in (0, 1).
-    """
+    """Accept what was seen so often and was a candidate in this share of the times (Şimşek, Wolfe & Barto 2005)."""
     check_counts(min_seen=min_seen)
     check_shares(min_share=min_share)
 
@@ -68,13 +63,7 @@ def often_enough(min_seen: int, min_share: float) -> Accept:
 
 
 def more_likely(p_target: float, p_other: float, odds: float) -> Accept:
-    """Accept where the likelihood ratio of two binomial distributions exceeds ``odds`` (Şimşek & Barto 2004).
-
-    Args:
-        p_target: p: how often a subgoal is a candidate when it is seen.
-        p_other: q: how often any other state is.
-        odds: λ_fa/λ_miss · p(N)/p(T): cost of false alarms to that of misses, times the prior odds of other states.
-    """
+    """Accept where the likelihood ratio of two binomial distributions exceeds ``odds`` (Şimşek & Barto 2004)."""
     check_shares(p_target=p_target, p_other=p_other)
     check_positive(odds=odds)
     if p_target <= p_other:
@@ -89,11 +78,7 @@ def more_likely(p_target: float, p_other: float, odds: float) -> Accept:
 
 
 class Candidates:
-    """Counts for every place how often it was seen and how often it was a candidate.
-
-    Args:
-        accept: Which places become subgoals.
-    """
+    """Counts for every place how often it was seen and how often it was a candidate."""
 
     def __init__(self, accept: Accept) -> None:
         self.accept = accept
@@ -106,13 +91,7 @@ class Candidates:
         return len(self._row)
 
     def add(self, experience: Experience, seen: IntArray, hits: IntArray) -> None:
-        """Count.
-
-        Args:
-            experience: The trajectory.
-            seen: How often each of its places was seen, (k,).
-            hits: How often it was a candidate, (k,).
-        """
+        """Count."""
         places = experience.places
         those = np.flatnonzero(seen)
         if not len(those):
@@ -183,11 +162,7 @@ def _longer(rows: FloatArray, n: int) -> FloatArray:
 
 
 class CandidateMethod(Method):
-    """A method of discovery whose subgoals are the places that were candidates often enough.
-
-    Args:
-        accept: Which places become subgoals.
-    """
+    """A method of discovery whose subgoals are the places that were candidates often enough."""
 
     STATE = ("_candidates",)
 

@@ -71,14 +71,7 @@ class CoveringOptions(LaplacianMethod):
 def farthest_pairs(
     adjacency: csr_array, n_pairs: int, allowed: BoolArray | None = None, joined: Iterable[Pair] = ()
 ) -> list[Pair]:
-    """The places with the largest and the smallest entry of the Fiedler vector, joined each time before the next.
-
-    Args:
-        adjacency: Of a connected graph, symmetric, (n, n).
-        n_pairs: How many pairs.
-        allowed: Places that options may lead to, at least two, (n,); by default all.
-        joined: Pairs that are joined already.
-    """
+    """The places with the largest and the smallest entry of the Fiedler vector, joined each time before the next."""
     edges, pairs = adjacency.tolil(), []
     for one, other in joined:
         edges[one, other] = edges[other, one] = 1.0

@@ -111,12 +111,7 @@ class Betweenness(CandidateMethod):
 
 
 def numbered(visits: IntArray, n: int) -> tuple[IntArray, IntArray]:
-    """The places that some visits are of, in order, and which of these each visit is of.
-
-    Args:
-        visits: Of places, (t,).
-        n: Places that there are.
-    """
+    """The places that some visits are of, in order, and which of these each visit is of."""
     visited = np.bincount(visits, minlength=n) > 0
     which: IntArray = np.cumsum(visited)[visits] - 1
     return np.flatnonzero(visited), which
@@ -131,14 +126,7 @@ def weights_of(visits: IntArray, n: int) -> FloatArray:
 
 
 def normalised_cut(weights: FloatArray) -> tuple[float, IntArray]:
-    """The best normalised cut along the second eigenvector (Shi & Malik 2000).
-
-    Args:
-        weights: Of a connected graph, symmetric, (n, n), n ≥ 2.
-
-    Returns:
-        NCut = cut/vol(A) + cut/vol(B), and the part of each node, 0 or 1, (n,).
-    """
+    """The best normalised cut along the second eigenvector (Shi & Malik 2000)."""
     degrees = weights.sum(axis=1)
     n = len(degrees)
     _, vectors = eigh(np.diag(degrees) - weights, np.diag(degrees), subset_by_index=[1, 1])

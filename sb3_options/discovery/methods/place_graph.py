@@ -47,11 +47,7 @@ class Component(NamedTuple):
 
 
 class PlaceGraph:
-    """Places are joined if a transition was made between them, in either direction.
-
-    Args:
-        max_places: Most places.
-    """
+    """Places are joined if a transition was made between them, in either direction."""
 
     def __init__(self, max_places: int = MAX_PLACES) -> None:
         self.max_places = max_places
@@ -116,13 +112,7 @@ class PlaceGraph:
 
 
 class LaplacianMethod(Method):
-    """A method of discovery on the Laplacian of the graph of all places, which it takes anew after each trajectory.
-
-    Args:
-        n_solved: How many times an update solves for eigenvectors.
-        min_trajectories: Before the first proposals, so that the graph is that of the task, and not of a few ways.
-        max_places: Most places in the graph.
-    """
+    """A method of discovery on the Laplacian of the graph of all places, which it takes anew after each trajectory."""
 
     STATE: ClassVar[tuple[str, ...]] = ("_graph", "_n")
 
@@ -153,10 +143,6 @@ def smoothest(adjacency: csr_array, k: int) -> FloatArray:
     """The k eigenvectors of the Laplacian D − A with the smallest eigenvalues above 0, smallest first, (n, k).
 
     Their sign, which is arbitrary, is such that the largest entry is positive.
-
-    Args:
-        adjacency: A of a connected graph, symmetric, (n, n).
-        k: At most n − 1; more are cut.
     """
     n = adjacency.shape[0]
     k = min(k, n - 1)

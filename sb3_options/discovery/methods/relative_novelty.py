@@ -52,15 +52,7 @@ class RelativeNovelty(CandidateMethod):
 
 
 def relative_novelty(visits: IntArray, lag: int) -> tuple[IntArray, FloatArray]:
-    """The relative novelty of the times of a trajectory that have ``lag`` steps on both sides.
-
-    Args:
-        visits: Place at every time, (T + 1,).
-        lag: In steps, at least 1.
-
-    Returns:
-        Those times, and their relative novelties, (n,) each.
-    """
+    """The relative novelty of the times of a trajectory that have ``lag`` steps on both sides."""
     total = np.concatenate([[0], np.cumsum(_count_so_far(visits))])
     times = np.arange(lag, len(visits) - lag)
     before = (total[times] - total[times - lag]) / lag

@@ -7,9 +7,6 @@ from functools import partial
 import networkx as nx
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from experiments.random_walks.conditions import is_bottleneck, run, world_for
 from sb3_options.density.regions import Region
@@ -17,11 +14,11 @@ from sb3_options.discovery.methods import METHODS, MethodName
 from sb3_options.discovery.methods.candidates import Candidates, more_likely, often_enough
 from sb3_options.discovery.methods.eigenoptions import Eigenoptions
 from sb3_options.discovery.methods.graphs import Betweenness, LCut, local_maxima, normalised_cut, weights_of
-from sb3_options.discovery.methods.method import DiscoveryMethod, Experience, distinct_rows
+from sb3_options.discovery.methods.method import DiscoveryMethod, Experience
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty, relative_novelty
 from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
 from sb3_options.discovery.peaks import MOST_TIED
-from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
+from sb3_options.experience.observations import BoolArray, IntArray
 from sb3_options.options.proposals import goal_of
 
 NUMBERS = [-1e9, -2.0, -1.0, -0.0, 0.0, 1.0, 3.0, 1e9]
@@ -79,13 +76,6 @@ class TestExperience:
     def test_a_unit_is_one_after_scaling(self) -> None:
         assert len(experience([0, 1, 2, 3], scale=0.4).places.points) == 2
         assert len(experience([0, 1, 2, 3], scale=2.0).places.points) == 4
-
-    @given(arrays(np.float64, st.tuples(st.integers(1, 9), st.integers(1, 3)), elements=st.sampled_from(NUMBERS)))
-    def test_distinct_rows_are_those_of_numpy(self, rows: FloatArray) -> None:
-        _, first, which = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-        found, of_each = distinct_rows(rows)
-        assert found.tolist() == first.tolist()
-        assert of_each.tolist() == which.ravel().tolist()
 
 
 class TestRelativeNovelty:
