@@ -128,13 +128,8 @@ def short_enough(groups: Mapping[str, Sequence[Run]], source: str) -> Goal | Non
 class Compared(NamedTuple):
     """Numbers of one group; a single run has points for intervals.
 
-    Attributes:
-        runs: How many.
-        never: Of them, those that did not reach the goal.
-        steps: Primitive steps until then; a run that never did counts with the budget.
-        seconds: Wall time until then; a run that never did counts with its whole length.
-        end: The measures over the last tenth of training.
-        sooner: Pr(a run of this group takes fewer steps than one of the first one); None for the first group.
+    A run that never reaches the goal counts with the budget, and with its whole length in seconds. ``sooner`` is the
+    probability that a run takes fewer steps than one of the first group.
     """
 
     runs: int

@@ -25,7 +25,7 @@ class _InterruptedError(Exception):
 
 
 class WatchedEvalCallback(EvalCallback):
-    """SB3's ``EvalCallback`` with progress, interrupts and the run's rule of success."""
+    """SB3's ``EvalCallback`` with progress, interrupts and the run's rule of success; None is the environment's own."""
 
     remembers_nothing = True  # more than EvalCallback does, from one evaluation to the next
 

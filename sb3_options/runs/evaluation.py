@@ -41,14 +41,7 @@ VIDEO_EPISODES = 10
 
 
 class Evaluation(NamedTuple):
-    """What an evaluation found, over ``episodes`` episodes.
-
-    Attributes:
-        episodes: How many.
-        mean_return: Undiscounted return.
-        success_rate: Share of successful episodes.
-        steps: Primitive steps an episode.
-    """
+    """Undiscounted return, share of successes and primitive steps of an episode, over ``episodes`` of them."""
 
     episodes: int
     mean_return: Interval

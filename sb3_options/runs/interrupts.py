@@ -28,15 +28,10 @@ PATIENCE = 5.0
 class Interrupts:
     """Takes SIGINT, SIGTERM and SIGHUP while its ``with`` block runs, and gives the handlers back afterwards.
 
-    The first signal sets `noted`, for training to end where a checkpoint of it can be written, or for `StopWhenNoted`
-    to end it `patience` seconds later after the step that is under way, in the middle of an evaluation too. A second
-    one raises `KeyboardInterrupt`, for a user who does not want to wait. Once `saving` is set, a signal changes
-    nothing. Each time the user is told.
-
-    SIGINT is taken even where it was ignored, as it is in the background processes of a shell script; SIGHUP is left to
-    ``nohup``. Outside the main thread, where Python allows no handlers, nothing happens.
-
-    `ended` is for whoever ends training: training may also come to its end while an interrupt waits.
+    The first signal sets `noted`: training ends where a checkpoint can be written, or after `patience` s. A second
+    one raises `KeyboardInterrupt`. Once `saving` is set, a signal changes nothing. SIGINT is taken even where it was
+    ignored, as in background processes of a script; SIGHUP is left to ``nohup``. Other threads take no signals. `ended`
+    is for whoever ends training: it may also come to its end while an interrupt waits.
     """
 
     def __init__(self) -> None:
@@ -83,10 +78,7 @@ class Interrupts:
 
 
 class StopWhenNoted(BaseCallback):
-    """Ends training after a step, once an interrupt is due.
-
-    A rollout whose update would take longer than there is time for is not waited for.
-    """
+    """Ends training after a step, once an interrupt is due; no rollout whose update takes too long is waited for."""
 
     remembers_nothing = True
 

@@ -38,13 +38,7 @@ EVENTS = "**/*tfevents*"
 
 
 class Curve(NamedTuple):
-    """A measure over a training run, (n,) each.
-
-    Attributes:
-        steps: Primitive steps, as far as the run counted them (`PrimitiveStepsCallback`).
-        seconds: Since the first entry of the log.
-        values: Of the measure.
-    """
+    """A measure over training, (n,) each: primitive steps, seconds since the first entry of the log, values."""
 
     steps: FloatArray
     seconds: FloatArray
@@ -52,13 +46,7 @@ class Curve(NamedTuple):
 
 
 class Run(NamedTuple):
-    """A run and what it logged.
-
-    Attributes:
-        folder: Of the run.
-        settings: Of its ``config.yml``; empty where there is none.
-        curves: By where they were measured, ``eval`` or ``rollout``, and by measure.
-    """
+    """A run, its ``config.yml`` (empty without one), and curves by source (``eval``, ``rollout``) and measure."""
 
     folder: Path
     settings: dict[str, Any]

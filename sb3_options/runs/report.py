@@ -44,15 +44,7 @@ HEADINGS = ("slot", "option", "subgoal", "found after primitive steps", "initiat
 
 
 class Trained(NamedTuple):
-    """What is left of one training.
-
-    Attributes:
-        config: Of the run.
-        folder: The run folder, which is gone if no step was taken.
-        discovery: The callback.
-        finished: Whether training came to its end.
-        interrupted: Whether there was an interrupt, perhaps after the end.
-    """
+    """What is left of one training. The folder is gone if no step was taken; an interrupt may come after the end."""
 
     config: TrainConfig
     folder: Path
@@ -67,15 +59,9 @@ class Trained(NamedTuple):
 
 
 class Contents(NamedTuple):
-    """What an options file holds.
+    """What an options file holds, by slot; a hand-made option is a name only.
 
-    Attributes:
-        options: By slot; a hand-made one is a name only.
-        max_options: Slots of the bank.
-        n_primitive: Actions of the environment.
-        observations: The space that policies act on, in words; None where the file does not say.
-        features: Where φ comes from (`features.FeatureKind`); None where the file does not say.
-        digest: SHA-256 of the content.
+    ``observations`` (a space, in words) and ``features`` (where φ comes from) are None where the file does not say.
     """
 
     options: dict[int, SubgoalOption | str]

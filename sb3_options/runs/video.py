@@ -35,10 +35,9 @@ GIF_PICTURES = 600
 
 
 class RecordFrames(gym.Wrapper[Any, Any, Any, Any]):
-    """Hands over the pictures of every primitive step, also of those inside options.
+    """Hands over the pictures of every primitive step, those inside options too, of the first ``episodes`` episodes.
 
-    Attributes:
-        caption: Text to write below each picture; None writes nothing.
+    ``caption`` gives the text below each picture; None writes nothing.
     """
 
     def __init__(self, env: gym.Env[Any, Any], take: Callable[[Any], None], episodes: int) -> None:

@@ -1,4 +1,3 @@
-import re
 import sys
 from pathlib import Path
 
@@ -50,12 +49,6 @@ def test_minigrid_is_ready_for_training_and_its_workers_know_it() -> None:
         env = runs.make_env(config, 1, 0, vec_env="subproc" if env_id.startswith("minigrid:") else "dummy")
         assert env.get_attr("traits")[0].feature_kind == "environment"
         env.close()
-
-
-def test_minigrid_that_is_not_installed_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "minigrid", None)
-    with pytest.raises(ModuleNotFoundError, match=re.escape("pip install 'sb3-options[minigrid]' (in a checkout")):
-        runs.check_env_id("MiniGrid-Empty-5x5-v0")
 
 
 def test_a_place_that_holds_no_folders_is_named_with_its_flag(tmp_path: Path) -> None:

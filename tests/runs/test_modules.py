@@ -109,11 +109,3 @@ def test_what_names_nothing_leaves_no_folder(
 ) -> None:
     assert expected in refused(capsys, command_line(tmp_path, flag, value))
     assert not (tmp_path / "runs").exists()
-
-
-def test_a_map_that_is_learned_has_a_name_and_no_module(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    cli.main(command_line(tmp_path, "--feature-map", "temporal-distance"))
-    (run,) = (tmp_path / "runs" / "dqn").iterdir()
-    assert configs.load(run / "config.yml").feature_map == "temporal-distance"
-    cli.main(["evaluate", str(run), "--episodes", "1"])
-    assert "1 episode" in capsys.readouterr().out

@@ -187,11 +187,3 @@ def test_the_next_command_finds_the_program(
     monkeypatch.setattr("sys.argv", [program.format(root=tmp_path)])
     words = commands(Path("runs/ppo"))["Evaluate"]
     assert words[words.index("evaluate") - 1 :] == [shown, "evaluate", "runs/ppo", "--video", "runs/ppo/video.mp4"]
-
-
-def test_the_next_commands_can_be_pasted_where_a_path_has_a_space(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.executable", "/my python/bin/python9")
-    shown = commands(Path("my runs/ppo"), draws=False)
-    assert shown["TensorBoard"] == ["/my python/bin/python9", "-m", "tensorboard.main", "--logdir", "my runs/ppo"]
-    assert shown["Evaluate"][0] == "/my python/bin/python9"
-    assert shown["Evaluate"][-2:] == ["evaluate", "my runs/ppo"]

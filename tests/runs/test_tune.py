@@ -133,13 +133,6 @@ def test_the_command_that_judges_names_what_is_trusted(tmp_path: Path, trained: 
     assert f"--seed 1 --env-wrapper {trusted}\n" in console.file.getvalue()  # type: ignore[attr-defined]  # a StringIO
 
 
-def test_one_seed_one_search(tmp_path: Path, trained: list[TrainConfig]) -> None:
-    for out in "ab":
-        tune.tune(TuneConfig(written(tmp_path), tmp_path / out, trials=10, seeds=1), quiet())
-    rates = [run.algo_kwargs["learning_rate"] for run in trained]
-    assert rates[:10] == rates[10:]
-
-
 def test_a_search_goes_on(tmp_path: Path, trained: list[TrainConfig]) -> None:
     config = TuneConfig(written(tmp_path), tmp_path / "out", trials=3, seeds=1)
     tune.tune(config, quiet())
