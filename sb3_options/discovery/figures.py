@@ -179,11 +179,7 @@ def _bars(axes: Axes, title: Title, seen: FloatArray, values: FloatArray | IntAr
 
 
 def _moves_of(discovery: Discovery, options: list[SubgoalOption]) -> tuple[FloatArray, FloatArray] | None:
-    """Where the greedy actions of options led in the saved trajectories, from each state of the initiation sets.
-
-    Returns:
-        The first two features of these states and the mean moves, (n, 2) each; None if no such step was saved.
-    """
+    """Where the greedy actions of options led in the saved trajectories, from each state of the initiation sets."""
     moves: dict[bytes, list[FloatArray]] = {}
     for option in options:
         for labelled in discovery.database:

@@ -25,7 +25,7 @@ from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from sb3_options.options.settings import OptionLearningSettings
 from tests.discovery.lines import peaks_of
-from tests.support.helpers import line, steady_option, trajectory_of
+from tests.support.helpers import steady_option, trajectory_of
 from tests.support.sb3_helpers import n_colours, small_rooms
 
 NAMES = ["diverse_density", "first_visits", "initiation_set", "option_policy"]
@@ -137,14 +137,6 @@ class TestMaps:
             (legend,) = figure.legends
             assert [t.get_text() for t in legend.get_texts()] == ["start", "goal: where a success ended", "subgoal"]
 
-    def test_axes_have_names_and_colours_units(self) -> None:
-        figures = discovery_figures(*discovered("environment", xy))
-        for figure in figures.values():
-            assert figure.axes[0].get_xlabel() == "feature 1 of 2"
-            assert figure.axes[0].get_ylabel() == "feature 2 of 2"
-        bars = [figures[name].axes[1] for name in NAMES[:2]]
-        assert [axes.get_ylabel() for axes in bars] == ["nats", "trajectories"]
-
     def test_without_a_leak_a_quarter_of_the_states_is_told_apart(self) -> None:
         discovery, bank = discovered("environment", xy)
         settings = dataclasses.replace(discovery.settings, leak=0.0, scale=4.0, start_radius=0.0, goal_radius=0.0)
@@ -216,14 +208,6 @@ def test_numbered_states_are_bars() -> None:
         assert set(marked) == {".", "o", "D", "*"}
         assert figure.axes[0].get_xlabel() == "number of the state"
         assert figure.axes[0].get_ylabel() in ("nats", "trajectories")
-
-
-def test_a_single_success_is_counted_in_whole_trajectories() -> None:
-    discovery = Discovery(DiscoverySettings(min_positive=1, start_radius=0.5, goal_radius=0.5, min_passing=0.0))
-    discovery.add(line([0, 1, 2, 3, 4]).trajectory, np.arange(5.0)[:, None], success=True)
-    discovery.search()
-    ticks = discovery_figures(discovery, OptionBank(4, 2))["first_visits"].axes[1].get_yticks()
-    assert ticks.tolist() == ticks.round().tolist()
 
 
 def test_before_any_search_there_is_nothing_to_draw() -> None:
