@@ -66,7 +66,7 @@ def draw_discovery(log: Logger, keeper: OptionKeeper) -> None:
 def results_of(history: Sequence[EpisodeRecord]) -> dict[str, float]:
     """How a run ended, by tag: success rate and mean return of the `LAST` episodes, and `steps_to_learn`.
 
-    What there is not is left out: everything before the first episode has ended, the steps where they never came.
+    Before the first episode has ended it is empty; the steps are left out if the task was not learned.
     """
     last, steps = history[-LAST:], steps_to_learn(history)
     results: dict[str, float] = {}

@@ -53,7 +53,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise
     finally:
         if temporary is not None:
-            with suppress(OSError):  # a read-only file system removes not even what there is not
+            with suppress(OSError):  # a read-only file system raises even for a missing file
                 temporary.unlink(missing_ok=True)
 
 

@@ -93,7 +93,7 @@ def _stands_for_a_number(value: Any, got: Any) -> bool:
 
 
 def readable(error: ValidationError, names: Sequence[str] = ()) -> str:
-    """One line that says of every wrong field its name, what was expected and what came."""
+    """One line with the name, expected and given value of every wrong field."""
     return "; ".join(_readable(e, names) for e in error.errors(include_url=False))
 
 

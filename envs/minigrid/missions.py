@@ -58,7 +58,7 @@ class Missions:
         return int(self.codes.shape[1])
 
     def code(self, text: str) -> Vector | None:
-        """The code of a mission, (w,); None if it is none of them."""
+        """The code of a mission, (w,); None if it is unknown."""
         number = self._number.get(text)
         return None if number is None else self.codes[number]
 

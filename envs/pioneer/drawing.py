@@ -49,7 +49,7 @@ _TICK: Colour = (150, 156, 168)
 
 
 class Scene(NamedTuple):
-    """What there is to draw; places are x, y in m."""
+    """A scene to draw; positions are x, y in m."""
 
     pose: Pose
     balls: Iterable[Position]

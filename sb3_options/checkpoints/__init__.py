@@ -1,1 +1,1 @@
-"""Everything that training is, on the disk and back."""
+"""Save and restore the whole state of a training."""

@@ -28,7 +28,7 @@ REMEMBER_NOTHING = (VecTransposeImage, VecCheckNan, VecExtractDictObs)
 
 
 def prepare(venv: VecEnv, *, just_reset: bool = False) -> None:
-    """Have noted what it takes to go on in mid-episode; `get_state` needs it, and a second time does nothing."""
+    """Record what resuming in mid-episode needs; `get_state` requires it. A second call does nothing."""
     while isinstance(venv, VecEnvWrapper):
         _wrapper_state(venv)
         venv = venv.venv

@@ -1,4 +1,4 @@
-"""TensorBoard's files, cut to what they were when a checkpoint was written, so that no point is doubled."""
+"""Cuts TensorBoard's files to their length at a checkpoint, so that no point is logged twice."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def sizes(logger: Logger) -> dict[str, int]:
 
 
 def cut(logger: Logger, before: dict[str, int]) -> None:
-    """Remove what was logged after a checkpoint by processes that have ended."""
+    """Remove the points that ended processes logged after a checkpoint."""
     files = _files(logger)
     if not any(file.name in before for file in files):
         return  # the logger writes to another folder than before: nothing in it is touched

@@ -67,7 +67,7 @@ class CheckpointFolder:
         return next((int(file.stem) for file in self), None)
 
     def save(self, steps: int, state: State, *, growing: Sequence[Growing] = ()) -> Path:
-        """Write a checkpoint, and remove what is older than the last `KEPT`.
+        """Write a checkpoint, and remove all but the last `KEPT`.
 
         A killed process or a full disk leaves the older ones whole.
         """

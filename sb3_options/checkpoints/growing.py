@@ -28,7 +28,7 @@ class KnownBlocks:
         self._written: dict[int, _Written] = {}
 
     def unchanged(self, rows: npt.NDArray[Any], per_block: int) -> dict[int, str]:
-        """Names of the blocks whose rows are what they were, by their first row."""
+        """Names of the blocks whose rows have not changed, by their first row."""
         now, then = self._growing.get(_address(rows)), self._before.get(_address(rows))
         if now is None or then is None or then.array() is not now.array or then.per_block != per_block:
             return {}

@@ -165,7 +165,7 @@ def random_states() -> State:
 
 
 def set_random_states(state: State) -> None:
-    """Let all generators draw what they would have drawn after `random_states`."""
+    """Restore the state of all generators from `random_states`."""
     np.random.set_state(state["numpy"])  # noqa: NPY002  # SB3 draws from it
     version, numbers, gauss = state["python"]
     random.setstate((version, tuple(numbers.tolist()), gauss))

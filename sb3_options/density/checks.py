@@ -21,7 +21,7 @@ def positive_scale(scale: object) -> bool:
 
 
 def refuse(settings: object, **checks: tuple[str, bool]) -> None:
-    """Raise `ValueError` for the first setting that is not what is expected of it."""
+    """Raise `ValueError` for the first setting out of range."""
     for name, (expected, holds) in checks.items():
         if not holds:
             raise ValueError(f"{name} must be {expected}, got {getattr(settings, name)!r}")

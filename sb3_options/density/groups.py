@@ -134,7 +134,7 @@ class FeatureGroup:
 
 
 def checked_groups(groups: Iterable[FeatureGroup], n_features: int) -> tuple[FeatureGroup, ...]:
-    """The groups themselves; a ValueError if one names a feature that there is not, or two have one name."""
+    """The groups themselves; a ValueError if one names an unknown feature, or two have the same name."""
     groups = tuple(groups)
     for group in groups:
         for each in (group, group.sees):

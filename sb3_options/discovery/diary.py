@@ -1,4 +1,4 @@
-"""The diary of discovery: what was seen, what it took, and why nothing was found."""
+"""The diary of discovery: counts of trajectories, cost of searches, and why nothing was found."""
 
 from __future__ import annotations
 

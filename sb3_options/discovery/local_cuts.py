@@ -1,4 +1,4 @@
-"""Which states part the states around them, in the graph of what was visited."""
+"""Which states cut off their neighbourhood, in the graph of visited states."""
 
 from __future__ import annotations
 

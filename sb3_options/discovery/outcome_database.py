@@ -49,7 +49,7 @@ class OutcomeDatabase(TrajectoryDatabase):
         self._n_added += 1
 
     def get_state(self) -> dict[str, Any]:
-        """For a checkpoint: the trajectories of each kind, oldest first, and what is rare."""
+        """For a checkpoint: the trajectories of each kind, oldest first, and the rare events."""
         return {**state_of(self), "numbers": [self._number[id(_whole(each))] for each in self]}
 
     def set_state(self, state: dict[str, Any]) -> None:

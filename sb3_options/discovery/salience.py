@@ -16,7 +16,7 @@ LEAST_TRAJECTORIES = 16
 
 
 class Salience:
-    """Says what is rare, and makes a success of a failure that came upon it, up to that moment.
+    """Finds rare events, and counts a failed trajectory as a success up to its rare event.
 
     Options need bottlenecks, and bottlenecks need successes, which are rare before there are options. What is seldom
     come upon lies behind something: a goal behind a door that has to be opened. So the ways there are positive bags

@@ -67,10 +67,10 @@ class DiscoverySettings:
         scale: Factor for every feature, 1/width of the Gaussians; None takes `default_scale`.
         start_radius: The default static filter keeps subgoals farther than this from where a trajectory began. Where
             features are one-hot codes, which have no distances, it counts steps along the trajectory.
-        goal_radius: The default static filter keeps subgoals farther than this from where a trajectory ended; likewise.
+        goal_radius: The default static filter keeps subgoals farther than this from where a trajectory ended.
         decay: λ of the running averages.
         threshold: Share of the limit λ/(1−λ) that makes a concept persistent.
-        cut_threshold: Likewise of a state that is known to cut off ``min_cut`` of its surroundings, because more than
+        cut_threshold: The same for a state that is known to cut off ``min_cut`` of its surroundings, because more than
             one trajectory visited it. It is hardly an accident, so that a smaller share does.
         peak_radius: A peak belongs to the nearest known concept within this distance.
         max_places: If the best diverse density is shared by more separate places than this, none counts as found: they
@@ -78,7 +78,7 @@ class DiscoverySettings:
         max_extent: A plateau of tied peaks that reaches farther than this from its middle is open space that all
             trajectories happened to cross, no bottleneck: a search whose best peaks include one finds nothing.
         subgoal_radius: The subgoal is everything within this distance of the persistent peak.
-        spacing: A new subgoal must be farther than this from those that have an option; likewise.
+        spacing: A new subgoal must be farther than this from those that have an option.
     """
 
     method: MethodName = "diverse-density"

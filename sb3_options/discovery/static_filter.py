@@ -21,7 +21,7 @@ def near_start_and_goal(start_radius: float = 2.0, goal_radius: float = 2.0) -> 
 
     Args:
         start_radius: In scaled units of concept space, ≥ 0.
-        goal_radius: Likewise.
+        goal_radius: The same, for the last state.
     """
     if not (start_radius >= 0 and goal_radius >= 0):
         raise ValueError(f"start_radius and goal_radius must be at least 0, got {start_radius} and {goal_radius}.")

@@ -1,4 +1,4 @@
-"""The ways of trajectories: what is left of them when every loop is cut out, and which places they lead through."""
+"""Ways: trajectories without their loops, and the places that they pass."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class PassingShare:
         self._counts: IntArray = np.zeros((2, 0), dtype=np.int64)  # by number: ways near, ways through
 
     def update(self, ways: Sequence[FloatArray]) -> FloatArray:
-        """The shares among these ways; only what is new or gone since the last call is counted."""
+        """The shares among these ways; only ways added or removed since the last call are counted."""
         current = set(map(id, ways))
         for gone in [key for key in self._ways if key not in current]:
             self._remove(gone)

@@ -18,7 +18,7 @@ SMALLEST = 1e-3
 """Least standard deviation of a pixel, as a share of the largest: what does not move is 0."""
 
 ROUNDING = 1e-6
-"""Likewise of another number, as a share of its mean: what moves less is rounding."""
+"""The same for other numbers, as a share of their mean: smaller movements are rounding errors."""
 
 MIN_IMAGE = 36
 """Least side of an image in pixels, that of the smallest that the convolutions of Mnih et al. (2015) accept."""
@@ -45,7 +45,7 @@ class ObservationForm(NamedTuple):
 
 
 def form_of_array(shape: tuple[int, ...], dtype: np.dtype[np.generic]) -> ObservationForm:
-    """The form of observations that are one array: an image, if that is what it looks like."""
+    """The form of observations that are one array: an image if it has the shape of one."""
     for first, channels, sides in ((1, shape[-1:], shape[:2]), (0, shape[:1], shape[1:])):
         if dtype == np.uint8 and len(shape) == 3 and channels[0] in (1, 3, 4, 12) and min(sides) >= MIN_IMAGE:
             return ObservationForm("image", (*channels, *sides), first)

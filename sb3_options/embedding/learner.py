@@ -16,7 +16,7 @@ from sb3_options.embedding.temporal_distance import contrastive_loss
 from sb3_options.experience.trajectories import Trajectory
 
 FIRST_TRAJECTORIES = 8
-"""Trajectories before the map is learned first: eight random walks in two rooms visit most of what they will."""
+"""Trajectories before the map is learned first: eight random walks visit most of two rooms."""
 
 MOST_STEPS = 20_000
 """Steps whose median length becomes the unit."""

@@ -55,7 +55,7 @@ class PrimitiveMonitor(Monitor[Any, Any]):
 
 
 class _Answer(gym.Env[Any, Any]):
-    """Gives what was answered already."""
+    """Returns the answers recorded before."""
 
     def __init__(self, result: tuple[Any, ...]) -> None:
         self.step = lambda action: result  # type: ignore[method-assign]  # as the method

@@ -1,4 +1,4 @@
-"""The state of an environment in mid-episode: that of each of its wrappers, and of what they are around.
+"""The state of an environment in mid-episode: of each of its wrappers and of the innermost environment.
 
 An environment that gives and takes its state has ``get_state()`` and ``set_state(state)``, of numbers, text, arrays,
 lists and dictionaries. Its ``np_random`` need not be in it. Of any other, and of wrappers that do not tell what they

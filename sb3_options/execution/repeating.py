@@ -83,7 +83,7 @@ class RecordActions(gym.Wrapper[Any, Any, Any, Any]):
         return result
 
     def get_state(self) -> State:
-        """For a checkpoint: what it takes to repeat the episode, and where it leads."""
+        """For a checkpoint: the actions and seeds that repeat the episode, and its last observation."""
         why, actions = self._why, self._actions
         if len(actions) > MAX_ACTIONS:
             why = f"it has more than {MAX_ACTIONS:,} actions"
@@ -130,14 +130,14 @@ class RecordActions(gym.Wrapper[Any, Any, Any, Any]):
 
 
 def random_states(env: Any) -> State:
-    """Of the generators of an environment and its spaces; None for one that there is not, or of another kind."""
+    """Of the generators of an environment and its spaces; None if one is missing or of another kind."""
     spaces = {name: getattr(env, name)._np_random for name in ("action_space", "observation_space")}
     generators = {"np_random": env._np_random, **spaces}  # to ask for np_random would make one
     return {name: getattr(getattr(each, "bit_generator", None), "state", None) for name, each in generators.items()}
 
 
 def set_random_states(env: Any, states: State) -> None:
-    """Let the generators draw what they would have drawn after `random_states`."""
+    """Restore the generators from `random_states`."""
     for name, state in states.items():
         if state is not None:
             (env if name == "np_random" else getattr(env, name)).np_random.bit_generator.state = state

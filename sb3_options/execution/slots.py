@@ -1,4 +1,4 @@
-"""`SlotState`: what an environment is told of its options; `Traits`: what it tells of itself."""
+"""`SlotState`: the options as sent to an environment; `Traits`: properties that an environment reports."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sb3_options.options.option import Option
 
 @dataclass(frozen=True)
 class SlotState:
-    """All that an environment is told of options. ``env_method("set_slots", field=value)`` replaces fields.
+    """Everything that an environment holds of options. ``env_method("set_slots", field=value)`` replaces fields.
 
     Attributes:
         options: By slot, what was put into it: an option, or None for an empty slot. Slots that are not named hold

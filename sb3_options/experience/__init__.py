@@ -1,1 +1,1 @@
-"""What was lived through: observations, trajectories, how they are recorded and which succeeded. Pure."""
+"""Experience: observations, trajectories, runs of options, and success. Pure."""

@@ -33,7 +33,7 @@ KEPT_KWARGS = frozenset({"handle_timeout_termination", "n_steps", "gamma"})
 
 
 class Family:
-    """An algorithm that has no networks with heads and no buffer: what it learns from is its own affair.
+    """An algorithm without network heads and buffer.
 
     Attributes:
         has_heads: Whether each action has outputs of a network, which are closed while its slot is empty.
@@ -80,7 +80,7 @@ class Family:
         return getattr(self.model, "_n_updates", 0) > 0
 
     def forget(self, action: int) -> bool:
-        """Remove what was learned of an action whose slot was emptied; whether there was something."""
+        """Forget the values of an action whose slot was emptied; whether there were any."""
         return False
 
     def get_state(self) -> Any:

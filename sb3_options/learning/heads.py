@@ -98,7 +98,7 @@ def close_head(policy: Any, action: int) -> None:
 
 
 def decays(policy: Any) -> bool:
-    """Whether the optimizer has weight decay, which slowly opens what is closed: AdamW, for one."""
+    """Whether the optimizer has weight decay, as AdamW has, which slowly opens closed outputs."""
     return any(group.get("weight_decay", 0.0) for group in policy.optimizer.param_groups)
 
 

@@ -1,4 +1,4 @@
-"""How new an observation is: state counts, random network distillation, and the scale of what they say."""
+"""Novelty of observations: state counts, random network distillation, and their scale."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class StateCounts:
         return 1.0 / np.sqrt(counts)
 
     def of(self, observations: Observations) -> FloatArray:
-        """1 / √N, (batch,), without a visit; 1 of what was never visited."""
+        """1 / √N, (batch,), without counting a visit; 1 for a state that was never visited."""
         counts = [self.visits.get(key, 1) for key in self.keys(observations)]
         return 1.0 / np.sqrt(np.array(counts, dtype=np.float64))
 

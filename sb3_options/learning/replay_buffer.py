@@ -375,7 +375,7 @@ class OptionReplayBuffer(ReplayBuffer):
         return [*columns, self.inner_steps, *observations]
 
     def growing(self) -> list[Growing]:
-        """The observations, of which a checkpoint need not read again what it has: they are most of the memory."""
+        """The observations, most of the memory: a checkpoint reads only the new ones."""
         return [
             Growing(array, self.written, self.pos, self.copies)
             for array in (*self._observations.values(), *self._next_observations.values())

@@ -31,7 +31,7 @@ def smdp_advantages(
     decays by λ per decision, so that an option carries credit as far as a primitive action does.
 
     Args:
-        rewards: Rₜ = Σ γⁱ rᵢ over the k primitive steps, (n_steps, n_envs); likewise all others.
+        rewards: Rₜ = Σ γⁱ rᵢ over the k primitive steps, (n_steps, n_envs), as all others.
         values: V(sₜ).
         next_values: V(sₜ₊₁).
         discounts: γᵏ.

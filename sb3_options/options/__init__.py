@@ -1,1 +1,1 @@
-"""What an option is, how it is made from trajectories and how it is kept. Pure."""
+"""Options: learned from trajectories, stored and loaded. Pure."""

@@ -106,7 +106,7 @@ class OptionBank:
         return slot
 
     def remove(self, slot: int) -> Option:
-        """Empty a slot, and return what was in it."""
+        """Empty a slot and return its option."""
         self.check_slot(slot)
         option = self._slots[slot]
         if option is None:
@@ -191,7 +191,7 @@ class OptionBank:
         return {**self.__dict__, "feature_map": learned, "_shared": None}
 
     def check_slot(self, slot: int) -> None:
-        """Refuse a slot that there is not."""
+        """Refuse an unknown slot."""
         if not 0 <= slot < self.max_options:
             raise ValueError(f"slot must be between 0 and {self.max_options - 1}, got {slot}.")
 

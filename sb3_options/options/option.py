@@ -59,7 +59,7 @@ class SingleCache(Generic[Result]):
 
 
 class KnownFeatures:
-    """A feature map that remembers what it gave for single observations: all options of a bank ask for the same.
+    """A feature map that caches the features of single observations, which all options of a bank need.
 
     Args:
         of: φ, which gives the same for the same observation always.

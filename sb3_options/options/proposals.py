@@ -27,7 +27,7 @@ class Passage:
     initiation: Region
 
     def __post_init__(self) -> None:
-        """Refuse what is no region."""
+        """Refuse anything but a region."""
         for name in ("subgoal", "initiation"):
             if not isinstance(value := getattr(self, name), Region):
                 raise TypeError(f"{name} of a Passage must be a Region, got {value!r:.200}")

@@ -86,7 +86,7 @@ class ResumeConfig:
 
 @dataclass(frozen=True)
 class CompareConfig:
-    """Compare runs, or groups of runs, by what they logged to TensorBoard: a table and a picture.
+    """Compare runs, or groups of runs, by their TensorBoard logs: a table and a picture.
 
     Attributes:
         runs: Run folders, or folders that hold some. Those that differ in their seed alone make a group; NAME=PATTERN

@@ -143,7 +143,7 @@ GROUPS = {"discovery": DiscoverySettings, "option": OptionLearningSettings, "use
 """The settings that are classes of settings themselves."""
 
 HOW_IT_RAN = frozenset({"checkpoint_freq", "compare", "device", "progress", "tensorboard_log", "vec_env"})
-"""Settings that do not change what is learned."""
+"""Settings without effect on learning."""
 
 CONFIG = "config.yml"
 """File of the settings in a run folder."""

@@ -54,7 +54,7 @@ class Evaluation(NamedTuple):
 
 
 def table(result: Evaluation, run: str) -> Table:
-    """The result for people; ``run`` names what was evaluated."""
+    """The result as text; ``run`` names the evaluated run."""
     rows = Table("", "mean", "95 % confidence interval", title=f"{run}: {result.episodes} episodes")
     for name, interval in result.intervals().items():
         rows.add_row(name, f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}")

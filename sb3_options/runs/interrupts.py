@@ -45,7 +45,7 @@ class Interrupts:
 
     @property
     def status(self) -> int:
-        """Exit status of what was interrupted, as shells have it: 130 for SIGINT, 143 for SIGTERM."""
+        """Exit status after an interrupt, as in shells: 130 for SIGINT, 143 for SIGTERM."""
         return 128 + self._number
 
     def due(self, ahead: float = 0.0) -> bool:

@@ -111,7 +111,7 @@ def runs_in(folder: Path) -> list[Path]:
 
 
 def grouped(runs: Sequence[Run]) -> dict[str, list[Run]]:
-    """Runs that differ in nothing but their seed make a group, named by what it has and others have not."""
+    """Runs that differ only in their seed make a group, named by the settings that set it apart."""
     flat = [_flat({k: v for k, v in run.settings.items() if k not in NO_SETTING}) for run in runs]
     names = sorted({name for each in flat for name in each})
     values = {name: [json.dumps(each.get(name), default=str) for each in flat] for name in names}

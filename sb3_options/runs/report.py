@@ -112,7 +112,7 @@ def option_rows(contents: Contents, found: Mapping[int, int] | None = None) -> l
 
 
 def show_options(config: InspectConfig, console: Console) -> None:
-    """Print what is in an options file, and draw it."""
+    """Print and draw the contents of an options file."""
     contents = contents_of(config.file)
     console.print(_table(HEADINGS, option_rows(contents)))
     console.print(

@@ -173,7 +173,7 @@ def _hparams_of(config: TrainConfig, options: Path | None) -> dict[str, object]:
 def _learn(
     config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path, interrupts: Interrupts, *, resume: bool
 ) -> bool:
-    """Train, and save what was learned, however training ends; without a step taken, remove a new folder."""
+    """Train, and save the result however training ends; remove a new folder if no step was taken."""
     interrupts.saving = False
     interrupts.patience = 0.0
     discovery.save_path = folder / runs.OPTIONS

@@ -29,28 +29,28 @@ PLACE_SECONDS = 2e-7
 
 
 def check_counts(least: int = 1, /, **counts: object) -> None:
-    """Refuse what is no whole number of at least ``least``, by its name."""
+    """Refuse anything but a whole number of at least ``least``."""
     for name, count in counts.items():
         if not whole(count, least):
             raise ValueError(f"{name} must be a whole number of at least {least}, got {count!r}.")
 
 
 def check_shares(**shares: object) -> None:
-    """Refuse what is no number in (0, 1), by its name."""
+    """Refuse anything but a number in (0, 1)."""
     for name, share in shares.items():
         if not (is_number(share) and 0 < share < 1):  # type: ignore[operator]  # it is a number
             raise ValueError(f"{name} must be in (0, 1), got {share!r}.")
 
 
 def check_positive(**numbers: object) -> None:
-    """Refuse what is no finite number above 0, by its name."""
+    """Refuse anything but a finite number above 0."""
     for name, number in numbers.items():
         if not (is_number(number) and 0 < number < np.inf):  # type: ignore[operator]  # it is a number
             raise ValueError(f"{name} must be a finite number above 0, got {number!r}.")
 
 
 def often_enough(min_seen: int, min_share: float) -> Accept:
-    """Accept what was seen so often and was a candidate in this share of the times (Şimşek, Wolfe & Barto 2005)."""
+    """Accept places seen often enough that were candidates in this share of the times (Şimşek, Wolfe & Barto 2005)."""
     check_counts(min_seen=min_seen)
     check_shares(min_share=min_share)
 

@@ -196,7 +196,7 @@ class PersistentPeaks(Method):
         return np.array([concept.point for concept in self.tracker.concepts])
 
     def embed_again(self, points: FloatArray, database: TrajectoryDatabase) -> None:
-        """Move running averages, and forget what was searched; as `Method.embed_again`."""
+        """Move the running averages and forget the last search; as `Method.embed_again`."""
         for concept, point in zip(self.tracker.concepts, points, strict=True):
             concept.point = point
         self.peaks = []

@@ -1,4 +1,4 @@
-"""What a method of discovery gets, and what it proposes."""
+"""The interface of discovery methods: experience in, proposals out."""
 
 from __future__ import annotations
 
@@ -267,7 +267,7 @@ class OwnMethod(Method):
         self._seconds = 0.0
 
     def update(self, experience: Experience) -> list[Proposal]:
-        """Ask the user's method, and check what it proposes."""
+        """Ask the user's method, and check its proposals."""
         began = time.process_time()
         try:
             proposals = self.method.update(experience)

@@ -83,7 +83,7 @@ class VisitFrequency(Method):
 
 
 def _most(seen: FloatArray, hits: FloatArray) -> FloatArray:
-    """Accept what was visited most, and what ties with it."""
+    """Accept the most visited places, ties included."""
     del seen
     accepted: FloatArray = (hits == hits.max()).astype(np.float64)
     return accepted
