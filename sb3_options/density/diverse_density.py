@@ -138,7 +138,7 @@ class DiverseDensity:
 
     def __post_init__(self) -> None:
         """Refuse arguments out of range, by name."""
-        known_scale = self.concept == POINT
+        known_scale = isinstance(self.concept, Point) and self.concept == POINT
         if self.method is None:
             object.__setattr__(self, "method", "gradient" if known_scale else "thorough")
         several = isinstance(self.start_scales, Collection) and len(self.start_scales) > 0

@@ -120,8 +120,8 @@ def options_of(run: Path) -> Path | None:
 
 def save_whole(model: BaseAlgorithm, path: Path) -> None:
     """Replace a ``model.zip`` when all of it is written."""
-    with atomic_write(path) as temporary:
-        model.save(temporary)
+    with atomic_write(path) as temporary, temporary.open("wb") as file:  # SB3 leaves its own open where a disk is full
+        model.save(file)
 
 
 def save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:

@@ -41,6 +41,8 @@ discovery:
   start_radius: 0.5
   goal_radius: 4.0
   decay: 0.75
+option:
+  grow: false
 """
 
 

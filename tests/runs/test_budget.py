@@ -93,7 +93,7 @@ def test_numbers_that_are_too_large_are_named(flag: str, value: str, capsys: Any
     ("config", "said"),
     [
         (
-            configure(algo="ppo", n_timesteps=500),
+            configure(algo="ppo", n_timesteps=500, algo_kwargs={"n_steps": 128}),
             "--n-timesteps 500 is rounded up to 1,024, for ppo learns from whole rollouts: --n-steps 128 times "
             "--n-envs 8. Smaller ones come closer.",
         ),
@@ -101,7 +101,7 @@ def test_numbers_that_are_too_large_are_named(flag: str, value: str, capsys: Any
             configure(algo="a2c", n_timesteps=1_200),
             "--n-timesteps 1,200 is rounded up to 1,280, for a2c learns from whole",
         ),
-        (configure(algo="ppo", n_timesteps=1_024), ""),
+        (configure(algo="ppo", n_timesteps=1_024, algo_kwargs={"n_steps": 128}), ""),
         (configure(algo="ppo", n_timesteps=60_000), ""),
         (configure(algo="dqn", n_timesteps=501), ""),
     ],
