@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import gymnasium as gym
@@ -51,13 +50,12 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint: what is under way."""
-        peaks = None if self.peaks is None else dataclasses.asdict(self.peaks)
-        return {"recorder": None if self.recorder is None else self.recorder.get_state(), "peaks": peaks}
+        return {"recorder": None if self.recorder is None else self.recorder.get_state(), "peaks": self.peaks}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave."""
         self.recorder = None
-        self.set(state["recorder"] is not None, None if state["peaks"] is None else RewardPeaks(**state["peaks"]), None)
+        self.set(state["recorder"] is not None, state["peaks"], None)
         if self.recorder is not None:
             self.recorder.set_state(state["recorder"])
 

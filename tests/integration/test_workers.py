@@ -2,8 +2,7 @@
 
 import os
 import signal
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +17,11 @@ from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv, VecNormalize
 from sb3_options import OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.execution.workers import WorkerLostError, end_workers, watch_workers
+from tests.support.clusters import wait_until
 from tests.support.helpers import CountingEnv
 from tests.support.sb3_helpers import TINY, make_optioned_rooms
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc to see who is left behind")
-
-LIMIT = 300.0
-"""Seconds after which something hangs, on however slow a machine."""
 
 
 def is_there(pid: int) -> bool:
@@ -38,13 +35,6 @@ def is_there(pid: int) -> bool:
 def all_gone(pids: list[int]) -> bool:
     wait_until(lambda: not any(is_there(pid) for pid in pids))
     return True
-
-
-def wait_until(happened: Callable[[], object]) -> None:
-    deadline = time.monotonic() + LIMIT
-    while not happened():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
 
 
 def pids_of(venv: VecEnv) -> list[int]:
