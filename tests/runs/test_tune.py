@@ -229,7 +229,11 @@ def test_a_search_from_the_command_line(tmp_path: Path) -> None:
     space = written(tmp_path, {"learning_rate": [1e-3, 1e-2], "n_steps": [32, 64]})
     command = [sys.executable, "-m", "sb3_options", "tune", str(space), "--out", str(tmp_path / "out")]
     command += ["--trials", "3", "--seeds", "2", "--reach", "return=15", "--jobs", "2"]
-    first = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+    def heard() -> None:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # background jobs of a shell ignore it
+
+    first = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heard)
     while not list((tmp_path / "out").glob(f"runs/*/*/{tune.LOG}")):
         assert first.poll() is None
         time.sleep(0.1)
