@@ -133,10 +133,12 @@ _HOW: dict[str, Callable[[Any, Any], Any]] = {
 
 
 class _Pipe:
-    """What ``SubprocVecEnv`` takes for the pipe to a worker. Messages wait until the first answer is asked for."""
+    """Stands for ``SubprocVecEnv``'s pipe to a worker. Messages wait until the first answer is asked for."""
 
     def __init__(self, venv: RayVecEnv, actor: int, index: int) -> None:
-        self._venv, self._actor, self._index = venv, actor, index
+        self._venv = venv
+        self._actor = actor
+        self._index = index
         self.inbox: deque[Any] = deque()
 
     def send(self, message: tuple[str, Any]) -> None:
