@@ -12,6 +12,7 @@ from stable_baselines3.common.save_util import load_from_zip_file
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
+import sb3_options.callbacks  # noqa: F401  # makes known what a checkpoint may contain
 from experiments.kills.states import OF_THE_CLOCK, differing
 from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.checkpoints.tree import encode

@@ -31,6 +31,9 @@ from sb3_options.options.file import SpaceSignature
 MAX_FEATURES = 4096
 """Concept spaces with more dimensions than this (images, say) are refused: distances in them mean nothing."""
 
+NUMBERS = (spaces.Box, spaces.Discrete, spaces.MultiBinary, spaces.MultiDiscrete)
+"""Spaces that Stable-Baselines3 takes, alone or as parts of a ``Dict``."""
+
 FeatureKind = Literal["given", "environment", "categorical", "identity", "temporal-distance"]
 """Where a feature map comes from: the user, the environment, one-hot codes, flat observations, or learning."""
 
@@ -112,16 +115,16 @@ def _groups(named: Callable[[], Iterable[Mapping[str, Any]]] | None, size: int |
 
 def flat_size(space: gym.Space[Any]) -> int:
     """How many numbers `observations.flatten` makes of one observation of ``space``."""
-    sample = _sample(space)
-    parts = sample if isinstance(sample, Mapping) else {"observation": sample}
-    texts = [name for name, part in parts.items() if np.asarray(part).dtype.kind in "US"]
-    if texts:
+    parts = space.spaces if isinstance(space, spaces.Dict) else {"observation": space}
+    others = [f"{name}: {_described(part)}" for name, part in parts.items() if not isinstance(part, NUMBERS)]
+    if others:
         raise ValueError(
-            f"Observations hold text ({', '.join(texts)}), from which neither options nor Stable-Baselines3 can learn: "
-            "leave it out beneath OptionsWrapper, for instance by gymnasium.wrappers.FilterObservation(env, keys). "
-            "MiniGrid's are made numbers by sb3_options.envs.minigrid.MiniGridWrapper."
+            f"Stable-Baselines3 cannot learn from these observations ({', '.join(others)}). Beneath OptionsWrapper, "
+            "leave them out by gymnasium.wrappers.FilterObservation(env, keys), or make Tuple and nested spaces one "
+            "array by gymnasium.wrappers.FlattenObservation(env). For MiniGrid, use "
+            "sb3_options.envs.minigrid.MiniGridWrapper."
         )
-    return int(flatten(sample).shape[1])
+    return int(flatten(_sample(space)).shape[1])
 
 
 def _sample(space: gym.Space[Any]) -> Observations:

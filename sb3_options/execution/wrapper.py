@@ -128,12 +128,13 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         self.max_runs = max_runs
         self.check_finite = check_finite
         self.n_primitive = int(primitive.n)
+        observation_size = feature_maps.flat_size(env.observation_space)
         self.features = feature_maps.resolve(env, feature_map)
         self.bank = OptionBank(
             self.n_primitive,
             max_options,
             feature_map=self.features.map if self.features else None,
-            observation_size=feature_maps.flat_size(env.observation_space),
+            observation_size=observation_size,
             feature_size=self.features.size if self.features else None,
             signature=feature_maps.signature(env.observation_space, self.features),
         )

@@ -111,11 +111,20 @@ def test_flat_size(space: Any, size: int) -> None:
     assert flat_size(space) == size
 
 
-def test_text_is_named_by_its_key() -> None:
-    """As the mission of MiniGrid, of which nothing made a number."""
-    env = env_with(spaces.Dict({"image": spaces.Box(0, 255, (7, 7, 3), np.uint8), "mission": spaces.Text(20)}))
-    with pytest.raises(ValueError, match=r"Observations hold text \(mission\), .*MiniGridWrapper"):
-        OptionsWrapper(env)
+@pytest.mark.parametrize(
+    ("space", "named"),
+    [
+        (
+            spaces.Dict({"image": spaces.Box(0, 1, (2,)), "mission": spaces.Text(20)}),
+            r"\(mission: Text.*MiniGridWrapper",
+        ),
+        (spaces.Tuple((spaces.Discrete(3), spaces.Box(0, 1, (2,)))), r"\(observation: Tuple.*FlattenObservation"),
+        (spaces.Dict({"a": spaces.Discrete(2), "b": spaces.Dict({"c": spaces.Discrete(2)})}), r"\(b: Dict"),
+    ],
+)
+def test_observations_that_stable_baselines3_does_not_take_are_named(space: spaces.Space[Any], named: str) -> None:
+    with pytest.raises(ValueError, match=f"Stable-Baselines3 cannot learn from these observations {named}"):
+        OptionsWrapper(env_with(space), feature_map=lambda observations: np.zeros((1, 1)))
 
 
 class _Grouped(gym.Wrapper[Any, Any, Any, Any]):
