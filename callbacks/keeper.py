@@ -18,7 +18,6 @@ from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.options.creation import OptionGrowth, joined, learn_option
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import PolicyInput
-from sb3_options.options.proposals import Proposal
 from sb3_options.options.settings import OptionLearningSettings, UsefulnessSettings
 
 
@@ -51,7 +50,7 @@ class OptionKeeper:
         self.most = most
         self.made &= set(self.options.bank.filled)  # a user may have taken some out
         for slot, option in enumerate(self.options.bank.slots):
-            if isinstance(option, SubgoalOption) and slot not in self.made and not option.fixed:
+            if isinstance(option, SubgoalOption) and slot not in self.made:
                 self.growth.adopted(slot)
 
     def may_make(self) -> bool:
@@ -91,12 +90,12 @@ class OptionKeeper:
         found = self.search.found[-1]
         where = found.where(self.search.kind)
         try:
-            option = self._learn(found.proposal or subgoal, f"reach {where}", self.settings.policy_input)
+            option = self._learn(subgoal, f"reach {where}", self.settings.policy_input)
         except ValueError:
             self.search.withdraw()
             raise
         if option is None:
-            self.search.diary.no_option(where, self.search.method.leads)
+            self.search.diary.no_option(where)
             self.search.withdraw()
             return None
         slot = self.options.bank.slots.index(None)
@@ -105,8 +104,7 @@ class OptionKeeper:
         self.statistics.forget(slot)  # a closed option went on to the end of its rollout, after it was forgotten
         self.useful.forget(slot)
         self.made.add(slot)
-        if not option.fixed:
-            self.growth.made(slot, subgoal, self.search.database)
+        self.growth.made(slot, subgoal, self.search.database)
         n_states = len(option.initiation_set.points)
         found_here = DiscoveredOption(slot, episode, timestep, found.centre, where, found.log_density, n_states)
         self.discoveries.append(found_here)
@@ -116,7 +114,7 @@ class OptionKeeper:
         """Learn options anew for which a trajectory is worth it."""
         for slot in self.options.installed():
             option = self.options.bank[slot]
-            if not isinstance(option, SubgoalOption) or option.fixed:
+            if not isinstance(option, SubgoalOption):
                 continue
             if not self.growth.is_due(slot, option.subgoal, labelled):
                 continue
@@ -157,10 +155,10 @@ class OptionKeeper:
             return "There was no free slot for an option: raise max_options (--max-options)."
         return self.search.why_nothing(episodes)
 
-    def _learn(self, proposal: Proposal, name: str, policy_input: PolicyInput) -> SubgoalOption | None:
+    def _learn(self, subgoal: Region, name: str, policy_input: PolicyInput) -> SubgoalOption | None:
         settings = dataclasses.replace(self.settings, policy_input=policy_input)
         n_primitive = self.options.n_primitive
-        return learn_option(proposal, self.search.database, n_primitive, settings, self.generator, name=name)
+        return learn_option(subgoal, self.search.database, n_primitive, settings, self.generator, name=name)
 
     def replace(self, slot: int, later: SubgoalOption) -> None:
         """Put a later version of an option into its slot."""

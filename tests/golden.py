@@ -170,7 +170,6 @@ TRAININGS: dict[str, Callable[[], Training]] = {
     "maskable-ppo-envs": lambda: with_options("maskable-ppo", n_envs=3),
     "minigrid": in_minigrid,
     "temporal-distance": lambda: learned_map("temporal-distance"),
-    "eigenoptions": lambda: with_options("dqn", callback={"method": "eigenoptions"}),
     "relative-novelty": lambda: with_options("dqn", callback={"method": "relative-novelty"}),
 }
 

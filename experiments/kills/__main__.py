@@ -35,7 +35,7 @@ CASES: dict[str, tuple[str, ...]] = {
     "ppo in worker processes": WORKERS,
     "ppo with a bonus (RND)": ("ppo", "--bonus", "rnd"),
     "dqn with a learned map": ("dqn", "--feature-map", "temporal-distance"),
-    "ppo with eigenoptions": ("ppo", "--discovery.method", "eigenoptions"),
+    "ppo with relative novelty": ("ppo", "--discovery.method", "relative-novelty"),
     "a script of a user's": (SCRIPT,),
 }
 """What runs, by name: arguments of ``train.py``, or `experiments.kills.script`."""

@@ -39,8 +39,6 @@ SPACES: dict[str, Space] = {
     },
     "l-cut": {**_GRAPH, "max_cut": FloatDistribution(0.01, 0.5, log=True)},
     "betweenness": _GRAPH,
-    "eigenoptions": {"n_vectors": IntDistribution(1, 8), "min_trajectories": IntDistribution(3, 20)},
-    "covering": {"n_pairs": IntDistribution(1, 8), "min_trajectories": IntDistribution(3, 20)},
     "random": {"min_successes": IntDistribution(3, 12)},
 }
 """By method. Each includes its defaults."""

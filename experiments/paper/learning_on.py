@@ -10,7 +10,7 @@ from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from sb3_options.options.settings import OptionLearningSettings
-from sb3_options.options.tasks import Reaching, transitions_of
+from sb3_options.options.tasks import transitions_to
 
 
 class LearningOn(SubgoalDiscoveryCallback):
@@ -48,8 +48,7 @@ def learn_further(
     policy = option.option_policy
     if not isinstance(policy, TabularPolicy):
         return option
-    task = Reaching(option.subgoal, option.initiation_set, settings)
-    transitions = transitions_of(task, [trajectory], settings)
+    transitions = transitions_to(option.subgoal, option.initiation_set, [trajectory], settings)
     if transitions is None:
         return option
     rows, states, values = policy.rows_for(transitions.states)

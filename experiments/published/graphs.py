@@ -7,6 +7,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from scipy.linalg import eigh
 from scipy.sparse import csr_array
 
 from experiments.common.gridworlds import world_of
@@ -46,6 +47,28 @@ def taxi() -> tuple[list[tuple[int, int, int, int]], IntArray]:
         if not ended and led != number
     }
     return states, np.array(sorted(steps))  # type: ignore[return-value]  # of four numbers each
+
+
+def smoothest(adjacency: csr_array, k: int) -> FloatArray:
+    """The k eigenvectors of the Laplacian D − A with the smallest eigenvalues above 0, smallest first, (n, k).
+
+    Their sign, which is arbitrary, is such that the largest entry is positive.
+    """
+    dense = adjacency.toarray()
+    k = min(k, len(dense) - 1)
+    _, vectors = eigh(np.diag(dense.sum(axis=1)) - dense, subset_by_index=[1, k])
+    largest = np.abs(vectors).argmax(axis=0)
+    signed: FloatArray = vectors * np.sign(vectors[largest, np.arange(k)])
+    return signed
+
+
+def farthest_pairs(adjacency: csr_array, n_pairs: int) -> list[tuple[int, int]]:
+    """Places with the largest and smallest entry of the Fiedler vector, joined before the next (Jinnai et al. 2019)."""
+    pairs: list[tuple[int, int]] = []
+    for _ in range(n_pairs):
+        fiedler = smoothest(joined(adjacency, pairs), 1)[:, 0]
+        pairs.append((int(fiedler.argmax()), int(fiedler.argmin())))
+    return pairs
 
 
 def climbed(adjacency: csr_array, vector: FloatArray) -> IntArray:

@@ -9,13 +9,20 @@ import networkx as nx
 import numpy as np
 
 from experiments.common.gridworlds import cell_of, distance_to_doorway, rooms_of, world_of
-from experiments.published.graphs import climbed, cover_time, diffusion_time, grid, joined, taxi
+from experiments.published.graphs import (
+    climbed,
+    cover_time,
+    diffusion_time,
+    farthest_pairs,
+    grid,
+    joined,
+    smoothest,
+    taxi,
+)
 from experiments.published.learning import MOST, moves_of, steps_to_learn, tasks_of
 from experiments.random_walks.conditions import run, walk
 from sb3_options.discovery.discovery import Discovery
-from sb3_options.discovery.methods.covering import farthest_pairs
 from sb3_options.discovery.methods.graphs import TOLERANCE
-from sb3_options.discovery.methods.place_graph import smoothest
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
 from sb3_options.discovery.settings import DiscoverySettings
 

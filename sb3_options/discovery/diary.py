@@ -116,11 +116,11 @@ class Diary:
             times = "" if self.n_unusable == 1 else f" (so far {self.n_unusable} times)"
             logger.warning("No discovery after episode %d%s: %s", episode, times, error)
 
-    def no_option(self, where: str, leads: str) -> None:
-        """Warn once for each subgoal that no option could be learned; no saved trajectory ``leads`` to it."""
+    def no_option(self, where: str) -> None:
+        """Warn once for each subgoal that no option could be learned."""
         if where not in self.without_option:
             self.without_option.add(where)
-            logger.warning("No option for %s: no saved trajectory %s to it.", where, leads)
+            logger.warning("No option for %s: no saved trajectory leads to it (surely enough, min_reach).", where)
 
     def no_end(self, steps: int, n_envs: int, longest: int) -> None:
         """Warn once if no episode has ended after ``longest`` steps of each environment."""
@@ -200,7 +200,7 @@ class Diary:
         if method.needs_success and not method.n_successes(self):
             return self._why_no_success()
         if self.n_withdrawn:
-            return f"no saved trajectory {method.leads} to the one that was found: there is no option."
+            return "no saved trajectory leads to the one that was found (surely enough, min_reach)."
         if self.nothing_recurs:
             return self._why_nothing_recurs()
         return method.why_nothing(self)

@@ -15,8 +15,7 @@ from sb3_options.discovery.anchors import moved, nearest_observations
 from sb3_options.discovery.budget import seconds_of_telling
 from sb3_options.discovery.diary import Diary
 from sb3_options.discovery.filters import Filters
-from sb3_options.discovery.methods import DiscoveryMethod, Experience, Method, Proposal, method_with
-from sb3_options.discovery.methods.method import kept
+from sb3_options.discovery.methods import DiscoveryMethod, Experience, Method, method_with
 from sb3_options.discovery.outcome_database import OutcomeDatabase
 from sb3_options.discovery.salience import Salience
 from sb3_options.discovery.settings import DiscoverySettings, described
@@ -25,7 +24,6 @@ from sb3_options.embedding.learner import FeatureLearner
 from sb3_options.experience.observations import FeatureMap, FloatArray, Observations, batch_size
 from sb3_options.experience.success import SuccessRule, reported_success
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory, TrajectoryDatabase
-from sb3_options.options.proposals import goal_of
 from sb3_options.state import storable
 
 logger = logging.getLogger("sb3_options")
@@ -41,13 +39,11 @@ class FoundSubgoal(NamedTuple):
     Attributes:
         subgoal: In concept space.
         log_density: Best log diverse density of the search that completed it; NaN where another method found it.
-        proposal: What the option is to be made for, if not to reach it.
         observation: The nearest observation, a batch of one; None where it is on a group of features, or no place.
     """
 
     subgoal: Region
     log_density: float
-    proposal: Proposal | None = None
     observation: Observations | None = None
 
     @property
@@ -124,7 +120,7 @@ class Discovery:
         )
         self.found: list[FoundSubgoal] = []
         self._new: list[LabelledTrajectory] = []
-        self._proposals: list[Proposal] = []
+        self._proposals: list[Region] = []
         self._withdrawn: list[tuple[Region, int]] = []  # and after how many trajectories
 
     @property
@@ -175,7 +171,7 @@ class Discovery:
         """Let the method propose, if enough is new and the budget affords it, and take a proposal.
 
         Returns:
-            A new subgoal, which counts as taken from then on; `found` has what the option is to be made for.
+            A new subgoal, which counts as taken from then on.
         """
         began = time.perf_counter()
         subgoal = self._search()
@@ -199,7 +195,7 @@ class Discovery:
             return None
         if searches:
             self._proposals = self._updated(self.experience())
-        proposals: list[Proposal] = []
+        proposals: list[Region] = []
         while self._new:
             experience = self._experience(self._new.pop(0))  # what a method fails at does not come again
             proposals = [*self._updated(experience), *proposals]
@@ -207,7 +203,7 @@ class Discovery:
             self._proposals = proposals
         return self._take()
 
-    def _updated(self, experience: Experience) -> list[Proposal]:
+    def _updated(self, experience: Experience) -> list[Region]:
         proposals = list(self.method.update(experience))
         self.diary.spent += self.method.seconds(experience)
         return proposals
@@ -215,19 +211,15 @@ class Discovery:
     def _take(self) -> Region | None:
         """Take the best proposal that is far enough from other subgoals."""
         known = [*self.taken, *(found.subgoal for found in self.found)]
-        for proposal in self._proposals:
-            goal = goal_of(proposal)
+        for goal in self._proposals:
             if self._waits(goal):
                 continue
             if not (self.method.searches or self.filters.is_apart(goal, known, self.database)):
                 continue
             self._proposals = []
-            proposal = kept(proposal, self.method.name)
-            goal = goal_of(proposal)
             # Where φ is learned there are no groups, whose points have features of their own.
             observation = None if goal.group is not None else nearest_observations(goal.points[:1], self.database)
-            density = self.method.accept(goal)
-            self.found.append(FoundSubgoal(goal, density, None if goal is proposal else proposal, observation))
+            self.found.append(FoundSubgoal(goal, self.method.accept(goal), observation))
             return goal
         return None
 
@@ -248,15 +240,12 @@ class Discovery:
         avoided = [*taken, *(self._waiting() if self.method.searches else ())]
         scale = self.filters.scale
         return Experience(
-            labelled.features,
-            labelled.trajectory.visits,
-            success=labelled.success,
-            allowed=lambda: self.filters.may_be_subgoals(labelled, avoided),
-            scale=np.ones(labelled.features.shape[1]) if scale is None else scale,
-            radius=self.settings.subgoal_radius,
+            labelled,
+            lambda: self.filters.may_be_subgoals(labelled, avoided),
+            np.ones(labelled.features.shape[1]) if scale is None else scale,
+            self.settings.subgoal_radius,
             taken=taken,
             avoided=avoided,
-            trajectory=labelled.trajectory,
             database=self.database,
         )
 

@@ -19,8 +19,6 @@ MethodName = Literal[
     "relative-novelty",
     "l-cut",
     "betweenness",
-    "eigenoptions",
-    "covering",
     "random",
 ]
 """Names of the methods of discovery."""
@@ -33,7 +31,7 @@ class DiscoverySettings:
     Attributes:
         method: How: by ``diverse-density``, or by another of `methods.METHODS`, for which of the settings below only
             the static filter, `spacing`, `subgoal_radius`, `scale`, `capacity`, `max_share` and the
-            segmentation count. Eigenoptions and covering options may do harm to MaskablePPO and OptionDQN.
+            segmentation count.
         segmentation: What a trajectory is: one of the ``episodes``, or, for continuing tasks, a segment between two
             ``peaks`` of reward (`recording.RewardPeaks`).
         max_segment: Primitive steps without a peak that make an unsuccessful segment; more than random exploration

@@ -286,8 +286,6 @@ def _encode(option: SubgoalOption) -> tuple[dict[str, Any], Arrays]:
     }
     if option.subgoal.group is not None:
         entry["group"] = {k: v for k, v in dataclasses.asdict(option.subgoal.group).items() if v is not None}
-    if option.fixed:
-        entry["fixed"] = True
     return entry, {name: np.ascontiguousarray(array, dtype=np.float64) for name, array in arrays.items()}
 
 
@@ -322,7 +320,6 @@ def _decode(
         policy_input=policy_input,
         max_duration=entry["max_duration"],
         name=str(entry["name"]),
-        fixed=bool(entry.get("fixed", False)),
     )
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import LabelledTrajectory
-from sb3_options.options.proposals import Passage
 from sb3_options.options.settings import OptionLearningSettings
 
 
@@ -38,27 +37,3 @@ def initiation_set(
     outside = np.unique(group.own(outside[group.is_place(outside)]), axis=0)
     scale = np.asarray(group.scale) * (subgoal.scale / np.asarray(subgoal.group.scale)).max()
     return Region(outside, scale, settings.initiation_radius, group=group)
-
-
-def leading(passage: Passage, trajectories: Iterable[LabelledTrajectory], settings: OptionLearningSettings) -> Region:
-    """The states of a passage's I from which saved steps lead to its subgoal without leaving I, as a region."""
-    from scipy.sparse import csr_array  # here, because they take a third of a second to import
-    from scipy.sparse.csgraph import breadth_first_order
-
-    trajectories = list(trajectories)
-    features = np.concatenate([t.features for t in trajectories])
-    states, which = np.unique(features, axis=0, return_inverse=True)
-    starts = np.cumsum([0, *(len(t.features) for t in trajectories)])[:-1]
-    visits = [which.ravel()[start + t.trajectory.visits] for start, t in zip(starts, trajectories, strict=True)]
-    began, led = (np.concatenate([v[part] for v in visits]) for part in (slice(None, -1), slice(1, None)))
-    reached = passage.subgoal.contains(states)
-    inside = passage.initiation.contains(states) & ~reached
-    steps = inside[began] & (inside | reached)[led]
-    # Backwards from one more node, which stands for the subgoal.
-    n, goals = len(states), np.flatnonzero(reached)
-    rows, columns = np.append(led[steps], np.full(len(goals), n)), np.append(began[steps], goals)
-    backwards = csr_array((np.ones(len(rows)), (rows, columns)), shape=(n + 1, n + 1))
-    found = breadth_first_order(backwards, n, return_predecessors=False)
-    found = found[found < n]
-    found = np.sort(found[inside[found]])
-    return Region(states[found], passage.subgoal.scale, settings.initiation_radius)

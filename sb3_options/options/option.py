@@ -163,13 +163,12 @@ class SubgoalOption(Option):
         feature_map: φ; None until `bind` sets it, because functions do not travel in files or between processes.
         max_duration: Longest run, in primitive steps, at least 1.
         name: For people, in logs and figures.
-        fixed: Whether it stays as it was made, and is not learned on.
 
     Raises:
         ValueError: ``max_duration`` < 1.
     """
 
-    STATE = ("subgoal", "initiation_set", "option_policy", "policy_input", "max_duration", "name", "fixed")
+    STATE = ("subgoal", "initiation_set", "option_policy", "policy_input", "max_duration", "name")
 
     def __init__(
         self,
@@ -181,9 +180,7 @@ class SubgoalOption(Option):
         feature_map: FeatureMap | None = None,
         max_duration: int = 100,
         name: str = "subgoal",
-        fixed: bool = False,
     ) -> None:
-        self.fixed = fixed
         self.subgoal = subgoal
         self.initiation_set = initiation_set
         self.option_policy = option_policy

@@ -30,7 +30,7 @@ def replay_into_table(transitions: Transitions, n_primitive: int, *, gamma: floa
     Every sweep sets Q(s, a) to the mean of r + γ max_a' Q(s', a') over the transitions of (s, a), without the second
     term where the task ends: the fixed point of experience replay. An action that was never tried in a state keeps
     −∞. So does an action that only led to states in which no saved trajectory acted: what follows them is unknown.
-    Where the option may stop, no state is worth less than that. It stops when nothing changes, or after ``sweeps``.
+    It stops when nothing changes, or after ``sweeps``.
     """
     states = flatten(transitions.states)
     n_states = len(states)
@@ -44,7 +44,6 @@ def replay_into_table(transitions: Transitions, n_primitive: int, *, gamma: floa
     values = np.where(tried, 0.0, -np.inf)
     for _ in range(sweeps):
         best = np.where(acted_in, values.reshape(n_states, n_primitive).max(axis=1), 0.0)
-        best = np.maximum(best, transitions.stop)
         target = rewards + gamma * goes_on * best[led]
         updated = values.copy()
         updated[tried] = np.bincount(pair, weights=target, minlength=len(count))[tried] / count[tried]
@@ -55,13 +54,8 @@ def replay_into_table(transitions: Transitions, n_primitive: int, *, gamma: floa
 
 
 def _known(transitions: Transitions, n_states: int) -> BoolArray:
-    """Which steps end the task or lead to a state where such steps begin, shape (n,).
-
-    All do in a task that may be stopped anywhere: the value of every state is known to be at least that of stopping.
-    """
+    """Which steps end the task or lead to a state where such steps begin, shape (n,)."""
     known = np.ones(len(transitions.began), dtype=bool)
-    if np.isfinite(transitions.stop):
-        return known
     while True:
         acted_in = np.zeros(n_states, dtype=bool)
         acted_in[transitions.began[known]] = True
@@ -102,7 +96,7 @@ def replay_into_network(
     for update in range(updates):
         if update > 0 and update % TARGET_SYNC == 0:
             with torch.no_grad():
-                state_value = online(inputs).max(dim=1).values.clamp(min=transitions.stop)
+                state_value = online(inputs).max(dim=1).values
         batch = torch.randint(len(began), (BATCH,), generator=generator)
         target = rewards[batch] + gamma * goes_on[batch] * state_value[led[batch]]
         predicted = online(inputs[began[batch]]).gather(1, actions[batch])[:, 0]

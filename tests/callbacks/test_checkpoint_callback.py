@@ -11,7 +11,8 @@ from stable_baselines3.common.logger import KVWriter, Logger
 from experiments.kills.states import differing
 from sb3_options.callbacks import CheckpointCallback, EndedAtCheckpointError
 from sb3_options.checkpoints.file import CheckpointFolder, read
-from sb3_options.discovery.methods import Experience, Proposal
+from sb3_options.density.regions import Region
+from sb3_options.discovery.methods import Experience
 from tests.callbacks.test_checkpoint_resuming import discovering, keep_all, model_of, trained, venv_of
 
 __all__ = ["keep_all"]
@@ -84,7 +85,7 @@ class TestCheckpointCallback:
 
 def test_refuses_a_method_that_does_not_tell(tmp_path: Path) -> None:
     class Silent:
-        def update(self, experience: Experience) -> list[Proposal]:
+        def update(self, experience: Experience) -> list[Region]:
             return []
 
     with pytest.raises(ValueError, match=r"^Checkpoints of discovery by Silent are not supported: give it get_state"):

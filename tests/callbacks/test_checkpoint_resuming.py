@@ -18,8 +18,6 @@ from sb3_options.checkpoints import file as checkpoint_file
 from sb3_options.checkpoints.file import read
 from sb3_options.checkpoints.tree import State
 from sb3_options.discovery.methods import DiscoveryMethod
-from sb3_options.discovery.methods.covering import CoveringOptions
-from sb3_options.discovery.methods.eigenoptions import Eigenoptions
 from sb3_options.discovery.methods.graphs import Betweenness, LCut
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
 from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
@@ -215,7 +213,7 @@ def test_evaluations(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("keep_all")
 @pytest.mark.parametrize(
     "make",
-    [VisitFrequency, RelativeNovelty, LCut, Betweenness, RandomPlaces, Eigenoptions, CoveringOptions],
+    [VisitFrequency, RelativeNovelty, LCut, Betweenness, RandomPlaces],
 )
 def test_methods_of_discovery(make: Callable[..., DiscoveryMethod], tmp_path: Path) -> None:
     """Settings with which each makes an option in these few steps."""
@@ -225,8 +223,6 @@ def test_methods_of_discovery(make: Callable[..., DiscoveryMethod], tmp_path: Pa
         LCut: {"min_seen": 2, "max_cut": 2.0},
         Betweenness: {"min_seen": 2, "min_share": 0.1},
         RandomPlaces: {"min_successes": 4},
-        Eigenoptions: {"min_trajectories": 4},
-        CoveringOptions: {"min_trajectories": 4},
     }
     callbacks, _ = check_resumes(
         lambda: model_of("A2C", venv_of()), lambda: [discovering(method=make(**soon[make]))], tmp_path, cuts=(0.2, 0.7)

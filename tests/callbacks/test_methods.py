@@ -1,6 +1,5 @@
 """`SubgoalDiscoveryCallback` with a method other than diverse density: an option is made, used and drawn."""
 
-from collections import Counter
 from pathlib import Path
 
 import gymnasium as gym
@@ -13,10 +12,8 @@ from sb3_options import OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.density.regions import Region
 from sb3_options.discovery.figures import discovery_figures, subgoals_figure
-from sb3_options.discovery.methods import DiscoveryMethod, Experience, MethodName, Passage, Proposal
-from sb3_options.discovery.methods.eigenoptions import Eigenoptions
+from sb3_options.discovery.methods import DiscoveryMethod, Experience, MethodName
 from sb3_options.learning.macro_q import MacroQ
-from sb3_options.options.option import SubgoalOption
 
 DOORWAY = np.array([10.0, 5.0])
 
@@ -24,7 +21,7 @@ DOORWAY = np.array([10.0, 5.0])
 class AtTheDoorway:
     """A user's own method."""
 
-    def update(self, experience: Experience) -> list[Proposal]:
+    def update(self, experience: Experience) -> list[Region]:
         return [experience.region(DOORWAY)] if experience.success else []
 
 
@@ -63,44 +60,11 @@ def test_an_option_is_made_of_what_a_method_proposes(
     assert len(fresh.bank) == 1
 
 
-class FromTheFirstRoom:
-    """A user's own method that proposes another kind of option than to reach a region."""
-
-    def update(self, experience: Experience) -> list[Proposal]:
-        room = Region(experience.features[experience.features[:, 0] < DOORWAY[0]], experience.scale, experience.radius)
-        return [Passage(experience.region(DOORWAY), room)] if experience.success else []
-
-
-@pytest.mark.parametrize("method", [Eigenoptions(min_trajectories=3), FromTheFirstRoom()], ids=["climbs", "passage"])
-def test_options_of_other_kinds_run_to_their_ends(method: DiscoveryMethod) -> None:
-    env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0"), 2, gamma=0.97)
-    settings = {"grow": True}  # of options that reach a region; these stay as they are
-    callback = SubgoalDiscoveryCallback({"capacity": 20}, settings, method=method, max_new_options=1)
-    model = MacroQ(env, gamma=0.97, seed=0)
-    model.learn(9_000, callback=callback)
-    (option,) = [option for option in callback.bank.slots if option is not None]
-    assert isinstance(option, SubgoalOption)
-    assert option.fixed
-    ended = Counter()  # type: ignore[var-annotated]  # of how runs ended
-    chosen = env.bank.n_primitive + callback.discoveries[0].slot
-    env.reset(seed=1)
-    for _ in range(300):
-        may = env.action_masks()[chosen]
-        _, _, terminated, truncated, info = env.step(chosen if may else int(env.np_random.integers(4)))
-        if may:
-            ended[info["option"]["termination"]] += 1
-        if terminated or truncated:
-            env.reset()
-    assert ended["subgoal"] > 0.9 * ended.total() > 0
-    if isinstance(method, FromTheFirstRoom):
-        assert option.initiation_set.points[:, 0].max() < DOORWAY[0]
-
-
 def test_methods_are_told_of_failures_whatever_bags_there_are() -> None:
     class Counting:
         told = 0
 
-        def update(self, experience: Experience) -> list[Proposal]:
+        def update(self, experience: Experience) -> list[Region]:
             del experience
             self.told += 1
             return []

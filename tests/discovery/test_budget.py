@@ -11,6 +11,7 @@ import pytest
 
 from experiments.random_walks.conditions import run
 from sb3_options.density.groups import FeatureGroup
+from sb3_options.density.regions import Region
 from sb3_options.discovery.budget import (
     SHORTEST,
     STEP_SECONDS,
@@ -22,7 +23,7 @@ from sb3_options.discovery.budget import (
 )
 from sb3_options.discovery.diary import Diary
 from sb3_options.discovery.discovery import Discovery
-from sb3_options.discovery.methods import Experience, Proposal
+from sb3_options.discovery.methods import Experience
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.state import restore, state_of
@@ -168,7 +169,7 @@ class Slow:
     def __init__(self, seconds: float) -> None:
         self.n, self._seconds = 0, seconds
 
-    def update(self, experience: Experience) -> list[Proposal]:
+    def update(self, experience: Experience) -> list[Region]:
         self.n += 1
         return []
 

@@ -175,7 +175,7 @@ def test_a_subgoal_that_is_withdrawn_comes_again() -> None:
     discovery = discovered([WALL, KEY])
     discovery.withdraw()
     assert discovery.found == []
-    assert "no saved trajectory leads surely enough (min_reach)" in discovery.why_nothing()
+    assert "no saved trajectory leads to the one that was found (surely enough, min_reach)" in discovery.why_nothing()
     state = state_of(discovery)
     rng = np.random.default_rng(1)
     for i in range(60):

@@ -1,6 +1,5 @@
 """A user's own method of discovery: what it may do, what is refused, and what it takes."""
 
-import dataclasses
 import time
 from typing import Any
 
@@ -11,7 +10,7 @@ from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.density.regions import Region
 from sb3_options.discovery.budget import SHORTEST, TABLE_STEP_SECONDS
 from sb3_options.discovery.discovery import Discovery
-from sb3_options.discovery.methods import Experience, Passage, Proposal
+from sb3_options.discovery.methods import Experience
 from sb3_options.discovery.methods.graphs import LCut
 from sb3_options.discovery.methods.visits import RandomPlaces
 from sb3_options.discovery.settings import DiscoverySettings
@@ -36,7 +35,7 @@ def test_seconds_that_are_none_are_refused(seconds: object) -> None:
 class Failing(Told):
     """Fails at its second trajectory."""
 
-    def update(self, experience: Experience) -> list[Proposal]:
+    def update(self, experience: Experience) -> list[Region]:
         super().update(experience)
         if len(self.told) == 2:
             raise ValueError("not this one")
@@ -60,7 +59,7 @@ def test_what_a_method_takes_that_does_not_say_is_measured() -> None:
     """An update works for twice what a table's training affords for a start, so that the next has to wait."""
 
     class Working(Told):
-        def update(self, experience: Experience) -> list[Proposal]:
+        def update(self, experience: Experience) -> list[Region]:
             until = time.process_time() + 2 * 0.05 * TABLE_STEP_SECONDS * SHORTEST
             while time.process_time() < until:
                 pass
@@ -90,30 +89,13 @@ def test_no_method_of_the_library_is_measured() -> None:
     assert spent[0] == spent[1]
 
 
-def test_methods_see_the_trajectory_and_cannot_change_it() -> None:
+def test_methods_see_the_trajectory() -> None:
     method = Told()
     discovery = of(method)
     lived, features = line()
     discovery.add(lived, features)
     discovery.search()
-    seen = method.told[0].trajectory
-    for name in ("states", "visits", "actions", "rewards"):
-        array = getattr(seen, name)
-        assert array.tolist() == getattr(lived, name).tolist()
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 7
-    assert seen.terminated
-    pictures = {"image": np.zeros((12, 2)), "carried": np.zeros(12)}
-    discovery.add(dataclasses.replace(lived, states=pictures), features)
-    discovery.search()
-    states = method.told[1].trajectory.states
-    assert isinstance(states, dict)
-    assert not any(of.flags.writeable for of in states.values())
-    alone = Experience(
-        features, lived.visits, success=True, allowed=np.ones(12, dtype=bool), scale=np.ones(1), radius=0.5
-    )
-    with pytest.raises(AttributeError, match="made of features and visits alone"):
-        _ = alone.trajectory
+    assert method.told[0].trajectory is lived
 
 
 class Giving:
@@ -122,28 +104,24 @@ class Giving:
     def __init__(self, proposal: Any) -> None:
         self.proposal = proposal
 
-    def update(self, experience: Experience) -> list[Proposal]:
+    def update(self, experience: Experience) -> list[Region]:
         return [self.proposal]
 
 
 @pytest.mark.parametrize(
     ("proposal", "message"),
     [
-        (Region(np.array([[np.nan]]), np.ones(1), 0.5), r"^Giving proposed a Region with points, scale or radius that"),
-        (Region(np.array([[5.0]]), np.ones(1), -1.0), r"^Giving proposed a Region with points, scale or radius that"),
+        (Region(np.array([[np.nan]]), np.ones(1), 0.5), "; expected finite numbers of shapes"),
+        (Region(np.array([[5.0]]), np.ones(1), -1.0), "; expected finite numbers of shapes"),
         (
             Region(np.array([5.0]), np.ones(1), 0.5),
-            r"points have shape \(1,\) and whose scale has \(1,\); they must be",
+            r"points of shape \(1,\), a scale of shape \(1,\)",
         ),
-        (Region(np.array([[5.0]]), 1.0, 0.5), r"whose scale has \(\); they must be \(n, 1\) and \(1,\), n ≥ 1, for φ"),  # type: ignore[arg-type]  # that is refused
-        (Region(np.zeros((0, 1)), np.ones(1), 0.5), r"points have shape \(0, 1\) and"),
-        (
-            Passage(Region(np.ones((1, 1)), np.ones(1), 0.5), Region(np.ones((1, 2)), np.ones(2), 0.5)),
-            r"a Passage whose",
-        ),
+        (Region(np.array([[5.0]]), np.array(1.0), 0.5), r"a scale of shape \(\) "),
+        (Region(np.zeros((0, 1)), np.ones(1), 0.5), r"points of shape \(0, 1\),"),
     ],
 )
-def test_proposals_that_are_no_places_are_refused_and_others_taken_later(proposal: Proposal, message: str) -> None:
+def test_proposals_that_are_no_places_are_refused_and_others_taken_later(proposal: Region, message: str) -> None:
     method = Giving(proposal)
     discovery = of(method)
     discovery.add(*line())
@@ -161,7 +139,7 @@ def test_a_method_cannot_move_what_was_taken_nor_what_was_lived_through() -> Non
     class Moving:
         mean = np.array([5.0])
 
-        def update(self, experience: Experience) -> list[Proposal]:
+        def update(self, experience: Experience) -> list[Region]:
             self.mean += 1.0
             with pytest.raises(ValueError, match="read-only"):
                 experience.features -= 1.0
@@ -194,7 +172,7 @@ def test_answers_that_are_no_proposals_are_refused(answer: object) -> None:
 
     discovery = of(Odd())  # type: ignore[arg-type]  # that is refused
     discovery.add(*line())
-    with pytest.raises(TypeError, match=r"^Odd.update must return a list of Region, Passage, IntrinsicReward"):
+    with pytest.raises(TypeError, match=r"^Odd.update must return a list of Region, got "):
         discovery.search()
 
 
@@ -202,10 +180,8 @@ def test_answers_that_are_no_proposals_are_refused(answer: object) -> None:
     ("method", "message"),
     [
         (42, "got 42"),
-        (LCut, "got the class LCut, which is not made yet"),
+        (LCut, "got <class"),
         (lambda _: [], "got <function"),
-        ({"name": "l-cut"}, "got {'name': 'l-cut'}"),
-        ({"l-cut"}, "got {'l-cut'}"),
     ],
 )
 def test_what_is_no_method_is_refused(method: object, message: str) -> None:

@@ -4,8 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from sb3_options.density.regions import Region
 from sb3_options.discovery.discovery import Discovery
-from sb3_options.discovery.methods import DiscoveryMethod, Experience, Proposal
+from sb3_options.discovery.methods import DiscoveryMethod, Experience
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.experience.trajectories import Trajectory
 
@@ -17,7 +18,7 @@ class Told:
         self.points = points
         self.told: list[Experience] = []
 
-    def update(self, experience: Experience) -> list[Proposal]:
+    def update(self, experience: Experience) -> list[Region]:
         self.told.append(experience)
         return [experience.region(np.array([point])) for point in self.points]
 

@@ -84,16 +84,16 @@ def test_the_race_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_tuning_goes_on_and_keeps_the_best(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a score by hand: the fewer trajectories it waits for, the better."""
-    monkeypatch.setattr(tune, "score", lambda tuning, settings, folder: float(settings["min_trajectories"]))
+    """With a score by hand: the fewer graphs it waits for, the better."""
+    monkeypatch.setattr(tune, "score", lambda tuning, settings, folder: float(settings["min_seen"]))
     file = tmp_path / "tuned.json"
     file.write_text('{"l-cut": {"settings": {}}}')
     for trials in (3, 6):
-        tune.main(tune.Tuning(out=tmp_path, method="covering", trials=trials, chosen=file, jobs=1))
+        tune.main(tune.Tuning(out=tmp_path, method="betweenness", trials=trials, chosen=file, jobs=1))
     tuned = json.loads(file.read_text())
-    assert set(tuned) == {"covering", "l-cut"}
-    assert tuned["covering"]["score_of_defaults"] == 10.0
-    assert tuned["covering"]["score"] == tuned["covering"]["settings"]["min_trajectories"] <= 10
+    assert set(tuned) == {"betweenness", "l-cut"}
+    assert tuned["betweenness"]["score_of_defaults"] == 10.0
+    assert tuned["betweenness"]["score"] == tuned["betweenness"]["settings"]["min_seen"] <= 10
     with pytest.raises(SystemExit, match=r"^--method: 'none' has nothing to tune, choose from diverse-density,"):
         tune.Tuning(out=tmp_path, method="none")
 

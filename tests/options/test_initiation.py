@@ -6,7 +6,7 @@ from sb3_options.experience.observations import flatten
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.options.initiation import initiation_set
 from sb3_options.options.settings import OptionLearningSettings
-from sb3_options.options.tasks import Reaching, transitions_of
+from sb3_options.options.tasks import transitions_to
 from tests.options.corridor import DOOR, LEFT, RIGHT, walk
 from tests.support.helpers import ball
 
@@ -48,7 +48,7 @@ class TestTransitions:
 
     def of(self, *trajectories: LabelledTrajectory) -> list[tuple[float, int, float, float, bool]]:
         initiation = Region(np.array([[3.0], [4.0], [5.0]]), np.ones(1), 0.0)
-        steps = transitions_of(Reaching(DOOR, initiation, self.settings), trajectories, self.settings)
+        steps = transitions_to(DOOR, initiation, trajectories, self.settings)
         if steps is None:
             return []
         places = flatten(steps.states).ravel()
@@ -82,6 +82,6 @@ class TestTransitions:
     def test_the_reward_of_leaving_is_that_of_the_settings(self) -> None:
         settings = OptionLearningSettings(leave_reward=-9.0)
         initiation = Region(np.array([[3.0], [4.0]]), np.ones(1), 0.0)
-        steps = transitions_of(Reaching(DOOR, initiation, settings), [walk([3, 4, 5]), walk([3, 2])], settings)
+        steps = transitions_to(DOOR, initiation, [walk([3, 4, 5]), walk([3, 2])], settings)
         assert steps is not None
         assert steps.rewards.tolist() == [-1.0, 0.0, -9.0]

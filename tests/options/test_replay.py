@@ -12,7 +12,7 @@ from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
 from sb3_options.options.replay import replay_into_network, replay_into_table
 from sb3_options.options.settings import OptionLearningSettings
-from sb3_options.options.tasks import Reaching, transitions_of
+from sb3_options.options.tasks import transitions_to
 from tests.options.corridor import DOOR, LEFT, RIGHT, generator, known_values, walk
 from tests.support.helpers import ball, labelled, line, trajectory_of
 
@@ -22,7 +22,7 @@ SETTINGS = OptionLearningSettings()
 class TestTable:
     def replay(self, *trajectories: LabelledTrajectory, gamma: float = 1.0, sweeps: int = 500) -> TabularPolicy:
         initiation = Region(np.array([[2.0], [3.0], [4.0]]), np.ones(1), 0.0)
-        steps = transitions_of(Reaching(DOOR, initiation, SETTINGS), trajectories, SETTINGS)
+        steps = transitions_to(DOOR, initiation, trajectories, SETTINGS)
         assert steps is not None
         return replay_into_table(steps, 2, gamma=gamma, sweeps=sweeps)
 
@@ -52,7 +52,7 @@ class TestTable:
         """A truncated trajectory ends in a state that nobody acted in: what follows is unknown, not good."""
         dead_end = labelled(trajectory_of([np.array([p]) for p in (2.0, 2.4, 2.45)], [LEFT, LEFT]))
         initiation = Region(np.array([[2.0], [3.0], [4.0]]), np.ones(1), 0.5)
-        steps = transitions_of(Reaching(DOOR, initiation, SETTINGS), [walk([2, 3, 4, 5]), dead_end], SETTINGS)
+        steps = transitions_to(DOOR, initiation, [walk([2, 3, 4, 5]), dead_end], SETTINGS)
         assert steps is not None
         policy = replay_into_table(steps, 2, gamma=1.0, sweeps=500)
         assert known_values(policy) == {2: [-math.inf, -2], 3: [-math.inf, -1], 4: [-math.inf, 0]}
@@ -94,7 +94,7 @@ class TestTable:
 
         settings = OptionLearningSettings(leave_reward=-50.0)
         initiation = Region(np.array(inside, dtype=np.float64)[:, None], np.ones(1), 0.0)
-        steps = transitions_of(Reaching(ball(float(subgoal)), initiation, settings), trajectories, settings)
+        steps = transitions_to(ball(float(subgoal)), initiation, trajectories, settings)
         assert steps is not None
         policy = replay_into_table(steps, 4, gamma=gamma, sweeps=2000)
         got = known_values(policy)
@@ -148,7 +148,7 @@ class TestNetwork:
             np.testing.assert_array_equal(array, arrays[1][name])
         assert torch.equal(torch.get_rng_state(), global_state)
         settings, everywhere = OptionLearningSettings(), Region(np.array([[5.0]]), np.ones(1), 9.0)
-        steps = transitions_of(Reaching(self.door, everywhere, settings), self.trajectories(1), settings)
+        steps = transitions_to(self.door, everywhere, self.trajectories(1), settings)
         assert steps is not None
         first, second = (replay_into_network(steps, 2, gamma=0.9, updates=1, generator=generator(s)) for s in (0, 1))
         assert not np.array_equal(first.weights[0], second.weights[0])

@@ -6,19 +6,14 @@ from collections.abc import Callable
 from functools import partial
 
 from sb3_options.density.regions import Region
-from sb3_options.discovery.methods.covering import CoveringOptions
 from sb3_options.discovery.methods.diverse_density import PersistentPeaks
-from sb3_options.discovery.methods.eigenoptions import Eigenoptions
 from sb3_options.discovery.methods.graphs import Betweenness, LCut
 from sb3_options.discovery.methods.grouped import GroupedPeaks, RandomGrouped
 from sb3_options.discovery.methods.method import (
     DiscoveryMethod,
     Experience,
-    IntrinsicReward,
     Method,
     OwnMethod,
-    Passage,
-    Proposal,
     checked_method,
 )
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
@@ -31,8 +26,6 @@ METHODS: dict[MethodName, Callable[..., Method]] = {
     "relative-novelty": RelativeNovelty,
     "l-cut": LCut,
     "betweenness": Betweenness,
-    "eigenoptions": Eigenoptions,
-    "covering": CoveringOptions,
     "random": RandomPlaces,
 }
 """Makes a method beside diverse density, by its name."""
@@ -66,12 +59,9 @@ __all__ = [
     "DiscoveryMethod",
     "Experience",
     "GivenPlaces",
-    "IntrinsicReward",
     "Method",
     "MethodName",
     "OwnMethod",
-    "Passage",
-    "Proposal",
     "Region",
     "checked_method",
     "method_with",

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
-from sb3_options.checked import is_number, whole
+from sb3_options.checked import Field
 from sb3_options.density.arrays import row_keys
 from sb3_options.density.regions import Region
 from sb3_options.discovery.methods.method import Experience, Method
 from sb3_options.experience.observations import FloatArray, IntArray
+
+Count: TypeAlias = Annotated[int, Field(ge=1)]
+Share: TypeAlias = Annotated[float, Field(gt=0, lt=1)]
+Positive: TypeAlias = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+"""Arguments of methods, which `pydantic.validate_call` checks."""
 
 Accept = Callable[[FloatArray, FloatArray], FloatArray]
 """How often places were seen and how often they were candidates, (n,) each → by how much each is accepted, (n,).
@@ -28,31 +33,8 @@ PLACE_SECONDS = 2e-7
 """Nominal time of an update, for each place that is remembered."""
 
 
-def check_counts(least: int = 1, /, **counts: object) -> None:
-    """Refuse anything but a whole number of at least ``least``."""
-    for name, count in counts.items():
-        if not whole(count, least):
-            raise ValueError(f"{name} must be a whole number of at least {least}, got {count!r}.")
-
-
-def check_shares(**shares: object) -> None:
-    """Refuse anything but a number in (0, 1)."""
-    for name, share in shares.items():
-        if not (is_number(share) and 0 < share < 1):  # type: ignore[operator]  # it is a number
-            raise ValueError(f"{name} must be in (0, 1), got {share!r}.")
-
-
-def check_positive(**numbers: object) -> None:
-    """Refuse anything but a finite number above 0."""
-    for name, number in numbers.items():
-        if not (is_number(number) and 0 < number < np.inf):  # type: ignore[operator]  # it is a number
-            raise ValueError(f"{name} must be a finite number above 0, got {number!r}.")
-
-
 def often_enough(min_seen: int, min_share: float) -> Accept:
     """Accept places seen often enough that were candidates in this share of the times (Şimşek, Wolfe & Barto 2005)."""
-    check_counts(min_seen=min_seen)
-    check_shares(min_share=min_share)
 
     def accept(seen: FloatArray, hits: FloatArray) -> FloatArray:
         margin = hits / np.maximum(seen, 1.0) - min_share
@@ -64,10 +46,6 @@ def often_enough(min_seen: int, min_share: float) -> Accept:
 
 def more_likely(p_target: float, p_other: float, odds: float) -> Accept:
     """Accept where the likelihood ratio of two binomial distributions exceeds ``odds`` (Şimşek & Barto 2004)."""
-    check_shares(p_target=p_target, p_other=p_other)
-    check_positive(odds=odds)
-    if p_target <= p_other:
-        raise ValueError(f"p_target must be above p_other, got {p_target} and {p_other}.")
 
     def accept(seen: FloatArray, hits: FloatArray) -> FloatArray:
         evidence = hits * np.log(p_target / p_other) + (seen - hits) * np.log((1 - p_target) / (1 - p_other))

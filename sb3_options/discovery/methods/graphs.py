@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Annotated, TypeAlias
+
 import numpy as np
 import rustworkx as rx
+from pydantic import Field, validate_call
 from scipy.linalg import eigh
 
 from sb3_options.density.regions import Region
-from sb3_options.discovery.methods.candidates import CandidateMethod, check_counts, check_positive, often_enough
+from sb3_options.discovery.methods.candidates import CandidateMethod, Count, Share, often_enough
 from sb3_options.discovery.methods.method import Experience
 from sb3_options.experience.observations import FloatArray, IntArray
 
@@ -20,9 +23,7 @@ place and transition."""
 TOLERANCE = 1e-9
 """Betweenness that differs by less, relative to the largest, is equal."""
 
-
-LARGEST_CUT = 2.0
-"""No normalised cut is larger."""
+Horizon: TypeAlias = Annotated[int, Field(ge=2)]
 
 
 class LCut(CandidateMethod):
@@ -41,13 +42,15 @@ class LCut(CandidateMethod):
         min_share: t_p, in (0, 1).
     """
 
+    @validate_call
     def __init__(
-        self, *, horizon: int = 1000, max_cut: float = 0.05, min_seen: int = 10, min_share: float = 0.2
+        self,
+        *,
+        horizon: Horizon = 1000,
+        max_cut: Annotated[float, Field(gt=0, le=2)] = 0.05,
+        min_seen: Count = 10,
+        min_share: Share = 0.2,
     ) -> None:
-        check_counts(2, horizon=horizon)
-        check_positive(max_cut=max_cut)
-        if max_cut > LARGEST_CUT:
-            raise ValueError(f"max_cut must be at most {LARGEST_CUT:g}, which no cut exceeds, got {max_cut!r}.")
         self.horizon, self.max_cut, self.min_seen, self.min_share = horizon, max_cut, min_seen, min_share
         super().__init__(often_enough(min_seen, min_share))
 
@@ -87,8 +90,8 @@ class Betweenness(CandidateMethod):
         min_share: t_p, in (0, 1).
     """
 
-    def __init__(self, *, horizon: int = 1000, min_seen: int = 10, min_share: float = 0.5) -> None:
-        check_counts(2, horizon=horizon)
+    @validate_call
+    def __init__(self, *, horizon: Horizon = 1000, min_seen: Count = 10, min_share: Share = 0.5) -> None:
         self.horizon, self.min_seen, self.min_share = horizon, min_seen, min_share
         super().__init__(often_enough(min_seen, min_share))
 

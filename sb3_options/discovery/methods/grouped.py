@@ -40,7 +40,6 @@ class GroupedPeaks(Method):
     needs_success = True
     searches = True
     again_after = 0.0
-    leads = "leads surely enough (min_reach)"
 
     def __init__(self) -> None:
         self._contrasts: list[Contrast] = []  # of the smaller groups first, for each is compared with its parts

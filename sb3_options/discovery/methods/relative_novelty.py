@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from pydantic import validate_call
 
 from sb3_options.density.regions import Region
-from sb3_options.discovery.methods.candidates import CandidateMethod, check_counts, check_positive, more_likely
+from sb3_options.discovery.methods.candidates import CandidateMethod, Count, Positive, Share, more_likely
 from sb3_options.discovery.methods.method import Experience
 from sb3_options.experience.observations import FloatArray, IntArray
 
@@ -26,17 +27,18 @@ class RelativeNovelty(CandidateMethod):
         odds: λ_fa/λ_miss · p(N)/p(T): cost of false alarms to that of misses, and prior odds of other states, 100 each.
     """
 
+    @validate_call
     def __init__(
         self,
         *,
-        lag: int = 7,
-        threshold: float = 2.0,
-        p_target: float = 0.0712,
-        p_other: float = 0.0056,
-        odds: float = 10_000.0,
+        lag: Count = 7,
+        threshold: Positive = 2.0,
+        p_target: Share = 0.0712,
+        p_other: Share = 0.0056,
+        odds: Positive = 10_000.0,
     ) -> None:
-        check_counts(lag=lag)
-        check_positive(threshold=threshold)
+        if p_target <= p_other:
+            raise ValueError(f"p_target must be above p_other, got {p_target} and {p_other}.")
         self.lag, self.threshold = lag, threshold
         self.p_target, self.p_other, self.odds = p_target, p_other, odds
         super().__init__(more_likely(p_target, p_other, odds))

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field, validate_call
 
-from sb3_options.checked import is_number
 from sb3_options.density.regions import Region
-from sb3_options.discovery.methods.candidates import (
-    PLACE_SECONDS,
-    Candidates,
-    check_counts,
-    check_positive,
-    check_shares,
-)
+from sb3_options.discovery.methods.candidates import PLACE_SECONDS, Candidates, Count, Positive, Share
 from sb3_options.discovery.methods.method import Experience, Method
 from sb3_options.discovery.peaks import MOST_TIED, PeakTracker, plateau_centres
 from sb3_options.experience.observations import FloatArray
@@ -38,22 +32,16 @@ class VisitFrequency(Method):
 
     needs_success = True
 
+    @validate_call
     def __init__(
         self,
         count: Literal["first", "every"] = "first",
         *,
-        decay: float = 0.75,
-        threshold: float = 0.6,
-        min_successes: int = 4,
-        radius: float = 1.5,
+        decay: Share = 0.75,
+        threshold: Annotated[float, Field(ge=0, lt=1)] = 0.6,
+        min_successes: Count = 4,
+        radius: Positive = 1.5,
     ) -> None:
-        if count not in ("first", "every"):
-            raise ValueError(f"count must be 'first' or 'every', got {count!r}.")
-        check_counts(min_successes=min_successes)
-        check_positive(radius=radius)
-        check_shares(decay=decay)
-        if not (is_number(threshold) and 0 <= threshold < 1):
-            raise ValueError(f"threshold must be in [0, 1), got {threshold!r}.")
         self.count, self.min_successes, self.radius = count, min_successes, radius
         self.decay, self.threshold = decay, threshold
         self._visited = Candidates(_most)
@@ -101,9 +89,8 @@ class RandomPlaces(Method):
 
     needs_success = True
 
-    def __init__(self, *, min_successes: int = 4, seed: int = 0) -> None:
-        check_counts(min_successes=min_successes)
-        check_counts(0, seed=seed)
+    @validate_call
+    def __init__(self, *, min_successes: Count = 4, seed: Annotated[int, Field(ge=0)] = 0) -> None:
         self.min_successes = min_successes
         self._random = np.random.default_rng(seed)
         self._successes = 0
@@ -125,10 +112,7 @@ class GivenPlaces(Method):
     """
 
     def __init__(self, points: ArrayLike) -> None:
-        try:
-            self.points = np.array(points, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise ValueError(f"points must be numbers of shape (n, d), n ≥ 1, got {points!r:.200}.") from None
+        self.points = np.array(points, dtype=np.float64)
         if self.points.ndim != 2 or not self.points.size or not np.isfinite(self.points).all():
             raise ValueError(f"points must be finite, of shape (n, d), n ≥ 1, got {self.points.shape}.")
 

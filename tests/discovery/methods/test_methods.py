@@ -1,52 +1,52 @@
 """Each method against an oracle, or on experience whose bottleneck is known."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import networkx as nx
 import numpy as np
 import pytest
 
 from experiments.random_walks.conditions import is_bottleneck, run, world_for
-from sb3_options.density.regions import Region
 from sb3_options.discovery.methods import METHODS, MethodName
 from sb3_options.discovery.methods.candidates import Candidates, more_likely, often_enough
-from sb3_options.discovery.methods.eigenoptions import Eigenoptions
 from sb3_options.discovery.methods.graphs import Betweenness, LCut, local_maxima, normalised_cut, weights_of
 from sb3_options.discovery.methods.method import DiscoveryMethod, Experience
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty, relative_novelty
 from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
 from sb3_options.discovery.peaks import MOST_TIED
-from sb3_options.experience.observations import BoolArray, IntArray
-from sb3_options.options.proposals import goal_of
+from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
+from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 
 NUMBERS = [-1e9, -2.0, -1.0, -0.0, 0.0, 1.0, 3.0, 1e9]
 
 
-def experience(
-    visits: list[int] | IntArray,
+def lived_through(
+    features: FloatArray,
+    visits: IntArray,
     *,
     success: bool = True,
     allowed: BoolArray | None = None,
     scale: float = 1.0,
-    taken: Sequence[Region] = (),
 ) -> Experience:
+    """A trajectory of these features."""
+    steps = np.zeros(len(visits) - 1)
+    trajectory = Trajectory(features, visits, steps.astype(np.int64), steps, success, not success, success)
+    may_be = np.ones(len(features), dtype=bool) if allowed is None else allowed
+    scales = np.full(features.shape[1], scale)
+    return Experience(LabelledTrajectory(trajectory, features, success), lambda: may_be, scale=scales, radius=0.5)
+
+
+def experience(visits: list[int] | IntArray, **changes: Any) -> Experience:
     """Places 0, 1, 2 … on a line, in order of first visit."""
     numbers = np.asarray(visits)
     _, first = np.unique(numbers, return_index=True)
     names = numbers[np.sort(first)]
     rows = np.searchsorted(np.sort(names), numbers)
     order = np.argsort(names)
-    return Experience(
-        names[:, None].astype(np.float64),
-        order[rows],
-        success=success,
-        allowed=np.ones(len(names), dtype=bool) if allowed is None else allowed,
-        scale=np.array([scale]),
-        radius=0.5,
-        taken=taken,
-    )
+    return lived_through(names[:, None].astype(np.float64), order[rows], **changes)
 
 
 def dumbbell(random: np.random.Generator, n: int = 400) -> Experience:
@@ -61,14 +61,8 @@ def dumbbell(random: np.random.Generator, n: int = 400) -> Experience:
 
 class TestExperience:
     def test_states_that_differ_by_less_than_a_unit_are_one_place(self) -> None:
-        lived = Experience(
-            np.array([[0.0], [0.4], [2.0]]),
-            np.array([0, 1, 2, 1]),
-            success=True,
-            allowed=np.array([True, False, True]),
-            scale=np.array([1.0]),
-            radius=0.5,
-        )
+        allowed = np.array([True, False, True])
+        lived = lived_through(np.array([[0.0], [0.4], [2.0]]), np.array([0, 1, 2, 1]), allowed=allowed)
         assert lived.places.points.tolist() == [[0.0], [2.0]]
         assert lived.places.visits.tolist() == [0, 0, 1, 0]
         assert lived.places.allowed.tolist() == [False, True]
@@ -96,17 +90,14 @@ class TestRelativeNovelty:
         known = [0, 1, 2] * 20
         assert method.update(experience([*known, 3, *range(10, 20)])) == []  # once may be an accident
         best, *_ = method.update(experience([*known, 3, *range(10, 20)]))
-        assert goal_of(best).points[0, 0] in (3.0, 10.0, 11.0)
+        assert best.points[0, 0] in (3.0, 10.0, 11.0)
         assert RelativeNovelty(lag=3).update(experience([0, 1, 2] * 30)) == []
 
     def test_a_short_trajectory_says_nothing(self) -> None:
         method = RelativeNovelty()
         assert method.update(experience([0, 1, 2])) == []
         told = experience([0, 1, 2])
-        several = np.repeat(told.features, 3, axis=1), told.visits, told.allowed, np.ones(3)
-        features, visits, allowed, scale = several
-        of_three = Experience(features, visits, success=True, allowed=allowed, scale=scale, radius=0.5)
-        assert RelativeNovelty().update(of_three) == []
+        assert RelativeNovelty().update(lived_through(np.repeat(told.features, 3, axis=1), told.visits)) == []
 
 
 class TestGraphs:
@@ -139,7 +130,7 @@ class TestGraphs:
         method = make(min_seen=5)
         proposed = [method.update(dumbbell(rng)) for _ in range(8)]
         assert proposed[:4] == [[]] * 4
-        near = {float(goal_of(region).points[0, 0]) for region in proposed[-1]}
+        near = {float(region.points[0, 0]) for region in proposed[-1]}
         assert near
         assert near <= {4.0, 5.0, 6.0}
 
@@ -147,22 +138,13 @@ class TestGraphs:
         method = Betweenness(min_seen=2)
         for _ in range(4):
             lived = dumbbell(rng)
-            proposals = method.update(
-                Experience(
-                    lived.features,
-                    lived.visits,
-                    success=True,
-                    allowed=lived.features[:, 0] != 5.0,
-                    scale=lived.scale,
-                    radius=0.5,
-                )
-            )
-            assert proposals == []
+            others = lived_through(lived.features, lived.visits, allowed=lived.features[:, 0] != 5.0)
+            assert method.update(others) == []
 
     def test_only_the_last_transitions_count(self) -> None:
         method = Betweenness(horizon=2, min_seen=1)
         (region,) = method.update(experience([9, 8, 7, 1, 2, 3]))
-        assert goal_of(region).points[0].tolist() == [2.0]
+        assert region.points[0].tolist() == [2.0]
 
 
 class TestVisits:
@@ -171,7 +153,7 @@ class TestVisits:
         proposed: list[list[float]] = []
         for i in range(40):
             way = [10 * (i % 7) + 200, 5, 10 * (i % 5) + 400]
-            proposed.append([float(goal_of(r).points[0, 0]) for r in method.update(experience(way))])
+            proposed.append([float(r.points[0, 0]) for r in method.update(experience(way))])
             assert method.update(experience([77, 78, 79], success=False)) == []
         assert proposed[0] == []
         assert proposed[-1] == [5.0]
@@ -184,7 +166,7 @@ class TestVisits:
             for i in range(30):
                 others = [100 + i, *back_and_forth, 500 + i]
                 last = method.update(experience([*others, 5] if count == "first" else others))
-            found[count] = [float(goal_of(region).points[0, 0]) for region in last]
+            found[count] = [float(region.points[0, 0]) for region in last]
         assert set(found["every"]) <= {300.0, 400.0}
         assert 5.0 in found["first"] or len(found["first"]) > 1
 
@@ -209,7 +191,7 @@ class TestRules:
             lived = experience(visits)
             once = np.ones(len(visits), dtype=np.int64)
             candidates.add(lived, once, once)
-        assert sorted(float(goal_of(r).points[0, 0]) for r in candidates.proposals(lived)) == [0.0, 2.0, 3.0]
+        assert sorted(float(r.points[0, 0]) for r in candidates.proposals(lived)) == [0.0, 2.0, 3.0]
         monkeypatch.setattr("sb3_options.discovery.methods.candidates.MAX_NUMBERS", 2)
         candidates.add(lived, once, once)
         assert len(candidates) == 2
@@ -222,9 +204,9 @@ def test_every_method_proposes_regions_around_what_was_seen(name: MethodName, rn
     for _ in range(12):
         lived = dumbbell(rng)
         for region in method.update(lived):
-            assert goal_of(region).points.shape == (1, 1)
-            assert goal_of(region).radius == 0.5
-            assert goal_of(region).points[0, 0] in lived.features
+            assert region.points.shape == (1, 1)
+            assert region.radius == 0.5
+            assert region.points[0, 0] in lived.features
 
 
 @pytest.mark.parametrize("name", ["l-cut", "betweenness"])
@@ -237,30 +219,18 @@ def test_graph_methods_find_the_doorway_of_two_rooms_from_random_walks(name: str
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: LCut(horizon=0), "horizon must be a whole number of at least 2, got 0."),
-        (lambda: LCut(min_seen=2.5), "min_seen must be a whole number of at least 1, got 2.5."),  # type: ignore[arg-type]
-        (lambda: Betweenness(min_share=1.0), r"min_share must be in \(0, 1\), got 1.0."),
-        (lambda: Betweenness(horizon=-1), "horizon must be a whole number of at least 2, got -1."),
-        (lambda: RelativeNovelty(lag=0), "lag must be a whole number of at least 1, got 0."),
+        (lambda: LCut(horizon=1), "horizon\n.*greater than or equal to 2"),
+        (lambda: LCut(max_cut=5), "max_cut\n.*less than or equal to 2"),
+        (lambda: Betweenness(min_share=1.0), "min_share\n.*less than 1"),
         (lambda: RelativeNovelty(p_target=0.1, p_other=0.2), "p_target must be above p_other"),
-        (lambda: RelativeNovelty(p_other=math.nan), r"p_other must be in \(0, 1\), got nan."),
-        (lambda: VisitFrequency(min_successes=0), "min_successes must be a whole number of at least 1, got 0."),
-        (lambda: VisitFrequency("evry"), "count must be 'first' or 'every', got 'evry'."),  # type: ignore[arg-type]
-        (lambda: VisitFrequency(radius=-1.0), "radius must be a finite number above 0, got -1.0."),
-        (lambda: LCut(max_cut="a"), "max_cut must be a finite number above 0, got 'a'."),  # type: ignore[arg-type]
-        (lambda: RelativeNovelty(threshold=math.nan), "threshold must be a finite number above 0, got nan."),
-        (lambda: LCut(max_cut=5), "max_cut must be at most 2, which no cut exceeds, got 5."),
-        (lambda: RelativeNovelty(odds=math.inf), "odds must be a finite number above 0, got inf."),
-        (lambda: RelativeNovelty(odds="x"), "odds must be a finite number above 0, got 'x'."),  # type: ignore[arg-type]
-        (lambda: VisitFrequency(decay="a"), r"decay must be in \(0, 1\), got 'a'."),  # type: ignore[arg-type]
-        (lambda: VisitFrequency(threshold=1), r"threshold must be in \[0, 1\), got 1."),
-        (lambda: Eigenoptions(max_places=2), "max_places must be a whole number of at least 3, got 2."),
-        (lambda: RandomPlaces(seed=None), "seed must be a whole number of at least 0, got None."),  # type: ignore[arg-type]
-        (lambda: RandomPlaces(min_successes=True), "min_successes must be a whole number of at least 1, got True."),
+        (lambda: RelativeNovelty(odds=math.inf), "odds\n.*finite"),
+        (lambda: VisitFrequency("evry"), "'first' or 'every'"),  # type: ignore[arg-type]
+        (lambda: VisitFrequency(threshold=1), "threshold\n.*less than 1"),
+        (lambda: RandomPlaces(min_successes=0), "min_successes\n.*greater than or equal to 1"),
     ],
 )
 def test_arguments_out_of_range_are_refused_by_name(make: Callable[[], object], message: str) -> None:
-    with pytest.raises(ValueError, match=f"^{message}"):
+    with pytest.raises(ValueError, match=message):
         make()
 
 
