@@ -7,15 +7,16 @@ from collections.abc import Sequence
 from typing import Any, Self
 
 import numpy as np
+import torch
 from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.utils.validation import check_is_fitted
 
+from benchmarks.diverse_density.scales import FewFeatures, FromScales
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
 from sb3_options.density.concepts import Point
-from sb3_options.density.diverse_density import DiverseDensity
 
 CHUNK = 1 << 20
 """(instances × concepts) whose probabilities are held at once in prediction."""
@@ -94,8 +95,8 @@ class DiverseDensityClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[
         varies = np.flatnonzero(deviation > 0)
         if not len(varies):
             raise ValueError("no feature varies: there is nothing to learn from")
-        self._concept: Point = self.concept or Point(scale_bounds=(0, math.inf), prior="small", prior_width=0.5)
-        search = DiverseDensity(
+        self._concept: Point = self.concept or FewFeatures(scale_bounds=(0, math.inf))
+        search = FromScales(
             concept=self._concept,
             method="thorough",
             scale=1 / deviation[varies],
@@ -107,7 +108,8 @@ class DiverseDensityClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[
             [a[:, varies] for a, p in zip(arrays, positive, strict=True) if not p],
         )
         evidence = search.evidence(packed)
-        self._varies, self._frame, self._threshold = varies, evidence.frame, self.threshold
+        self._varies, self._threshold = varies, self.threshold
+        self._origin, self._scale = evidence.origin, evidence.scale
         descent = search.descent(search.starts(evidence).float(), evidence)
         descent.run(self.steps)  # no start is dropped, and none merged
         self._theta = self._concept.canonical(descent.theta.double()).numpy()
@@ -133,10 +135,12 @@ class DiverseDensityClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[
         return np.asarray(self.classes_[positive.astype(int)])
 
     def _positive(self, bag: FloatArray) -> float:
-        scaled = self._frame.scaled(bag[:, self._varies])
+        scaled = (bag[:, self._varies] - self._origin) * self._scale
+        coefficients = self._concept.coefficients(torch.from_numpy(self._theta)).numpy()
         none = np.ones(self._theta.shape[1])
         for part in np.array_split(scaled, -(-scaled.size // CHUNK)):
-            none *= (1 - self._concept.probabilities(self._theta, part)).prod(0)
+            powers = np.concatenate([np.ones((len(part), 1)), part, part**2], axis=1)
+            none *= (1 - np.exp(-np.maximum(powers @ coefficients, 0))).prod(0)
         return float(1 - none.mean())
 
 

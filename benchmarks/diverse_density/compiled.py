@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from benchmarks.diverse_density.references import MERGE_RADIUS
 from sb3_options.density.arrays import FloatArray
-from sb3_options.density.diverse_density import SURVIVORS
+from sb3_options.density.diverse_density import SURVIVORS, best_apart
 from sb3_options.density.lbfgs import CURVED, FINEST, SHORTEN, SHORTEST, SUFFICIENT
-from sb3_options.density.peaks import best_apart
 
 MEMORY = int(__import__("os").environ.get("MEM", "10"))
 APART = 0.5

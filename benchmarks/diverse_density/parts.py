@@ -14,6 +14,7 @@ from rich.progress import track
 from benchmarks.diverse_density.classifier import BagStatisticsForest, DiverseDensityClassifier
 from benchmarks.diverse_density.data import LabelledBags, uneven
 from benchmarks.diverse_density.references import BagByBag, Vectorised, descend, descend_pruned
+from benchmarks.diverse_density.scales import FromScales
 from sb3_options.density.arrays import BoolArray, FloatArray
 from sb3_options.density.bags import Bags
 from sb3_options.density.concepts import Point
@@ -21,7 +22,7 @@ from sb3_options.density.diverse_density import FINAL_STEPS, FIRST_STEPS, Divers
 from sb3_options.density.log_density import log_diverse_density
 from sb3_options.runs.intervals import mean_interval
 
-UNBOUNDED = Point(scale_bounds=(0, math.inf), prior=None)
+UNBOUNDED = Point(scale_bounds=(0, math.inf), prior_width=None)
 """The likelihood alone, as the references compute it."""
 
 START_SCALE = 0.1
@@ -76,7 +77,7 @@ def against_references(data: LabelledBags, rounds: int, loop_starts: int) -> dic
     data = data.standardised()
     starts = np.concatenate(data.positive)
     bags = Bags.pack(data.positive, data.negative)
-    quick = DiverseDensity(concept=UNBOUNDED, start_scales=(START_SCALE,), max_starts=None, tolerance=TOLERANCE)
+    quick = FromScales(concept=UNBOUNDED, start_scales=(START_SCALE,), max_starts=None, tolerance=TOLERANCE)
     vectorised, loop = Vectorised(data.positive, data.negative), BagByBag(data.positive, data.negative)
     check = _agreement(starts[0], bags, vectorised, loop)
     rival = Compiled(data.positive, data.negative)
@@ -113,8 +114,8 @@ def against_references(data: LabelledBags, rounds: int, loop_starts: int) -> dic
         times["vectorised"][turn] *= len(starts) / len(share)
         times["bag_by_bag"].append(seconds(lambda s=few: reference("bag_by_bag", loop, s)))  # type: ignore[misc]
         times["bag_by_bag"][turn] *= len(starts) / len(few)
-    exact = DiverseDensity(concept=UNBOUNDED, start_scales=(START_SCALE,), max_starts=None).search(bags)
-    several = DiverseDensity(concept=UNBOUNDED, start_scales=MORE_START_SCALES, max_starts=None).search(bags)
+    exact = FromScales(concept=UNBOUNDED, start_scales=(START_SCALE,), max_starts=None).search(bags)
+    several = FromScales(concept=UNBOUNDED, start_scales=MORE_START_SCALES, max_starts=None).search(bags)
     result: dict[str, Any] = {
         "n_starts": len(starts),
         "rounds": rounds,
@@ -140,7 +141,7 @@ def quality(data: LabelledBags, runs: int) -> dict[str, Any]:
     rival, objective = Compiled(data.positive, data.negative), Vectorised(data.positive, data.negative)
 
     def ours(points: FloatArray, finalists: int) -> float:
-        search = DiverseDensity(
+        search = FromScales(
             concept=UNBOUNDED, start_scales=(START_SCALE,), max_starts=None, tolerance=TOLERANCE, finalists=finalists
         )
         return -search.search(bags, starts=points)[0].log_density
@@ -198,7 +199,7 @@ def kernel(rounds: int, seed: int) -> dict[str, Any]:
     work: dict[int, tuple[Callable[[], Any], int]] = {}
     for d in DIMENSIONS:
         data = uneven(rng, d)
-        search = DiverseDensity(concept=Point(prior=None))
+        search = DiverseDensity(concept=Point(prior_width=None))
         evidence = search.evidence(Bags.pack(data.positive, data.negative))
         points = np.concatenate(data.positive)[rng.permutation(sum(map(len, data.positive)))[:N_STARTS]]
         theta = search.concept.start(torch.from_numpy(evidence.scaled(points)), 0.7 / math.sqrt(d)).float()

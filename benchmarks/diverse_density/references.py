@@ -13,8 +13,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from sb3_options.density.arrays import FloatArray
-from sb3_options.density.diverse_density import SURVIVORS
-from sb3_options.density.peaks import best_apart
+from sb3_options.density.diverse_density import SURVIVORS, best_apart
 
 MERGE_RADIUS = 0.5
 """As in `DiverseDensity`."""

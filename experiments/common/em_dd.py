@@ -16,7 +16,7 @@ from torch import Tensor
 
 from sb3_options.density.bags import Bags
 from sb3_options.density.concepts import Point
-from sb3_options.density.diverse_density import DiverseDensity, Peak
+from sb3_options.density.diverse_density import TOLERANCE, DiverseDensity, Peak
 from sb3_options.density.evidence import Evidence
 from sb3_options.density.lbfgs import BatchedLBFGS
 
@@ -63,12 +63,12 @@ class ExpectationMaximisation:
             descent = BatchedLBFGS(
                 lambda t, chosen=selected: likelihood.loss(t, chosen),  # type: ignore[misc]  # mypy 2: default of lambda
                 theta,
-                self.search.concept.bounds(len(evidence.frame.scale)),
-                tolerance=self.search.tolerance,
+                self.search.concept.bounds(len(evidence.scale)),
+                tolerance=TOLERANCE,
             )
             descent.run(self.steps)
             again = likelihood.select(descent.theta)
-            grown = likelihood.loss(descent.theta, again)[0] < loss - self.search.tolerance * loss.abs().clamp(min=1)
+            grown = likelihood.loss(descent.theta, again)[0] < loss - TOLERANCE * loss.abs().clamp(min=1)
             # Zhang & Goldman end as soon as a round makes the concept no better, and keep the one before.
             moves = grown & ~rested
             theta = torch.where(moves, descent.theta, theta)

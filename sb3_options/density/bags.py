@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
+from sb3_options.checked import is_number
 from sb3_options.density.arrays import BoolArray, FloatArray, IntArray, row_keys
-from sb3_options.density.checks import LARGEST_FEATURE, check_finite, real_array
 from sb3_options.density.layout import BagArrays, Segment, segments_of
 from sb3_options.state import storable
+
+LARGEST_FEATURE, LARGEST_SCALE = 1e100, 1e50
+"""Their product squared is still a number."""
 
 
 @storable
@@ -120,3 +123,39 @@ def first_rows(points: FloatArray) -> IntArray:
     for i, key in enumerate(row_keys(points)):
         first.setdefault(key, i)
     return np.fromiter(first.values(), dtype=np.int64, count=len(first))
+
+
+def real_array(name: str, values: ArrayLike) -> FloatArray:
+    """Real numbers in double precision; refuses what would be dropped in silence, as parts of complex ones."""
+    if np.ma.is_masked(values):
+        raise ValueError(f"{name} has masked values: leave out the instances that hold them, or fill them in")
+    try:
+        array = np.asarray(values)
+    except ValueError as error:
+        raise ValueError(f"{name} must hold instances of one length: {error}") from error
+    if array.dtype.kind not in "biuf":
+        raise ValueError(f"{name} must hold real numbers, got {array.dtype}")
+    return array.astype(np.float64)
+
+
+def check_finite(name: str, features: FloatArray) -> None:
+    """Refuse NaN, infinite features, and those whose squares overflow."""
+    if not np.isfinite(features).all():
+        raise ValueError(f"{name} holds NaN or infinite features")
+    if np.abs(features).max(initial=0) > LARGEST_FEATURE:
+        raise ValueError(f"{name} holds features beyond ±{LARGEST_FEATURE:g}, whose squares overflow")
+
+
+def positive_scale(scale: object) -> bool:
+    """Whether this is a scale: positive and finite, a number or (d,)."""
+    array = np.asarray(scale)
+    real = array.dtype.kind in "iuf" and array.ndim < 2
+    return real and bool(((array > 0) & (array <= LARGEST_SCALE)).all())
+
+
+def in_range(negative_strength: Any, leak: Any) -> dict[str, tuple[str, bool]]:
+    """By name what strength and leak must be, and whether they are."""
+    return {
+        "negative_strength": ("in (0, 1]", is_number(negative_strength) and 0 < negative_strength <= 1),
+        "leak": ("in [0, 1)", is_number(leak) and 0 <= leak < 1),
+    }

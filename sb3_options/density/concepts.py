@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 import torch
@@ -16,7 +16,6 @@ from torch import Tensor
 
 from sb3_options.checked import is_number
 from sb3_options.density.arrays import FloatArray
-from sb3_options.density.regions import Region
 from sb3_options.state import storable
 
 SCALE_BOUNDS = (0.1, 10.0)
@@ -25,23 +24,6 @@ SCALE_BOUNDS = (0.1, 10.0)
 Without a lower bound and without negative bags a concept grows for ever, because at scale 0 it holds every instance;
 without an upper bound it may shrink onto one instance.
 """
-
-
-@storable
-class Frame(NamedTuple):
-    """How scaled features come from features: (x − origin) · scale.
-
-    Attributes:
-        origin: (d,) in features.
-        scale: (d,) one over a width.
-    """
-
-    origin: FloatArray
-    scale: FloatArray
-
-    def scaled(self, instances: FloatArray) -> FloatArray:
-        """Features (n, d) in scaled features (n, d)."""
-        return (instances - self.origin) * self.scale
 
 
 @storable
@@ -56,12 +38,9 @@ class Point:
     Attributes:
         scales: Learned for "each" feature, "one" for all, or "fixed" at the scale given.
         scale_bounds: Smallest and largest learned scale, as factors of the scale given; (0, inf) for none.
-        prior: What is thought of a learned scale before any bag is seen. "near": its logarithm is normal about the
-            scale given, so that of concepts which explain the bags alike the one of the expected size wins; in two
-            rooms that is the doorway, where without it a slab across the world ties. "small": the scale is normal
-            about 0, so that a feature counts only as far as the bags say so. None: all scales alike.
-        prior_width: Standard deviation of the prior, in e-folds for "near", as a factor of the scale given for
-            "small".
+        prior_width: Standard deviation, in e-folds, of a log-normal prior of a learned scale about the scale given;
+            None for no prior. With it, of concepts that explain the bags alike, the one of the expected size wins: in
+            two rooms the doorway, with which a slab across the world ties otherwise.
 
     Raises:
         ValueError: An argument is out of its range.
@@ -69,26 +48,18 @@ class Point:
 
     scales: Literal["each", "one", "fixed"] = "each"
     scale_bounds: tuple[float, float] = SCALE_BOUNDS
-    prior: Literal["near", "small"] | None = "near"
-    prior_width: float = 1.0
+    prior_width: float | None = 1.0
 
     def __post_init__(self) -> None:
         """Refuse arguments out of range."""
-        if not (isinstance(self.scales, str) and self.scales in ("each", "one", "fixed")):
+        if self.scales not in ("each", "one", "fixed"):
             raise ValueError(f'scales must be "each", "one" or "fixed", got {self.scales!r}')
         bounds = self.scale_bounds
         pair = isinstance(bounds, Sequence) and len(bounds) == 2 and all(map(is_number, bounds))
         if not (pair and 0 <= bounds[0] < bounds[1]):
             raise ValueError(f"scale_bounds must be factors 0 <= low < high, got {self.scale_bounds}")
-        if not (self.prior is None or (isinstance(self.prior, str) and self.prior in ("near", "small"))):
-            raise ValueError(f'prior must be "near", "small" or None, got {self.prior!r}')
-        if not (is_number(self.prior_width) and 0 < self.prior_width < math.inf):
-            raise ValueError(f"prior_width must be positive and finite, got {self.prior_width}")
-
-    @property
-    def learns_scale(self) -> bool:
-        """Whether starts at several scales differ."""
-        return self.scales != "fixed"
+        if self.prior_width is not None and not (is_number(self.prior_width) and 0 < self.prior_width < math.inf):
+            raise ValueError(f"prior_width must be positive and finite, or None, got {self.prior_width}")
 
     def coefficients(self, theta: Tensor) -> Tensor:
         """‖a‖², −2 s a and s², the factors of 1, x_k and x_k²: (2 d + 1, S)."""
@@ -133,17 +104,11 @@ class Point:
         )
 
     def log_prior(self, theta: Tensor) -> tuple[Tensor, Tensor]:
-        """Logarithm of the prior (S,), up to a constant, and its gradient in θ.
-
-        −½ Σ_k (log s_k)² / width² for "near", −½ Σ_k s_k² / width² for "small".
-        """
-        if self.scales == "fixed" or self.prior is None:
+        """Logarithm of the prior (S,), −½ Σ_k (log s_k)² / width² up to a constant, and its gradient in θ."""
+        if self.scales == "fixed" or self.prior_width is None:
             return theta.new_zeros(theta.shape[1]), torch.zeros_like(theta)
         n_scales = 1 if self.scales == "one" else len(theta) // 2
         scales, precision, gradient = theta[-n_scales:], self.prior_width**-2, torch.zeros_like(theta)
-        if self.prior == "small":
-            gradient[-n_scales:] = -precision * scales
-            return -precision / 2 * scales.square().sum(0), gradient
         logs = scales.abs().clamp(min=torch.finfo(theta.dtype).tiny ** 0.5).log()
         gradient[-n_scales:] = -precision * logs / scales
         return -precision / 2 * logs.square().sum(0), gradient
@@ -157,24 +122,9 @@ class Point:
         return torch.cat([a * sign, (s * sign)[:1] if self.scales == "one" else s * sign])
 
     def point_and_scale(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Point t and scales s ≥ 0 in scaled features, each (m, ...); where s is 0, t is 0."""
-        a, s = (part.numpy() for part in self._split(torch.from_numpy(theta.reshape(len(theta), -1))))
-        s = np.broadcast_to(s, a.shape)
-        t = np.divide(a, s, out=np.zeros_like(a), where=s != 0)
-        shape = (len(a), *theta.shape[1:])
-        return t.reshape(shape), np.abs(s).reshape(shape)
-
-    def region(self, theta: FloatArray, frame: Frame, level: float) -> Region:
-        """Where Pr(x ∈ concept) ≥ level: the ellipsoid ‖s (x − t)‖² ≤ −log level; where a scale is 0, anything is."""
-        t, s = self.point_and_scale(theta)
-        centre = t / frame.scale + frame.origin
-        return Region(centre[None], s * frame.scale, math.sqrt(-math.log(level)))
-
-    def probabilities(self, theta: FloatArray, scaled: FloatArray) -> FloatArray:
-        """Pr(x ∈ concept) of scaled instances (n, d) under every column of θ (P, S): (n, S)."""
-        powers = np.concatenate([np.ones((len(scaled), 1)), scaled, scaled**2], axis=1)
-        coefficients = self.coefficients(torch.from_numpy(np.ascontiguousarray(theta))).numpy()
-        return np.asarray(np.exp(-np.maximum(powers @ coefficients, 0)))
+        """Points t and scales s ≥ 0 in scaled features, (d, S) each, of θ (P, S); where s is 0, t is 0."""
+        a, s = (part.numpy() for part in self._split(torch.from_numpy(theta)))
+        return np.divide(a, s, out=np.zeros_like(a), where=s != 0), np.abs(np.broadcast_to(s, a.shape))
 
     def _split(self, theta: Tensor) -> tuple[Tensor, Tensor]:
         """Parameters a and s, each (m, S)."""

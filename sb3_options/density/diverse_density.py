@@ -8,8 +8,9 @@ Sources: Maron and Lozano-Pérez, "A framework for multiple-instance learning" (
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -18,17 +19,15 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from sb3_options.checked import is_number, whole
+from sb3_options.checked import whole
 from sb3_options.density.arrays import FloatArray
-from sb3_options.density.bags import Bags, distinct, held_by_all
-from sb3_options.density.checks import positive_scale, real_array, refuse
-from sb3_options.density.concepts import Frame, Point
+from sb3_options.density.bags import Bags, distinct, held_by_all, in_range, positive_scale, real_array
+from sb3_options.density.concepts import Point
 from sb3_options.density.energies import Likelihood
 from sb3_options.density.evidence import Evidence, evenly
 from sb3_options.density.lbfgs import BatchedLBFGS
 from sb3_options.density.log_density import log_diverse_density
 from sb3_options.density.one_hot import is_one_hot, one_hot_log_density
-from sb3_options.density.peaks import best_apart, ties_in_order
 from sb3_options.density.regions import Region
 from sb3_options.state import storable
 
@@ -59,48 +58,41 @@ SAMPLED_BAGS, PROMISING = 3, 8
 FIRST_STEPS, SURVIVORS = 20, 4
 """In a thorough search one start in `SURVIVORS` goes on after every `FIRST_STEPS` evaluations."""
 
-FINAL_STEPS = 500
-"""Most evaluations of the finalists, in each precision."""
+FINAL_STEPS, TOLERANCE = 500, 1e-8
+"""Most evaluations of the finalists, in each precision, and when they rest, in nats relative to the value."""
+
+APART_BY = 0.5
+"""A peak this close to a better one is merged into it, in parameters: for points, in widths."""
+
+TIES, SAME_PARAMETER = 1e-5, 1e-3
+"""Peaks tie whose losses are this close, relatively or in nats; parameters this close do not order them."""
 
 
 @storable
 class Peak(NamedTuple):
-    """A concept of high diverse density.
+    """A concept of high diverse density: Pr(x ∈ concept) = exp(−Σ_k (s_k (x_k − t_k))²).
 
     Attributes:
-        point: (d,) in the units of the features: the centre of the concept.
-        scale: (d,) one over the width; 0 for a feature that does not count.
+        point: t, the centre, (d,) in the units of the features.
+        scale: s, one over the width, (d,); 0 for a feature that does not count.
         log_density: Log diverse density there, in nats, without the prior.
         converged: Whether the ascent had come to rest.
-        concept: Its class; None for a point of known scale.
-        theta: Its parameters (P,), in scaled features.
-        frame: What scaled features are.
     """
 
     point: FloatArray
     scale: FloatArray
     log_density: float
     converged: bool
-    concept: Point | None = None
-    theta: FloatArray | None = None
-    frame: Frame | None = None
 
     def region(self, level: float = 0.5) -> Region:
         """Where Pr(x ∈ concept) ≥ level, in (0, 1): a subgoal that β can test."""
         if not 0 < level < 1:
             raise ValueError(f"level must lie between 0 and 1, got {level}")
-        if self.concept is None or self.theta is None or self.frame is None:
-            return Region(self.point[None], self.scale, math.sqrt(-math.log(level)))
-        return self.concept.region(self.theta, self.frame, level)
+        return Region(self.point[None], self.scale, math.sqrt(-math.log(level)))
 
     def probability(self, instances: ArrayLike) -> FloatArray:
         """Pr(x ∈ concept) of instances (n, d), shape (n,)."""
-        x = np.asarray(instances, dtype=np.float64)
-        if x.ndim != 2 or x.shape[1] != len(self.point):
-            raise ValueError(f"instances must have shape (n, {len(self.point)}), got {x.shape}")
-        if self.concept is None or self.theta is None or self.frame is None:
-            return np.asarray(np.exp(-np.square((x - self.point) * self.scale).sum(axis=1)))
-        return self.concept.probabilities(self.theta[:, None], self.frame.scaled(x))[:, 0]
+        return np.asarray(np.exp(-np.square((np.asarray(instances) - self.point) * self.scale).sum(axis=1)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,11 +108,8 @@ class DiverseDensity:
             bags ascend in single precision, the best go on, and the finalists climb to rest in double precision;
             also for learned scales. "exhaustive": a finite set of candidates is evaluated, by default all instances of
             positive bags; for points of known scale.
-        start_scales: Scales of the starts of a thorough search, as factors of `scale`.
         max_starts: Most instances that a thorough search starts from, evenly spaced among all; None for all.
         finalists: Most starts that a thorough search climbs to the end.
-        tolerance: Of a thorough search, in nats relative to the value.
-        merge_radius: A peak this close to a better one is merged into it, in parameters: for points, in widths.
         negative_strength: η in (0, 1]: log(1 − η p) of every negative instance.
         leak: λ in [0, 1): the probability that a bag is positive for a reason other than the concept.
     """
@@ -128,39 +117,29 @@ class DiverseDensity:
     concept: Point = POINT
     scale: ArrayLike = 1.0
     method: Literal["gradient", "thorough", "exhaustive"] | None = None
-    start_scales: Sequence[float] = (1.0,)
     max_starts: int | None = 256
     finalists: int = 32
-    tolerance: float = 1e-8
-    merge_radius: float = 0.5
     negative_strength: float = 1.0
     leak: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse arguments out of range, by name."""
-        known_scale = isinstance(self.concept, Point) and self.concept == POINT
+        known_scale = self.concept == POINT
         if self.method is None:
             object.__setattr__(self, "method", "gradient" if known_scale else "thorough")
-        several = isinstance(self.start_scales, Collection) and len(self.start_scales) > 0
-        refuse(
-            self,
-            concept=("a Point", isinstance(self.concept, Point)),
-            scale=("positive, finite, a number or (d,)", positive_scale(self.scale)),
-            method=(
-                '"gradient", "thorough" or "exhaustive"',
-                isinstance(self.method, str) and self.method in ("gradient", "thorough", "exhaustive"),
+        for name, (expected, holds) in {
+            "concept": ("a Point", isinstance(self.concept, Point)),
+            "scale": ("positive, finite, a number or (d,)", positive_scale(self.scale)),
+            "method": ('"gradient", "thorough" or "exhaustive"', self.method in ("gradient", "thorough", "exhaustive")),
+            "max_starts": (
+                "a whole number of at least 1, or None",
+                self.max_starts is None or whole(self.max_starts, 1),
             ),
-            start_scales=(
-                "positive and finite, at least one",
-                several and all(map(positive_scale, self.start_scales)),
-            ),
-            max_starts=("a whole number of at least 1, or None", self.max_starts is None or whole(self.max_starts, 1)),
-            finalists=("a whole number of at least 1", whole(self.finalists, 1)),
-            tolerance=("above 0", is_number(self.tolerance) and self.tolerance > 0),
-            merge_radius=("at least 0", is_number(self.merge_radius) and self.merge_radius >= 0),
-            negative_strength=("in (0, 1]", is_number(self.negative_strength) and 0 < self.negative_strength <= 1),
-            leak=("in [0, 1)", is_number(self.leak) and 0 <= self.leak < 1),
-        )
+            "finalists": ("a whole number of at least 1", whole(self.finalists, 1)),
+            **in_range(self.negative_strength, self.leak),
+        }.items():
+            if not holds:
+                raise ValueError(f"{name} must be {expected}, got {getattr(self, name)!r}")
         if self.method != "thorough" and not known_scale:
             raise ValueError(f'{self.concept} needs method="thorough", got {self.method!r}')
 
@@ -172,35 +151,29 @@ class DiverseDensity:
             )
         return value.double().numpy()
 
-    def search(self, bags: Bags, *, starts: ArrayLike | None = None, candidates: ArrayLike | None = None) -> list[Peak]:
+    def search(self, bags: Bags, *, starts: ArrayLike | None = None) -> list[Peak]:
         """Search for peaks, best first.
 
         Args:
             bags: The evidence.
-            starts: (m, d) more points to try in a gradient search, such as the peaks of the last search; what a
-                thorough search starts from, instead of instances. An exhaustive search ignores them.
-            candidates: (m, d) what an exhaustive search evaluates, by default every distinct positive instance.
+            starts: (m, d) more points to try in a gradient search, such as the peaks of the last search; what another
+                search starts from, or evaluates, instead of the instances of positive bags.
 
         Returns:
-            The peaks, prior included, no two within `merge_radius`; of an exhaustive search the candidates that tie for
-            the maximum, in their order.
+            The peaks, prior included, no two within `APART_BY`; of an exhaustive search the points that tie for the
+            maximum, in their order.
 
         Raises:
-            ValueError: No point to search from, points, features or a scale that do not fit the bags, or candidates
-                for a search that has none.
+            ValueError: No point to search from, or starts, features or a scale that do not fit the bags.
         """
-        exhaustive = self.method == "exhaustive"
-        if candidates is not None and not exhaustive:
-            raise ValueError('candidates need method="exhaustive": pass starts to another search')
-        name, values = ("candidates", candidates) if exhaustive else ("starts", starts)
-        points = np.empty((0, bags.n_features)) if values is None else real_array(name, values)
+        points = np.empty((0, bags.n_features)) if starts is None else real_array("starts", starts)
         if points.ndim != 2 or points.shape[1] != bags.n_features or not np.isfinite(points).all():
-            raise ValueError(f"{name} must be finite, of shape (m, {bags.n_features}), got {points.shape}")
+            raise ValueError(f"starts must be finite, of shape (m, {bags.n_features}), got {points.shape}")
         if not (len(points) or bags.n_positive):
-            raise ValueError(f"there is nothing to search from: without positive bags pass {name}")
+            raise ValueError("there is nothing to search from: without positive bags pass starts")
         if self.method == "thorough":
             return self._thorough(points, bags)
-        if exhaustive:
+        if self.method == "exhaustive":
             points = distinct(points) if len(points) else bags.smallest_positive(bags.n_positive)
             return self.best(points, self._exhaustive_values(points, bags))
         return self._quick(distinct(np.concatenate([points, bags.smallest_positive(SMALLEST_BAGS)])), bags)
@@ -234,7 +207,7 @@ class DiverseDensity:
         points = distinct(points)
         points = points[held_by_all(points, positive)]
         if not exhaustive:
-            points = points[best_apart(points * scale, np.zeros(len(points)), self.merge_radius, len(points))]
+            points = points[best_apart(points * scale, np.zeros(len(points)), APART_BY, len(points))]
         return [Peak(point.copy(), scale, 0.0, True) for point in points]
 
     def evidence(self, bags: Bags) -> Evidence:
@@ -242,24 +215,22 @@ class DiverseDensity:
         d = bags.n_features
         if np.ndim(self.scale) and np.shape(self.scale) != (d,):
             raise ValueError(f"scale has shape {np.shape(self.scale)}, the bags have {d} features")
-        # In the middle of the data, where products of features are smallest and lose the fewest digits.
-        frame = Frame(bags.instances.mean(0).numpy(), self._scale(d))
-        return Evidence(bags, self.concept, frame, likelihood=Likelihood(self.negative_strength, self.leak))
+        # In the middle of the data products of features are smallest, and lose the fewest digits.
+        middle = bags.instances.mean(0).numpy()
+        return Evidence(bags, self.concept, middle, self._scale(d), Likelihood(self.negative_strength, self.leak))
 
     def starts(self, evidence: Evidence, points: FloatArray | None = None) -> Tensor:
-        """θ (P, S) of every start of a thorough search: at scaled points (m, k), by default the instances."""
+        """θ (P, S) of every start of a thorough search: at scaled points (m, d), by default the instances."""
         if points is None:
             instances = evidence.positive_instances()
             points = instances[np.sort(np.unique(instances, axis=0, return_index=True)[1])]
             points = points if self.max_starts is None else evenly(points, self.max_starts)
-        at = torch.from_numpy(points)
-        scales = self.start_scales if self.concept.learns_scale else self.start_scales[:1]
-        return torch.cat([self.concept.start(at, scale) for scale in scales], dim=1)
+        return self.concept.start(torch.from_numpy(points), 1.0)
 
     def descent(self, theta: Tensor, evidence: Evidence) -> BatchedLBFGS:
         """The ascent of log density plus log prior from θ (P, S)."""
-        bounds = self.concept.bounds(len(evidence.frame.scale))
-        return BatchedLBFGS(evidence.loss, theta, bounds, tolerance=self.tolerance)
+        bounds = self.concept.bounds(len(evidence.scale))
+        return BatchedLBFGS(evidence.loss, theta, bounds, tolerance=TOLERANCE)
 
     def peaks(
         self, theta: Tensor, loss: Tensor, converged: Tensor, evidence: Evidence, *, rounded: bool = False
@@ -270,16 +241,13 @@ class DiverseDensity:
         """
         theta = self.concept.canonical(theta)
         density = (-loss - self.concept.log_prior(theta)[0]).tolist()
-        columns, rested, losses = theta.T.numpy(), converged.tolist(), loss.tolist()
-        best = self._best_apart(theta, loss, len(columns))
+        rested, losses = converged.tolist(), loss.tolist()
+        best = self._best_apart(theta, loss, len(losses))
         if rounded:
-            best = ties_in_order(best, columns, losses)
-        found = []
-        for i in best:
-            region = self.concept.region(columns[i], evidence.frame, 0.5)
-            how = (self.concept, columns[i].copy(), evidence.frame)
-            found.append(Peak(region.points[0], region.scale, density[i], rested[i], *how))
-        return found
+            best = ties_in_order(best, theta.T.numpy(), losses)
+        points, scales = (part.T for part in self.concept.point_and_scale(theta.numpy()))
+        points, scales = points / evidence.scale + evidence.origin, scales * evidence.scale
+        return [Peak(points[i].copy(), scales[i].copy(), density[i], rested[i]) for i in best]
 
     def _thorough(self, points: FloatArray, bags: Bags) -> list[Peak]:
         evidence = self.evidence(bags)
@@ -301,7 +269,7 @@ class DiverseDensity:
         evidence = self.evidence(bags)
         theta = torch.from_numpy(evidence.scaled(points).T.copy())
         known = {column.tobytes(): point for column, point in zip(theta.T.numpy(), points, strict=True)}
-        theta = _shortlist(evidence, theta, max(SHORTLIST, SHORTLIST_PAIRS // evidence.n_instances))
+        theta = _shortlist(evidence, theta, max(SHORTLIST, SHORTLIST_PAIRS // len(bags.instances)))
         loss = evidence.value(theta)
         tied = loss <= loss.min() + TIED
         best = self._best_apart(theta, torch.where(tied, loss.min(), loss), max(ASCENDING, int(tied.sum())))
@@ -309,7 +277,7 @@ class DiverseDensity:
         converged = loss <= 0  # nothing is denser than 1
         if loss[0] > 0:
             # Of a point whose every bag pulls with all its weight: a step is then never much too long.
-            curvature = 2 * max(1.0, evidence.n_positive)
+            curvature = 2 * max(1.0, bags.n_positive)
             bounds = self.concept.bounds(bags.n_features)
             descent = BatchedLBFGS(evidence.loss, theta, bounds, tolerance=ARRIVED, curvature=curvature)
             descent.run(SORTING_STEPS)
@@ -321,12 +289,11 @@ class DiverseDensity:
             loss = torch.where(better, descent.value, loss[kept])
             converged = descent.converged
         order = self._best_apart(theta, loss, len(loss))
-        scale, frame = self._scale(bags.n_features), evidence.frame
         found = []
         for i, column in zip(order, theta.T.numpy()[order], strict=True):
             # A start that was not left is itself, to the last bit.
-            point = known.get(column.tobytes(), column / frame.scale + frame.origin)
-            found.append(Peak(point, scale, -float(loss[i]), bool(converged[i])))
+            point = known.get(column.tobytes(), column / evidence.scale + evidence.origin)
+            found.append(Peak(point, evidence.scale, -float(loss[i]), bool(converged[i])))
         return found
 
     def _exhaustive_values(self, points: FloatArray, bags: Bags) -> FloatArray:
@@ -338,7 +305,7 @@ class DiverseDensity:
 
     def _best_apart(self, theta: Tensor, loss: Tensor, n: int) -> list[int]:
         points = self.concept.canonical(theta).T.contiguous().numpy()
-        return best_apart(points, loss.numpy(), self.merge_radius, n)
+        return best_apart(points, loss.numpy(), APART_BY, n)
 
     def _scale(self, n_features: int) -> FloatArray:
         return np.broadcast_to(np.asarray(self.scale, dtype=np.float64), (n_features,)).copy()
@@ -351,3 +318,31 @@ def _shortlist(evidence: Evidence, theta: Tensor, n: int) -> Tensor:
             loss = evidence.sample(n_bags).value(theta.float())
             theta = theta[:, loss.argsort()[: max(n, len(loss) // PROMISING)]]
     return theta[:, :n]
+
+
+def best_apart(points: FloatArray, loss: FloatArray, radius: float, n: int) -> list[int]:
+    """Rows of up to ``n`` points (S, P), smallest loss first, each further than ``radius`` from every better one."""
+    order = np.argsort(loss, kind="stable")
+    points, apart, kept = points[order], np.ones(len(order), dtype=bool), list[int]()
+    for i, number in enumerate(order.tolist()):
+        if apart[i]:
+            kept.append(number)
+            if len(kept) == n:
+                break
+            difference = points[i + 1 :] - points[i]
+            apart[i + 1 :] &= np.einsum("ij,ij->i", difference, difference) > radius**2
+    return kept
+
+
+def ties_in_order(best: list[int], points: FloatArray, losses: Sequence[float]) -> list[int]:
+    """Rows of points (S, P), smallest loss first, with those that tie for it in the order of their parameters."""
+    limit = losses[best[0]] + TIES * max(1.0, abs(losses[best[0]]))
+    tied = [i for i in best if losses[i] <= limit]
+    key = functools.cmp_to_key(_compare)
+    return [*sorted(tied, key=lambda i: key(points[i])), *best[len(tied) :]]
+
+
+def _compare(one: FloatArray, other: FloatArray) -> int:
+    """By the first parameter in which they differ."""
+    apart = np.flatnonzero(np.abs(one - other) > SAME_PARAMETER)
+    return int(np.sign(one[apart[0]] - other[apart[0]])) if len(apart) else 0

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Frame, Point
+from sb3_options.density.concepts import Point
 from sb3_options.density.energies import Columns, Likelihood
 from sb3_options.density.layout import Segment, Workspace, segments_of
 from sb3_options.density.objective import evaluate
@@ -21,34 +21,18 @@ FARTHEST = 1e15
 
 
 class Evidence:
-    """Bags in scaled features, in as many precisions as are asked for."""
+    """Bags in scaled features, (x − origin) · scale, in as many precisions as are asked for."""
 
     def __init__(
-        self,
-        bags: Bags,
-        concept: Point,
-        frame: Frame,
-        *,
-        likelihood: Likelihood,
-        max_pairs: int | None = None,
+        self, bags: Bags, concept: Point, origin: FloatArray, scale: FloatArray, likelihood: Likelihood
     ) -> None:
         self.concept = concept
-        self.frame = frame
+        self.origin = origin
+        self.scale = scale
         self._likelihood = likelihood
-        self._max_pairs = max_pairs
         self._arrays = bags.arrays(self.scaled)
         self._workspace = Workspace()
         self._segments: dict[torch.dtype, list[Segment]] = {}
-
-    @property
-    def n_instances(self) -> int:
-        """How many instances they hold."""
-        return len(self._arrays.instances)
-
-    @property
-    def n_positive(self) -> int:
-        """How many positive bags there are."""
-        return int(self._arrays.positive.sum())
 
     def sample(self, n: int) -> Evidence:
         """Evidence of up to ``n`` positive and ``n`` negative bags, evenly spaced."""
@@ -70,7 +54,7 @@ class Evidence:
         negative instance that is hit costs some 15 nats instead of up to ∞: enough to refuse it, while a search runs.
         """
         columns = Columns(self.concept.coefficients(theta), self.concept.centre(theta))
-        at = evaluate(columns, self.segments(theta.dtype), self._likelihood, self._workspace, max_pairs=self._max_pairs)
+        at = evaluate(columns, self.segments(theta.dtype), self._likelihood, self._workspace)
         prior, pull = self.concept.log_prior(theta)
         pull.add_(self.concept.pull_back(theta, at.gradient))
         return at.log_density.add_(prior).neg_(), pull.neg_()
@@ -80,8 +64,7 @@ class Evidence:
         """The loss alone, (S,); in double precision small energies are measured exactly."""
         centre = self.concept.centre(theta)
         columns = Columns(self.concept.coefficients(theta), centre, theta.dtype == torch.float64)
-        segments, limit = self.segments(theta.dtype), self._max_pairs
-        at = evaluate(columns, segments, self._likelihood, self._workspace, gradient=False, max_pairs=limit)
+        at = evaluate(columns, self.segments(theta.dtype), self._likelihood, self._workspace, gradient=False)
         return at.log_density.add_(self.concept.log_prior(theta)[0]).neg_()
 
     def positive_instances(self) -> FloatArray:
@@ -96,7 +79,7 @@ class Evidence:
 
     def scaled(self, instances: FloatArray) -> FloatArray:
         """Features (n, d) in scaled features (n, m)."""
-        scaled = self.frame.scaled(instances)
+        scaled: FloatArray = (instances - self.origin) * self.scale
         reach = np.abs(scaled).max(initial=0)
         if reach > FARTHEST:
             raise ValueError(

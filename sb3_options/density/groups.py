@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import field
 from functools import cached_property
-from typing import Any
+from typing import Annotated, TypeAlias
 
 import numpy as np
 
+from sb3_options.checked import Field, settings
 from sb3_options.density.arrays import BoolArray, FloatArray, IntArray
-from sb3_options.state import storable
+
+Number: TypeAlias = Annotated[int, Field(ge=0)]
+"""Of a feature."""
 
 
-@storable
-@dataclass(frozen=True)
+@settings
 class FeatureGroup:
     """Features of concept space that make a concept together (the subsets of McGovern & Barto 2001, §7 and §8).
 
@@ -35,68 +37,42 @@ class FeatureGroup:
             (`options.imagined`). By default none.
         labels: What its own features are called where a concept is told to people, k texts, empty for what goes without
             saying; by default numbers alone are told. Groups that differ in nothing else are equal.
-
-    Raises:
-        ValueError: An argument is out of its range.
     """
 
     name: str
-    features: Sequence[int]
-    present: Sequence[Sequence[int]] = ()
-    scale: Sequence[float] | None = None
-    seen: FeatureGroup | Mapping[str, Any] | None = None
-    coordinates: Sequence[int] = ()
+    features: Sequence[Number]
+    present: Sequence[Sequence[Number]] = ()
+    scale: Sequence[Annotated[float, Field(gt=0, allow_inf_nan=False)]] | None = None
+    seen: FeatureGroup | None = None
+    coordinates: Sequence[Number] = ()
     labels: Sequence[str] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
-        """Refuse arguments out of range, and make them tuples, which compare."""
-        try:
-            features = tuple(map(int, self.features))
-            present = tuple(tuple(map(int, numbers)) for numbers in self.present)
-            scale = (1.0,) * len(features) if self.scale is None else tuple(map(float, self.scale))
-            coordinates = tuple(map(int, self.coordinates))
-        except (TypeError, ValueError, OverflowError) as error:
-            raise ValueError(
-                f"group {self.name!r}: features must be numbers from 0, present sets of these, coordinates some of "
-                f"them, and scale a number for each or None, got {self.features!r}, {self.present!r}, "
-                f"{self.coordinates!r} and {self.scale!r}"
-            ) from error
-        if not features or len(set(features)) < len(features) or min(features) < 0:
-            raise ValueError(f"group {self.name!r}: features must be distinct numbers from 0, at least one: {features}")
-        if not all(numbers and set(numbers) <= set(features) for numbers in present):
-            raise ValueError(f"group {self.name!r}: present must be sets of its features {features}, got {present}")
-        if not set(coordinates) <= set(features):
-            raise ValueError(f"group {self.name!r}: coordinates must be of its features {features}, got {coordinates}")
-        if len(scale) != len(features) or not (np.isfinite(scale).all() and min(scale) > 0):
-            raise ValueError(f"group {self.name!r}: scale must be {len(features)} numbers above 0, got {scale}")
-        for name, value in (("features", features), ("present", present), ("scale", scale), ("seen", self._seen())):
+        """Make the fields tuples, which compare, and refuse those that do not fit each other."""
+        k, own = len(self.features), set(self.features)
+        tuples = {name: tuple(getattr(self, name)) for name in ("features", "coordinates", "labels")}
+        tuples["present"] = tuple(map(tuple, self.present))
+        tuples["scale"] = (1.0,) * k if self.scale is None else tuple(self.scale)
+        for name, value in tuples.items():
             object.__setattr__(self, name, value)
-        object.__setattr__(self, "coordinates", coordinates)
-        object.__setattr__(self, "labels", self._labels())
-
-    def _labels(self) -> tuple[str, ...]:
-        labels = tuple(self.labels) if isinstance(self.labels, list | tuple) else (self.labels,)
-        if labels and not (len(labels) == len(self.features) and all(isinstance(label, str) for label in labels)):
-            raise ValueError(f"group {self.name!r}: labels must be {len(self.features)} texts, got {self.labels!r}")
-        return labels
-
-    def _seen(self) -> FeatureGroup | None:
-        seen, features = self.seen, tuple(map(int, self.features))
-        if isinstance(seen, Mapping):
-            try:
-                seen = FeatureGroup(**seen)
-            except TypeError as error:
-                raise ValueError(f"group {self.name!r}: seen must have the fields of a group: {error}") from error
-        if seen is not None and (not isinstance(seen, FeatureGroup) or seen.seen is not None):
-            raise ValueError(f"group {self.name!r}: seen must be a group that has no other one to see, got {seen!r}")
-        if seen is not None and seen.features[: len(features)] != features:
-            raise ValueError(f"group {self.name!r}: seen must begin with its features {features}, got {seen.features}")
-        return seen
+        seen = self.seen
+        fits = {
+            "features must be distinct numbers, at least one": k == len(own) > 0,
+            "present must be sets of its features": all(numbers and set(numbers) <= own for numbers in self.present),
+            "coordinates must be some of its features": set(self.coordinates) <= own,
+            f"scale must be {k} numbers": len(tuples["scale"]) == k,
+            f"labels must be {k} texts": len(self.labels) in (0, k),
+            "seen must begin with its features, and see no other group": seen is None
+            or (seen.seen is None and seen.features[:k] == self.features),
+        }
+        for expected, holds in fits.items():
+            if not holds:
+                raise ValueError(f"group {self.name!r}: {expected}")
 
     @property
     def sees(self) -> FeatureGroup:
         """The features that an option for a concept of this group sees."""
-        return self if not isinstance(self.seen, FeatureGroup) else self.seen
+        return self.seen or self
 
     def own(self, features: FloatArray) -> FloatArray:
         """The group's own features (batch, k) of all features (batch, d)."""

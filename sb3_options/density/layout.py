@@ -159,10 +159,7 @@ class Workspace:
 
     def take(self, segment: Segment, n_starts: int, like: Tensor) -> Arrays:
         """Uninitialised arrays with the precision of ``like``."""
-        key, (of, views) = (n_starts, like.dtype), self._views.setdefault(id(segment), (segment, {}))
-        if of is not segment:  # a copied workspace, whose keys are ids of the originals
-            self._views.clear()
-            return self.take(segment, n_starts, like)
+        key, (_, views) = (n_starts, like.dtype), self._views.setdefault(id(segment), (segment, {}))
         if key in views:
             return views[key]
         n = len(segment.powers) * n_starts

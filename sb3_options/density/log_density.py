@@ -8,9 +8,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from sb3_options.checked import is_number
-from sb3_options.density.bags import Bags
-from sb3_options.density.checks import check_finite, positive_scale, real_array
+from sb3_options.density.bags import Bags, check_finite, in_range, positive_scale, real_array
 from sb3_options.density.energies import Columns, Likelihood
 from sb3_options.density.layout import Workspace
 from sb3_options.density.objective import evaluate
@@ -71,10 +69,9 @@ def log_diverse_density(
     Raises:
         ValueError: Shapes that do not fit the bags, values not finite, scales, strength or leak out of range.
     """
-    if not (is_number(negative_strength) and 0 < negative_strength <= 1):
-        raise ValueError(f"negative_strength must lie in (0, 1], got {negative_strength}")
-    if not (is_number(leak) and 0 <= leak < 1):
-        raise ValueError(f"leak must lie in [0, 1), got {leak}")
+    for name, (expected, holds) in in_range(negative_strength, leak).items():
+        if not holds:
+            raise ValueError(f"{name} must be {expected}")
     t, s = (
         (x if isinstance(x, Tensor) else torch.from_numpy(real_array(name, x))).to(bags.instances)
         for name, x in (("points", points), ("scales", scales))

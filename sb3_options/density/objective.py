@@ -38,7 +38,7 @@ from sb3_options.density.energies import (
 from sb3_options.density.layout import Arrays, Segment, Workspace
 
 MAX_PAIRS = 1 << 20
-"""Default for (instances × starts) held at once. Such an array is 4 MiB in single precision."""
+"""(instances × starts) held at once, unless one bag alone has more. Such an array is 4 MiB in single precision."""
 
 NEAR_NEGATIVE = 2.0**-20
 """Where the product of 1 − p over a row of negative instances is below this, its logarithm is computed carefully."""
@@ -51,14 +51,9 @@ def evaluate(
     workspace: Workspace,
     *,
     gradient: bool = True,
-    max_pairs: int | None = None,
 ) -> Evaluation:
-    """Log density and gradient of every column, as fresh tensors.
-
-    ``max_pairs`` bounds (instances × starts) held at once, unless one bag alone is larger; by default `MAX_PAIRS`.
-    """
-    at_once = MAX_PAIRS if max_pairs is None else max_pairs
-    first, *others = (_of_segment(columns, segment, likelihood, workspace, gradient, at_once) for segment in segments)
+    """Log density and gradient of every column, as fresh tensors."""
+    first, *others = (_of_segment(columns, segment, likelihood, workspace, gradient) for segment in segments)
     for other in others:
         for total, part in zip(first, other, strict=True):
             total.add_(part)
@@ -66,12 +61,12 @@ def evaluate(
 
 
 def _of_segment(
-    columns: Columns, segment: Segment, likelihood: Likelihood, workspace: Workspace, gradient: bool, max_pairs: int
+    columns: Columns, segment: Segment, likelihood: Likelihood, workspace: Workspace, gradient: bool
 ) -> Evaluation:
-    n, at_once = columns.coefficients.shape[1], max(1, max_pairs // len(segment.powers))
+    n, at_once = columns.coefficients.shape[1], max(1, MAX_PAIRS // len(segment.powers))
     if n > at_once:
         parts = [
-            _of_segment(columns.take(slice(i, i + at_once)), segment, likelihood, workspace, gradient, max_pairs)
+            _of_segment(columns.take(slice(i, i + at_once)), segment, likelihood, workspace, gradient)
             for i in range(0, n, at_once)
         ]
         return Evaluation(*(torch.cat(pieces, dim=-1) for pieces in zip(*parts, strict=True)))

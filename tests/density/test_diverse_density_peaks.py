@@ -33,7 +33,7 @@ def test_gradient_search_is_as_good_as_exhaustive(drift: float) -> None:
 @pytest.mark.parametrize("n_negative", [0, 3])
 def test_peaks(n_negative: int) -> None:
     bags = planted(0, n_negative)
-    search = DiverseDensity(merge_radius=0.7)
+    search = DiverseDensity()
     peaks = search.search(bags)
     values = [peak.log_density for peak in peaks]
     assert values == sorted(values, reverse=True)
@@ -41,7 +41,7 @@ def test_peaks(n_negative: int) -> None:
     assert np.linalg.norm(peaks[0].point - [3, -2]) < 0.5
     assert peaks[0].converged
     for i, peak in enumerate(peaks):
-        assert all(np.linalg.norm(peak.point - other.point) > 0.7 for other in peaks[:i])
+        assert all(np.linalg.norm(peak.point - other.point) > 0.5 for other in peaks[:i])
     t = torch.tensor(peaks[0].point[None], requires_grad=True)
     log_diverse_density(t, 1.0, bags).backward()  # type: ignore[no-untyped-call]  # torch's
     assert t.grad is not None
@@ -106,9 +106,8 @@ def test_exhaustive_search_returns_the_ties_in_order() -> None:
     ties = DiverseDensity(method="exhaustive").search(bags)
     assert [peak.point.tolist() for peak in ties] == [[5.0, 5.0], [1.0, 1.0]]
     assert {peak.log_density for peak in ties} == {0.0}
-    given = DiverseDensity(method="exhaustive").search(bags, candidates=[[1.0, 1.0], [0.0, 9.0], [5.0, 5.0]])
+    given = DiverseDensity(method="exhaustive").search(bags, starts=[[1.0, 1.0], [0.0, 9.0], [5.0, 5.0]])
     assert [peak.point.tolist() for peak in given] == [[1.0, 1.0], [5.0, 5.0]]
-    assert len(DiverseDensity(method="exhaustive").search(bags, starts=[[0.0, 0.0]])) == 2
 
 
 def test_gradient_search_returns_all_ties_too() -> None:
@@ -132,7 +131,7 @@ def test_what_every_bag_holds_is_known_without_a_search(
         bags = [np.column_stack([numbers % 5, numbers // 5]).astype(np.float64) for numbers in held]
         starts = bags[4][:3]
         certain = engine.certain(bags, starts)
-        found = engine.search(Bags.pack(bags), starts=starts)
+        found = engine.search(Bags.pack(bags), starts=starts if method == "gradient" else None)
         tied = [peak for peak in found if peak.log_density >= -1e-9] if n_shared else []
         assert [peak.point.tolist() for peak in certain] == [peak.point.tolist() for peak in tied]
         assert all((peak.log_density, peak.converged) == (0.0, True) for peak in certain)

@@ -12,11 +12,10 @@ from torch import Tensor
 
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Frame, Point
+from sb3_options.density.concepts import Point
 from sb3_options.density.energies import Likelihood
 from sb3_options.density.evidence import Evidence
 from sb3_options.density.log_density import log_diverse_density
-from sb3_options.density.objective import MAX_PAIRS
 from tests.density.definition import oracle, random_bags
 
 
@@ -24,12 +23,10 @@ def evidence_of(
     bags: Bags,
     concept: Point | None = None,
     eta: float = 1.0,
-    max_pairs: int = MAX_PAIRS,
     leak: float = 0.0,
 ) -> Evidence:
-    frame = Frame(np.zeros(bags.n_features), np.ones(bags.n_features))
-    concept = concept or Point(prior=None)
-    return Evidence(bags, concept, frame, likelihood=Likelihood(eta, leak), max_pairs=max_pairs)
+    d = bags.n_features
+    return Evidence(bags, concept or Point(prior_width=None), np.zeros(d), np.ones(d), Likelihood(eta, leak))
 
 
 def theta_of(points: FloatArray, scales: FloatArray) -> Tensor:
@@ -116,9 +113,8 @@ def check_gradient(evidence: Evidence, theta: Tensor) -> None:
         Point(),
         Point("one"),
         Point("fixed"),
-        Point(prior=None),
-        Point(prior="small", prior_width=0.5),
-        Point("one", prior="small"),
+        Point(prior_width=None),
+        Point(prior_width=0.5),
     ],
 )
 @pytest.mark.parametrize("eta", [1.0, 0.3])
@@ -130,7 +126,7 @@ def test_gradient_of_every_concept(concept: Point, eta: float) -> None:
     check_gradient(evidence, theta + torch.from_numpy(0.1 * rng.normal(size=theta.shape)))
 
 
-@pytest.mark.parametrize("concept", [Point(prior=None), Point("fixed")])
+@pytest.mark.parametrize("concept", [Point(prior_width=None), Point("fixed")])
 @pytest.mark.parametrize("reach", [1.0, 40.0, 1e3])  # bags that are too far to be quick
 def test_gradient_with_a_leak(concept: Point, reach: float) -> None:
     rng = np.random.default_rng(12)

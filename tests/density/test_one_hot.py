@@ -66,7 +66,7 @@ def test_where_it_is_taken(
     monkeypatch.setattr("sb3_options.density.diverse_density.one_hot_log_density", counted)
     bags = Bags.pack([CODES[[0, 3]], CODES[[3, 4]]])
     engine = DiverseDensity(scale=scale, method="exhaustive")
-    best = engine.search(bags, candidates=points)[0]
+    best = engine.search(bags, starts=points)[0]
     assert bool(taken) is short
     assert best.log_density == pytest.approx(engine.log_density(points, bags).max())
 

@@ -16,7 +16,7 @@ def test_the_objective_by_hand() -> None:
     bags = Bags.pack([np.array([[0.0], [5.0]]), np.array([[2.0]])], [np.array([[3.0], [1.5]])])
     evidence = FIXED.evidence(bags)
     likelihood = MostLikely(bags, evidence, FIXED.concept, 0.5)
-    theta = torch.tensor([[1.0]], dtype=torch.float64) - torch.from_numpy(evidence.frame.origin)
+    theta = torch.tensor([[1.0]], dtype=torch.float64) - torch.from_numpy(evidence.origin)
     selected = likelihood.select(theta)
     assert selected[:, 0].tolist() == [0, 2, 4]
     value, gradient = likelihood.loss(theta, selected)

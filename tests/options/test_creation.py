@@ -72,7 +72,7 @@ class TestLearnOption:
 
     def test_an_option_sees_more_than_its_subgoal_says(self) -> None:
         """Feature 0 is the place, 1 says whether the way to the left is free; if it is not, there is one around."""
-        group = FeatureGroup("place", [0], seen={"name": "place, free", "features": [0, 1], "scale": [1, 10]})
+        group = FeatureGroup("place", [0], seen=FeatureGroup("place, free", [0, 1], scale=[1, 10]))
         start = Region(np.array([[0.0]]), np.array([1.0]), 0.0, group=group)
         free = self.labelled([[2, 1], [1, 1], [0, 1]], [LEFT, LEFT])
         around = self.labelled([[2, 1], [1, 0], [7, 0], [0, 0]], [LEFT, RIGHT, LEFT])
