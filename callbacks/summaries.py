@@ -11,7 +11,7 @@ import numpy as np
 from stable_baselines3.common.logger import Figure, HParam, Logger, TensorBoardOutputFormat
 
 from sb3_options.callbacks.keeper import OptionKeeper
-from sb3_options.discovery.figures import discovery_figures
+from sb3_options.discovery.figures import map_figure
 from sb3_options.experience.success import learned_at
 from sb3_options.experience.trajectories import EpisodeRecord
 from sb3_options.options.bank import OptionBank
@@ -57,10 +57,8 @@ def log_discovery(log: Logger, keeper: OptionKeeper, n_timesteps: int) -> None:
 
 def draw_discovery(log: Logger, keeper: OptionKeeper) -> None:
     """Draw discovery for TensorBoard, with the next dump of the log."""
-    if not takes_more_than_numbers(log):
-        return
-    for name, figure in discovery_figures(keeper.search, keeper.options.bank).items():
-        log.record(f"discovery/{name}", Figure(figure, close=True), exclude=NUMBERS_ONLY)
+    if takes_more_than_numbers(log) and (figure := map_figure(keeper.search, keeper.options.bank)) is not None:
+        log.record("discovery/subgoals", Figure(figure, close=True), exclude=NUMBERS_ONLY)
 
 
 def results_of(history: Sequence[EpisodeRecord]) -> dict[str, float]:

@@ -1,29 +1,33 @@
-"""Pictures of discovery: where diverse density is high, and what the options made of it do."""
+"""The picture of discovery: where diverse density is high, and what the options made of it do."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from sb3_options.discovery.discovery import Discovery
-from sb3_options.discovery.maps import (
-    HEIGHTS,
-    PANEL_WIDTH,
-    Cells,
-    Marks,
-    Title,
-    plane,
-    ticks_of,
-)
-from sb3_options.experience.observations import FloatArray, IntArray, batch_size
+from sb3_options.experience.observations import FloatArray, IntArray
 from sb3_options.options.bank import OptionBank
-from sb3_options.options.option import Option, SubgoalOption
+from sb3_options.options.option import SubgoalOption
+
+PANEL_WIDTH = 6.4
+"""Of a panel, in inches."""
+
+HEIGHTS = (3.4, 6.0)
+"""Lowest and highest panel, in inches; between them a panel has the shape of its map."""
+
+MARGIN = 0.75
+"""Free space around the outermost centres, in sides of a square."""
+
+TEXT_WIDTH = 80
+"""Characters of a line of text."""
 
 WORST_SHOWN = 60.0
 """Log densities this far below the best share the darkest colour, in nats, unless too few are above that."""
@@ -31,176 +35,152 @@ WORST_SHOWN = 60.0
 SHARE_SHOWN = 0.25
 """Share of the states that have a brighter colour: without a leak all but the best are hundreds of nats below it."""
 
-TEXT_WIDTH = 80
-"""Characters of a line of text."""
-
-
-def discovery_figures(discovery: Discovery, bank: OptionBank) -> dict[str, Figure]:
-    """One figure per panel, by name: for TensorBoard.
-
-    Args:
-        discovery: After at least one search, or there is nothing to draw.
-        bank: The options made so far.
-
-    Returns:
-        ``diverse_density``, ``first_visits``, ``initiation_set`` and ``option_policy``; empty before any search, the
-        first only where that is the method, and the last two only once there is an option in a space that can be drawn.
-    """
-    panels, height = _panels(discovery, bank)
-    figures: dict[str, Figure] = {}
-    for name, draw in panels.items():
-        figures[name] = figure = Figure(figsize=(PANEL_WIDTH, height), layout="compressed")
-        draw(figure.add_subplot())
-        _add_legend(figure)
-    return figures
+START: dict[str, Any] = {"marker": "o", "markersize": 4, "color": "white", "markeredgecolor": "black"}
+GOAL: dict[str, Any] = {"marker": "D", "markersize": 8, "color": "white", "markeredgecolor": "black"}
+SUBGOAL: dict[str, Any] = {"marker": "*", "markersize": 15, "color": "#d62728", "markeredgecolor": "white"}
+INITIATION_COLOUR = "#9ecae1"
+GROUND: dict[str, Any] = {"facecolor": "0.93", "edgecolor": "white"}
 
 
 def subgoals_figure(discovery: Discovery, bank: OptionBank, text: str | None = None) -> Figure:
-    """All panels in one figure: for a run folder.
+    """`map_figure`, or a text where there is no map: for a run folder.
 
     Args:
         discovery: What was found.
         bank: The options made.
         text: Said above the panels; by default why nothing was found, where that is so.
-
-    Returns:
-        A figure; only text where nothing was searched, or where concepts are on groups of features.
     """
     if text is None and not discovery.found:
         text = discovery.why_nothing()
-    panels, height = _panels(discovery, bank)
-    if not (text or panels):
-        where = [found.where(discovery.kind) for found in discovery.found]
-        text = f"Subgoals: {'; '.join(where)}. Groups of features have no map to draw them in."
-    text = textwrap.fill(text or "", TEXT_WIDTH)
-    columns = min(2, max(1, len(panels)))
-    rows = max(1, -(-len(panels) // columns))
-    figure = Figure(figsize=(PANEL_WIDTH * columns, height * rows), layout="compressed")
-    for i, draw in enumerate(panels.values()):
-        draw(figure.add_subplot(rows, columns, i + 1))
-    if not panels:
-        axes = figure.add_subplot()
-        axes.set_axis_off()
-        axes.text(0.5, 0.5, text, ha="center", va="center")
-    elif text:
-        figure.suptitle(text, fontsize="medium")
-    _add_legend(figure)
+    figure = map_figure(discovery, bank)
+    if figure is not None:
+        if text:
+            figure.suptitle(textwrap.fill(text, TEXT_WIDTH), fontsize="medium")
+        return figure
+    if not text:
+        where = "; ".join(found.where(discovery.kind) for found in discovery.found)
+        text = f"Subgoals: {where}. Their features have no map to draw them in."
+    figure = Figure(figsize=(PANEL_WIDTH, HEIGHTS[0]), layout="compressed")
+    axes = figure.add_subplot()
+    axes.set_axis_off()
+    axes.text(0.5, 0.5, textwrap.fill(text, TEXT_WIDTH), ha="center", va="center")
     return figure
 
 
-def _is_drawn(option: Option | None) -> bool:
-    return isinstance(option, SubgoalOption) and option.subgoal.group is None
+def map_figure(discovery: Discovery, bank: OptionBank) -> Figure | None:
+    """Maps of the first two features of everything seen.
 
-
-def _add_legend(figure: Figure) -> None:
-    """Say once, below all panels, what the marks in them mean."""
-    marks = {label: mark for axes in figure.axes for mark, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    if marks:
-        figure.legend(marks.values(), marks.keys(), loc="outside lower center", ncols=len(marks), fontsize="large")
-
-
-DENSITY = Title("log diverse density", "nats")
-VISITS = Title("successful trajectories that visit", "trajectories")
-
-
-class _Seen(NamedTuple):
-    """Features of everything seen, each once, (n, d), and the marks."""
-
-    seen: FloatArray
-    marks: Marks
-
-
-def _seen(discovery: Discovery) -> _Seen | None:
-    """None before any search."""
-    if discovery.scale is None or not len(discovery.database):
-        return None
+    They show diverse density, where that is the method, successful trajectories, and initiation sets and policies of
+    options. None before any search, and where states are numbered, have one feature, or groups of features.
+    """
     runs = list(discovery.database)
-    seen = np.unique(np.concatenate([t.features for t in runs]) + 0.0, axis=0)  # -0.0 and 0.0 are one
-    d = seen.shape[1]
-    marks = Marks(
-        np.unique([t.features[t.trajectory.visits[0]] for t in runs], axis=0),
-        np.unique(np.reshape([t.features[t.trajectory.visits[-1]] for t in runs if t.success], (-1, d)), axis=0),
-        np.reshape([finding.centre for finding in discovery.found], (-1, d)),
-    )
-    return _Seen(seen, marks)
-
-
-def _panels(discovery: Discovery, bank: OptionBank) -> tuple[dict[str, Callable[[Axes], None]], float]:
-    """What draws each panel, by name, and the height of one in inches."""
-    about = _seen(discovery)
-    density = None if about is None else discovery.method.log_density(about.seen)
-    if about is None or (density is None and not discovery.found):
-        return {}, HEIGHTS[0]
-    seen, marks = about
-    visits = _first_visits(discovery, seen)
-    panels: dict[str, Callable[[Axes], None]] = {}
-    if discovery.kind == "categorical":
-        if density is not None:
-            panels["diverse_density"] = lambda axes: _bars(axes, DENSITY, seen, density, marks)
-        panels["first_visits"] = lambda axes: _bars(axes, VISITS, seen, visits, marks)
-        return panels, HEIGHTS[0]
-    assert discovery.scale is not None  # there was a search
-    cells = Cells(seen, discovery.scale, marks)
+    if not runs or discovery.scale is None or len(discovery.scale) < 2 or discovery.kind == "categorical":
+        return None
+    seen, rows = np.unique(np.concatenate([t.features for t in runs]) + 0.0, axis=0, return_inverse=True)
+    density = discovery.method.log_density(seen)
+    if density is None and not discovery.found:
+        return None
+    visits = np.zeros(len(seen), dtype=np.int64)
+    for labelled, own in zip(
+        runs, np.split(rows.ravel(), np.cumsum([len(t.features) for t in runs])[:-1]), strict=True
+    ):
+        visits[np.unique(own)] += labelled.success
+    options = [o for o in bank.slots if isinstance(o, SubgoalOption) and o.subgoal.group is None]
+    squares = _Map(seen, discovery.scale)
+    n_panels = (density is not None) + 1 + 2 * bool(options)
+    columns = min(n_panels, 2)
+    n_rows = -(-n_panels // columns)
+    figure = Figure(figsize=(PANEL_WIDTH * columns, squares.height * n_rows), layout="compressed")
+    panels = [figure.add_subplot(n_rows, columns, i + 1) for i in range(n_panels)]
     if density is not None:
-        shown = np.maximum(density, min(density.max() - WORST_SHOWN, np.quantile(density, 1.0 - SHARE_SHOWN)))
-        panels["diverse_density"] = lambda axes: cells.draw(axes, DENSITY, shown)
-    panels["first_visits"] = lambda axes: cells.draw(axes, VISITS, visits)
-    options = [o for o in bank.slots if isinstance(o, SubgoalOption) and _is_drawn(o)]
+        worst = min(density.max() - WORST_SHOWN, np.quantile(density, 1.0 - SHARE_SHOWN))
+        squares.colour(panels[0], "log diverse density", "nats", np.maximum(density, worst))
+    squares.colour(panels[int(density is not None)], "successful trajectories that visit", "trajectories", visits)
     if options:
-        panels["initiation_set"] = lambda axes: cells.draw_sets(axes, [o.initiation_set for o in options])
-        panels["option_policy"] = lambda axes: _draw_policies(axes, cells, discovery, options)
-    return panels, cells.height
+        *_, sets, policies = panels
+        squares.fill(sets, squares.positions, **GROUND)
+        for option in options:
+            squares.fill(sets, option.initiation_set.points, facecolor=INITIATION_COLOUR, edgecolor="white")
+        sets.set_title("initiation set")
+        squares.fill(policies, squares.positions, **GROUND)
+        squares.arrows(policies, *_moves(discovery, options))
+        policies.set_title("option policy: where the greedy action leads")
+    marks = {
+        "start": (START, [t.features[t.trajectory.visits[0]] for t in runs]),
+        "goal: where a success ended": (GOAL, [t.features[t.trajectory.visits[-1]] for t in runs if t.success]),
+        "subgoal": (SUBGOAL, [found.centre for found in discovery.found]),
+    }
+    for axes in panels:
+        for label, (style, points) in marks.items():
+            if points:
+                axes.plot(*np.unique(points, axis=0)[:, :2].T, linestyle="", label=label, **style)
+        squares.finish(axes)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize="large")
+    return figure
 
 
-def _first_visits(discovery: Discovery, seen: FloatArray) -> IntArray:
-    """How many successful trajectories visit each row of ``seen``."""
-    counts = np.zeros(len(seen), dtype=np.int64)
-    row_of = {row.tobytes(): i for i, row in enumerate(seen)}
-    for labelled in discovery.database:
-        if labelled.success:
-            counts[[row_of[row.tobytes()] for row in np.unique(labelled.features + 0.0, axis=0)]] += 1
-    return counts
+class _Map:
+    """The first two features of everything seen: squares as wide as neighbours are apart, and one unit at least."""
+
+    def __init__(self, seen: FloatArray, scale: FloatArray) -> None:
+        self.n_features = seen.shape[1]
+        self.positions, rows = np.unique(seen[:, :2], axis=0, return_inverse=True)
+        self._row_of = rows.ravel()
+        apart = [np.diff(np.unique(x)).min(initial=np.inf) if np.ptp(x) > 0 else 0.0 for x in self.positions.T]
+        self.side = np.maximum(1.0 / scale[:2], apart)
+        width, height = np.ptp(self.positions, axis=0) + 2 * MARGIN * self.side
+        self._is_to_scale = bool(np.isclose(*self.side))
+        self.height = float(np.clip(PANEL_WIDTH * height / width, *HEIGHTS)) if self._is_to_scale else HEIGHTS[0]
+
+    def fill(self, axes: Axes, points: FloatArray, **style: Any) -> PatchCollection:
+        """Draw the squares of some states, (n, d)."""
+        squares = PatchCollection([Rectangle(tuple(p - self.side / 2), *self.side) for p in points[:, :2]], **style)
+        axes.add_collection(squares)
+        return squares
+
+    def colour(self, axes: Axes, title: str, unit: str, values: FloatArray | IntArray) -> None:
+        """Colour every square by the largest value that falls into it."""
+        largest = np.full(len(self.positions), -np.inf)
+        np.maximum.at(largest, self._row_of, values)
+        squares = self.fill(axes, self.positions, cmap="viridis")
+        squares.set_array(largest)
+        axes.figure.colorbar(squares, ax=axes, ticks=MaxNLocator(nbins=6, integer=True, min_n_ticks=1), label=unit)
+        axes.set_title(title)
+
+    def arrows(self, axes: Axes, starts: FloatArray, moves: FloatArray) -> None:
+        """Draw the direction of moves (n, 2) from places (n, 2)."""
+        length = np.linalg.norm(moves, axis=1, keepdims=True)
+        unit = np.divide(moves, length, out=np.zeros_like(moves), where=length > 0) * self.side * 0.8
+        style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.004, "color": "#08519c"}
+        axes.quiver(*(starts - unit / 2).T, *unit.T, zorder=3, **style)  # above the marks
+
+    def finish(self, axes: Axes) -> None:
+        """Limits and names of the axes."""
+        low, high = self.positions.min(axis=0) - MARGIN * self.side, self.positions.max(axis=0) + MARGIN * self.side
+        axes.set_xlim(low[0], high[0])
+        axes.set_ylim(high[1], low[1])  # rows are counted downwards, as in the map
+        if self._is_to_scale:
+            axes.set_aspect("equal")
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(MaxNLocator(integer=True))
+        axes.set(xlabel=f"feature 1 of {self.n_features}", ylabel=f"feature 2 of {self.n_features}")
 
 
-def _bars(axes: Axes, title: Title, seen: FloatArray, values: FloatArray | IntArray, marks: Marks) -> None:
-    states = seen.argmax(axis=1)
-    order = np.argsort(states)
-    axes.plot(states[order], values[order], ".", markersize=5, color="0.4")
-    of = dict(zip(states.tolist(), values.tolist(), strict=True))
-
-    def place(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        numbers = points.argmax(axis=1)
-        return numbers.astype(float), np.array([of.get(n, np.nan) for n in numbers.tolist()])
-
-    marks.draw(axes, place)
-    axes.set(title=title.name, xlabel="number of the state", ylabel=title.unit)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.yaxis.set_major_locator(ticks_of(values))
-
-
-def _moves_of(discovery: Discovery, options: list[SubgoalOption]) -> tuple[FloatArray, FloatArray] | None:
-    """Where the greedy actions of options led in the saved trajectories, from each state of the initiation sets."""
-    moves: dict[bytes, list[FloatArray]] = {}
+def _moves(discovery: Discovery, options: list[SubgoalOption]) -> tuple[FloatArray, FloatArray]:
+    """Places of the initiation sets, and where greedy actions led from there on average, (n, 2) each."""
+    began, led = [np.zeros((0, 2))], [np.zeros((0, 2))]
     for option in options:
         for labelled in discovery.database:
             trajectory, features = labelled.trajectory, labelled.features
             inside = option.initiation_set.contains(features) & ~option.subgoal.contains(features)
-            if not inside.any() or batch_size(trajectory.states) == 0:
-                continue
             greedy = option.option_policy.actions(features if option.policy_input == "features" else trajectory.states)
-            began, led = trajectory.visits[:-1], trajectory.visits[1:]
-            followed = inside[began] & (trajectory.actions == greedy[began])
-            for a, b in zip(features[began[followed]], features[led[followed]], strict=True):
-                moves.setdefault((plane(a) + 0.0).tobytes(), []).append(plane(b) - plane(a))
-    if not moves:
-        return None
-    starts = np.array([np.frombuffer(key, dtype=np.float64) for key in moves])
-    return starts, np.array([np.mean(m, axis=0) for m in moves.values()])
-
-
-def _draw_policies(axes: Axes, cells: Cells, discovery: Discovery, options: list[SubgoalOption]) -> None:
-    moves = _moves_of(discovery, options)
-    if moves is None:
-        axes.set_axis_off()
-    else:
-        cells.draw_arrows(axes, *moves)
+            before, after = trajectory.visits[:-1], trajectory.visits[1:]
+            followed = inside[before] & (trajectory.actions == greedy[before])
+            began.append(features[before[followed], :2])
+            led.append(features[after[followed], :2])
+    starts = np.concatenate(began)
+    places, which, counts = np.unique(starts + 0.0, axis=0, return_inverse=True, return_counts=True)
+    totals = np.zeros_like(places)
+    np.add.at(totals, which.ravel(), np.concatenate(led) - starts)
+    return places, totals / counts[:, None]

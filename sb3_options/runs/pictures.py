@@ -15,7 +15,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from sb3_options.atomic import atomic_write
-from sb3_options.discovery.maps import INITIATION_COLOUR, SUBGOAL
+from sb3_options.discovery.figures import INITIATION_COLOUR, SUBGOAL
 from sb3_options.experience.observations import FloatArray
 from sb3_options.options.option import SubgoalOption
 from sb3_options.runs.users_code import named_in_errors

@@ -139,15 +139,9 @@ class TestTensorBoard:
 
     def test_images(self, events: tuple[EventAccumulator, Any]) -> None:
         accumulator, _ = events
-        names = {"diverse_density", "first_visits", "initiation_set", "option_policy"}
-        assert set(accumulator.Tags()["images"]) == {f"discovery/{name}" for name in names}
-        for name in names:
-            picture = iio.imread(accumulator.Images(f"discovery/{name}")[-1].encoded_image_string)
-            height, width = picture.shape[:2]
-            assert height >= 200
-            assert width >= 300
-            inside = picture[height // 5 : -height // 5, width // 5 : -width // 5, :3]
-            assert n_colours(inside) > 10, name
+        assert accumulator.Tags()["images"] == ["discovery/subgoals"]
+        picture = iio.imread(accumulator.Images("discovery/subgoals")[-1].encoded_image_string)
+        assert n_colours(picture[:, :, :3]) > 10
 
     def test_settings(self, events: tuple[EventAccumulator, Any]) -> None:
         accumulator, model = events
@@ -160,7 +154,7 @@ class TestTensorBoard:
 
 
 def test_without_tensorboard_no_picture_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    drawing = "sb3_options.callbacks.summaries.discovery_figures"
+    drawing = "sb3_options.callbacks.summaries.map_figure"
     monkeypatch.setattr(drawing, lambda *_: pytest.fail("drew a picture"))
     callback = fast_callback()
     model_of().learn(STEPS, callback=callback)

@@ -8,7 +8,7 @@ from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.contrast import NO_PLACE, Contrast
 from sb3_options.discovery.discovery import Discovery
-from sb3_options.discovery.figures import discovery_figures, subgoals_figure
+from sb3_options.discovery.figures import map_figure, subgoals_figure
 from sb3_options.discovery.methods.grouped import GroupedPeaks
 from sb3_options.discovery.outcome_database import OutcomeDatabase
 from sb3_options.discovery.settings import DiscoverySettings
@@ -102,7 +102,7 @@ def test_the_picture_names_the_subgoals() -> None:
     figure = subgoals_figure(discovered([WALL, KEY]), OptionBank(2, 1))
     (axes,) = figure.axes
     assert "Subgoals: key at 1, 1." in axes.texts[0].get_text().replace("\n", " ")
-    assert discovery_figures(discovered([WALL, KEY]), OptionBank(2, 1)) == {}
+    assert map_figure(discovered([WALL, KEY]), OptionBank(2, 1)) is None
 
 
 def labelled(states: Sequence[Sequence[float]], success: bool) -> LabelledTrajectory:

@@ -87,5 +87,5 @@ def test_after_a_search() -> None:
     assert peaks_of(discovery).evidence is not None
     text = "No subgoal was discovered: no peak of diverse density persisted long enough."
     assert discovery.why_nothing() == text
-    title = subgoals_figure(discovery, OptionBank(4, 2)).get_suptitle()
-    assert " ".join(title.split()) == text
+    (shown,) = subgoals_figure(discovery, OptionBank(4, 2)).axes[0].texts
+    assert " ".join(shown.get_text().split()) == text
