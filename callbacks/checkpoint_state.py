@@ -41,7 +41,6 @@ def get_states(root: BaseCallback | None) -> list[State]:
     return [
         {
             "class": type(each).__name__,
-            "counters": {name: getattr(each, name) for name in COUNTERS},
             "known": {name: getattr(each, name) for name in _names(each)},
             "settings": _settings(each),
             "own": own_state(each) if _tells(each) else None,
@@ -57,7 +56,7 @@ def check(root: BaseCallback | None) -> None:
 
 
 def set_states(root: BaseCallback | None, states: list[State]) -> None:
-    """Go on with what `get_states` gave."""
+    """Go on with what `get_states` gave, in callbacks that were made with the same settings."""
     callbacks = _callbacks(root)
     here, there = [type(each).__name__ for each in callbacks], [state["class"] for state in states]
     if here != there:
@@ -65,36 +64,28 @@ def set_states(root: BaseCallback | None, states: list[State]) -> None:
             f"The checkpoint was written with the callbacks {', '.join(there)}, here are {', '.join(here)}."
         )
     for callback, state in zip(callbacks, states, strict=True):
-        _check_settings(callback, state["settings"])
-        for name in COUNTERS:
-            setattr(callback, name, state["counters"][name])
+        made = _settings(callback)
+        for name, of in state["settings"].items():
+            if made.get(name) != of:
+                raise ValueError(
+                    f"The checkpoint was written with {name}={of!r} of {type(callback).__name__}, and here it is "
+                    f"{made.get(name)!r}: what goes on has the same."
+                )
         for name in _names(callback):  # and no others that a stranger's file may name, as a path to write to
             setattr(callback, name, state["known"][name])
         if _tells(callback):
             set_own_state(callback, state["own"])
 
 
-def _settings(callback: BaseCallback) -> State:
+def _settings(callback: Any) -> State:
     """What `SubgoalDiscoveryCallback` was made with: settings, and the class and the numbers of a method of ours."""
     if not hasattr(callback, "discoveries"):
         return {}
-    given: Any = callback
-    parts = {name: dataclasses.asdict(getattr(given, name)) for name in SETTINGS}
-    ours = type(given.method).__module__.startswith("sb3_options.")
-    numbers = {name: of for name, of in (vars(given.method) if ours else {}).items() if isinstance(of, int | float)}
-    parts["method"] = {"class": type(given.method).__name__, **numbers}
-    return {f"{part} {name}": of for part, names in parts.items() for name, of in names.items() if name[0] != "_"}
-
-
-def _check_settings(callback: BaseCallback, there: State) -> None:
-    """Refuse a callback that was made with other settings."""
-    here = _settings(callback)
-    for name, before in there.items():
-        if here.get(name, before) != before:
-            raise ValueError(
-                f"The checkpoint was written with {name}={before!r} of {type(callback).__name__}, and here it is "
-                f"{here[name]!r}: what goes on has the same."
-            )
+    parts = {name: dataclasses.asdict(getattr(callback, name)) for name in SETTINGS}
+    method = callback.method
+    numbers = vars(method).items() if type(method).__module__.startswith("sb3_options.") else ()
+    parts["method"] = {"class": type(method).__name__, **{k: v for k, v in numbers if isinstance(v, int | float)}}
+    return {f"{part} {name}": value for part, of in parts.items() for name, value in of.items() if name[0] != "_"}
 
 
 def _callbacks(root: BaseCallback | None) -> list[BaseCallback]:
@@ -108,16 +99,14 @@ def _tells(callback: Any) -> bool:
 
 
 def _names(callback: BaseCallback) -> tuple[str, ...]:
-    """Attributes of a callback of SB3."""
-    if type(callback) in KNOWN:
-        return KNOWN[type(callback)]
-    names = next((names for cls, names in KNOWN.items() if names and isinstance(callback, cls)), ())
+    """Attributes that SB3 counts in, and those of a callback of SB3."""
+    names = next((names for cls, names in KNOWN.items() if isinstance(callback, cls)), None)
     stock = type(callback).__module__.partition(".")[0] in ("stable_baselines3", "sb3_contrib")
-    if stock and names:
-        return names
+    if names is not None and (type(callback) in KNOWN or (stock and names)):
+        return COUNTERS + names
     own = set(vars(callback)) - set(vars(_Nothing())) - {"model", "locals", "globals", "training_env", "logger"}
     if _tells(callback) or getattr(callback, "remembers_nothing", False) or not own:
-        return names
+        return COUNTERS + (names or ())
     raise ValueError(
         f"Checkpoints of {type(callback).__name__} are not supported yet: give the callback get_state() and "
         "set_state(state), or the attribute remembers_nothing = True if it remembers nothing from step to step."

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import (
     VecEnv,
     VecEnvWrapper,
@@ -18,15 +16,13 @@ from stable_baselines3.common.vec_env import (
     VecTransposeImage,
 )
 
-from sb3_options.callbacks.counting import all_callbacks, check_every_step
-from sb3_options.execution.above import wrappers_above
+from sb3_options.callbacks.counting import check_every_step
+from sb3_options.execution.above import changing_steps
 from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.families import Family, Masked, family_of
 
 if TYPE_CHECKING:
     from sb3_options.callbacks.discovery import SubgoalDiscoveryCallback
-
-logger = logging.getLogger("sb3_options")
 
 
 def check_training(callback: SubgoalDiscoveryCallback, before: BaseAlgorithm | None) -> None:
@@ -46,12 +42,6 @@ def check_training(callback: SubgoalDiscoveryCallback, before: BaseAlgorithm | N
         raise ValueError("max_runs counts in an episode, and a continuing task has none: leave it out with peaks.")
     _check_same("feature maps", [each.feature_kind for each in traits])
     _check_same("max_runs", [each.max_runs for each in traits])
-    others = [each for each in all_callbacks(callback.locals.get("callback")) if each is not callback]
-    if any(hasattr(each, "discoveries") for each in others):  # its class is defined on top of this module
-        raise ValueError(
-            "learn() got two SubgoalDiscoveryCallbacks, and the trajectories go to the first alone: leave one out. To "
-            "compare methods of discovery, train a model with each."
-        )
 
 
 def _check_same(what: str, values: Sequence[Any]) -> None:
@@ -60,17 +50,6 @@ def _check_same(what: str, values: Sequence[Any]) -> None:
         raise ValueError(
             f"The environments have different {what}: {values[0]} in the first, {values[other]} in number {other}. "
             "Make all of them alike."
-        )
-
-
-def warn_unmasked(model: BaseAlgorithm, callbacks: BaseCallback | None) -> None:
-    """Warn where an algorithm that masks is evaluated without masks, and so chooses options where they lead nowhere."""
-    kinds = {cls.__name__ for each in all_callbacks(callbacks) for cls in type(each).__mro__}
-    if isinstance(family_of(model), Masked) and "EvalCallback" in kinds and "MaskableEvalCallback" not in kinds:
-        logger.warning(
-            "EvalCallback lets %s choose options outside their initiation sets, where they do a single step each: "
-            "evaluate with sb3_contrib.common.maskable.callbacks.MaskableEvalCallback.",
-            type(model).__name__,
         )
 
 
@@ -142,8 +121,7 @@ def _check_nothing_above_changes_observations(venv: VecEnv) -> None:
 
 def _check_nothing_above_changes_steps(venv: VecEnv) -> None:
     """Refuse Gymnasium wrappers above `OptionsWrapper` that change rewards, observations or the ends of episodes."""
-    names = {each.name for env in wrappers_above(venv) for each in env if each.may_change_steps}
-    if names:
+    if names := changing_steps(venv):
         raise ValueError(
             f"{' and '.join(sorted(names))} above OptionsWrapper may change rewards, observations or the ends of "
             "episodes, of which the steps inside options know nothing: put it beneath, for instance "

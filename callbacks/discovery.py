@@ -262,11 +262,5 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             self.logger.dump(self.num_timesteps)
 
     def _own_settings(self) -> dict[str, Any]:
-        discovery = dataclasses.asdict(self.settings)
-        if self.method is not None:
-            discovery["method"] = type(self.method).__name__
-        return {
-            "algo": type(self.model).__name__,
-            "discovery": discovery,
-            "option": dataclasses.asdict(self.option_settings),
-        }
+        discovery, option = dataclasses.asdict(self.settings), dataclasses.asdict(self.option_settings)
+        return {"algo": type(self.model).__name__, "discovery": discovery, "option": option}

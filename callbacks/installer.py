@@ -9,7 +9,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_options.callbacks.checks import check_same_slots, warn_unmasked
+from sb3_options.callbacks.checks import check_same_slots
 from sb3_options.callbacks.counting import evaluation_envs
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.execution.above import monitor_primitive_steps
@@ -66,7 +66,6 @@ class OptionInstaller:
             watch_workers(eval_env)
             check_same_slots(venv, eval_env)
             monitor_primitive_steps(eval_env)
-        warn_unmasked(model, callbacks)
         self.family = family_of(model)
         self.buffer = self.family.replay_buffer
         self.opening_share = opening_share

@@ -56,26 +56,22 @@ class ClosedOption:
 
 
 class OptionStatistics:
-    """Runs of each slot, with durations and terminations of the last ones, for TensorBoard.
+    """For TensorBoard, of each slot: runs, single steps outside the initiation set, and how the last runs ended."""
 
-    A run begins in the option's initiation set. A slot that is chosen outside it takes a single step, which says
-    nothing of where the option leads, and is counted apart.
-    """
-
-    STATE = ("_uses", "_outside", "_last", "_endings")
+    STATE = ("_runs", "_outside", "_last", "_endings")
 
     def __init__(self) -> None:
-        self._uses: Counter[int] = Counter()
+        self._runs: Counter[int] = Counter()
         self._outside: Counter[int] = Counter()
         self._last: dict[int, deque[tuple[int, str]]] = {}
         self._endings: dict[int, set[str]] = {}
 
     def add(self, run: OptionRun) -> None:
         """Count one choice of a slot that holds an option."""
-        self._uses[run.index] += 1
         if run.inside is False:
             self._outside[run.index] += 1
             return
+        self._runs[run.index] += 1
         self._last.setdefault(run.index, deque(maxlen=WINDOW)).append((run.duration, run.termination))
         self._endings.setdefault(run.index, set()).add(run.termination)
 
@@ -84,11 +80,10 @@ class OptionStatistics:
         self._last.pop(slot, None)
 
     def values(self) -> dict[str, float]:
-        """By tag: choices, runs and single steps outside; mean duration and the share of each end of the last runs."""
+        """What is logged, by tag."""
         values: dict[str, float] = {}
-        for slot, uses in self._uses.items():
-            values[f"options/slot_{slot}/uses"] = uses
-            values[f"options/slot_{slot}/runs"] = uses - self._outside[slot]
+        for slot in sorted({*self._runs, *self._outside}):
+            values[f"options/slot_{slot}/runs"] = self._runs[slot]
             values[f"options/slot_{slot}/steps_outside"] = self._outside[slot]
         for slot, last in self._last.items():
             values[f"options/slot_{slot}/mean_duration"] = float(np.mean([duration for duration, _ in last]))

@@ -11,6 +11,7 @@ import numpy as np
 from stable_baselines3.common.logger import Figure, HParam, Logger, TensorBoardOutputFormat
 
 from sb3_options.callbacks.keeper import OptionKeeper
+from sb3_options.checked import is_number
 from sb3_options.discovery.figures import map_figure
 from sb3_options.experience.success import learned_at
 from sb3_options.experience.trajectories import EpisodeRecord
@@ -61,19 +62,6 @@ def draw_discovery(log: Logger, keeper: OptionKeeper) -> None:
         log.record("discovery/subgoals", Figure(figure, close=True), exclude=NUMBERS_ONLY)
 
 
-def results_of(history: Sequence[EpisodeRecord]) -> dict[str, float]:
-    """How a run ended, by tag: success rate and mean return of the `LAST` episodes, and `steps_to_learn`.
-
-    Before the first episode has ended it is empty; the steps are left out if the task was not learned.
-    """
-    last, steps = history[-LAST:], steps_to_learn(history)
-    results: dict[str, float] = {}
-    if last:
-        results[SUCCESS] = float(np.mean([episode.success for episode in last]))
-        results[RETURN] = float(np.mean([episode.total_reward for episode in last]))
-    return results if steps is None else {**results, STEPS: steps}
-
-
 def steps_to_learn(history: Sequence[EpisodeRecord]) -> int | None:
     """Primitive steps until `LEARNED` of the `LAST` episodes before had succeeded, twice in a row; None if never."""
     successes = np.cumsum([0, *(episode.success for episode in history)])
@@ -82,47 +70,32 @@ def steps_to_learn(history: Sequence[EpisodeRecord]) -> int | None:
     return None if first is None else history[first + LAST - 1].timestep
 
 
-def flat_settings(settings: Mapping[str, Any], prefix: str = "") -> dict[str, float | str]:
-    """Nested settings by their whole names, with dots, as TensorBoard's HParams tab takes them.
-
-    A sequence is a text, and so is a truth value, which the tab would show as 0.0. What is None, or anything else, is
-    left out: a column holds values of one kind.
-    """
-    flat: dict[str, float | str] = {}
-    for name, value in settings.items():
-        if isinstance(value, Mapping):
-            flat |= flat_settings(value, f"{prefix}{name}.")
-        elif isinstance(value, bool):
-            flat[prefix + name] = str(value)
-        elif isinstance(value, int | float | str):
-            flat[prefix + name] = value
-        elif isinstance(value, list | tuple):
-            flat[prefix + name] = ", ".join(map(str, value))
-    return flat
-
-
 def log_results(log: Logger, settings: Mapping[str, Any], history: Sequence[EpisodeRecord], n_timesteps: int) -> None:
-    """Record settings, nested or flat, and how the run ended for the HParams tab, with the next dump of the log.
+    """Record settings, nested or flat, and how a run of so many primitive steps ended, for TensorBoard's HParams tab.
 
-    ``n_timesteps`` are the primitive steps of the whole run; the last episode that ended did not know all.
+    Results are the success rate and mean return of the `LAST` episodes, and `steps_to_learn`, if the task was learned.
     """
     log.record("time/primitive_steps", n_timesteps)
     if not takes_more_than_numbers(log):
         return
-    for tag, value in results_of(history).items():
-        log.record(tag, value, exclude=NUMBERS_ONLY)
-    flat = flat_settings(settings)
-    for output in log.output_formats:
-        if isinstance(output, TensorBoardOutputFormat) and output.writer.file_writer is not None:
-            from torch.utils.tensorboard.summary import hparams
+    last, steps = history[-LAST:], steps_to_learn(history)
+    if last:
+        log.record(SUCCESS, float(np.mean([episode.success for episode in last])), exclude=NUMBERS_ONLY)
+        log.record(RETURN, float(np.mean([episode.total_reward for episode in last])), exclude=NUMBERS_ONLY)
+    if steps is not None:
+        log.record(STEPS, steps, exclude=NUMBERS_ONLY)
+    log.record("settings", HParam(flat(settings), dict.fromkeys((SUCCESS, RETURN, STEPS), 0.0)), NUMBERS_ONLY)
 
-            # SB3 would also write which columns there are, and TensorBoard shows those of one run for all. Without them
-            # it compares the runs, and shows first in what they differ.
-            _, start, end = hparams(flat, metric_dict={})
-            for summary in (start, end):
-                output.writer.file_writer.add_summary(summary)
-    results = dict.fromkeys((SUCCESS, RETURN, STEPS), 0.0)
-    log.record("settings", HParam(flat, results), (*NUMBERS_ONLY, "tensorboard"))
+
+def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, float | str]:
+    """Nested settings by their whole names, with dots: numbers and texts; what is None is left out."""
+    values: dict[str, float | str] = {}
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            values |= flat(value, f"{prefix}{name}.")
+        elif value is not None:
+            values[prefix + name] = value if is_number(value) else str(value)
+    return values
 
 
 def save_or_warn(bank: OptionBank, path: str | os.PathLike[str] | None) -> None:

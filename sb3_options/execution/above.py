@@ -7,16 +7,13 @@ from two environments at once.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 import gymnasium as gym
 from gymnasium import wrappers
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import VecEnv, VecMonitor, is_vecenv_wrapped
-
-logger = logging.getLogger("sb3_options")
+from stable_baselines3.common.vec_env import VecEnv
 
 UNCHANGED = (
     Monitor,
@@ -68,60 +65,36 @@ def count_primitive_steps(outermost: gym.Env[Any, Any], options: gym.Env[Any, An
             env.__class__ = PrimitiveMonitor
 
 
-class Above(NamedTuple):
-    """A wrapper above `OptionsWrapper`.
-
-    Attributes:
-        name: Of its class.
-        may_change_steps: Whether its ``step`` may return something else than `OptionsWrapper` returned. A class with a
-            ``step`` of its own may, unless it is among `UNCHANGED` or has ``returns_steps_unchanged = True``.
-        records_decisions: Whether it is a ``RecordEpisodeStatistics``.
-    """
-
-    name: str
-    may_change_steps: bool
-    records_decisions: bool
+Above: TypeAlias = str
+"""Name of the class of a wrapper whose ``step`` may return something else than `OptionsWrapper` returned."""
 
 
 def described(outermost: gym.Env[Any, Any], options: gym.Env[Any, Any]) -> tuple[Above, ...]:
-    """The wrappers above the options, the outermost first."""
+    """The wrappers above the options that may change steps, the outermost first.
+
+    A class with a ``step`` of its own may, unless it is among `UNCHANGED` or has ``returns_steps_unchanged = True``.
+    """
     return tuple(
-        Above(
-            type(env).__name__,
-            type(env).step is not gym.Wrapper.step
-            and not (isinstance(env, UNCHANGED) or getattr(env, "returns_steps_unchanged", False)),
-            isinstance(env, wrappers.RecordEpisodeStatistics),
-        )
+        type(env).__name__
         for env in _above(outermost, options)
+        if type(env).step is not gym.Wrapper.step
+        and not (isinstance(env, UNCHANGED) or getattr(env, "returns_steps_unchanged", False))
     )
 
 
-def wrappers_above(venv: VecEnv) -> list[tuple[Above, ...]]:
-    """Of each environment, all in `OptionsWrapper`, the wrappers above it."""
+def changing_steps(venv: VecEnv) -> set[Above]:
+    """The wrappers above `OptionsWrapper`, which all environments are in, that may change steps."""
     venv.env_is_wrapped(Outermost)  # type: ignore[arg-type]  # asked of the outermost wrapper first
-    return venv.get_attr("above")
+    return {name for names in venv.get_attr("above") for name in names}
 
 
 def monitor_primitive_steps(venv: VecEnv) -> None:
-    """Let each ``Monitor`` above the `OptionsWrapper` count primitive steps, wherever it stands.
+    """Let each ``Monitor`` above the `OptionsWrapper` count primitive steps: SB3 puts one around what has none.
 
-    SB3 puts one around an environment that has none. ``VecMonitor`` and ``RecordEpisodeStatistics`` cannot do so, and
-    there is a warning. Environments without `OptionsWrapper` are let be.
+    Environments without `OptionsWrapper` are let be.
     """
-    if not all(venv.env_is_wrapped(Outermost)):  # type: ignore[arg-type]  # as above
-        return
-    # A VecMonitor records an episode before a callback could correct the last step.
-    records = {
-        "VecMonitor": is_vecenv_wrapped(venv, VecMonitor),
-        "RecordEpisodeStatistics": any(each.records_decisions for env in wrappers_above(venv) for each in env),
-    }
-    for name in (name for name, present in records.items() if present):
-        logger.warning(
-            "%s above OptionsWrapper counts decisions and sums discounted rewards: leave it out and put a Monitor "
-            "beneath, as make_vec_env(..., wrapper_class=OptionsWrapper) does.",
-            name,
-        )
-    venv.env_method("set_slots", primitive_monitor=True)
+    if all(venv.env_is_wrapped(Outermost)):  # type: ignore[arg-type]  # as above
+        venv.env_method("set_slots", primitive_monitor=True)
 
 
 def _above(outermost: Any, options: Any) -> Iterator[Any]:

@@ -48,11 +48,6 @@ def test_going_on_without_the_options_says_so(caplog: pytest.LogCaptureFixture) 
     assert heads.is_closed(model.policy, 4)
 
 
-def test_one_callback_discovers_in_a_training() -> None:
-    with pytest.raises(ValueError, match=r"^learn\(\) got two SubgoalDiscoveryCallbacks"):
-        model_of(optioned_rooms(2)).learn(50, callback=[SubgoalDiscoveryCallback(), fast_callback()])
-
-
 @pytest.mark.parametrize("algorithm", [DQN, PPO])
 @pytest.mark.parametrize("callback", [PrimitiveStepsCallback, lambda: SubgoalDiscoveryCallback(max_new_options=0)])
 def test_parameters_that_were_set_are_trained_heads(algorithm: Any, callback: Any) -> None:

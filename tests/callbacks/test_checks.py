@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from sb3_contrib import MaskablePPO
-from sb3_contrib.common.maskable.callbacks import MaskableEvalCallback
 from sb3_contrib.common.wrappers import ActionMasker
 from stable_baselines3 import DQN, PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList, EvalCallback, EveryNTimesteps
-from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnvWrapper, VecNormalize
 
 from sb3_options import MacroQ, OptionReplayBuffer, OptionsWrapper
@@ -161,14 +159,6 @@ def test_a_clip_of_summed_rewards_is_refused(callback: Any) -> None:
     dqn(normalized(norm_reward=False)).learn(20, callback=callback())
     with pytest.raises(ValueError, match=r"^MacroQ learns from the steps inside options.+leave VecNormalize out\.$"):
         MacroQ(normalized(), gamma=0.9, features=OneHot(45, coded=True)).learn(20, callback=callback())
-
-
-@pytest.mark.parametrize("kind", [EvalCallback, MaskableEvalCallback])
-def test_who_masks_is_to_be_evaluated_with_masks(kind: Any, caplog: pytest.LogCaptureFixture) -> None:
-    model = MaskablePPO("MlpPolicy", optioned_rooms(1), gamma=0.9, n_steps=16, batch_size=16, n_epochs=1, seed=0)
-    evaluation = kind(Monitor(optioned_rooms(1)), eval_freq=1000, verbose=0)
-    model.learn(16, callback=[SubgoalDiscoveryCallback(), evaluation])
-    assert ("MaskableEvalCallback" in caplog.text) == (kind is EvalCallback)
 
 
 def test_masks_of_the_environments_own_actions_are_refused_above_options() -> None:

@@ -1,8 +1,12 @@
 """Results beside settings, and what is said of an option."""
 
-import pytest
+from pathlib import Path
+from typing import Any
 
-from sb3_options.callbacks.summaries import flat_settings, results_of, steps_to_learn
+import pytest
+from stable_baselines3.common.logger import configure
+
+from sb3_options.callbacks.summaries import log_results, steps_to_learn
 from sb3_options.experience.trajectories import EpisodeRecord
 
 
@@ -26,16 +30,11 @@ def test_steps_until_ninety_of_the_last_hundred_succeeded(successes: list[bool],
     assert steps_to_learn(history_of(successes)) == steps
 
 
-def test_results_are_of_the_last_hundred_and_what_never_came_is_left_out() -> None:
-    assert results_of([]) == {}
-    assert results_of(history_of([True] * 50)) == {"at_end/success_rate": 1.0, "at_end/return": 24.5}
-    assert results_of(history_of([True] * 100 + [False] * 50)) == {
-        "at_end/success_rate": 0.5,
-        "at_end/return": 99.5,
-        "at_end/steps_to_90_percent": 1000,
-    }
-
-
-def test_settings_are_flat_and_of_one_kind_each() -> None:
-    nested = {"a": 1, "b": {"c": True, "d": {"e": 2.5}}, "layers": (64, 32), "none": None, "code": print, "name": "x"}
-    assert flat_settings(nested) == {"a": 1, "b.c": "True", "b.d.e": 2.5, "layers": "64, 32", "name": "x"}
+def test_results_are_of_the_last_hundred_episodes_beside_flat_settings(tmp_path: Path) -> None:
+    log = configure(str(tmp_path), ["tensorboard"])
+    nested = {"a": 1, "b": {"c": True, "d": {"e": 2.5}}, "layers": (64, 32), "none": None, "name": "x"}
+    log_results(log, nested, history_of([True] * 100 + [False] * 50), 1500)
+    told: dict[str, Any] = log.name_to_value
+    assert (told["at_end/success_rate"], told["at_end/return"], told["at_end/steps_to_90_percent"]) == (0.5, 99.5, 1000)
+    assert told["settings"].hparam_dict == {"a": 1, "b.c": "True", "b.d.e": 2.5, "layers": "(64, 32)", "name": "x"}
+    log.dump(1500)

@@ -90,25 +90,6 @@ def test_one_of_several_environments_is_enough(venv: Any) -> None:
     env.close()
 
 
-COUNTS_DECISIONS = " above OptionsWrapper counts decisions and sums discounted rewards: leave it out and put a Monitor"
-
-
-@pytest.mark.parametrize("kind", [DummyVecEnv, SubprocVecEnv])
-def test_statistics_of_decisions_are_warned_of(kind: Any, caplog: pytest.LogCaptureFixture) -> None:
-    def above() -> gym.Env[Any, Any]:
-        return Named(wrappers.RecordEpisodeStatistics(OptionsWrapper(CountingEnv(), 2, gamma=0.9)))
-
-    def beneath() -> gym.Env[Any, Any]:
-        return OptionsWrapper(wrappers.RecordEpisodeStatistics(CountingEnv()), 2, gamma=0.9)
-
-    for make, told in ((above, 1), (beneath, 0)):
-        venv = kind([make])
-        caplog.clear()
-        PPO("MlpPolicy", venv, n_steps=16, batch_size=16, gamma=0.9).learn(16, callback=PrimitiveStepsCallback())
-        assert caplog.text.count(f"RecordEpisodeStatistics{COUNTS_DECISIONS}") == told
-        venv.close()
-
-
 @pytest.mark.parametrize("callback", [PrimitiveStepsCallback, lambda: SubgoalDiscoveryCallback(max_new_options=0)])
 def test_an_evaluation_beside_a_callback_counts_primitive_steps(callback: Any) -> None:
     """The option is all that the policy chooses."""

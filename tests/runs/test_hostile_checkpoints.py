@@ -197,7 +197,6 @@ def name_attributes(state: dict[str, Any], trace: Path) -> None:
     paths = {"save_path": str(trace), "log_path": str(trace), "best_model_save_path": str(trace)}
     for callback in state["callbacks"]:
         callback["known"].update(paths)
-        callback["counters"].update(paths)
     state["model"]["counters"].update({"save": "x", "tensorboard_log": str(trace), "get_env": None})
     state["model"]["last"].update({"learn": "x", "policy": None})
     state["event_files"] = {"../../evil": 0, str(trace): 0}
