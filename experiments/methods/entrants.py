@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from inspect import signature
 from pathlib import Path
@@ -12,7 +12,8 @@ from typing import Any, get_args
 from experiments.methods.em_dd import MostLikelyPeaks
 from experiments.methods.filtered import FilteredStates
 from experiments.methods.tasks import RaceTask, places
-from sb3_options.discovery.methods import CONTROLS, METHODS, DiscoveryMethod, GivenPlaces, MethodName
+from sb3_options.density.regions import Region
+from sb3_options.discovery.methods import CONTROLS, METHODS, DiscoveryMethod, Experience, Method, MethodName
 from sb3_options.discovery.settings import DiscoverySettings
 
 NONE = "none"
@@ -31,6 +32,18 @@ POSSIBLE = (*ENTRANTS, FILTERED)
 
 TUNED = Path(__file__).with_name("tuned.json")
 """What `experiments.methods.tune` chose, by method."""
+
+
+class GivenPlaces(Method):
+    """Proposes places that somebody knows, (n, d), as soon as a trajectory comes to them."""
+
+    def __init__(self, points: list[Sequence[float]]) -> None:
+        self.points = points
+
+    def update(self, experience: Experience) -> list[Region]:
+        """Propose those that the trajectory came to; as `DiscoveryMethod.update`."""
+        regions = [experience.region(point) for point in self.points]
+        return [region for region in regions if region.contains(experience.features).any()]
 
 
 def chosen_settings(entrants: tuple[str, ...], which: str) -> dict[str, dict[str, Any]]:

@@ -17,10 +17,10 @@ from experiments.common.seeds import Result
 from experiments.minigrid import settings
 from experiments.minigrid.agents import Chooser, Notes, learned, model_of, normalised, success_rate, uniform, venv_of
 from experiments.minigrid.hand_made import MadeBy, options_on, to_subgoals_on
+from experiments.minigrid.random_grouped import RandomGrouped
 from experiments.minigrid.settings import FAMILIES, WITH_OPTIONS, ZOO_ARM, Arm, Stage, zoo_settings
 from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.callbacks.records import DiscoveredOption
-from sb3_options.discovery.methods.grouped import RandomGrouped
 
 Judged = Literal["sampled", "greedy", "uniform"]
 JUDGED: tuple[Judged, ...] = get_args(Judged)
@@ -134,11 +134,12 @@ def _by_hand(arm: Arm) -> MadeBy | None:
 def _callbacks(arm: Arm, seed: int, stage: int, *, is_last: bool, primitive_rollouts: bool) -> list[BaseCallback]:
     callbacks: list[BaseCallback] = []
     if arm in settings.DISCOVERING:
-        drawn = RandomGrouped(contrasting=True, seed=seed) if arm in settings.CONTRASTING else None
+        is_drawn = arm in (*settings.RANDOM, *settings.CONTRASTING)
+        drawn = RandomGrouped(contrasting=arm in settings.CONTRASTING, seed=seed) if is_drawn else None
         discovery = SubgoalDiscoveryCallback(
             settings.DISCOVERY,
             settings.options_of(stage),
-            method="random" if arm in settings.RANDOM else drawn,
+            method=drawn,
             max_new_options=0 if is_last and stage else None,
             use={"opening_share": settings.OPENING_SHARE, "primitive_rollouts": primitive_rollouts},
             seed=seed,

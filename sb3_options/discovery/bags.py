@@ -99,11 +99,6 @@ class BagMaker:
             self._remake(known, np.concatenate([k.allowed for k in known]))
         return FilteredBags(positive_bags, [k.instances for k in known if len(k.instances)])
 
-    def ways(self, database: Iterable[LabelledTrajectory]) -> list[FloatArray]:
-        """The states of each successful way that may be subgoals, in scaled units, (k_i, d) each."""
-        self._know([t for t in database if t.success], self._others)
-        return [known.scaled[known.allowed] for known in self._known.values()]
-
     def cuts_off(self, instance: FloatArray) -> bool:
         """Whether an instance (d,) is known to cut off `min_cut`; with less it would be no instance."""
         return self.cuts is not None and bool(self.cuts.are_known(self.cuts.numbers(instance[None]))[0])

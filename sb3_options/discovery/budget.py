@@ -10,8 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
-from sb3_options.experience.observations import FloatArray
-
 STEP_SECONDS = 3e-4
 """Of training for a primitive step: PPO in two rooms with 8 environments, the fastest network of the examples, takes
 0.33 ms. Where a step takes longer, discovery takes a smaller share than it may."""
@@ -70,10 +68,6 @@ UPDATE_SECONDS = 5e-7
 FEATURE_SECONDS = 2e-8
 """Of another method's update beside its own estimate, for each step, and for each feature of each state."""
 
-STATE_WAY_SECONDS = 1e-6
-NUMBER_SECONDS = 1e-9
-"""Of finding that nothing recurs, for each pair of a state and a trajectory, and for each feature of each state."""
-
 
 def seconds_of_bags(n_trajectories: int, n_new: int, n_instances: int, n_features: int) -> float:
     """Nominal seconds of making the bags of a database."""
@@ -113,10 +107,3 @@ def seconds_of_contrast(n_trajectories: int, n_states: int) -> float:
 def seconds_of_telling(n_steps: int, n_numbers: int) -> float:
     """Nominal seconds of preparing a trajectory of so many steps and numbers for a method."""
     return TELL_SECONDS + UPDATE_SECONDS * n_steps + FEATURE_SECONDS * n_numbers
-
-
-def seconds_of_look(states: Sequence[FloatArray]) -> float:
-    """Nominal seconds of finding that no place recurs, in states of some trajectories, (k_i, d) each."""
-    n_states = sum(map(len, states))
-    d = states[0].shape[1] if states else 0
-    return STATE_WAY_SECONDS * n_states * len(states) + NUMBER_SECONDS * n_states * d

@@ -4,16 +4,10 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from itertools import combinations
 from typing import TYPE_CHECKING
 
-import numpy as np
-from scipy.spatial import cKDTree
-
-from sb3_options.discovery.budget import SHORTEST, STEP_SECONDS, TABLE_SHORTEST, TABLE_STEP_SECONDS, seconds_of_look
-from sb3_options.experience.observations import FloatArray
+from sb3_options.discovery.budget import SHORTEST, STEP_SECONDS, TABLE_SHORTEST, TABLE_STEP_SECONDS
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.state import TRANSIENT
 
@@ -28,12 +22,6 @@ logger = logging.getLogger("sb3_options")
 SILENT_TRAJECTORIES = 20
 """Trajectories without a success after which a warning is logged."""
 
-TREE_FEATURES = 16
-"""Largest number of features of a k-d tree."""
-
-SAMPLED = 4
-"""States of each trajectory, about, by which the features that vary most are chosen."""
-
 
 @dataclass
 class Diary:
@@ -43,8 +31,6 @@ class Diary:
         unit: What a trajectory is: an ``episode``, or a ``segment`` of a continuing task.
         own_rule: Whether the rule of success is the user's.
         max_share: Largest share of training time for discovery; None for any.
-        least: Trajectories before the first search for places that recur.
-        radius: Two states within this distance are one place, in scaled units.
 
     Attributes:
         needs_success: Whether nothing can be discovered before a success.
@@ -56,14 +42,11 @@ class Diary:
         skipped: Searches that were not made, because the budget was spent.
         seconds: Measured seconds of discovery. No decision depends on them.
         n_withdrawn: Subgoals for which no option could be learned.
-        recurs: Whether two trajectories came near the same place.
     """
 
     unit: str = "episode"
     own_rule: bool = field(default=False, metadata=TRANSIENT)
     max_share: float | None = field(default=None, metadata=TRANSIENT)
-    least: int = field(default=2, metadata=TRANSIENT)
-    radius: float = field(default=1.0, metadata=TRANSIENT)
     needs_success: bool = field(default=True, metadata=TRANSIENT)
     step_seconds: float = field(default=STEP_SECONDS, metadata=TRANSIENT)
     n: int = 0
@@ -77,13 +60,9 @@ class Diary:
     skipped: int = 0
     seconds: float = 0.0
     n_withdrawn: int = 0
-    recurs: bool = False
     n_unusable: int = 0
     last_error: str = ""
     without_option: set[str] = field(default_factory=set)
-    _compared: int = 0  # trajectories when places were last compared, and what they were
-    _what: str = ""
-    _warned_of_recurrence: bool = False
     _first_step: int | None = None
     _warned_of_no_end: bool = False
 
@@ -135,42 +114,6 @@ class Diary:
             f"{longest:,}",
         )
 
-    @property
-    def nothing_recurs(self) -> bool:
-        """Whether places were compared, and no two trajectories came near the same one."""
-        return self._compared > 0 and not self.recurs
-
-    def compare_places(self, n: int, states: Callable[[], Sequence[FloatArray]], what: str) -> None:
-        """Find out whether any place recurs; what no two trajectories have in common is no concept.
-
-        Places are compared after `least` trajectories, and each time their number has doubled, until a place recurs.
-
-        Args:
-            n: Trajectories that count.
-            states: States of each that may be subgoals, (k_i, d) each, in scaled units.
-            what: The trajectories, for the text.
-        """
-        least = max(self.least, 2)
-        if self.recurs or n < max(least, 2 * self._compared):
-            return
-        kept = [each for each in states() if len(each)]
-        if len(kept) < least:  # the others were forgotten, or the filters leave nothing of them
-            return
-        self._compared = n
-        self._what = what
-        self.recurs = any_recurs(kept, self.radius)
-        if self.recurs:
-            return  # which is soon seen
-        self.spent += seconds_of_look(kept)
-        if not self._warned_of_recurrence:
-            self._warned_of_recurrence = True
-            logger.warning("Nothing can be discovered so far: %s", self._why_nothing_recurs())
-
-    def forget_places(self) -> None:
-        """Compare places again: the feature map has changed."""
-        self.recurs = False
-        self._compared = 0
-
     def why_nothing(self, method: Method, n_found: int, n_episodes: int) -> str:
         """Why there is no option, in a sentence; the number of subgoals where there are some.
 
@@ -187,7 +130,7 @@ class Diary:
         if n_episodes and self.n_unusable == n_episodes:
             return f"No subgoal was discovered: {unusable}"
         why = f"No subgoal was discovered: {self._first_reason(method)}"
-        if self.skipped and not self.nothing_recurs:
+        if self.skipped:
             why += (
                 f" {self.skipped} searches were left out, because max_share={self.max_share:g} affords no more: a "
                 "larger one, or features that are fewer, gives more of them."
@@ -201,8 +144,6 @@ class Diary:
             return self._why_no_success()
         if self.n_withdrawn:
             return "no saved trajectory leads to the one that was found (surely enough, min_reach)."
-        if self.nothing_recurs:
-            return self._why_nothing_recurs()
         return method.why_nothing(self)
 
     def _why_none_ended(self) -> str:
@@ -238,35 +179,3 @@ class Diary:
             "success: train.py --success terminated, or --success return:NUMBER; "
             'in a script success="terminated".'
         )
-
-    def _why_nothing_recurs(self) -> str:
-        return (
-            f"nothing recurs. No two of {self._compared} {self._what} came within {self.radius:g} units of the same "
-            "place, apart from where they began and ended. Where observations hardly ever repeat, pass a "
-            "feature map that says where the agent is, OptionsWrapper(feature_map=...). Features of your own that "
-            "are finer than a step want a smaller scale, DiscoverySettings(scale=...). If these have little in "
-            "common, choose another rule, SubgoalDiscoveryCallback(success=...)."
-        )
-
-
-def any_recurs(states: Sequence[FloatArray], radius: float) -> bool:
-    """Whether states of any two trajectories, (k_i, d) each, are within ``radius`` of each other.
-
-    States that are farther apart in a few features are so in all. So trees of the features that vary most find the
-    pairs that are worth comparing.
-    """
-    states = [each for each in states if len(each)]
-    if len(states) < 2:
-        return False
-    if states[0].shape[1] <= TREE_FEATURES:
-        trees = [cKDTree(each) for each in states]
-        return any(b.count_neighbors(a, radius) > 0 for a, b in combinations(trees, 2))
-    spread = np.concatenate([each[:: max(len(each) // SAMPLED, 1)] for each in states]).var(axis=0)
-    few = np.argpartition(spread, -TREE_FEATURES)[-TREE_FEATURES:]
-    trees = [cKDTree(each[:, few]) for each in states]
-    for i, j in combinations(range(len(states)), 2):
-        near = trees[i].query_ball_tree(trees[j], radius * (1 + 1e-9))
-        for row, rows in enumerate(near):
-            if rows and bool((np.linalg.norm(states[j][rows] - states[i][row], axis=1) <= radius).any()):
-                return True
-    return False

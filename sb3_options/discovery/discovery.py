@@ -81,7 +81,7 @@ class Discovery:
         ValueError: A method that needs all features together is to work on groups.
     """
 
-    STATE = ("database", "filters", "diary", "method", "found", "_new", "_proposals", "_withdrawn", "taken")
+    STATE = ("database", "filters", "diary", "method", "found", "_n_new", "_proposals", "_withdrawn", "taken")
 
     def __init__(
         self,
@@ -114,12 +114,10 @@ class Discovery:
             unit="episode" if s.segmentation == "episodes" else "segment",
             own_rule=success is not reported_success,
             max_share=s.max_share,
-            least=s.min_positive,
-            radius=max(s.peak_radius, s.subgoal_radius),
             needs_success=self.method.needs_success and not (self.groups and s.salient_share),
         )
         self.found: list[FoundSubgoal] = []
-        self._new: list[LabelledTrajectory] = []
+        self._n_new = 0  # trajectories that a method has not seen that takes note of each
         self._proposals: list[Region] = []
         self._withdrawn: list[tuple[Region, int]] = []  # and after how many trajectories
 
@@ -161,10 +159,7 @@ class Discovery:
         self.diary.add(trajectory, success=labelled.success)
         self.database.add(labelled)
         self.method.note(labelled)
-        if not self.method.searches:
-            self._new = [*self._new, labelled][-self.settings.capacity :]
-            while len(self._new) > 1 and sum(each.n_bytes for each in self._new) > MAX_BYTES:
-                del self._new[0]
+        self._n_new += 1
         return labelled
 
     def search(self) -> Region | None:
@@ -186,18 +181,16 @@ class Discovery:
         if not (searches or self._knows_scale()):
             return None
         if not affords:
-            self._new = []  # the method never gets what the budget does not afford
-            return None
-        n = self.diary.successes if searches else len(self.database)
-        what = f"successful {self.diary.unit}s" if searches else f"{self.diary.unit}s"
-        self.diary.compare_places(n, lambda: self.method.states(self.database, self.filters), what)
-        if searches and self.diary.nothing_recurs:
+            self._n_new = 0  # the method never gets what the budget does not afford
             return None
         if searches:
             self._proposals = self._updated(self.experience())
+            return self._take()
         proposals: list[Region] = []
-        while self._new:
-            experience = self._experience(self._new.pop(0))  # what a method fails at does not come again
+        self._n_new = min(self._n_new, len(self.database))
+        while self._n_new:
+            experience = self._experience(list(self.database)[-self._n_new])
+            self._n_new -= 1  # what a method fails at does not come again
             proposals = [*self._updated(experience), *proposals]
             self.diary.spent += seconds_of_telling(len(experience.visits) - 1, experience.features.size)
             self._proposals = proposals
@@ -302,4 +295,3 @@ class Discovery:
             if found.observation is not None:
                 self.found[i] = found._replace(subgoal=moved(found.subgoal, found.observation, feature_map))
         self.method.embed_again(places, self.database)
-        self.diary.forget_places()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -103,63 +102,47 @@ class TrajectoryDatabase:
     Args:
         capacity: How many trajectories are kept, at least 1.
         max_bytes: How much memory their arrays may take; the last trajectory is kept whatever it takes.
-
-    Raises:
-        ValueError: ``capacity`` < 1.
     """
 
-    STATE: ClassVar[tuple[str, ...]] = ("_trajectories", "_n_bytes", "_n_successful")
+    STATE: ClassVar[tuple[str, ...]] = ("_trajectories",)
 
     def __init__(self, capacity: int, max_bytes: float = math.inf) -> None:
-        if capacity < 1:
-            raise ValueError(f"capacity must be at least 1 trajectory, got {capacity}.")
         self.capacity, self.max_bytes = capacity, max_bytes
-        self._trajectories: deque[LabelledTrajectory] = deque()
-        self._n_bytes = self._n_successful = 0
+        self._trajectories: list[LabelledTrajectory] = []
         self._warned = False
 
     def add(self, trajectory: LabelledTrajectory) -> None:
-        """Append, dropping the oldest ones when full. The first time that memory is why, there is a warning."""
-        trajectories = self._trajectories
-        trajectories.append(trajectory)
-        self._n_bytes += trajectory.n_bytes
-        self._n_successful += trajectory.success
-        if len(trajectories) > self.capacity:
-            self._drop_oldest()
-        while self._n_bytes > self.max_bytes and len(trajectories) > 1:
-            self._drop_oldest()
+        """Append, dropping the oldest ones when full."""
+        self._trajectories = self._newest([*self._trajectories, trajectory])
+
+    def _newest(self, trajectories: list[LabelledTrajectory]) -> list[LabelledTrajectory]:
+        """Those that may be kept. The first time that memory is why others are not, there is a warning."""
+        kept = trajectories[-self.capacity :]
+        n_bytes = sum(each.n_bytes for each in kept)
+        while n_bytes > self.max_bytes and len(kept) > 1:
+            n_bytes -= kept.pop(0).n_bytes
             if not self._warned:
                 self._warned = True
                 logger.warning(
                     "The last %d trajectories take all of their memory, %s bytes: fewer than capacity=%d are kept. Let "
                     "the environment give smaller observations.",
-                    len(trajectories),
+                    len(kept),
                     f"{self.max_bytes:,}",
                     self.capacity,
                 )
-
-    def _drop_oldest(self) -> None:
-        oldest = self._trajectories.popleft()
-        self._n_bytes -= oldest.n_bytes
-        self._n_successful -= oldest.success
+        return kept
 
     @property
     def n_successful(self) -> int:
         """How many successful ones there are."""
-        return self._n_successful
+        return sum(each.success for each in self._trajectories)
 
     def embed_again(self, feature_map: FeatureMap) -> None:
         """Give every trajectory the features of another φ; what held the old ones holds them still."""
-        for i, old in enumerate(self._trajectories):
-            features = feature_map(old.trajectory.states)
-            self._trajectories[i] = LabelledTrajectory(old.trajectory, features, old.success)
-        self._n_bytes = sum(each.n_bytes for each in self._trajectories)
-        self._n_successful = sum(each.success for each in self._trajectories)
-
-    def clear(self) -> None:
-        """Drop all."""
-        self._trajectories.clear()
-        self._n_bytes = self._n_successful = 0
+        self._trajectories = [
+            LabelledTrajectory(old.trajectory, feature_map(old.trajectory.states), old.success)
+            for old in self._trajectories
+        ]
 
     def __len__(self) -> int:
         return len(self._trajectories)

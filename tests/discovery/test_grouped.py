@@ -11,6 +11,7 @@ from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.figures import map_figure, subgoals_figure
 from sb3_options.discovery.methods.grouped import GroupedPeaks
 from sb3_options.discovery.outcome_database import OutcomeDatabase
+from sb3_options.discovery.salience import Salience
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
@@ -139,7 +140,7 @@ def test_where_most_begin_is_no_place_to_reach() -> None:
 
 
 def test_few_successes_are_not_pushed_out_by_many_failures() -> None:
-    database = OutcomeDatabase(2)
+    database = OutcomeDatabase(2, np.inf, Salience((), 0.0, 0))
     first, second, third = (labelled([[0] * 5, [i] * 5], True) for i in range(3))
     for success in (first, second, third):
         database.add(success)

@@ -164,7 +164,6 @@ def test_what_waits_for_the_method_keeps_to_the_memory_too(monkeypatch: pytest.M
     discovery = of(method, kind="identity")
     for n in range(1, 7):
         discovery.add(*line())
-        assert len(discovery._new) <= 2
         discovery.search()
         assert (discovery.scale is not None) == (n >= 4)
     assert len(method.told) == 2 + 2

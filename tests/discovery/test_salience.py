@@ -14,6 +14,7 @@ from sb3_options.discovery.outcome_database import OutcomeDatabase
 from sb3_options.discovery.salience import LEAST_TRAJECTORIES, Salience
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
+from sb3_options.state import restore, state_of
 
 # Features: door visible, door ahead, goal visible, noise.
 DOOR = FeatureGroup("door", [0, 1], present=[[0]], scale=[10, 1])
@@ -102,7 +103,7 @@ def test_with_enough_successes_nothing_is_rare_any_more() -> None:
 
 
 def test_the_database_labels_those_of_before_anew() -> None:
-    database = OutcomeDatabase(100, salience=Salience(GROUPS, 0.5, 3))
+    database = OutcomeDatabase(100, np.inf, Salience(GROUPS, 0.5, 3))
     early = rare()
     for each in [early, *(usual() for _ in range(LEAST_TRAJECTORIES - 2))]:
         database.add(each)
@@ -123,11 +124,11 @@ def test_the_database_labels_those_of_before_anew() -> None:
 
 def test_a_database_goes_on_with_its_state() -> None:
     lives = [usual() for _ in range(20)] + [rare() for _ in range(6)]
-    database, other = (OutcomeDatabase(100, salience=Salience(GROUPS, 0.5, 3)) for _ in range(2))
+    database, other = (OutcomeDatabase(100, np.inf, Salience(GROUPS, 0.5, 3)) for _ in range(2))
     for each in lives:
         database.add(each)
-    content, arrays = encode(database.get_state())
-    other.set_state(decode(json.loads(json.dumps(content)), arrays))
+    content, arrays = encode(state_of(database))
+    restore(other, decode(json.loads(json.dumps(content)), arrays))
     assert sum(each.whole is not None for each in other) == 6
     for both in (database, other):
         both.add(rare())
@@ -195,14 +196,14 @@ def test_groups_that_are_everywhere_are_nothing_rare() -> None:
 
 def test_trajectories_that_are_labelled_anew_stay_in_the_order_in_which_they_came() -> None:
     """Else the failures that are kept would be those that came upon something rare."""
-    database = OutcomeDatabase(10, salience=Salience(GROUPS, 0.2, 3))
+    database = OutcomeDatabase(10, np.inf, Salience(GROUPS, 0.2, 3))
     lives = [rare() if i in (0, 20) else usual() for i in range(40)]
     lives += [lived([NOTHING, FAR, NEAR, BEHIND], success=True) for _ in range(3)]
     for i, each in enumerate(lives):
         if i == 30:  # a checkpoint lies between
-            content, arrays = encode(database.get_state())
-            other = OutcomeDatabase(10, salience=Salience(GROUPS, 0.2, 3))
-            other.set_state(decode(json.loads(json.dumps(content)), arrays))
+            content, arrays = encode(state_of(database))
+            other = OutcomeDatabase(10, np.inf, Salience(GROUPS, 0.2, 3))
+            restore(other, decode(json.loads(json.dumps(content)), arrays))
         database.add(each)
         if i >= 30:
             other.add(each)

@@ -8,7 +8,7 @@ from functools import partial
 from sb3_options.density.regions import Region
 from sb3_options.discovery.methods.diverse_density import PersistentPeaks
 from sb3_options.discovery.methods.graphs import Betweenness, LCut
-from sb3_options.discovery.methods.grouped import GroupedPeaks, RandomGrouped
+from sb3_options.discovery.methods.grouped import GroupedPeaks
 from sb3_options.discovery.methods.method import (
     DiscoveryMethod,
     Experience,
@@ -17,7 +17,7 @@ from sb3_options.discovery.methods.method import (
     checked_method,
 )
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
-from sb3_options.discovery.methods.visits import GivenPlaces, RandomPlaces, VisitFrequency
+from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
 from sb3_options.discovery.settings import MethodName
 
 METHODS: dict[MethodName, Callable[..., Method]] = {
@@ -30,27 +30,17 @@ METHODS: dict[MethodName, Callable[..., Method]] = {
 }
 """Makes a method beside diverse density, by its name."""
 
-GROUPED: dict[MethodName, Callable[..., Method]] = {"diverse-density": GroupedPeaks, "random": RandomGrouped}
-"""Makes a method that works on groups of features."""
-
 CONTROLS: frozenset[MethodName] = frozenset({"random"})
 """Those that draw at random."""
 
 
 def method_with(name: MethodName, given: DiscoveryMethod | None, *, grouped: bool, seed: int) -> Method:
-    """A method with its defaults, or the given one.
-
-    Args:
-        name: Of the method where none is given.
-        given: One of the library, or a user's own.
-        grouped: Whether features are in groups.
-        seed: For the controls.
-    """
+    """The given method, which may be a user's own, or the named one; ``seed`` is for the controls."""
     if given is not None:
         return given if isinstance(given, Method) else OwnMethod(given)
-    of_all = {**METHODS, "diverse-density": PersistentPeaks, **(GROUPED if grouped else {})}
-    made = of_all[name]
-    return made(seed=seed) if name in CONTROLS else made()
+    if name == "diverse-density":
+        return GroupedPeaks() if grouped else PersistentPeaks()
+    return METHODS[name](seed=seed) if name in CONTROLS else METHODS[name]()
 
 
 __all__ = [
@@ -58,7 +48,6 @@ __all__ = [
     "METHODS",
     "DiscoveryMethod",
     "Experience",
-    "GivenPlaces",
     "Method",
     "MethodName",
     "OwnMethod",

@@ -174,13 +174,6 @@ class PersistentPeaks(Method):
         """Nominal seconds of the last update."""
         return self._cost
 
-    def states(self, database: TrajectoryDatabase, filters: Filters) -> list[FloatArray]:
-        """The states of successful ways; as `Method.states`."""
-        if database.n_successful < self.settings.min_positive:
-            return []
-        self.filters.find_scale(database)
-        return self.maker.ways(database)
-
     def engine(self) -> DiverseDensity:
         """The diverse density that these settings mean."""
         exhaustive = self.settings.search == "exhaustive" or self.filters.kind == "categorical"
@@ -228,7 +221,8 @@ class PersistentPeaks(Method):
         if (diary.successes if n_positive is None else n_positive) >= self.settings.min_positive:
             why += (
                 " They leave out what is near start and goal (start_radius, goal_radius), near the subgoal of an "
-                "option (spacing), and what few ways lead through (min_passing, min_cut)."
+                "option (spacing), and what few ways lead through (min_passing, min_cut). Where observations hardly "
+                "ever repeat, a feature map that says where the agent is helps, OptionsWrapper(feature_map=...)."
             )
         return why
 

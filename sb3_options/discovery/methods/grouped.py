@@ -18,7 +18,6 @@ from sb3_options.discovery.methods.diverse_density import PersistentPeaks
 from sb3_options.discovery.methods.method import Experience, Method
 from sb3_options.discovery.outcome_database import OutcomeDatabase
 from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import TrajectoryDatabase
 
 
@@ -114,10 +113,6 @@ class GroupedPeaks(Method):
         """Nominal seconds of the last update."""
         return self._cost
 
-    def states(self, database: TrajectoryDatabase, filters: Filters) -> list[FloatArray]:
-        """None: on few features much recurs, and the contrast says what does so for success."""
-        return []
-
     def values(self) -> dict[str, float]:
         """Of the group whose concept has the largest average."""
         return self._members[self._leading].values()
@@ -141,62 +136,3 @@ class GroupedPeaks(Method):
         elif self._n_standing:
             why += f" {self._n_standing} failures that came upon something rare stand for successes (salient_share)."
         return why
-
-
-class RandomGrouped(GroupedPeaks):
-    """A control: draws subgoals where `GroupedPeaks` searches for them, as soon as it may search.
-
-    A group is drawn, then a state of that group: any that a positive bag may hold, far enough from other subgoals.
-
-    Args:
-        contrasting: Whether the state has to stand out by its `Contrast`, too, as it has to for diverse density.
-        seed: Of the draws.
-    """
-
-    STATE: ClassVar[tuple[str, ...]] = ("_random",)
-
-    def __init__(self, *, contrasting: bool = False, seed: int = 0) -> None:
-        super().__init__()
-        self.contrasting = contrasting
-        self._random = np.random.default_rng(seed)
-
-    def proposals(self, experience: Experience) -> list[Region]:
-        """One state that is drawn; none before `min_positive` trajectories have succeeded."""
-        if self._n_successful < self.settings.min_positive:
-            return []
-        places = {group: self._drawable(member, experience) for group, member in self.members.items()}
-        able = [group for group in self.groups if len(places[group])]
-        if not able:
-            return []
-        group = able[self._random.integers(len(able))]
-        point = places[group][self._random.integers(len(places[group]))]
-        scale = self.members[group].filters.known_scale
-        return [Region(point[None], scale, self.settings.subgoal_radius, group=group)]
-
-    def accept(self, goal: Region) -> float:
-        """There is nothing to start again."""
-        return float("nan")
-
-    def why_nothing(self, diary: Diary) -> str:
-        """Why it proposed nothing, where it might have."""
-        if self._n_successful < self.settings.min_positive or self.contrasting:
-            return super().why_nothing(diary)
-        return f"the filters leave no state of {self._n_successful} successful trajectories."
-
-    def _drawable(self, member: PersistentPeaks, experience: Experience) -> FloatArray:
-        """The distinct states of a group that may be drawn, (n, k)."""
-        filters, contrast = member.filters, member.contrast
-        assert contrast is not None  # each member has one
-        scale = filters.find_scale(experience.database)
-        states = []
-        for labelled in filter(lambda each: each.success, experience.database):
-            allowed = filters.allowed(labelled)
-            if self.contrasting:
-                allowed &= contrast.stands_out(labelled, self.settings.min_contrast)
-            states.append(filters.own(labelled)[allowed])
-        places: FloatArray = np.unique(np.concatenate(states), axis=0)
-        for region in experience.avoided:
-            if region.group == filters.group:
-                away = np.linalg.norm((places - region.points[0]) * scale, axis=1)
-                places = places[away > self.settings.spacing]
-        return places

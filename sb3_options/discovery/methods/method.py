@@ -150,8 +150,8 @@ class Method:
         """Get what discovery was made with, before the first trajectory."""
         if groups:
             raise ValueError(
-                f"{self.name} works on all features together, and the feature map has groups: use diverse density, or "
-                "the control 'random'; or, in a script, pass ConceptSettings(groups=()) as concepts."
+                f"{self.name} works on all features together, and the feature map has groups: use diverse density, or, "
+                "in a script, pass ConceptSettings(groups=()) as concepts."
             )
 
     def note(self, labelled: LabelledTrajectory) -> None:
@@ -172,10 +172,6 @@ class Method:
     def accept(self, goal: Region) -> float:
         """Note that a proposed subgoal is taken, and say the best log diverse density of its search, NaN without."""
         return float("nan")
-
-    def states(self, database: TrajectoryDatabase, filters: Filters) -> list[FloatArray]:
-        """States that may be subgoals, of each trajectory that counts, in scaled units."""
-        return [filters.known_scale * each.features[filters.may_be_subgoals(each, [])] for each in database]
 
     def remembered(self) -> FloatArray:
         """Points of concept space that it remembers, (n, d)."""

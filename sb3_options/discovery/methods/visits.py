@@ -1,11 +1,10 @@
-"""Visit frequencies, and two controls: random places, and given ones."""
+"""Visit frequencies, and a control: random places."""
 
 from __future__ import annotations
 
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 from pydantic import Field, validate_call
 
 from sb3_options.density.regions import Region
@@ -102,24 +101,3 @@ class RandomPlaces(Method):
         if not experience.success or self._successes < self.min_successes or not len(allowed):
             return []
         return [experience.region(experience.places.points[self._random.choice(allowed)])]
-
-
-class GivenPlaces(Method):
-    """A control: places that somebody knows, doorways say. What is learned for them is learned as for any other.
-
-    Args:
-        points: φ of each, (n, d), the first one first.
-    """
-
-    def __init__(self, points: ArrayLike) -> None:
-        self.points = np.array(points, dtype=np.float64)
-        if self.points.ndim != 2 or not self.points.size or not np.isfinite(self.points).all():
-            raise ValueError(f"points must be finite, of shape (n, d), n ≥ 1, got {self.points.shape}.")
-
-    def update(self, experience: Experience) -> list[Region]:
-        """Propose those that the trajectory came to; as `DiscoveryMethod.update`."""
-        size = experience.features.shape[1]
-        if self.points.shape[1] != size:
-            raise ValueError(f"GivenPlaces has places of {self.points.shape[1]} features, and φ has {size}.")
-        regions = [experience.region(point) for point in self.points]
-        return [region for region in regions if region.contains(experience.features).any()]
