@@ -169,12 +169,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         size = self._traits.feature_size
         return tuple(groups) if size is None else checked_groups(groups, size)
 
-    def _on_rollout_start(self) -> None:
-        super()._on_rollout_start()
-        s, n_envs = self.settings, self.training_env.num_envs
-        if not self.episodes and s.segmentation == "episodes" and self.max_new_options != 0:
-            self._keeper.search.diary.no_end(self.num_timesteps, n_envs, s.max_segment)
-
     def _on_step(self) -> bool:
         infos: list[dict[str, Any]] = self.locals["infos"]
         runs = list(map(OptionRun.from_info, infos))

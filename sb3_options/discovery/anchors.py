@@ -13,11 +13,6 @@ from sb3_options.experience.observations import FeatureMap, FloatArray, Observat
 from sb3_options.experience.trajectories import LabelledTrajectory
 
 
-def nearest_instance(instances: FloatArray, point: FloatArray, scale: FloatArray) -> FloatArray:
-    """The instance (d,) of these, (n, d), that is nearest to a point: a peak may lie where nobody can stand."""
-    return np.array(instances[np.linalg.norm((instances - point) * scale, axis=1).argmin()])
-
-
 def nearest_observations(points: FloatArray, trajectories: Iterable[LabelledTrajectory]) -> Observations:
     """The observations whose features are nearest to some points of concept space."""
     least = np.full(len(points), np.inf)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -13,9 +12,6 @@ from sb3_options.state import TRANSIENT
 
 if TYPE_CHECKING:
     from sb3_options.discovery.methods.method import Method
-
-EXPLORE = "Train for longer, or add an exploration bonus: train.py --bonus rnd, in a script IntrinsicRewardCallback."
-"""The remedy where success is known and was not reached."""
 
 logger = logging.getLogger("sb3_options")
 
@@ -29,7 +25,6 @@ class Diary:
 
     Args:
         unit: What a trajectory is: an ``episode``, or a ``segment`` of a continuing task.
-        own_rule: Whether the rule of success is the user's.
         max_share: Largest share of training time for discovery; None for any.
 
     Attributes:
@@ -45,14 +40,12 @@ class Diary:
     """
 
     unit: str = "episode"
-    own_rule: bool = field(default=False, metadata=TRANSIENT)
     max_share: float | None = field(default=None, metadata=TRANSIENT)
     needs_success: bool = field(default=True, metadata=TRANSIENT)
     step_seconds: float = field(default=STEP_SECONDS, metadata=TRANSIENT)
     n: int = 0
     successes: int = 0
     terminated: int = 0
-    reported: int = 0
     lowest: float = float("inf")
     highest: float = float("-inf")
     steps: int = 0
@@ -63,15 +56,12 @@ class Diary:
     n_unusable: int = 0
     last_error: str = ""
     without_option: set[str] = field(default_factory=set)
-    _first_step: int | None = None
-    _warned_of_no_end: bool = False
 
     def add(self, trajectory: Trajectory, *, success: bool) -> None:
         """Count a trajectory, and warn once if none of the first ones succeeded."""
         self.n += 1
         self.successes += success
         self.terminated += trajectory.terminated
-        self.reported += trajectory.is_success is not None
         self.steps += len(trajectory)
         total = float(trajectory.rewards.sum())
         self.lowest = min(self.lowest, total)
@@ -101,27 +91,8 @@ class Diary:
             self.without_option.add(where)
             logger.warning("No option for %s: no saved trajectory leads to it (surely enough, min_reach).", where)
 
-    def no_end(self, steps: int, n_envs: int, longest: int) -> None:
-        """Warn once if no episode has ended after ``longest`` steps of each environment."""
-        self._first_step = steps if self._first_step is None else self._first_step
-        if self._warned_of_no_end or steps - self._first_step < longest * n_envs:
-            return
-        self._warned_of_no_end = True
-        logger.warning(
-            "Nothing can be discovered so far: no episode has ended in %s primitive steps of each environment. End "
-            "them with gymnasium.wrappers.TimeLimit, or let peaks of reward separate trajectories: "
-            'DiscoverySettings(segmentation="peaks").',
-            f"{longest:,}",
-        )
-
     def why_nothing(self, method: Method, n_found: int, n_episodes: int) -> str:
-        """Why there is no option, in a sentence; the number of subgoals where there are some.
-
-        Args:
-            method: That searched.
-            n_found: Subgoals that have an option.
-            n_episodes: Trajectories that ended, with those that could not be used.
-        """
+        """Why there is no option, in a sentence; the number of subgoals where there are some."""
         if n_found:
             return f"Subgoals discovered that have an option: {n_found}."
         unusable = (
@@ -139,43 +110,18 @@ class Diary:
 
     def _first_reason(self, method: Method) -> str:
         if self.n == 0:
-            return self._why_none_ended()
+            return (
+                f"no {self.unit} has ended. Train for longer, or give the environment a time limit, gym.make(..., "
+                "max_episode_steps=...). A task that goes on for ever is cut at peaks of reward: "
+                'DiscoverySettings(segmentation="peaks", max_segment=...).'
+            )
         if method.needs_success and not method.n_successes(self):
-            return self._why_no_success()
+            return (
+                f"no success in {self.n} {self.unit}s ({self.terminated} terminated, {self.n - self.terminated} "
+                f"truncated, returns {self.lowest:g} to {self.highest:g}). Train for longer, add an exploration bonus "
+                "(train.py --bonus rnd, in a script IntrinsicRewardCallback), or choose another rule of success "
+                '(train.py --success terminated, or --success return:NUMBER; in a script success="terminated").'
+            )
         if self.n_withdrawn:
             return "no saved trajectory leads to the one that was found (surely enough, min_reach)."
         return method.why_nothing(self)
-
-    def _why_none_ended(self) -> str:
-        if self.unit == "segment":
-            return "no segment has ended. Choose a smaller max_segment of DiscoverySettings, or train for longer."
-        return (
-            "no episode has ended. Train for longer, or give the environment a time limit, gym.make(..., "
-            "max_episode_steps=...). A task that goes on for ever is cut at peaks of reward: "
-            'DiscoverySettings(segmentation="peaks").'
-        )
-
-    def _why_no_success(self) -> str:
-        if self.unit == "segment":
-            return (
-                f"none of the {self.n} segments seen ended with a peak of reward. Choose max_segment of "
-                "DiscoverySettings for this task."
-            )
-        if not (math.isfinite(self.lowest) and math.isfinite(self.highest)):
-            return (
-                f"rewards in the {self.n} episodes seen are NaN or infinite. OptionsWrapper(..., check_finite=True), "
-                "which train.py passes, shows where."
-            )
-        seen = (
-            f"no success in {self.n} episodes ({self.terminated} terminated, {self.n - self.terminated} truncated, "
-            f"returns {self.lowest:g} to {self.highest:g})."
-        )
-        if self.own_rule:
-            return f"{seen} Train for longer, or choose an easier success rule."
-        if self.reported == self.n or self.lowest == self.highest:
-            return f"{seen} {EXPLORE}"
-        return (
-            f"{seen} The environment reports none, and no episode ended with its highest reward. Name a rule of "
-            "success: train.py --success terminated, or --success return:NUMBER; "
-            'in a script success="terminated".'
-        )

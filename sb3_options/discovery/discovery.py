@@ -112,7 +112,6 @@ class Discovery:
             )
         self.diary = Diary(
             unit="episode" if s.segmentation == "episodes" else "segment",
-            own_rule=success is not reported_success,
             max_share=s.max_share,
             needs_success=self.method.needs_success and not (self.groups and s.salient_share),
         )
@@ -250,8 +249,7 @@ class Discovery:
 
     def _waiting(self) -> list[Region]:
         """Withdrawn subgoals that may not come again yet."""
-        n, again_after = self.diary.n, self.method.again_after
-        return [region for region, at in self._withdrawn if n < again_after * at]
+        return [region for region, at in self._withdrawn if self.diary.n < self.method.again_after * at]
 
     def _waits(self, goal: Region) -> bool:
         same_space = (region for region in self._waiting() if region.group == goal.group)
@@ -260,17 +258,12 @@ class Discovery:
     def why_nothing(self, n_episodes: int | None = None) -> str:
         """Why there is no option, in a sentence; the number of subgoals where there are some.
 
-        Args:
-            n_episodes: Trajectories that ended, with those that could not be used; by default all could.
+        ``n_episodes`` counts trajectories that could not be used, too; by default all could.
         """
         return self.diary.why_nothing(self.method, len(self.found), self.diary.n if n_episodes is None else n_episodes)
 
     def learn_if_due(self, learner: FeatureLearner) -> bool:
-        """Learn the feature map that made all features, if there are enough new trajectories, and move along.
-
-        Returns:
-            Whether the map has changed.
-        """
+        """Learn the feature map of all features, if there are enough new trajectories; whether it has changed."""
         n = self.diary.n
         trajectories = [labelled.trajectory for labelled in self.database]
         if learner.map.fixed or not learner.is_due(n) or not learner.can_learn(trajectories):
@@ -280,13 +273,10 @@ class Discovery:
         return True
 
     def embed_again(self, feature_map: FeatureMap) -> None:
-        """Go on in the space of another feature map, with everything where its observation is.
+        """Go on in the space of another feature map, which must make as many features.
 
         Subgoals stay at the observations where they were found, running averages at those nearest to their peaks. What
         was searched before is forgotten, for its distances are others.
-
-        Args:
-            feature_map: φ of the observations of all trajectories in the database. It must make as many features.
         """
         points = self.method.remembered()
         places = feature_map(nearest_observations(points, self.database)) if len(points) else points

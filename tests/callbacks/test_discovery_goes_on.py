@@ -10,7 +10,6 @@ import pytest
 import torch
 from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options import OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback, usefulness
@@ -22,7 +21,7 @@ from sb3_options.learning import heads
 from sb3_options.options.option import SubgoalOption
 from tests.callbacks.doorway import STEPS, banks, model_of, to_the_doorway
 from tests.support.helpers import steady_option
-from tests.support.sb3_helpers import FAST_DISCOVERY, env_of, fast_callback, optioned_rooms, small_rooms
+from tests.support.sb3_helpers import env_of, fast_callback, optioned_rooms, small_rooms
 
 
 class Endless(gym.Wrapper[Any, Any, Any, Any]):
@@ -92,18 +91,6 @@ class TestGoesOn:
         assert logged[0].startswith("No discovery after episode 1: ")
         assert "NaN" in logged[0]
         assert len(callback.discoveries) == 1
-
-    @pytest.mark.parametrize(("max_segment", "n_told"), [(100, 1), (600, 0)])
-    def test_when_episodes_never_end(self, caplog: pytest.LogCaptureFixture, max_segment: int, n_told: int) -> None:
-        """It says so once, long before training ends."""
-        callback = SubgoalDiscoveryCallback({**FAST_DISCOVERY, "max_segment": max_segment})
-        model_of(DummyVecEnv([lambda: OptionsWrapper(Endless(small_rooms(max_steps=10**6)), 1, gamma=0.9)] * 2)).learn(
-            1000, callback=callback
-        )
-        assert callback.episodes == 0
-        said = [record.getMessage() for record in caplog.records if "no episode has ended" in record.getMessage()]
-        assert len(said) == n_told
-        assert all(f"in {max_segment} primitive steps of each environment" in text for text in said)
 
 
 def test_an_option_whose_runs_go_on_for_ever_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:

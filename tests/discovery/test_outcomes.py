@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sb3_options.discovery.diary import EXPLORE, SILENT_TRAJECTORIES
+from sb3_options.discovery.diary import SILENT_TRAJECTORIES
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.discovery.settings import DiscoverySettings
@@ -25,12 +25,10 @@ def add(discovery: Discovery, n: int = 1, **kwargs: Any) -> None:
     ("kwargs", "outcome", "text"),
     [
         ({}, {"terminated": True, "rewards": [-1.0, -100.0]}, "(20 terminated, 0 truncated, returns -101 to -101)."),
-        ({}, {"rewards": [0.0, 0.0]}, EXPLORE),
-        ({}, {"is_success": False}, EXPLORE),
-        ({"success": lambda trajectory: False}, {"is_success": True}, "choose an easier success rule."),
-        ({"settings": DiscoverySettings(segmentation="peaks")}, {"is_success": False}, "Choose max_segment"),
+        ({"success": lambda trajectory: False}, {"is_success": True}, "or choose another rule of success"),
+        ({"settings": DiscoverySettings(segmentation="peaks")}, {"is_success": False}, "no success in 20 segments"),
     ],
-    ids=["counts", "no reward", "reported", "a rule of the user", "segments"],
+    ids=["counts", "a rule of the user", "segments"],
 )
 def test_there_is_one_warning_where_nothing_succeeds(
     kwargs: Any, outcome: Any, text: str, caplog: pytest.LogCaptureFixture
@@ -46,14 +44,6 @@ def test_there_is_one_warning_where_nothing_succeeds(
     assert len(caplog.records) == 1
     (shown,) = subgoals_figure(discovery, OptionBank(4, 2)).axes[0].texts
     assert " ".join(shown.get_text().split()) == discovery.why_nothing()
-
-
-def test_without_a_rule_of_success_one_is_asked_for() -> None:
-    discovery = Discovery()
-    add(discovery, 10, terminated=True, rewards=[1.0, 0.0])
-    add(discovery, 10, terminated=True, rewards=[3.0, 0.0])
-    assert "(20 terminated, 0 truncated, returns 1 to 3)." in discovery.why_nothing()
-    assert "--success terminated" in discovery.why_nothing()
 
 
 def test_there_is_none_where_one_succeeds(caplog: pytest.LogCaptureFixture) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable
 from typing import Annotated, Any, TypeAlias
 
@@ -26,8 +25,7 @@ Positive where it is.
 """
 
 MAX_PLACES, MAX_NUMBERS = 20_000, 8_000_000
-"""As many places are remembered, and as many features of them, 64 MB; beyond that, those not seen for longest are
-forgotten."""
+"""As many places are remembered, and as many features of them, 64 MB; of places that come later nothing is known."""
 
 PLACE_SECONDS = 2e-7
 """Nominal time of an update, for each place that is remembered."""
@@ -60,8 +58,8 @@ class Candidates:
 
     def __init__(self, accept: Accept) -> None:
         self.accept = accept
-        self._row: OrderedDict[bytes, int] = OrderedDict()  # of each place, those not seen for longest first
-        self._points = np.zeros((0, 0))
+        self._row: dict[bytes, int] = {}  # of each place
+        self._points: list[FloatArray] = []
         self._counts = np.zeros((0, 3))  # seen, candidate, and whether it may be a subgoal
 
     def __len__(self) -> int:
@@ -69,45 +67,25 @@ class Candidates:
         return len(self._row)
 
     def add(self, experience: Experience, seen: IntArray, hits: IntArray) -> None:
-        """Count."""
+        """Count how often each place of a trajectory was seen, and was a candidate."""
         places = experience.places
         those = np.flatnonzero(seen)
-        if not len(those):
-            return
-        rows = self._rows_of(row_keys(places.bins[those]), places.points[those])
-        self._counts[rows, 0] += seen[those]
-        self._counts[rows, 1] += hits[those]
-        self._counts[rows, 2] = places.allowed[those]
-        self._forget()
-
-    def _rows_of(self, keys: list[bytes], points: FloatArray) -> IntArray:
-        """Rows of these places, which are those that were seen last from now on; new ones get a row."""
-        n = len(self._row)
-        rows = np.array([self._row.setdefault(key, len(self._row)) for key in keys], dtype=np.int64)
-        for key in keys:
-            self._row.move_to_end(key)
-        if len(self._row) > len(self._points):
-            more = max(min(2 * len(self._points), most_places(points.shape[1])), len(self._row))
-            self._points = _longer(self._points.reshape(-1, points.shape[1]), more)
-            self._counts = _longer(self._counts, more)
-        new = rows >= n
-        self._points[rows[new]] = points[new]
-        return rows
-
-    def _forget(self) -> None:
-        """Forget those not seen for longest, if they are too many."""
-        most = most_places(self._points.shape[1])
-        if len(self._row) <= most:
-            return
-        kept = list(self._row.items())[-most:]
-        rows = np.array([row for _, row in kept])
-        self._row = OrderedDict((key, i) for i, (key, _) in enumerate(kept))
-        self._points, self._counts = self._points[rows], self._counts[rows]
+        room = max(min(MAX_PLACES, MAX_NUMBERS // places.points.shape[1]), 1)
+        keys = row_keys(places.bins[those])
+        new = [i for i, key in enumerate(keys) if key not in self._row][: room - len(self._row)]
+        self._row |= {keys[i]: len(self._row) + n for n, i in enumerate(new)}
+        self._points.extend(places.points[those[new]])
+        self._counts = np.concatenate([self._counts, np.zeros((len(new), 3))])
+        known = np.array([key in self._row for key in keys], dtype=bool)
+        rows = [self._row[key] for key in keys if key in self._row]
+        counted = those[known]
+        self._counts[rows, 0] += seen[counted]
+        self._counts[rows, 1] += hits[counted]
+        self._counts[rows, 2] = places.allowed[counted]
 
     def proposals(self, experience: Experience) -> list[Region]:
         """The places that are accepted and may be subgoals, best first."""
-        rows = np.fromiter(self._row.values(), np.int64, len(self._row))
-        rows = rows[self._counts[rows, 2] > 0]
+        rows = np.flatnonzero(self._counts[:, 2])
         if not len(rows):
             return []
         accepted = self.accept(self._counts[rows, 0], self._counts[rows, 1])
@@ -115,28 +93,14 @@ class Candidates:
         return [experience.region(self._points[rows[i]]) for i in order if accepted[i] > 0]
 
     def get_state(self) -> dict[str, Any]:
-        """For a checkpoint: the places, those not seen for longest first."""
-        rows = np.fromiter(self._row.values(), np.int64, len(self._row))
-        return {
-            "bins": np.array([np.frombuffer(key) for key in self._row]),
-            "points": self._points[rows],
-            "counts": self._counts[rows],
-        }
+        """For a checkpoint."""
+        bins = np.array([np.frombuffer(key) for key in self._row])
+        return {"bins": bins, "points": np.array(self._points), "counts": self._counts.copy()}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave."""
-        self._row = OrderedDict((of.tobytes(), row) for row, of in enumerate(state["bins"]))
-        self._points, self._counts = np.array(state["points"]), np.array(state["counts"])
-
-
-def most_places(n_features: int) -> int:
-    """How many places are remembered, at least 1."""
-    return min(MAX_PLACES, max(MAX_NUMBERS // max(n_features, 1), 1))
-
-
-def _longer(rows: FloatArray, n: int) -> FloatArray:
-    """The same rows, and room for more of them."""
-    return np.concatenate([rows, np.zeros((n - len(rows), rows.shape[1]))])
+        self._row = {of.tobytes(): row for row, of in enumerate(state["bins"])}
+        self._points, self._counts = list(state["points"]), np.array(state["counts"])
 
 
 class CandidateMethod(Method):

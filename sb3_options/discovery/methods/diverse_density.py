@@ -10,7 +10,6 @@ import numpy as np
 from sb3_options.density.diverse_density import DiverseDensity, Peak
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
-from sb3_options.discovery.anchors import nearest_instance
 from sb3_options.discovery.bags import BagMaker, FilteredBags
 from sb3_options.discovery.budget import seconds_of_bags, seconds_of_certain, seconds_of_cuts, seconds_of_search
 from sb3_options.discovery.contrast import Contrast
@@ -156,7 +155,8 @@ class PersistentPeaks(Method):
         instances = np.concatenate(self.evidence.positive)
         proposals = []
         for concept in self.tracker.persistent(min(s.threshold, s.cut_threshold)):
-            point = nearest_instance(instances, concept.point, scale)
+            # A peak may lie where nobody can stand.
+            point = instances[np.linalg.norm((instances - concept.point) * scale, axis=1).argmin()]
             if concept.average > s.threshold * self.tracker.limit or self.maker.cuts_off(point):
                 proposals.append(Region(point[None], scale, s.subgoal_radius, group=self.filters.group))
         return proposals

@@ -184,18 +184,15 @@ class TestRules:
                 ratio = p**k * (1 - p) ** (n - k) / (q**k * (1 - q) ** (n - k))
                 assert (accept(np.array([n]), np.array([k]))[0] > 0) == (ratio > odds)
 
-    def test_what_was_not_seen_for_longest_is_forgotten(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_memory_is_bounded(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("sb3_options.discovery.methods.candidates.MAX_PLACES", 3)
         candidates = Candidates(lambda seen, hits: seen)
-        for visits in ([0, 1, 2], [0], [3]):
+        for visits in ([0, 1], [0, 2, 3], [4]):
             lived = experience(visits)
             once = np.ones(len(visits), dtype=np.int64)
             candidates.add(lived, once, once)
-        assert sorted(float(r.points[0, 0]) for r in candidates.proposals(lived)) == [0.0, 2.0, 3.0]
-        monkeypatch.setattr("sb3_options.discovery.methods.candidates.MAX_NUMBERS", 2)
-        candidates.add(lived, once, once)
-        assert len(candidates) == 2
-        assert candidates.get_state()["counts"].tolist() == [[2, 2, 1], [2, 2, 1]]  # 0, then 3
+        assert [float(r.points[0, 0]) for r in candidates.proposals(lived)] == [0.0, 1.0, 2.0]
+        assert candidates.get_state()["counts"].tolist() == [[2, 2, 1], [1, 1, 1], [1, 1, 1]]
 
 
 @pytest.mark.parametrize("name", METHODS)
