@@ -138,7 +138,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             opening_share=use.opens_with,
             interruption=use.interruption,
         )
-        keeper.features = features_for(keeper.features, self._installer, self.embedding, self.seed)
+        keeper.features = features_for(keeper.features, self._installer, self.embedding, self.seed, self.verbose)
         if keeper.features is not None:
             check_learned(self.settings, self.option_settings, own=bool(self.method or self.concepts.groups))
         if self.discovery is None:

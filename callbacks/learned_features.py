@@ -9,6 +9,7 @@ from scipy.spatial.distance import cdist
 
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.discovery.anchors import moved, nearest_observations
+from sb3_options.discovery.diary import Diary
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.embedding.learned_map import LearnedMap
@@ -30,8 +31,9 @@ class LearnedFeatures:
 
     STATE = ("learner", "_anchors")
 
-    def __init__(self, feature_map: LearnedMap, settings: EmbeddingSettings, seed: int) -> None:
+    def __init__(self, feature_map: LearnedMap, settings: EmbeddingSettings, seed: int, verbose: int = 0) -> None:
         self.map = feature_map
+        self.verbose = verbose
         self.learner = FeatureLearner(feature_map, settings, seed)
         # By slot the observations of subgoal and initiation set, and the points of that set that they have now.
         self._anchors: dict[int, tuple[Observations, Observations, FloatArray]] = {}
@@ -43,13 +45,17 @@ class LearnedFeatures:
 
     def why_not_ready(self, n: int) -> str | None:
         """Why nothing is searched yet after ``n`` trajectories, in a sentence; None where something is."""
-        least = FIRST_TRAJECTORIES
-        if self.ready or n >= least:
-            return None
-        return (
-            f"No subgoal was discovered: the feature map is learned after {least} trajectories, and {n} have ended. "
-            "Train for longer."
-        )
+        if not self.ready and n < FIRST_TRAJECTORIES:
+            return (
+                f"No subgoal was discovered: the feature map is learned after {FIRST_TRAJECTORIES} trajectories, and "
+                f"{n} have ended. Train for longer."
+            )
+        if not self.ready and (done := self.learner.done):
+            return (
+                f"No subgoal was discovered: {done} of {self.learner.updates} gradient steps for the feature map are "
+                "done. Train for longer."
+            )
+        return None
 
     def begin(self, options: OptionInstaller) -> None:
         """Take note of the options that are there when training starts."""
@@ -60,8 +66,12 @@ class LearnedFeatures:
             options.send_learned_map()
 
     def learn_if_due(self, search: Discovery, options: OptionInstaller) -> bool:
-        """Learn the map when there are enough new trajectories, and move everything along."""
-        if not search.learn_if_due(self.learner):
+        """Learn on the map if it is due, and move everything along once it has changed."""
+        before = self.learner.done
+        changed = search.learn_if_due(self.learner)
+        if self.verbose:
+            self._tell(before, search.diary, changed=changed)
+        if not changed:
             return False
         options.send_learned_map()
         for slot, (subgoal, initiation, _) in list(self._anchors.items()):
@@ -71,6 +81,14 @@ class LearnedFeatures:
                 options.replace(slot, option.with_regions(moved(option.subgoal, subgoal, self.map), region))
                 self._anchors[slot] = subgoal, initiation, region.points
         return True
+
+    def _tell(self, before: int, diary: Diary, *, changed: bool) -> None:
+        """Print that learning has begun, or is done."""
+        when = f"after {diary.n} {diary.unit}s and {diary.steps:,} steps"
+        if changed:
+            print(f"Feature map: learned, {when}")
+        elif self.learner.done and not before:
+            print(f"Feature map: {self.learner.updates} gradient steps begin, {when}, a second in 1,000 steps")
 
     def remember(self, slot: int, option: SubgoalOption, search: Discovery) -> None:
         """Take note of the observations behind an option's regions.
@@ -101,12 +119,12 @@ class LearnedFeatures:
 
 
 def features_for(
-    present: LearnedFeatures | None, options: OptionInstaller, settings: EmbeddingSettings, seed: int
+    present: LearnedFeatures | None, options: OptionInstaller, settings: EmbeddingSettings, seed: int, verbose: int
 ) -> LearnedFeatures | None:
     """What looks after the feature map of the environments, if it is learned, when training starts."""
     there: object = options.venv.get_attr("bank", [0])[0].feature_map
     if isinstance(there, LearnedMap) and present is None:
-        present = LearnedFeatures(copy.deepcopy(there), settings, seed)
+        present = LearnedFeatures(copy.deepcopy(there), settings, seed, verbose)
     if present is not None:
         present.begin(options)
     return present

@@ -263,12 +263,13 @@ class Discovery:
         return self.diary.why_nothing(self.method, len(self.found), self.diary.n if n_episodes is None else n_episodes)
 
     def learn_if_due(self, learner: FeatureLearner) -> bool:
-        """Learn the feature map of all features, if there are enough new trajectories; whether it has changed."""
-        n = self.diary.n
+        """Learn on the feature map of all features, if it is due; whether it has changed."""
+        n, n_steps = self.diary.n, self.diary.steps
         trajectories = [labelled.trajectory for labelled in self.database]
-        if learner.map.fixed or not learner.is_due(n) or not learner.can_learn(trajectories):
+        if learner.map.fixed or not learner.is_due(n, n_steps) or not learner.can_learn(trajectories):
             return False
-        learner.learn(trajectories, n)
+        if not learner.learn(trajectories, n, n_steps):
+            return False
         self.embed_again(learner.map)
         return True
 

@@ -1,4 +1,8 @@
-"""`FeatureLearner`: learns a feature map from saved trajectories, again and again while they become more."""
+"""`FeatureLearner`: learns a feature map from saved trajectories, again and again while they become more.
+
+Gradient steps on pictures take long. So they are spread over training: some at once, some more every thousand primitive
+steps. How many is counted in nominal seconds, so that one seed gives one result.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +25,15 @@ FIRST_TRAJECTORIES = 8
 MOST_STEPS = 20_000
 """Steps whose median length becomes the unit."""
 
+STEPS_BETWEEN = 1_000
+"""Primitive steps between two pauses for learning."""
+
+PAUSE_SECONDS = 1.0
+"""Nominal length of such a pause."""
+
+UPDATE_SECONDS, NUMBER_SECONDS = 1.5e-3, 8e-9
+"""Nominal seconds of a gradient step, and of each number of the observations in it: measured on one core."""
+
 
 class FeatureLearner:
     """Learns a `LearnedMap`, and scales it so that a primitive step that moves has a median length of 1.
@@ -33,69 +46,92 @@ class FeatureLearner:
         seed: Of the draws.
 
     Attributes:
-        loss: Of the last gradient steps, the mean; NaN before the first.
         n_trajectories: How many there had been when the map was last learned; 0 before.
+        done: Gradient steps of the learning that is under way; 0 where none is.
     """
 
-    STATE = ("map", "_optimizer", "_generator", "loss", "n_trajectories")
+    STATE = ("map", "n_trajectories", "done", "_encoder", "_optimizer", "_generator", "_goes_on_at")
 
     def __init__(self, feature_map: LearnedMap, settings: EmbeddingSettings, seed: int = 0) -> None:
         self.map, self.settings = feature_map, settings
+        self._encoder = copy.deepcopy(feature_map.encoder)  # the map stays as it is until the other has learned
         self._generator = torch.Generator().manual_seed(seed)
-        self._optimizer = torch.optim.Adam(feature_map.encoder.parameters(), lr=settings.learning_rate)
-        self.loss = math.nan
+        self._optimizer = torch.optim.Adam(self._encoder.parameters(), lr=settings.learning_rate)
         self.n_trajectories = 0
+        self.done = 0
+        self._goes_on_at = 0  # primitive steps
 
-    def is_due(self, n_trajectories: int) -> bool:
-        """Whether to learn, after so many trajectories: first at `FIRST_TRAJECTORIES`, then at every doubling."""
+    @property
+    def updates(self) -> int:
+        """Gradient steps of one learning: half as many where the map was learned before."""
+        return math.ceil(self.settings.updates / (2 if self.map.learned else 1))
+
+    def is_due(self, n_trajectories: int, n_steps: int) -> bool:
+        """Whether to learn, or to continue learning, after so many trajectories and primitive steps.
+
+        Learning begins at `FIRST_TRAJECTORIES`, then at every doubling.
+        """
+        if self.done:
+            return n_steps >= self._goes_on_at
         return n_trajectories >= max(FIRST_TRAJECTORIES, 2 * self.n_trajectories)
 
     def can_learn(self, trajectories: Iterable[Trajectory]) -> bool:
         """Whether any step of these leads to another observation."""
         return any((t.visits[1:] != t.visits[:-1]).any() for t in trajectories)
 
-    def learn(self, trajectories: Iterable[Trajectory], n_trajectories: int) -> None:
-        """Take gradient steps on pairs of the saved trajectories, oldest first, and find the scale.
+    def learn(self, trajectories: Iterable[Trajectory], n_trajectories: int, n_steps: int) -> bool:
+        """Take gradient steps on pairs of the saved trajectories, oldest first, for `PAUSE_SECONDS`.
 
-        ``n_trajectories`` counts those that are no longer saved, too. After steps that led to numbers that are not
-        finite the map is as it was.
+        After the last gradient step the map becomes what was learned, with the scale. ``n_trajectories`` and
+        ``n_steps`` count those that are no longer saved, too. After steps that led to numbers that are not finite the
+        map stays as it is.
+
+        Returns:
+            Whether the map has changed.
         """
         replay = Replay(trajectories, self.map.encoder.form)
         before, after = replay.steps()
         if len(before) == 0:
             raise ValueError("a feature map can be learned only where a step leads to another observation")
-        updates = self.settings.updates
-        weights = copy.deepcopy(self.map.encoder.state_dict())
-        if self.map.learned == 0:
-            self.map.encoder.standardise_by(replay.observations)
-        else:
-            updates = math.ceil(updates / 2)
-        losses = []
-        for i in range(updates):
+        if not self.done:
+            self._encoder.load_state_dict(self.map.encoder.state_dict())
+            if not self.map.learned:
+                self._encoder.standardise_by(replay.observations)
+        end = min(self.updates, self.done + max(1, int(PAUSE_SECONDS / self._seconds_of_update(replay))))
+        for i in range(self.done, end):
             for group in self._optimizer.param_groups:
-                group["lr"] = self.settings.learning_rate * (1.0 - i / updates)
-            losses.append(self._update(replay))
+                group["lr"] = self.settings.learning_rate * (1.0 - i / self.updates)
+            self._update(replay)
+        self.done = end
+        self._goes_on_at = n_steps + STEPS_BETWEEN
+        if end < self.updates:
+            return False
+        self.done = 0
         self.n_trajectories = n_trajectories
-        if not all(weight.isfinite().all() for weight in self.map.encoder.parameters()):
-            self.map.encoder.load_state_dict(weights)
+        if not all(weight.isfinite().all() for weight in self._encoder.parameters()):
             self._optimizer.state.clear()
             raise ValueError(
                 f"the learned feature map diverged and stays as it was: try a lower learning_rate than "
                 f"{self.settings.learning_rate:g} (EmbeddingSettings)"
             )
-        self.loss = float(np.mean(losses[-100:]))
+        self.map.encoder.load_state_dict(self._encoder.state_dict())
         self.map.scale = np.ones(self.map.size)
         self.map.scale /= self._step_length(replay, before, after)
         self.map.learned += 1
+        return True
 
-    def _update(self, replay: Replay) -> float:
+    def _seconds_of_update(self, replay: Replay) -> float:
+        """Nominal seconds of a gradient step, which encodes both observations of each pair."""
+        n = min(2 * self.settings.batch_size, len(replay))
+        return UPDATE_SECONDS + NUMBER_SECONDS * n * math.prod(self.map.encoder.form.shape)
+
+    def _update(self, replay: Replay) -> None:
         s = self.settings
         rows = replay.sample(s.batch_size, s.horizon, self._generator)
-        loss = contrastive_loss(*replay.encoded(self.map.encoder, *rows))
+        loss = contrastive_loss(*replay.encoded(self._encoder, *rows))
         self._optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]  # torch ships no annotation for it
         self._optimizer.step()
-        return loss.item()
 
     def _step_length(self, replay: Replay, before: torch.Tensor, after: torch.Tensor) -> float:
         """The median distance between the observations of steps that move."""

@@ -1,6 +1,7 @@
 """A feature map that is learned while a model trains: options are found, move along, are saved, and go on."""
 
 import dataclasses
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -174,19 +175,30 @@ def test_a_file_holds_the_map(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("keep_all")
-def test_cut_and_resumed_is_never_interrupted(tmp_path: Path) -> None:
+def test_cut_and_resumed_is_never_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also while a map is being learned."""
+    monkeypatch.setattr("sb3_options.embedding.learner.PAUSE_SECONDS", 0.04)
+    monkeypatch.setattr("sb3_options.embedding.learner.STEPS_BETWEEN", 1)
     brief = {**LEARNING, "updates": 40}
     callbacks, _ = check_resumes(
         lambda: dqn(DummyVecEnv([temporal_rooms])),
-        lambda: [callback_with(concepts={"embedding": brief}, option_settings={"grow": True})],
+        lambda: [callback_with(concepts={"embedding": brief}, option_settings={"grow": True}, verbose=1)],
         tmp_path,
-        cuts=(0.3, 0.6),
+        cuts=(0.35, 0.6),
         steps=1_500,
     )
     callback = callbacks[0]
     assert isinstance(callback, SubgoalDiscoveryCallback)
     assert callback.discoveries
     assert features_of(callback).map.learned > 1
+    printed = capsys.readouterr().out
+    assert printed.count("learned, after") > printed.count("steps begin")
+    assert re.search(
+        r"^Feature map: 40 gradient steps begin, after \d+ episodes and [\d,]+ steps, a second", printed, re.M
+    )
+    assert re.search(r"^Feature map: learned, after \d+ episodes and [\d,]+ steps$", printed, re.M)
 
 
 @pytest.mark.parametrize(

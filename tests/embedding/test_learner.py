@@ -3,6 +3,7 @@
 import copy
 import dataclasses
 import functools
+import time
 from typing import Any
 
 import numpy as np
@@ -62,29 +63,47 @@ def test_one_seed_one_map() -> None:
     assert np.abs(one - other).max() > 0.1
 
 
-def test_a_state_goes_on() -> None:
+def test_a_state_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also between the pauses of one learning."""
+    monkeypatch.setattr("sb3_options.embedding.learner.PAUSE_SECONDS", 0.007)
+
     def new(seed: int) -> FeatureLearner:
         form = ObservationForm("table", (N,))
-        return FeatureLearner(LearnedMap(form, seed), EmbeddingSettings(updates=6), seed)
+        return FeatureLearner(LearnedMap(form, seed), EmbeddingSettings(updates=10), seed)
 
     one, other = new(0), new(1)
-    one.learn(LINE.trajectories, 8)
+    assert [one.learn(LINE.trajectories, 8, 1000 * i) for i in range(4)] == [False, False, True, False]
     restore(other, copy.deepcopy(state_of(one)))
     for each in (one, other):
-        each.learn(LINE.trajectories, 16)
+        assert each.learn(LINE.trajectories, 16, 4000)
     assert equal(one.map.arrays(), other.map.arrays())
-    assert one.loss == other.loss
     assert one.n_trajectories == other.n_trajectories == 16
     assert one.map.learned == 2
 
 
+def test_pictures_are_learned_a_second_in_a_thousand_steps() -> None:
+    """The map stays as it is until the last gradient step."""
+    pictures = np.random.default_rng(0).integers(0, 256, (600, 4, 84, 84), dtype=np.uint8)
+    walk = dataclasses.replace(path_through(list(range(600))), states=pictures)
+    learner = FeatureLearner(LearnedMap(ObservationForm("image", (4, 84, 84))), EmbeddingSettings(updates=10))
+    before = learner.map.arrays()
+    began = time.process_time()
+    assert not learner.learn([walk], 8, 200)
+    assert time.process_time() - began < 10.0  # about 1, but for the tests beside this one
+    assert learner.done == 8
+    assert equal(learner.map.arrays(), before)
+    assert [learner.is_due(8, steps) for steps in (200, 1199, 1200)] == [False, False, True]
+    assert learner.learn([walk], 8, 1200)
+    assert not equal(learner.map.arrays(), before)
+
+
 def test_due_at_first_and_at_every_doubling() -> None:
     learner = FeatureLearner(LearnedMap(ObservationForm("table", (N,))), EmbeddingSettings(updates=1))
-    assert not learner.is_due(7)
-    assert learner.is_due(8)
-    learner.learn(LINE.trajectories, 9)
-    assert not learner.is_due(17)
-    assert learner.is_due(18)
+    assert not learner.is_due(7, 0)
+    assert learner.is_due(8, 0)
+    learner.learn(LINE.trajectories, 9, 0)
+    assert not learner.is_due(17, 0)
+    assert learner.is_due(18, 0)
 
 
 def test_where_nothing_moves_nothing_can_be_learned() -> None:
@@ -93,7 +112,7 @@ def test_where_nothing_moves_nothing_can_be_learned() -> None:
     assert not learner.can_learn(still)
     assert learner.can_learn([path_through([3, 3, 4])])
     with pytest.raises(ValueError, match=r"^a feature map can be learned only where a step leads to another observ"):
-        learner.learn(still, 1)
+        learner.learn(still, 1, 0)
 
 
 def corridor(unit: float) -> list[Trajectory]:
@@ -112,7 +131,7 @@ def corridor(unit: float) -> list[Trajectory]:
 @pytest.mark.parametrize("unit", [1.0, 1e6, 1e30])
 def test_numbers_in_other_units_take_nothing_from_each_other(unit: float) -> None:
     learner = FeatureLearner(LearnedMap(ObservationForm("vector", (2,))), EmbeddingSettings())
-    learner.learn(corridor(unit), 8)
+    learner.learn(corridor(unit), 8, 0)
     places = np.arange(10.0)
     made = learner.map(np.stack([places, unit * ((3 * places) % 7)], axis=1))
     far = np.linalg.norm(made - made[0], axis=1)
@@ -127,15 +146,15 @@ def test_observations_that_are_not_finite_have_no_place() -> None:
 
 def test_a_map_that_diverges_stays_as_it_was() -> None:
     learner = FeatureLearner(LearnedMap(ObservationForm("table", (N,))), EmbeddingSettings(updates=20))
-    learner.learn(LINE.trajectories, 8)
+    learner.learn(LINE.trajectories, 8, 0)
     before = learner.map(np.arange(N))
     learner.settings = EmbeddingSettings(updates=20, learning_rate=1e30)
     with pytest.raises(ValueError, match=r"^the learned feature map diverged and stays as it was: try a lower learnin"):
-        learner.learn(LINE.trajectories, 16)
+        learner.learn(LINE.trajectories, 16, 0)
     assert np.array_equal(learner.map(np.arange(N)), before)
-    assert not learner.is_due(31)
+    assert not learner.is_due(31, 0)
     learner.settings = EmbeddingSettings(updates=20)
-    learner.learn(LINE.trajectories, 32)
+    learner.learn(LINE.trajectories, 32, 0)
     assert np.isfinite(learner.map(np.arange(N))).all()
 
 

@@ -81,7 +81,8 @@ def learned(walk: Walked, seed: int = 0, **settings: float) -> FeatureLearner:
     """A learner that has learned from a walk, in which every node was visited."""
     form = ObservationForm("table", (len(walk.graph),))
     learner = FeatureLearner(LearnedMap(form, seed), EmbeddingSettings(**settings), seed)  # type: ignore[arg-type]  # each of its type
-    learner.learn(walk.trajectories, len(walk.trajectories))
+    while not learner.learn(walk.trajectories, len(walk.trajectories), 0):
+        pass
     return learner
 
 
