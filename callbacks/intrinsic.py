@@ -13,7 +13,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from sb3_options.callbacks.counting import all_callbacks, check_every_step
 from sb3_options.checked import is_number
 from sb3_options.embedding.settings import LEARNED
-from sb3_options.execution.features import MAX_FEATURES
+from sb3_options.execution.features import MAX_FEATURES, flat_size
 from sb3_options.execution.vec_env import as_wrapper_sees, space_of_environments
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.observations import (
@@ -132,7 +132,7 @@ class IntrinsicRewardCallback(BaseCallback):
     def _new_novelty(self, space: spaces.Space[Any]) -> StateCounts | RandomNetworkDistillation:
         if self.kind == "counts":
             return StateCounts(self._keys(space))
-        return RandomNetworkDistillation(flatten(batch_of_one(space.sample())).shape[1], self.seed)
+        return RandomNetworkDistillation(flat_size(space), self.seed)
 
     def _keys(self, space: spaces.Space[Any]) -> Keys:
         if is_table_like(space):

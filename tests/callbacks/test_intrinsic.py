@@ -243,10 +243,14 @@ def read(visits: dict[bytes, int], widths: Any) -> dict[tuple[int, ...], int]:
 
 
 def test_without_weight_nothing_changes() -> None:
+    """Nothing is drawn from the environment's spaces either."""
     weights = []
     for callback in (None, IntrinsicRewardCallback(weight=0.0), IntrinsicRewardCallback("rnd", weight=0.0)):
-        model = make(PPO, Corridor())
+        env = Corridor()
+        env.observation_space.seed(0)
+        model = make(PPO, env)
         model.learn(256, callback=callback)
+        assert env.observation_space.np_random.random() == np.random.default_rng(0).random()
         weights.append(torch.cat([p.detach().flatten() for p in model.policy.parameters()]))
     assert torch.equal(weights[0], weights[1])
     assert torch.equal(weights[0], weights[2])
