@@ -9,7 +9,7 @@ from functools import cache, cached_property
 
 import numpy as np
 
-from sb3_options.density.arrays import BoolArray, FloatArray, row_keys
+from sb3_options.density.arrays import BoolArray, FloatArray
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.state import storable
 
@@ -43,26 +43,29 @@ class Region:
 
         With a group only places of the group are in the region.
         """
-        inside = self.covers(self.own(features))
-        return inside if self.group is None else inside & self.group.is_place(features)
+        if self.group is None:
+            return self.covers(features)
+        places = self.group.is_place(features)
+        return places & self.covers(self.own(features)) if places.any() else places
 
     def covers(self, points: FloatArray) -> BoolArray:
         """`contains` for places given by the features that count alone, (batch, d) or (batch, k)."""
         if len(self.points) == 0:
             return np.zeros(len(points), dtype=bool)
         if len(points) == 1:
-            return np.array([self._covers_one(points[0] * self.scale)])
+            return np.array([self._covers_one(points[0].tolist())])
         nearest: FloatArray = _cdist()(points * self.scale, self._scaled).min(axis=1)
         return nearest <= self.radius
 
-    def _covers_one(self, scaled: FloatArray) -> bool:
-        """`covers` for one place, in scaled units: in every step of an agent, where a call of scipy costs the most."""
-        if len(self._scaled) > 1:
-            if (scaled + 0.0).tobytes() in self._keys:  # a centre itself
+    def _covers_one(self, point: list[float]) -> bool:
+        """`covers` for one place: in every step of an agent, where a call of numpy costs more than the arithmetic."""
+        scaled = [x * factor for x, factor in zip(point, self._factors, strict=True)]
+        if len(self.points) != 1:
+            if tuple(scaled) in self._centres:
                 return True
-            return bool((_cdist()(scaled[None], self._scaled) <= self.radius).any())
+            return bool((_cdist()(np.array([scaled]), self._scaled) <= self.radius).any())
         square = 0.0
-        for x, centre in zip(scaled.tolist(), self._first, strict=True):
+        for x, centre in zip(scaled, self._first, strict=True):
             square += (x - centre) * (x - centre)
         return math.sqrt(square) <= self.radius
 
@@ -76,8 +79,13 @@ class Region:
         return first
 
     @cached_property
-    def _keys(self) -> frozenset[bytes]:
-        return frozenset(row_keys(self._scaled))
+    def _centres(self) -> frozenset[tuple[float, ...]]:
+        return frozenset(map(tuple, self._scaled.tolist()))
+
+    @cached_property
+    def _factors(self) -> list[float]:
+        factors: list[float] = np.broadcast_to(self.scale, self.points.shape[1:]).tolist()
+        return factors
 
     def own(self, features: FloatArray) -> FloatArray:
         """The features that count, of all features (batch, d)."""

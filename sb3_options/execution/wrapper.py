@@ -24,7 +24,7 @@ from sb3_options.execution.option_step import StepReturn, primitive_of, run_opti
 from sb3_options.execution.recording import RecordTrajectories
 from sb3_options.execution.slots import SlotState, Traits
 from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, Observations, batch_of_one
-from sb3_options.experience.option_run import OptionRun
+from sb3_options.experience.option_run import OptionRun, RunInfo
 from sb3_options.experience.recording import RewardPeaks
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option
@@ -144,6 +144,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         self.slot_state = SlotState()
         self.outermost: gym.Env[Any, Any] = self
         self._has_masks = env.has_wrapper_attr("action_masks")
+        self._all_primitives = np.ones(self.n_primitive, dtype=bool)
         self._primitive = OptionRun(-1, 1, self.gamma, self.gamma, "primitive").as_info()
         self._observation: Any = None
         self._random = np.random.default_rng(TERMINATION_SEED)  # until a reset is given a seed
@@ -236,12 +237,9 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
                 'sb3_options.load_options("model.zip", env). To train, give learn() a SubgoalDiscoveryCallback or a '
                 "PrimitiveStepsCallback. This is said once."
             )
-        mask: BoolArray = self.bank.available(batch_of_one(self._current_observation("action_masks()")))[0]
+        slots = self._available_slots(batch_of_one(self._current_observation("action_masks()")))[0]
         legal = self._legal()
-        if legal is not None:
-            mask[: self.n_primitive] &= legal
-        self._forbid_now(mask[self.n_primitive :])
-        return mask
+        return np.concatenate([self._all_primitives if legal is None else legal, slots])
 
     def _legal(self) -> BoolArray | None:
         """Which primitives the environment allows now, (n_primitive,); None where it masks none."""
@@ -330,7 +328,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         return {"option": {**self._primitive_run(observation), "termination": "truncated"}}
 
     def _primitive_run(self, led: Any) -> dict[str, Any]:
-        option = self._primitive.copy()
+        option = RunInfo(self._primitive)
         if self.slot_state.report_availability and self.bank.filled:
             option["available"] = self._available_slots(batch_of_one(led))
         return option

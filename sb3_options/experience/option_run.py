@@ -46,9 +46,9 @@ class OptionRun(NamedTuple):
     available: BoolArray | None = None
     inside: bool | None = None
 
-    def as_info(self) -> dict[str, Any]:
+    def as_info(self) -> RunInfo:
         """The value of ``info["option"]``: a dict of the fields that are not None."""
-        return {name: value for name, value in zip(self._fields, self, strict=True) if value is not None}
+        return RunInfo((name, value) for name, value in zip(self._fields, self, strict=True) if value is not None)
 
     @classmethod
     def from_info(cls, info: Mapping[str, Any]) -> OptionRun:
@@ -81,6 +81,13 @@ class OptionRun(NamedTuple):
             )
         except (AttributeError, KeyError, TypeError):
             return _completed(info.get("option"))
+
+
+class RunInfo(dict[str, Any]):
+    """``info["option"]``. It is made anew in every step, so vectorised environments need not copy it."""
+
+    def __deepcopy__(self, memo: Any) -> RunInfo:
+        return self
 
 
 def _completed(option: Any) -> OptionRun:

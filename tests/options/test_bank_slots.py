@@ -51,6 +51,14 @@ class TestSlots:
             bank.remove(slot)
         assert len(bank) == 0
 
+    def test_one_observation_is_answered_by_the_options_of_now(self) -> None:
+        bank = filled_bank()
+        for change in (lambda: None, lambda: bank.remove(1), lambda: bank.add(table(7)), lambda: bank.bind(first_two)):
+            change()
+            one_by_one = [bank.available_slots(OBSERVATIONS[i : i + 1])[0] for i in range(300) for _ in range(2)]
+            np.testing.assert_array_equal(one_by_one[::2], bank.available_slots(OBSERVATIONS)[:300])
+            np.testing.assert_array_equal(one_by_one[1::2], one_by_one[::2])
+
     def test_available(self) -> None:
         bank = filled_bank()
         available = bank.available(OBSERVATIONS)
