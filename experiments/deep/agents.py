@@ -16,13 +16,13 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
+from experiments.common.playing import greedy_episodes
 from experiments.deep.arms import N_STEP, OPTIONS, STOCK, Arm
 from experiments.deep.repeats import RandomRepeat
 from experiments.deep.settings import GAMMA, DeepSettings, family
 from experiments.deep.tasks import Task
 from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.experience.success import learned_at
-from sb3_options.runs.evaluation import greedy_episodes
 
 ALGORITHMS: dict[str, tuple[Any, Any]] = {
     "dqn": (DQN, OptionDQN),

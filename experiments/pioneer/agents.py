@@ -11,6 +11,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from experiments.common.agents import wrapper_of
+from experiments.common.playing import greedy_episodes
 from experiments.common.seeds import Result
 from experiments.pioneer.settings import PioneerSettings
 from experiments.pioneer.tiles import Concatenated, TileCoding
@@ -19,7 +20,6 @@ from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.envs.pioneer.env import DISPLACEMENT, GRIPPING, VISIBLE, WIDTH
 from sb3_options.envs.pioneer.senses import FIELD_OF_VIEW, MAX_WIDTH, SONAR_MIN
 from sb3_options.experience.observations import BoolArray, FloatArray
-from sb3_options.runs.evaluation import greedy_episodes
 
 
 class CountTouches(gym.Wrapper[Any, Any, Any, Any]):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import logging
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from functools import reduce
@@ -13,11 +12,9 @@ from types import UnionType
 from typing import Any, Union, get_args, get_origin
 
 import gymnasium as gym
-import torch
 from pydantic import ConfigDict, ValidationError, create_model
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.preprocessing import is_image_space
-from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_options.checked import readable, truth_values
@@ -25,8 +22,6 @@ from sb3_options.embedding.encoders import MIN_IMAGE
 from sb3_options.extras import how_to_install
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.runs.config import ALGORITHMS, FIELDS, OFF_POLICY, Count, TrainConfig, unknown
-
-logger = logging.getLogger("sb3_options")
 
 RESERVED = frozenset({"self", "policy", "env", "verbose", "_init_setup_model"}) | {
     f"{kind}_buffer_{what}" for kind in ("replay", "rollout") for what in ("class", "kwargs")
@@ -88,7 +83,6 @@ def _without_functions(annotation: Any) -> Any:
 
 def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> BaseAlgorithm:
     """The untrained model of a run."""
-    check_device(config.device)
     space = env.observation_space
     # NatureCNN takes no smaller picture, such as a view of 7 x 7 cells.
     image = is_image_space(space) and min(sorted(space.shape or ())[1:]) >= MIN_IMAGE
@@ -114,15 +108,3 @@ def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> Ba
     # SB3 seeds environment i with seed + i, so that the runs of seeds 0 and 1 would share all but one of them.
     env.seed(config.seed * env.num_envs)
     return model
-
-
-def check_device(name: str) -> None:
-    """Refuse a device that torch cannot compute on here. Without a GPU, "cuda" means "cpu", as SB3 has it."""
-    try:
-        device = get_device(name)
-        torch.zeros(1, device=device).item()
-    except Exception as error:  # torch and its backends raise what they like
-        text = " ".join(str(error).split())
-        raise ValueError(f"--device {name!r} cannot be used: choose auto, cpu or cuda. Torch says: {text}") from error
-    if name.startswith("cuda") and device.type == "cpu":
-        logger.warning("--device %s: torch finds no GPU, so training is on the CPU.", name)

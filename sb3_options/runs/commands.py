@@ -11,9 +11,6 @@ import tyro
 EVAL_SEED = 10_000
 """Evaluation environments count their seeds from here, so that none equals a training seed."""
 
-AUTO = "auto"
-"""Of ``--reach``: success, or a length where success comes at once."""
-
 
 @dataclass(frozen=True)
 class DemoConfig:
@@ -93,13 +90,13 @@ class CompareConfig:
             makes a group by hand.
         out: The picture.
         reach: When a run has learned: "success", "return" or "length" and a value, at the first of two entries in a
-            row that have it. "auto": success=0.9; where most runs have that from the start, a length.
+            row that have it.
         source: Evaluations or training episodes; by default evaluations if every run has them.
     """
 
     runs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")]
     out: Path = Path("compare.png")
-    reach: str = AUTO
+    reach: str = "success=0.9"
     source: Literal["auto", "eval", "rollout"] = "auto"
 
 
@@ -134,11 +131,6 @@ class TuneConfig:
     env_wrapper: str | None = None
     feature_map: str | None = None
 
-    def __post_init__(self) -> None:
-        """Refuse numbers that are too small."""
-        if min(self.trials, self.seeds, self.jobs) < 1:
-            raise ValueError("--trials, --seeds and --jobs must be at least 1.")
-
 
 @dataclass(frozen=True)
 class InspectConfig:
@@ -146,8 +138,6 @@ class InspectConfig:
 
     Attributes:
         file: Which.
-        out: A picture of subgoals and initiation sets.
     """
 
     file: Annotated[Path, tyro.conf.Positional]
-    out: Path | None = None

@@ -1,35 +1,52 @@
-"""Comparing runs: success, return and length over primitive steps and wall time, one picture and one table."""
+"""Comparing runs by their TensorBoard logs: success, return and length over primitive steps and wall time."""
 
 from __future__ import annotations
 
+import glob
+import json
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, get_args
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from sb3_options.atomic import atomic_write
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.success import learned_at
-from sb3_options.runs.commands import AUTO, CompareConfig
+from sb3_options.runs import yaml_file
+from sb3_options.runs.commands import CompareConfig
+from sb3_options.runs.config import CONFIG, HOW_IT_RAN
 from sb3_options.runs.intervals import Interval, band, iqm_interval, probability_of_improvement
-from sb3_options.runs.logged import TAGS, Curve, Measure, Run, groups_of
-from sb3_options.runs.pictures import format_of, save_picture
+
+Measure: TypeAlias = Literal["success", "return", "length"]
+
+TAGS: dict[str, dict[Measure, str]] = {
+    "eval": {"success": "eval/success_rate", "return": "eval/mean_reward", "length": "eval/mean_ep_length"},
+    "rollout": {
+        "success": "rollout/success_rate",
+        "return": "rollout/ep_rew_mean",
+        "length": "rollout/ep_len_mean",
+    },
+}
+"""Where SB3 logs a measure: in evaluations, and of the last 100 training episodes."""
+
+NO_SETTING = HOW_IT_RAN | {"seed"}
+"""What runs of one group may differ in."""
+
+EVENTS = "**/*tfevents*"
 
 N_POINTS = 200
 """At which curves are drawn."""
 
 END = 0.1
 """Share of training whose mean is what an agent has learned at the end."""
-
-USUAL = "success=0.9"
-"""What `AUTO` takes first, and what a search waits for."""
-
-LONGER = 1.25
-"""A length that is waited for, as a multiple of the shortest that a group has at the end."""
 
 CAPTION = (
     "Interquartile means with 95 % stratified bootstrap intervals. A run that never gets there counts with the whole "
@@ -38,20 +55,20 @@ CAPTION = (
 UNITS: dict[Measure, str] = {"success": "success rate", "return": "return", "length": "primitive steps of an episode"}
 
 
-def show_comparison(config: CompareConfig, console: Console) -> None:
-    """Print a table of runs side by side, and draw them."""
-    if not config.runs:
-        raise ValueError("Name the run folders that are to be compared.")
-    asked = None if config.reach == AUTO else Goal.parsed(config.reach)
-    format_of(config.out)  # before runs are read
-    groups = groups_of(config.runs)
-    source = source_of([run for members in groups.values() for run in members], config.source)
-    goal, said = goal_of(asked, groups, source)
-    console.print(table_of(compared(groups, goal, source), goal))
-    if said:
-        console.print(escape(said))
-    save_picture(figure_of(groups, source), config.out)
-    console.print(f"Picture: {escape(str(config.out))}")
+class Curve(NamedTuple):
+    """A measure over training, (n,) each: primitive steps, seconds since the first entry of the log, values."""
+
+    steps: FloatArray
+    seconds: FloatArray
+    values: FloatArray
+
+
+class Run(NamedTuple):
+    """A run, its ``config.yml`` (empty without one), and curves by source (``eval``, ``rollout``) and measure."""
+
+    folder: Path
+    settings: dict[str, Any]
+    curves: dict[str, dict[Measure, Curve]]
 
 
 class Goal(NamedTuple):
@@ -86,43 +103,108 @@ class Goal(NamedTuple):
         return f"{what} {sign} {self.value:g}"
 
 
+def show_comparison(config: CompareConfig, console: Console) -> None:
+    """Print a table of runs side by side, and draw them."""
+    goal = Goal.parsed(config.reach)
+    groups = groups_of(config.runs)
+    source = source_of([run for members in groups.values() for run in members], config.source)
+    console.print(table_of(compared(groups, goal, source), goal))
+    with atomic_write(config.out) as temporary:
+        figure_of(groups, source).savefig(temporary, dpi=110)
+    console.print(f"Picture: {escape(str(config.out))}")
+
+
 def learned_after(curve: Curve | None, goal: Goal) -> float | None:
     """Primitive steps at the first of two entries in a row that reach the goal; None if a run never did."""
     at = None if curve is None else goal.reached(curve)
     return None if curve is None or at is None else float(curve.steps[at])
 
 
-def goal_of(asked: Goal | None, groups: Mapping[str, Sequence[Run]], source: str) -> tuple[Goal, str]:
-    """What is waited for, and what is to be said of it.
+def read_run(folder: Path) -> Run:
+    """Read what a run logged, of this library, of SB3 or of rl-zoo3."""
+    files = sorted({file.parent for file in folder.glob(EVENTS)})
+    if not files:
+        raise FileNotFoundError(f"{folder} has no TensorBoard file, which is where runs are read from.")
+    curves: dict[str, dict[Measure, Curve]] = {source: {} for source in TAGS}
+    logs = [EventAccumulator(str(each), size_guidance={"scalars": 0}).Reload() for each in files]
+    began = min((log.FirstEventTimestamp() for log in logs if log.Tags()["scalars"]), default=0.0)
+    for source, tags in TAGS.items():
+        for measure, tag in tags.items():
+            events = [event for log in logs if tag in log.Tags()["scalars"] for event in log.Scalars(tag)]
+            if events:
+                columns = np.array([(e.step, e.wall_time - began, e.value) for e in events], dtype=np.float64)
+                curves[source][measure] = Curve(*columns[np.argsort(columns[:, 0], kind="stable")].T)
+    if not any(curves.values()):
+        raise ValueError(f"{folder} logged no returns: it has neither an evaluation nor a training episode that ended.")
+    config = folder / CONFIG
+    return Run(folder, yaml_file.read_mapping(config) if config.is_file() else {}, curves)
 
-    That is ``asked``, or success, or a length where most runs have success from their first entry on.
+
+def groups_of(words: Sequence[str]) -> dict[str, list[Run]]:
+    """Runs by the name of their group, those with a name of their own last."""
+    named: dict[str, list[Run]] = {}
+    for word in words:
+        name, equals, pattern = word.partition("=")
+        if not equals or Path(word).exists():
+            name, pattern = "", word
+        for each in pattern.split(",") if name else [pattern]:
+            found = [Path(each)] if Path(each).is_dir() else sorted(map(Path, glob.glob(each)))  # noqa: PTH207  # absolute patterns, too
+            folders = [folder for folder in found if folder.is_dir()]
+            if not folders:
+                raise FileNotFoundError(f"There is no run folder {each}.")
+            named.setdefault(name, []).extend(read_run(run) for folder in folders for run in runs_in(folder))
+    return (grouped(named.pop("")) if "" in named else {}) | named
+
+
+def runs_in(folder: Path) -> list[Path]:
+    """The run folders in a folder; the folder itself if it is one, or holds no more than one log.
+
+    A run folder has a ``config.yml``; a log that is in none is a run of its own.
     """
-    goal = asked or Goal.parsed(USUAL)
-    if asked is not None or not at_once(goal, [run for runs in groups.values() for run in runs], source):
-        return goal, ""
-    length = short_enough(groups, source)
-    if length is None:
-        return goal, "Most runs succeed from their first entry on, so that tells nothing: choose another --reach."
-    what = f"a quarter more than the shortest at the end. Say --reach {USUAL} to wait for success all the same."
-    return length, f"Most runs succeed from their first entry on, so {length} is waited for: {what}"
+    if (folder / CONFIG).is_file():
+        return [folder]
+    runs = set()
+    for log in {file.parent for file in folder.glob(EVENTS)}:
+        above = [log, *log.parents]
+        within = above[: above.index(folder)]
+        runs.add(next((each for each in within if (each / CONFIG).is_file()), log))
+    return sorted(runs) if len(runs) > 1 else [folder]
 
 
-def at_once(goal: Goal, runs: Sequence[Run], source: str) -> bool:
-    """Whether more than half of the runs have it at their first entry, so that it tells nothing apart."""
-    curves = [run.curves[source].get(goal.measure) for run in runs]
-    return 2 * sum(curve is not None and goal.reached(curve) == 0 for curve in curves) > len(curves)
+def grouped(runs: Sequence[Run]) -> dict[str, list[Run]]:
+    """Runs that differ only in their seed make a group, named by the settings that set it apart."""
+    flat = [_flat({k: v for k, v in run.settings.items() if k not in NO_SETTING}) for run in runs]
+    texts = [{name: json.dumps(value, default=str).replace('"', "") for name, value in each.items()} for each in flat]
+    names = sorted({name for each in texts for name in each})
+    differing = [name for name in names if len({each.get(name) for each in texts}) > 1]
+    groups: dict[str, list[Run]] = {}
+    for run, each in zip(runs, texts, strict=True):
+        name = ", ".join(f"{name} {each.get(name)}" for name in differing)
+        groups.setdefault(name if run.settings and name else _unnumbered(run.folder), []).append(run)
+    return groups
 
 
-def short_enough(groups: Mapping[str, Sequence[Run]], source: str) -> Goal | None:
-    """A quarter more than the least mean length that a group has over the last tenth; None if none was logged."""
-    everything = [run for runs in groups.values() for run in runs]
-    if not all("length" in run.curves[source] for run in everything):
-        return None
-    limit = budget(everything, source)
-    ends = [
-        np.mean([at_the_end(cut(run.curves[source]["length"], limit), limit) for run in g]) for g in groups.values()
-    ]
-    return Goal("length", float(f"{LONGER * min(ends):.2g}"))
+def _flat(settings: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested settings by their whole names, with dots."""
+    flat: dict[str, Any] = {}
+    for name, value in settings.items():
+        flat |= _flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
+    return flat
+
+
+def _unnumbered(folder: Path) -> str:
+    """``ppo/CartPole-v1`` of ``ppo/CartPole-v1_3``."""
+    folder = folder.resolve()
+    return f"{folder.parent.name}/{re.sub(r'_[0-9]+$', '', folder.name)}"
+
+
+def source_of(runs: Sequence[Run], wanted: str) -> str:
+    """``eval`` or ``rollout``: where all runs have measures."""
+    for source in TAGS if wanted == "auto" else (wanted,):
+        if all(run.curves[source] for run in runs):
+            return source
+    lacking = "; ".join(f"{run.folder} has {', '.join(s for s in TAGS if run.curves[s])} only" for run in runs)
+    raise ValueError(f"--source {wanted}: not all runs logged the same. {lacking}. Leave some out.")
 
 
 class Compared(NamedTuple):
@@ -138,15 +220,6 @@ class Compared(NamedTuple):
     seconds: Interval
     end: dict[Measure, Interval]
     sooner: Interval | None
-
-
-def source_of(runs: Sequence[Run], wanted: str) -> str:
-    """``eval`` or ``rollout``: where all runs have measures."""
-    for source in TAGS if wanted == "auto" else (wanted,):
-        if all(run.curves[source] for run in runs):
-            return source
-    lacking = "; ".join(f"{run.folder} has {', '.join(s for s in TAGS if run.curves[s])} only" for run in runs)
-    raise ValueError(f"--source {wanted}: not all runs logged the same. {lacking}. Leave some out.")
 
 
 def compared(groups: Mapping[str, Sequence[Run]], goal: Goal, source: str) -> dict[str, Compared]:

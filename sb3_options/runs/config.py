@@ -8,23 +8,22 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import sys
 from collections.abc import Mapping
 from dataclasses import field
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
-import tyro
-from pydantic import AfterValidator, BeforeValidator, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BeforeValidator, TypeAdapter
 
 from sb3_options.atomic import atomic_write
-from sb3_options.checked import Field, readable, settings, truth_values
+from sb3_options.checked import Field, settings
 from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.embedding.settings import LEARNED
 from sb3_options.experience.success import success_rule
 from sb3_options.options.settings import OptionLearningSettings, UsefulnessSettings
 from sb3_options.runs import yaml_file
-from sb3_options.runs.keywords import PAIRS, keywords_of
-from sb3_options.runs.users_code import with_trusted
 
 ALGORITHMS = {
     "maskableppo": ("sb3_contrib", "MaskablePPO"),
@@ -50,17 +49,35 @@ MAX_ENVS = 10_000
 MAX_OPTIONS = 10_000
 """More than any run has. A larger number in a stranger's file would only use up memory."""
 
-SAME_NAME = 0.7
-"""Least similarity of a suggested algorithm or command, as `difflib` measures it."""
+IMPORTING = {"env": "environment", "env_wrapper": "wrapper", "feature_map": "feature map"}
+"""Settings that may import a module, and what each is: only the command line is trusted with them."""
 
-NAME, KIND = (tyro.conf.arg(metavar=name) for name in ("NAME", "KIND"))
-N = tyro.conf.arg(metavar="N")  # short, so that the help fits a line
 Natural: TypeAlias = Annotated[int, Field(ge=0)]
 Count: TypeAlias = Annotated[int, Field(ge=1)]
 
 
-def _algo_keywords(pairs: Any) -> Any:
-    return keywords_of(pairs, "--algo-kwargs")
+def keywords_of(pairs: Any) -> Any:
+    """Pairs ``name:value`` as keyword arguments; a value is read as YAML, so that 3 is a number."""
+    if not isinstance(pairs, str | list | tuple):
+        return pairs  # a mapping, or what pydantic refuses
+    keywords = {}
+    for pair in [pairs] if isinstance(pairs, str) else pairs:
+        name, colon, value = str(pair).partition(":")
+        if not colon:
+            raise ValueError(f"keyword arguments are pairs name:value, got {pair}.")
+        keywords[name] = value_of(name, value)
+    return keywords
+
+
+def value_of(name: str, text: str) -> Any:
+    """A value of the command line, read as YAML; None is None."""
+    try:
+        return None if text == "None" else yaml_file.parse(text)
+    except ValueError as error:
+        raise ValueError(f"the value of {name!r} is no YAML that can be read safely: {error}") from error
+
+
+Keywords: TypeAlias = Annotated[dict[str, Any], BeforeValidator(keywords_of)]
 
 
 def _named_rule(text: str) -> str:
@@ -104,13 +121,13 @@ class TrainConfig:
         usefulness: How options are judged by their use.
     """
 
-    algo: Annotated[str, tyro.conf.Suppress] = "maskableppo"
+    algo: str = "maskableppo"
     env: str = "sb3_options/TwoRooms-v0"
-    env_kwargs: Annotated[dict[str, Any], BeforeValidator(keywords_of), PAIRS] = field(default_factory=dict)
+    env_kwargs: Keywords = field(default_factory=dict)
     n_timesteps: Count = 60_000
     seed: Annotated[int, Field(ge=0, le=MAX_SEED)] = 0
     n_envs: Annotated[int, Field(ge=1, le=MAX_ENVS)] = 8
-    options: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    options: Path | None = None
     max_options: Annotated[int, Field(ge=0, le=MAX_OPTIONS)] = 4
     max_new_options: Natural | None = 1
     discover: bool = True
@@ -118,24 +135,20 @@ class TrainConfig:
     eval_freq: Natural = 0
     tensorboard_log: Path = Path("runs")
     gamma: Annotated[float, Field(gt=0.0, le=1.0)] = 0.97
-    algo_kwargs: Annotated[dict[str, Any], BeforeValidator(_algo_keywords), PAIRS] = field(default_factory=dict)
-    env_wrapper: Annotated[str | None, NAME] = None
-    feature_map: Annotated[str | None, NAME] = None
-    bonus: Annotated[Literal["none", "counts", "rnd"], KIND] = "none"
-    success: Annotated[str, AfterValidator(_named_rule), tyro.conf.arg(metavar="RULE")] = "reported"
-    checkpoint_freq: Annotated[Natural, N] = 10_000
-    eval_episodes: Annotated[Count, N] = 10
-    eval_max_steps: Annotated[Natural, N] = 1_000
-    vec_env: Annotated[Literal["dummy", "subproc", "ray"], KIND] = "dummy"
-    device: str = "auto"
+    algo_kwargs: Keywords = field(default_factory=dict)
+    env_wrapper: str | None = None
+    feature_map: str | None = None
+    bonus: Literal["none", "counts", "rnd"] = "none"
+    success: Annotated[str, AfterValidator(_named_rule)] = "reported"
+    checkpoint_freq: Natural = 10_000
+    eval_episodes: Count = 10
+    eval_max_steps: Natural = 1_000
+    vec_env: Literal["dummy", "subproc", "ray"] = "dummy"
+    device: Annotated[str, Field(pattern="^(auto|cpu|mps|cuda(:[0-9]+)?)$")] = "auto"
     progress: bool = True
     discovery: DiscoverySettings = field(default_factory=DiscoverySettings)
     option: OptionLearningSettings = field(default_factory=OptionLearningSettings)
     usefulness: UsefulnessSettings = field(default_factory=UsefulnessSettings)
-
-    def __post_init__(self) -> None:
-        """Refuse the name of no algorithm."""
-        check_algo(self.algo)
 
 
 FIELDS = {f.name: f for f in dataclasses.fields(TrainConfig)}
@@ -165,48 +178,43 @@ def configure(**values: Any) -> TrainConfig:
 
 
 def build(values: Mapping[str, Any], source: str | Path) -> TrainConfig:
-    """The configuration with these settings; the others have the defaults of environment and algorithm."""
+    """As `configure` does; an error begins with ``source``, and names may have hyphens, or dots before a group's."""
     try:
-        return _built(values)
-    except ValidationError as error:
-        raise ValueError(f"{source}: {readable(error)}") from None
+        env_id = str(values.get("env", TrainConfig.env))
+        algo = str(values.get("algo", default_algo(env_id)))
+        check_algo(algo)
+        content = defaults(env_id, algo) | {"algo": algo}
+        own: dict[str, Any] = {}
+        for spelling, value in values.items():
+            name = str(spelling).replace("-", "_")
+            name = "discovery.method" if name == "method" else name
+            group, _, inner = name.partition(".")
+            if group in GROUPS:
+                content[group] = _grouped(group, content.get(group, {}), {inner: value} if inner else value)
+            elif name == "algo_kwargs":
+                value = keywords_of(value)
+                own |= value if isinstance(value, Mapping) else {name: value}
+            else:
+                (content if name in FIELDS else own)[name] = value
+        if own:
+            from sb3_options.runs.algorithms import checked_arguments  # which imports SB3
+
+            content["algo_kwargs"] = merged(content["algo_kwargs"], checked_arguments(algo, own))
+        return TrainConfig(**content)
     except ValueError as error:
         raise ValueError(f"{source}: {error}") from None
 
 
-def _built(values: Mapping[str, Any]) -> TrainConfig:
-    env_id = str(values.get("env", FIELDS["env"].default))
-    algo = str(values.get("algo", default_algo(env_id)))
-    check_algo(algo)
-    content = defaults(env_id, algo) | {"algo": algo}
-    own: dict[str, Any] = {}
-    for spelling, value in values.items():
-        name = str(spelling).replace("-", "_")
-        name = "discovery.method" if name == "method" else name
-        group, _, inner = name.partition(".")
-        if group in GROUPS and inner:
-            name, value = group, {inner: value}
-        if name == "algo_kwargs":
-            value = _algo_keywords(value)
-            own |= value if isinstance(value, Mapping) else {name: value}
-        elif name in GROUPS and isinstance(value, Mapping):
-            part = {str(key).replace("-", "_"): each for key, each in value.items()}
-            for key in part:
-                if key not in {f.name for f in dataclasses.fields(GROUPS[name])}:
-                    raise ValueError(unknown(f"{name}.{key}"))
-            content[name] = merged(content.get(name, {}), part)
-        elif name in FIELDS:
-            content[name] = value
-        else:
-            own[name] = value
-    if own:
-        from sb3_options.runs.algorithms import checked_arguments  # which imports SB3
-
-        content["algo_kwargs"] = merged(content["algo_kwargs"], checked_arguments(algo, own))
-    config: TrainConfig = TypeAdapter(TrainConfig).validate_python(content)
-    if wrong := truth_values(content, config):
-        raise ValueError(wrong)
-    return config
+def _grouped(group: str, before: Any, later: Any) -> Any:
+    """The settings of a group, later ones in the place of earlier ones."""
+    if not isinstance(later, Mapping):
+        return later
+    part = {str(key).replace("-", "_"): value for key, value in later.items()}
+    names = {f.name for f in dataclasses.fields(GROUPS[group])}
+    for name in part:
+        if name not in names:
+            raise ValueError(unknown(f"{group}.{name}"))
+    return merged(before, part)
 
 
 def merged(before: Any, later: Any) -> Any:
@@ -249,7 +257,7 @@ def default_algo(env_id: str) -> str:
 def check_algo(algo: str) -> None:
     """Refuse the name of no algorithm."""
     if algo not in ALGORITHMS:
-        near = difflib.get_close_matches(algo, [*ALGORITHMS, *COMMANDS], n=1, cutoff=SAME_NAME)
+        near = difflib.get_close_matches(algo, [*ALGORITHMS, *COMMANDS], n=1)
         hint = f" Did you mean {near[0]!r}?" if near else ""
         raise ValueError(f"There is no algorithm {algo!r}: choose from {', '.join(ALGORITHMS)}.{hint}")
 
@@ -282,7 +290,38 @@ def as_values(config: TrainConfig) -> dict[str, Any]:
 
 
 def read(path: Path, trusted: Mapping[str, str | None] | None = None) -> dict[str, Any]:
-    """The settings in a file, not checked yet."""
-    values = yaml_file.read_mapping(path)
-    values = {str(name).replace("-", "_"): value for name, value in values.items()}
+    """The settings in a file, not checked yet; ``trusted`` are those of `IMPORTING` that the command line names."""
+    values = {str(name).replace("-", "_"): value for name, value in yaml_file.read_mapping(path).items()}
     return with_trusted(values, trusted or {}, path)
+
+
+def importing(values: Mapping[str, Any]) -> dict[str, str]:
+    """Those of the settings ``values`` that would import a module, by name."""
+    texts = {name: str(values.get(name) or "") for name in IMPORTING}
+    if texts["feature_map"] == LEARNED:
+        del texts["feature_map"]  # one that is learned
+    # GymV21Environment and GymV26Environment make what their env_id names.
+    return {n: t for n, t in texts.items() if (":" in t or t.startswith("GymV") if n == "env" else t)}
+
+
+def with_trusted(values: Mapping[str, Any], trusted: Mapping[str, str | None], source: str | Path) -> dict[str, Any]:
+    """Settings of a file, with those that the command line names in their place."""
+    named = {name: value for name, value in trusted.items() if value is not None}
+    for name, text in importing(values).items():
+        if name not in named:
+            raise ValueError(
+                f"{source} names the {IMPORTING[name]} {text!r}, which would import a module. If you trust it, pass "
+                f"{flag(name)} {text}."
+            )
+    return {**values, **named}
+
+
+def flag(name: str) -> str:
+    """How the command line spells a setting."""
+    return f"--{name.replace('_', '-')}"
+
+
+def program() -> str:
+    """What to type before a command: ``sb3-options``, ``python -m sb3_options`` or ``python train.py``."""
+    name = Path(sys.argv[0]).name
+    return {"sb3-options": name, "__main__.py": "python -m sb3_options"}.get(name, "python train.py")

@@ -3,38 +3,31 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.console import Console
-from rich.progress import Progress, TaskID
 from rich.table import Table
 from sb3_contrib.common.maskable.callbacks import MaskableEvalCallback
+from sb3_contrib.common.maskable.evaluation import evaluate_policy
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback, EveryNTimesteps
+from stable_baselines3.common.callbacks import EveryNTimesteps
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_options.atomic import atomic_write
 from sb3_options.callbacks import DiscoveredOption
 from sb3_options.experience.success import learned_at
-from sb3_options.runs import config as configs
-from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import make_model
-from sb3_options.runs.budget import KeepToBudget
 from sb3_options.runs.commands import EVAL_SEED, DemoConfig
-from sb3_options.runs.config import TrainConfig
-from sb3_options.runs.evaluation import greedy_episodes
-from sb3_options.runs.pictures import save_picture
+from sb3_options.runs.config import TrainConfig, configure
+from sb3_options.runs.folder import make_env
 from sb3_options.runs.training import discovery_callback
 from sb3_options.runs.video import RecordFrames, captioned, video_file
-
-ALGO = "maskableppo"
 
 LEARNED = 0.9
 """Success rate of two evaluations in a row from which on an agent has learned the task."""
@@ -54,11 +47,11 @@ COLOURS = {WITH: "#d62728", WITHOUT: "0.45"}
 
 
 class Claim(NamedTuple):
-    """A pair of tasks that share a bottleneck.
+    """A pair of tasks that share a bottleneck: options are discovered in the source, and used in the target.
 
     Attributes:
-        source: Settings of the task in which options are discovered.
-        target: Settings of the task that is learned with them and without them.
+        source: Settings of the first task.
+        target: Settings of the second task.
         source_steps: Primitive steps of training in the source.
         target_steps: Most primitive steps of training in the target.
         evaluate_every: Primitive steps between evaluations.
@@ -117,200 +110,158 @@ CLAIMS = {
 }
 
 
-Found: TypeAlias = list[list[DiscoveredOption]]
-"""Options discovered in the source, for each seed."""
-
-
 class Learning(NamedTuple):
     """One training in the target.
 
     Attributes:
+        seed: Its seed.
+        arm: `WITH` or `WITHOUT`.
+        options: Discovered in the source.
         steps: Primitive steps before each evaluation.
         success: Success rate of each evaluation.
         model: The trained model.
     """
 
+    seed: int
+    arm: str
+    options: list[DiscoveredOption]
     steps: list[int]
     success: list[float]
     model: BaseAlgorithm
 
+    @property
+    def subgoals(self) -> str:
+        """The subgoals of the options, for people."""
+        return "; ".join(option.where for option in self.options) or "none"
+
+    @property
+    def learned_after(self) -> int | None:
+        """Primitive steps at which the task was learned (`learned_at`); None if it was not."""
+        first = learned_at([rate >= LEARNED for rate in self.success])
+        return None if first is None else self.steps[first]
+
 
 def show_demo(config: DemoConfig, console: Console) -> None:
-    """Run the demonstration, print its table, and write ``demo.png``, ``demo.json`` and ``demo.gif``.
-
-    Raises:
-        ModuleNotFoundError: MiniGrid is not installed.
-        OSError: A file cannot be written.
-        ValueError: ``seeds`` is below 1.
-    """
-    if config.seeds < 1:
-        raise ValueError(f"--seeds must be at least 1, got {config.seeds}.")
+    """Run the demonstration, print its table, and write ``demo.png``, ``demo.json`` and ``demo.gif``."""
     claim = CLAIMS[config.task]
     config.out.mkdir(parents=True, exist_ok=True)
-    results: dict[str, list[Learning]] = {WITH: [], WITHOUT: []}
-    found: Found = []
+    results: list[Learning] = []
     console.print(f"1. {claim.first}\n2. {claim.second}")
-    with Progress(console=console, transient=True, disable=not config.progress) as progress:
-        whole = progress.add_task("Training", total=config.seeds * (claim.source_steps + 2 * claim.target_steps))
-        for seed in range(config.seed, config.seed + config.seeds):
-            options = config.out / f"options-{seed}.safetensors"
-            found.append(_discover(claim, seed, options, progress, whole))
-            for arm, file in ((WITH, options), (WITHOUT, None)):
-                results[arm].append(_learn(claim, seed, file, progress, whole))
-    console.print(table_of(results, found, config.seed))
-    with atomic_write(config.out / "demo.json") as temporary:
-        temporary.write_text(json.dumps(_numbers(results, found, config.seed), indent=2) + "\n", encoding="utf-8")
+    for seed in range(config.seed, config.seed + config.seeds):
+        path = config.out / f"options-{seed}.safetensors"
+        options = _discover(claim, seed, path, progress=config.progress)
+        for arm, file in ((WITH, path), (WITHOUT, None)):
+            steps, success, model = _learn(claim, seed, file, progress=config.progress)
+            results.append(Learning(seed, arm, options, steps, success, model))
+    console.print(table_of(results))
+    numbers = [
+        {
+            "seed": each.seed,
+            "arm": each.arm,
+            "subgoals": each.subgoals,
+            "learned_after": each.learned_after,
+            "steps": each.steps,
+            "success": each.success,
+        }
+        for each in sorted(results, key=lambda each: each.arm == WITHOUT)
+    ]
+    (config.out / "demo.json").write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
     picture = config.out / "demo.png"
-    save_picture(figure_of(results, claim, found[0], _pictures(claim, config.seed, None, None)[0]), picture)
+    figure_of(results, claim, _pictures(claim, config.seed)[0]).savefig(picture, dpi=110)
     console.print(f"Picture: {picture}")
     if config.video:
         film = config.out / "demo.gif"
-        firsts = {arm: learnings[0] for arm, learnings in results.items()}
-        _film(claim, config.seed, firsts, config.out / f"options-{config.seed}.safetensors", film)
+        _film(claim, results[:2], config.out / f"options-{config.seed}.safetensors", film)
         console.print(f"Film:    {film}")
     console.print("Now in your environment: sb3-options train --env YOUR-ENV-ID   (or the lines in README)")
 
 
-class _Watch(BaseCallback):
-    """Advances the progress bar by primitive steps."""
-
-    def __init__(self, progress: Progress, task: TaskID) -> None:
-        super().__init__()
-        self._progress = progress
-        self._task = task
-        self._shown = 0
-
-    def _on_step(self) -> bool:
-        self._progress.advance(self._task, self.num_timesteps - self._shown)
-        self._shown = self.num_timesteps
-        return True
-
-
 class _Evaluations(MaskableEvalCallback):
-    """Plays greedy episodes, the same ones each time, and ends training once the task is learned.
-
-    It is an ``EvalCallback``, hence the discovery callback keeps the options of ``eval_env`` up to date.
-    """
+    """Plays greedy episodes, the same ones each time, and ends training once the task is learned."""
 
     def __init__(self, eval_env: VecEnv, seed: int) -> None:
-        super().__init__(eval_env)
+        super().__init__(eval_env, n_eval_episodes=EVALUATION_EPISODES, eval_freq=1, verbose=0)
         self.seed = seed
         self.steps: list[int] = []
         self.success: list[float] = []
 
     def _on_step(self) -> bool:
         self.eval_env.seed(self.seed)
-        played = greedy_episodes(self.model, self.eval_env, EVALUATION_EPISODES, masked=True)
+        super()._on_step()
         self.steps.append(self.num_timesteps)
-        self.success.append(float(np.mean([info["is_success"] for _, info in played])))
-        return learned_after(self.steps, self.success) is None
+        self.success.append(float(np.mean(self._is_success_buffer)))
+        return learned_at([rate >= LEARNED for rate in self.success]) is None
 
 
-def learned_after(steps: list[int], success: list[float]) -> int | None:
-    """Primitive steps at which the task was learned (`learned_at`); None if it was not."""
-    first = learned_at([rate >= LEARNED for rate in success])
-    return None if first is None else steps[first]
-
-
-def _config(
-    values: Mapping[str, Any], n_timesteps: int, seed: int, options: Path | None = None, *, discover: bool = False
-) -> TrainConfig:
-    """The settings that ``sb3-options train`` has by default for a task."""
-    return configs.configure(
-        algo=ALGO, **values, n_timesteps=n_timesteps, seed=seed, options=options, discover=discover
+def _target(claim: Claim, seed: int, options: Path | None) -> TrainConfig:
+    """The settings that ``sb3-options train`` has by default, with the options of a file or with none."""
+    return configure(
+        algo="maskableppo",
+        **claim.target,
+        n_timesteps=claim.target_steps,
+        seed=seed,
+        options=options,
+        discover=False,
     )
 
 
-def _discover(claim: Claim, seed: int, options: Path, progress: Progress, task: TaskID) -> list[DiscoveredOption]:
+def _discover(claim: Claim, seed: int, options: Path, *, progress: bool) -> list[DiscoveredOption]:
     """Train in the source, and save the options that were discovered."""
-    config = _config(claim.source, claim.source_steps, seed, discover=True)
-    with closing(runs.make_env(config, config.n_envs, seed)) as env:
+    config = configure(algo="maskableppo", **claim.source, n_timesteps=claim.source_steps, seed=seed)
+    with closing(make_env(config, config.n_envs, seed)) as env:
         discovery = discovery_callback(config)
-        make_model(config, env).learn(config.n_timesteps, [discovery, KeepToBudget(), _Watch(progress, task)])
+        make_model(config, env).learn(config.n_timesteps, discovery, progress_bar=progress)
         discovery.bank.save(options)
         return discovery.discoveries
 
 
-def _learn(claim: Claim, seed: int, options: Path | None, progress: Progress, task: TaskID) -> Learning:
-    """Train in the target until it is learned, with the options of a file or with none."""
-    config = _config(claim.target, claim.target_steps, seed, options)
-    before = progress.tasks[task].completed
+def _learn(
+    claim: Claim, seed: int, options: Path | None, *, progress: bool
+) -> tuple[list[int], list[float], BaseAlgorithm]:
+    """Train in the target until it is learned: the steps and success rates of evaluations, and the model."""
+    config = _target(claim, seed, options)
     with (
-        closing(runs.make_env(config, config.n_envs, seed)) as env,
-        closing(runs.make_env(config, EVALUATION_EPISODES, EVAL_SEED + seed)) as eval_env,
+        closing(make_env(config, config.n_envs, seed)) as env,
+        closing(make_env(config, EVALUATION_EPISODES, EVAL_SEED + seed)) as eval_env,
     ):
         evaluations = _Evaluations(eval_env, EVAL_SEED + seed)
         model = make_model(config, env)
-        model.learn(
-            config.n_timesteps,
-            [
-                discovery_callback(config),
-                EveryNTimesteps(claim.evaluate_every, evaluations),
-                KeepToBudget(),
-                _Watch(progress, task),
-            ],
-        )
-    progress.update(task, completed=before + claim.target_steps)
-    return Learning(evaluations.steps, evaluations.success, model)
+        callbacks = [discovery_callback(config), EveryNTimesteps(claim.evaluate_every, evaluations)]
+        model.learn(config.n_timesteps, callbacks, progress_bar=progress)
+    return evaluations.steps, evaluations.success, model
 
 
-def table_of(results: Mapping[str, list[Learning]], found: Found, first_seed: int) -> Table:
+def table_of(results: Sequence[Learning]) -> Table:
     """Primitive steps until the task is learned, a row for each seed."""
-    table = Table("seed", "subgoals discovered", *results, title="Primitive steps until 90 % of the episodes succeed")
-    for i, options in enumerate(found):
-        cells = [_steps_text(learnings[i]) for learnings in results.values()]
-        table.add_row(str(first_seed + i), _subgoals_text(options), *cells)
+    table = Table("seed", "subgoals discovered", *COLOURS, title="Primitive steps until 90 % of the episodes succeed")
+    for one, other in zip(results[::2], results[1::2], strict=True):
+        table.add_row(str(one.seed), one.subgoals, _steps_text(one), _steps_text(other))
     return table
 
 
-def _subgoals_text(options: list[DiscoveredOption]) -> str:
-    return "; ".join(option.where for option in options) or "none"
-
-
 def _steps_text(learning: Learning) -> str:
-    after = learned_after(learning.steps, learning.success)
-    if after is None:
+    if (after := learning.learned_after) is None:
         return f"not within {learning.steps[-1]:,} (success rate {learning.success[-1]:.0%})"
     return f"{after:,}"
 
 
-def _numbers(results: Mapping[str, list[Learning]], found: Found, first_seed: int) -> list[dict[str, Any]]:
-    """The numbers behind the table and the picture."""
-    return [
-        {
-            "seed": first_seed + i,
-            "arm": arm,
-            "subgoals": _subgoals_text(options),
-            "learned_after": learned_after(each.steps, each.success),
-            "steps": each.steps,
-            "success": each.success,
-        }
-        for arm, learnings in results.items()
-        for i, (options, each) in enumerate(zip(found, learnings, strict=True))
-    ]
-
-
-def figure_of(
-    results: Mapping[str, list[Learning]], claim: Claim, options: list[DiscoveredOption], task: Any
-) -> Figure:
-    """The learning curves, thin for each seed and thick for their mean, beside a picture of the task.
+def figure_of(results: Sequence[Learning], claim: Claim, task: Any) -> Figure:
+    """The learning curves, thin for each seed and thick for their mean, beside a picture of the target.
 
     Args:
-        results: The trainings of each arm.
+        results: The trainings of all arms.
         claim: Their tasks.
-        options: Discovered in the source; their subgoals are marked.
-        task: A picture of the target, (height, width, 3).
+        task: A picture of the target, (height, width, 3), in which the first seed's subgoals are marked.
     """
     figure = Figure(figsize=(10.0, 3.4), layout="compressed")
     left, right = figure.subplots(1, 2)
     left.imshow(task)
     left.set_axis_off()
     left.set_title("the second task", fontsize="medium")
+    options = results[0].options
     if claim.cells is not None and options:
         size = np.array([task.shape[1], task.shape[0]]) / claim.cells
-        cells = np.array(
-            [option.subgoal[:2] for option in options]
-        )  # column and row; on a map with a key, also the key
+        cells = np.array([option.subgoal[:2] for option in options])  # column and row; with a key, also the key
         x, y = (cells + 0.5).T * size[:, None]
         left.plot(x, y, "*", color=COLOURS[WITH], markersize=14, label="discovered subgoal")
         left.legend(loc="lower right", fontsize="small")
@@ -319,51 +270,45 @@ def figure_of(
     return figure
 
 
-def _draw_curves(axes: Axes, results: Mapping[str, list[Learning]], longest: int) -> None:
+def _draw_curves(axes: Axes, results: Sequence[Learning], longest: int) -> None:
     grid = np.linspace(0, longest, 61)
-    for arm, learnings in results.items():
+    for arm, colour in COLOURS.items():
         # Training ends once the task is learned; the last success rate stands for the rest.
-        curves = [np.interp(grid, [0, *each.steps], [0.0, *each.success]) for each in learnings]
+        curves = [np.interp(grid, [0, *each.steps], [0.0, *each.success]) for each in results if each.arm == arm]
         for curve in curves:
-            axes.plot(grid, curve, color=COLOURS[arm], linewidth=0.8, alpha=0.4)
-        axes.plot(grid, np.mean(curves, axis=0), color=COLOURS[arm], linewidth=2.5, label=arm)
-    axes.set_xlabel("primitive steps")
-    axes.set_ylim(-0.02, 1.02)
-    axes.set_xlim(0, longest * 1.02)
+            axes.plot(grid, curve, color=colour, linewidth=0.8, alpha=0.4)
+        axes.plot(grid, np.mean(curves, axis=0), color=colour, linewidth=2.5, label=arm)
+    axes.set(xlabel="primitive steps", xlim=(0, longest * 1.02), ylim=(-0.02, 1.02))
     axes.xaxis.set_major_formatter("{x:,.0f}")
     axes.grid(alpha=0.3)
     axes.legend(loc="center right", frameon=False)
 
 
-def _pictures(claim: Claim, seed: int, learning: Learning | None, options: Path | None) -> list[Any]:
+def _pictures(claim: Claim, seed: int, model: BaseAlgorithm | None = None, options: Path | None = None) -> list[Any]:
     """The pictures of greedy episodes; of the first state alone where there is no agent."""
     pictures: list[Any] = []
-    config = _config(claim.target, claim.target_steps, seed, options)
-    episodes = FILM_EPISODES if learning is not None else 1
 
     def record(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-        return RecordFrames(env, pictures.append, episodes)
+        return RecordFrames(env, pictures.append, FILM_EPISODES)
 
-    with closing(runs.make_env(config, 1, EVAL_SEED + seed, beneath=record, render_mode="rgb_array")) as env:
-        env.reset()
-        if learning is None:
-            return pictures[:1]
-        pictures.clear()
-        env.env_method("set_slots", expect_empty=options is None)
-        list(greedy_episodes(learning.model, env, episodes, masked=True))
+    config = _target(claim, seed, options)
+    with closing(make_env(config, 1, EVAL_SEED + seed, beneath=record, render_mode="rgb_array")) as env:
+        if model is None:
+            env.reset()
+        else:
+            env.env_method("set_slots", expect_empty=options is None)
+            evaluate_policy(model, env, FILM_EPISODES)  # type: ignore[arg-type]  # MaskablePPO
     return pictures
 
 
-def _film(claim: Claim, seed: int, learnings: Mapping[str, Learning], options: Path, path: Path) -> None:
+def _film(claim: Claim, learnings: Sequence[Learning], options: Path, path: Path) -> None:
     """Write both agents side by side; the one that is done first waits in its last picture."""
     sides = []
-    for arm, learning in learnings.items():
-        pictures = _pictures(claim, seed, learning, options if arm == WITH else None)
-        sides.append([captioned(picture, arm) for picture in pictures])
-    longest = max(map(len, sides))
-    height = sides[0][0].shape[0]
-    gap = np.full((height, GAP, 3), 255, dtype=np.uint8)
+    for each in learnings:
+        pictures = _pictures(claim, each.seed, each.model, options if each.arm == WITH else None)
+        sides.append([captioned(picture, each.arm) for picture in pictures])
+    gap = np.full((sides[0][0].shape[0], GAP, 3), 255, dtype=np.uint8)
     with video_file(path, FILM_FPS) as film:
-        for i in range(longest):
+        for i in range(max(map(len, sides))):
             left, right = (side[min(i, len(side) - 1)] for side in sides)
             film(np.concatenate([left, gap, right], axis=1))

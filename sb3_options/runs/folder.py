@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import difflib
+import fcntl
 import importlib
 import json
+import os
 import shutil
+import signal
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import gymnasium as gym
-from gymnasium.envs.registration import EnvSpec
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.monitor import Monitor
@@ -22,28 +23,25 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from sb3_options.atomic import atomic_write, remove_stale
 from sb3_options.checkpoints.file import CheckpointFolder
+from sb3_options.embedding.settings import LEARNED
 from sb3_options.envs import minigrid
 from sb3_options.execution.ray_vec_env import RayVecEnv
 from sb3_options.execution.workers import watched_workers
 from sb3_options.execution.wrapper import OptionsWrapper
-from sb3_options.options import file as option_file
 from sb3_options.options.archive import NAME
 from sb3_options.options.bank import OptionBank
-from sb3_options.runs import yaml_file
 from sb3_options.runs.config import CONFIG as CONFIG
 from sb3_options.runs.config import TrainConfig
-from sb3_options.runs.eval_callback import BEST as BEST
-from sb3_options.runs.interrupts import ignore_interrupts
-from sb3_options.runs.users_code import feature_map_of, imported, named, named_in_errors
 
 MODEL = "model.zip"
+BEST = "best_model.zip"
 OPTIONS = NAME
 CHECKPOINTS = "checkpoints"
 MONITOR = "monitor"
 SUBGOALS = "subgoals.png"
 
-ALIKE = 0.6
-"""Least similarity of an id that is suggested in place of another, as `difflib` measures it."""
+LOCK = ".training"
+"""File in the run folder; it is removed when training ends."""
 
 VecEnvKind: TypeAlias = Literal["dummy", "subproc", "ray"]
 """Where environments live."""
@@ -54,15 +52,14 @@ OWN_NAMESPACE = "sb3_options/"
 
 def new_run_folder(config: TrainConfig) -> Path:
     """Make the next free folder ``ALGO/ENV_N`` below ``tensorboard_log``; clean those of killed runs."""
-    with named_in_errors("--tensorboard-log", config.tensorboard_log, "cannot hold run folders"):
-        parent = config.tensorboard_log / config.algo
-        parent.mkdir(parents=True, exist_ok=True)
-        remove_stale(parent, "*/")
-        for number in count(1):
-            folder = parent / f"{config.env.replace('/', '-')}_{number}"
-            with suppress(FileExistsError):
-                folder.mkdir()
-                break
+    parent = config.tensorboard_log / config.algo
+    parent.mkdir(parents=True, exist_ok=True)
+    remove_stale(parent, "*/")
+    for number in count(1):
+        folder = parent / f"{config.env.replace('/', '-')}_{number}"
+        with suppress(FileExistsError):
+            folder.mkdir()
+            break
     return folder
 
 
@@ -73,81 +70,56 @@ def discard(folder: Path) -> None:
         folder.parent.rmdir()
 
 
-def check_env_id(env_id: str) -> None:
-    """Refuse an id that Gymnasium does not know, and name the package that registers it, or a similar id."""
-    if minigrid.is_minigrid(env_id):
-        minigrid.require()
-    # An id may name the module that registers it, as in "module:Env-v0".
-    module, colon, _ = env_id.rpartition(":")
-    if colon:
-        imported(module, "--env")
-    if env_id in gym.registry or colon:
-        return
-    near = difflib.get_close_matches(env_id, gym.registry, n=1, cutoff=ALIKE)
-    hint = f"Did you mean {near[0]!r}?" if near else "If a package registers it, name its module: --env module:ID."
-    raise ValueError(f"There is no environment {env_id!r}. {hint}")
+@contextmanager
+def held(run: Path) -> Iterator[None]:
+    """Keep other processes from writing to a folder. A process that is killed keeps none from it any more."""
+    descriptor = os.open(run / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(f"{run} is being trained by another process: wait until it ends, or end it.") from None
+        except OSError:
+            pass  # this file system has no locks
+        try:
+            yield
+        finally:
+            with suppress(OSError):  # the folder may be gone
+                (run / LOCK).unlink()
+    finally:
+        os.close(descriptor)
 
 
-def _spec_of(env_id: str) -> EnvSpec:
-    """What is registered under an id, which may name the module that registers it."""
-    module, _, name = env_id.rpartition(":")
-    if module:
-        importlib.import_module(module)
-    return gym.spec(name)
+def named(text: str, source: str) -> Callable[..., Any]:
+    """What ``module:name`` names, of a user's module. The current folder is not searched."""
+    module, _, name = text.partition(":")
+    found: Any = getattr(importlib.import_module(module), name, None) if module and name else None
+    if not callable(found):
+        raise ValueError(f"{source} takes module:name of a class or function, got {text!r}.")
+    return found  # type: ignore[no-any-return]  # of a user's module
 
 
 def options_file(config: TrainConfig) -> Path | None:
-    """The file behind ``--options``, if it fits ``--max-options``; None where there is none."""
-    if config.options is None:
-        return None
-    path = config.options / OPTIONS if config.options.is_dir() else config.options
-    if not path.is_file():
-        raise FileNotFoundError(f"--options: there is no options file at {path}.")
-    needed = 1 + max(option_file.slots_of(path), default=-1)
-    if needed > config.max_options:
-        raise ValueError(
-            f"--options: {path} has an option in slot {needed - 1}, --max-options {config.max_options} is too few for "
-            f"it: pass --max-options {needed} or more."
-        )
-    return path
+    """The file behind ``--options``; None where there is none."""
+    return config.options / OPTIONS if config.options is not None and config.options.is_dir() else config.options
 
 
-def options_of(run: Path) -> Path | None:
-    """Where the options came from that a run started with."""
-    options = yaml_file.read_mapping(run / CONFIG).get("options")
-    return None if options is None else Path(str(options))
+def save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
+    """Save options and model, each whole or not at all; where there is no room, older checkpoints make room."""
+    try:
+        bank.save(folder / OPTIONS)
+    finally:
+        try:
+            save_whole(model, folder / MODEL)
+        except OSError:
+            CheckpointFolder(folder / CHECKPOINTS).make_room()
+            save_whole(model, folder / MODEL)
 
 
 def save_whole(model: BaseAlgorithm, path: Path) -> None:
     """Replace a ``model.zip`` when all of it is written."""
     with atomic_write(path) as temporary, temporary.open("wb") as file:  # SB3 leaves its own open where a disk is full
         model.save(file)
-
-
-def save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
-    """Save model and options; where one cannot be written, the other is, and a note says which is missing.
-
-    Where there is no room for the model, older checkpoints make room.
-    """
-
-    def save_model(path: Path) -> None:
-        try:
-            save_whole(model, path)
-        except OSError:
-            CheckpointFolder(folder / CHECKPOINTS).make_room()
-            save_whole(model, path)
-
-    failed: list[Exception] = []
-    for save, name in ((save_model, MODEL), (bank.save, OPTIONS)):
-        try:
-            save(folder / name)
-        except Exception as error:
-            error.add_note(f"So there is no {name} of this training.")
-            failed.append(error)
-    if failed:
-        for other in failed[1:]:
-            failed[0].add_note(" ".join([f"{other}.", *other.__notes__]))
-        raise failed[0]
 
 
 def make_env(
@@ -166,29 +138,42 @@ def make_env(
     The slots start with the options of ``--options``. An environment of MiniGrid gets a `MiniGridWrapper`, unless
     ``--env-wrapper`` names another.
     """
+    env_id = config.env
+    wrapper = None if config.env_wrapper is None else named(config.env_wrapper, "--env-wrapper")
+    elsewhere = vec_env != "dummy"
+    of_minigrid = minigrid.is_minigrid(env_id)
+    if of_minigrid:
+        minigrid.require()
+        env_id = minigrid.qualified(env_id)  # nobody has registered it in a worker
+    elif elsewhere and env_id.startswith(OWN_NAMESPACE):
+        env_id = f"sb3_options.envs:{env_id}"  # nobody has registered it there
+
     keywords = config.env_kwargs | ({} if render_mode is None else {"render_mode": render_mode})
     if max_steps:
-        own = keywords.get("max_episode_steps", _spec_of(config.env).max_episode_steps)
+        with_module, _, name = env_id.rpartition(":")
+        if with_module:
+            importlib.import_module(with_module)
+        own = keywords.get("max_episode_steps", gym.spec(name).max_episode_steps)
         # Beneath the Monitor, for SB3 counts the episodes that a Monitor reports.
         keywords = keywords | {"max_episode_steps": max_steps if own is None else min(own, max_steps)}
-    options = options_file(config)
 
-    elsewhere, classes = vec_env != "dummy", {"dummy": DummyVecEnv, "subproc": watched_workers, "ray": RayVecEnv}
     override = monitor_dir is None or not monitor_dir.exists()
     if vec_env == "ray" and monitor_dir is not None:
         _begin_monitors(monitor_dir, n_envs, config.env)
         override = False  # an environment that starts anew goes on with its file
+    feature_map: Any = config.feature_map
+    if feature_map is not None and feature_map != LEARNED:
+        feature_map = named(feature_map, "--feature-map")
+    options = options_file(config)
 
     def with_options(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
         if elsewhere:
             ignore_interrupts()
-        if beneath is not None:
-            env = beneath(env)
         return OptionsWrapper(
-            env,
+            env if beneath is None else beneath(env),
             config.max_options,
             gamma=config.gamma,
-            feature_map=feature_map_of(config.feature_map),
+            feature_map=feature_map,
             options_file=options,
             check_finite=True,
         )
@@ -196,17 +181,9 @@ def make_env(
     def wrapped(**kwargs: Any) -> gym.Env[Any, Any]:
         return minigrid.make(env_id, **kwargs) if wrapper is None else wrapper(gym.make(env_id, **kwargs))
 
-    env_id = config.env
-    wrapper: Callable[..., gym.Env[Any, Any]] | None = None
-    if config.env_wrapper is not None:
-        wrapper = named(config.env_wrapper, "--env-wrapper")
-    if minigrid.is_minigrid(env_id):
-        env_id = minigrid.qualified(env_id)  # nobody has registered it in a worker
-    elif elsewhere and env_id.startswith(OWN_NAMESPACE):
-        env_id = f"sb3_options.envs:{env_id}"  # nobody has registered it there
-
+    classes = {"dummy": DummyVecEnv, "subproc": watched_workers, "ray": RayVecEnv}
     return make_vec_env(
-        wrapped if wrapper is not None or minigrid.is_minigrid(env_id) else env_id,
+        wrapped if wrapper is not None or of_minigrid else env_id,
         n_envs=n_envs,
         seed=seed,
         env_kwargs=keywords,
@@ -215,6 +192,12 @@ def make_env(
         monitor_kwargs={"override_existing": override},
         vec_env_cls=classes[vec_env],  # type: ignore[arg-type]  # it makes one, too
     )
+
+
+def ignore_interrupts() -> None:
+    """Let a worker process outlive what its terminal sends, so that its parent can save; the parent ends it."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _begin_monitors(folder: Path, n_envs: int, env_id: str) -> None:

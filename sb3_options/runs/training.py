@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Iterator
-from contextlib import closing, contextmanager, nullcontext, suppress
+import signal
+import threading
+import time
+from contextlib import ExitStack, closing, nullcontext, suppress
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
 import torch
 from rich.console import Console
 from rich.markup import escape
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback, EveryNTimesteps
+from stable_baselines3.common.callbacks import BaseCallback, EvalCallback, EveryNTimesteps
 from stable_baselines3.common.preprocessing import get_obs_shape
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -24,52 +28,132 @@ from sb3_options.checkpoints.environments import refusal
 from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.execution.workers import WorkerLostError, end_workers
-from sb3_options.experience.success import success_rule
+from sb3_options.experience.success import SuccessRule, judged, success_rule, tell_success
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
 from sb3_options.runs import yaml_file
-from sb3_options.runs.algorithms import check_device, class_of, make_model
-from sb3_options.runs.budget import KeepToBudget, rounded_up
+from sb3_options.runs.algorithms import class_of, make_model
 from sb3_options.runs.commands import EVAL_SEED, ResumeConfig
-from sb3_options.runs.config import HOW_IT_RAN, TrainConfig
-from sb3_options.runs.eval_callback import eval_callback_class
-from sb3_options.runs.interrupts import PATIENCE, Interrupts, StopWhenNoted
-from sb3_options.runs.report import Trained, closing_report, how_to_resume, write_card
-from sb3_options.runs.under_way import held
-from sb3_options.runs.users_code import IMPORTING
+from sb3_options.runs.config import HOW_IT_RAN, IMPORTING, TrainConfig
+from sb3_options.runs.folder import held
+from sb3_options.runs.report import Trained, closing_report, how_to_resume
 from sb3_options.runs.video import mode_among
 
 FINISHED = f"{runs.CHECKPOINTS}/finished.yml"
 """File in a run folder whose training has come to its end."""
 
-console = Console(highlight=False, soft_wrap=True)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+PATIENCE = 5.0
+"""Seconds for which training goes on to where a checkpoint can be written; Docker kills 10 s after SIGTERM."""
 
 
-def train(config: TrainConfig, interrupts: Interrupts | None = None, *, resumed: Path | None = None) -> Trained:
+class Interrupts:
+    """Takes `SIGNALS` while its ``with`` block runs.
+
+    Python raises `KeyboardInterrupt` wherever the program is, and there are places that lose it: SB3's
+    ``DummyVecEnv.step`` deep-copies an ``OrderedDict``, in which ``copyreg`` takes any exception for a missing
+    attribute. So the first signal is only noted, a second one raises, and while something is saved none does. SIGINT is
+    taken even where it was ignored, as in background processes of a script; SIGHUP is left to ``nohup``.
+    """
+
+    def __init__(self) -> None:
+        self.signal: int | None = None
+        self.saving = False
+        self.patience = 0.0
+        self._at = 0.0
+
+    def __enter__(self) -> Interrupts:
+        self._before = {}
+        if threading.current_thread() is threading.main_thread():
+            for number in SIGNALS:
+                if number == signal.SIGINT or signal.getsignal(number) != signal.SIG_IGN:
+                    self._before[number] = signal.signal(number, self._take)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, before in self._before.items():
+            signal.signal(number, before)
+
+    def due(self) -> bool:
+        """Whether training is to end now, wherever it is."""
+        return self.signal is not None and time.monotonic() >= self._at + self.patience
+
+    def _take(self, number: int, frame: FrameType | None) -> None:
+        if self.saving:
+            return
+        if self.signal is not None:
+            raise KeyboardInterrupt
+        self.signal, self._at = number, time.monotonic()
+        with suppress(OSError):  # no print: the signal may have come in the middle of one, and the terminal may be gone
+            os.write(2, b"\nInterrupted: training ends soon and is saved. Once more to end it at once.\n")
+
+
+class _StopWhenDue(BaseCallback):
+    """Ends training after a step, once an interrupt is due."""
+
+    remembers_nothing = True
+
+    def __init__(self, interrupts: Interrupts) -> None:
+        super().__init__()
+        self.interrupts = interrupts
+        self.stopped = False
+
+    def _on_step(self) -> bool:
+        self.stopped = self.interrupts.due()
+        return not self.stopped
+
+
+class _RuledEvalCallback(EvalCallback):
+    """Logs success by the run's rule; None is the environment's own."""
+
+    remembers_nothing = True  # more than EvalCallback does, from one evaluation to the next
+    rule: SuccessRule | None = None
+
+    def _init_callback(self) -> None:
+        super()._init_callback()
+        self.eval_env.env_method("set_slots", record=True)
+
+    def _on_step(self) -> bool:
+        self._unreported: list[bool] = []
+        return super()._on_step()
+
+    def _log_success_callback(self, locals_: dict[str, Any], globals_: dict[str, Any]) -> None:
+        info = locals_["info"]
+        with suppress(ValueError):  # the environment reports no truth value, which training says
+            if self.rule is not None and "trajectory" in info:
+                trajectory, logged = info.pop("trajectory"), self._is_success_buffer
+                said = judged(self.rule, trajectory)
+                in_training = bool(self.model.ep_success_buffer)
+                tell_success(info, said, trajectory, self.rule, logged, self._unreported, reported=in_training)
+                self._unreported.append(said)
+        super()._log_success_callback(locals_, globals_)
+
+
+def train(config: TrainConfig, console: Console | None = None, *, resumed: Path | None = None) -> Trained:
     """Train, and leave a run folder.
 
     An interrupt or an error ends training early, and what was learned is kept. Before the first step nothing is kept,
     and no folder is left.
     """
+    console = console or Console(highlight=False, soft_wrap=True)
     if "OMP_NUM_THREADS" not in os.environ:
         torch.set_num_threads(1)  # small networks are fastest with one
-    runs.check_env_id(config.env)
-    check_device(config.device)
     class_of(config.algo)  # an algorithm that is not installed leaves no folder
     other: Trained | None = None
-    with interrupts or Interrupts() as interrupts:
+    with Interrupts() as interrupts:
         with closing(runs.make_env(config, 1, config.seed)) as env:  # an error leaves no folder
             get_obs_shape(env.observation_space)  # refuses what SB3 cannot learn from
             draws = mode_among(env.get_attr("metadata")[0]) is not None
-        trained = _train_once(config, interrupts, resumed)
-        if config.compare and config.discover and resumed is None and not interrupts.noted:
+        trained = _train_once(config, interrupts, console, resumed)
+        if config.compare and config.discover and resumed is None and interrupts.signal is None:
             console.print("Once more, without discovery:")
             without = dataclasses.replace(config, discover=False, compare=False, options=None)
-            other = _train_once(without, interrupts)
+            other = _train_once(without, interrupts, console)
     if not trained.folder.exists():
-        raise KeyboardInterrupt("before the first step: there is nothing to keep")
-    closing_report(console, trained, other, draws=draws)
-    return trained
+        raise KeyboardInterrupt("before the first step: there is nothing to keep.")
+    closing_report(console, trained, other if other is not None and other.finished else None, draws=draws)
+    return trained._replace(signal=interrupts.signal)
 
 
 def discovery_callback(config: TrainConfig, *, verbose: int = 0) -> SubgoalDiscoveryCallback:
@@ -85,18 +169,18 @@ def discovery_callback(config: TrainConfig, *, verbose: int = 0) -> SubgoalDisco
     )
 
 
-def resume(resumed: ResumeConfig, interrupts: Interrupts | None = None) -> None:
+def resume(resumed: ResumeConfig, console: Console) -> Trained | None:
     """Go on with a run. A finished run is left as it is."""
     run = resumed.run
     if not (run / runs.CONFIG).is_file():
         raise FileNotFoundError(f"{run} is no run folder: there is no {runs.CONFIG} in it.")
     with held(run):
         config = config_of(resumed)
-        if is_finished(config, run):
-            console.print(f"{escape(str(run))} is finished: it has trained for {config.n_timesteps:,} primitive steps.")
-            console.print("To train on, pass --n-timesteps with a larger number.")
-        else:
-            train(config, interrupts, resumed=run)
+        if not is_finished(config, run):
+            return train(config, console, resumed=run)
+    console.print(f"{escape(str(run))} is finished: it has trained for {config.n_timesteps:,} primitive steps.")
+    console.print("To train on, pass --n-timesteps with a larger number.")
+    return None
 
 
 def config_of(resumed: ResumeConfig) -> TrainConfig:
@@ -132,36 +216,29 @@ def is_finished(config: TrainConfig, run: Path) -> bool:
     return isinstance(trained, int) and trained >= config.n_timesteps
 
 
-def _mark_finished(config: TrainConfig, run: Path) -> None:
-    if (run / FINISHED).parent.is_dir():
-        with atomic_write(run / FINISHED) as temporary:
-            temporary.write_text(f"n_timesteps: {config.n_timesteps}\n", encoding="utf-8")
+def _write(path: Path, content: dict[str, Any]) -> None:
+    with atomic_write(path) as temporary:
+        temporary.write_text(yaml_file.dump(content, sort_keys=False), encoding="utf-8")
 
 
-def _lengthen(run: Path, n_timesteps: int) -> None:
-    """Have the configuration of a run say that it trains for longer, for the next `resume`."""
-    content = yaml_file.read_mapping(run / runs.CONFIG)
-    if content.get("n_timesteps") != n_timesteps:
-        with atomic_write(run / runs.CONFIG) as temporary:
-            text = yaml_file.dump(content | {"n_timesteps": n_timesteps}, sort_keys=False)
-            temporary.write_text(text, encoding="utf-8")
-
-
-def _train_once(config: TrainConfig, interrupts: Interrupts, resumed: Path | None = None) -> Trained:
+def _train_once(config: TrainConfig, interrupts: Interrupts, console: Console, resumed: Path | None = None) -> Trained:
     """Train, and leave all of a run folder; none without a step taken, unless it was there before."""
-    options = config.options if resumed is None else runs.options_of(resumed)
+    options = config.options
+    if resumed is not None:
+        began_with = yaml_file.read_mapping(resumed / runs.CONFIG).get("options")
+        options = None if began_with is None else Path(str(began_with))
     discovery = discovery_callback(config, verbose=1)
     discovery.hparams = _hparams_of(config, options)
     folder = runs.new_run_folder(config) if resumed is None else resumed
+    discovery.save_path = folder / runs.OPTIONS
     with nullcontext() if resumed else held(folder):  # `resume` holds it already
-        finished = _learn(config, discovery, folder, interrupts, resume=resumed is not None)
-        trained = Trained(config, folder, discovery, finished, interrupts.noted)
+        finished = _learn(config, discovery, folder, interrupts, console, resume=resumed is not None)
         if folder.exists():
             _draw(config, discovery, folder)
-            write_card(trained)
-        if finished:
-            _mark_finished(config, folder)  # last: a process that was killed before does the end again
-    return trained
+        if finished and (folder / FINISHED).parent.is_dir():
+            # Last: a process that was killed before does the end again.
+            _write(folder / FINISHED, {"n_timesteps": config.n_timesteps})
+    return Trained(config, folder, discovery, finished, None)
 
 
 def _hparams_of(config: TrainConfig, options: Path | None) -> dict[str, object]:
@@ -171,12 +248,16 @@ def _hparams_of(config: TrainConfig, options: Path | None) -> dict[str, object]:
 
 
 def _learn(
-    config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path, interrupts: Interrupts, *, resume: bool
+    config: TrainConfig,
+    discovery: SubgoalDiscoveryCallback,
+    folder: Path,
+    interrupts: Interrupts,
+    console: Console,
+    *,
+    resume: bool,
 ) -> bool:
     """Train, and save the result however training ends; remove a new folder if no step was taken."""
-    interrupts.saving = False
-    interrupts.patience = 0.0
-    discovery.save_path = folder / runs.OPTIONS
+    interrupts.saving, interrupts.patience = False, 0.0
     model: BaseAlgorithm | None = None
     envs: list[VecEnv] = []
     finished = False
@@ -187,13 +268,14 @@ def _learn(
         if not resume:
             configs.save(config, folder / runs.CONFIG)
         model.tensorboard_log = str(folder)
-        callbacks = [discovery, *_bonus(config), *_evaluation(config, folder, envs, interrupts)]
-        callbacks += [KeepToBudget(), StopWhenNoted(interrupts)]
+        stop = _StopWhenDue(interrupts)
+        callbacks = [discovery, *_bonus(config), *_evaluation(config, folder, envs), stop]
         if config.checkpoint_freq > 0:
-            callbacks += _checkpoints(config, folder, model, callbacks, interrupts, resume=resume)
-        interrupts.ended = interrupts.noted
-        if not interrupts.noted:
-            _say_what_begins(config, resume=resume)
+            callbacks += _checkpoints(config, folder, model, callbacks, interrupts, console, resume=resume)
+        if interrupts.signal is None:
+            console.print(
+                f"Training {config.algo.upper()} on {escape(config.env)} for {config.n_timesteps:,} primitive steps."
+            )
             # A model that was not trained yet counts from 0 all the same, but goes on in the same TensorBoard folder.
             model.learn(
                 config.n_timesteps,
@@ -202,57 +284,62 @@ def _learn(
                 tb_log_name="tensorboard",
                 reset_num_timesteps=not resume,
             )
-        finished = not interrupts.ended
+            finished = not stop.stopped
     except EndedAtCheckpointError:
-        interrupts.ended = True
+        pass
     except KeyboardInterrupt:
-        interrupts.noted = True
-        interrupts.ended = True
+        interrupts.signal = interrupts.signal or signal.SIGINT
     except Exception as error:
         # An interrupt that was sent to the worker processes, too, has ended them.
-        if not (interrupts.noted and isinstance(error, WorkerLostError | EOFError | ConnectionError)):
+        if interrupts.signal is None or not isinstance(error, WorkerLostError | EOFError | ConnectionError):
             trained = model is not None and model.num_timesteps > 0
             if trained:
                 error.add_note(f"What was learned until then is kept in {folder}.")
             if isinstance(error, WorkerLostError) and (resume or trained):
                 error.add_note(how_to_resume(config, folder))
             raise
-        interrupts.ended = True
     finally:
         interrupts.saving = True  # before anything else: from now on no interrupt is raised
-        with _closed(envs, finished=finished):
-            _save(config, model, discovery, folder, resume=resume)
+        with ExitStack() as stack:
+            stack.enter_context(suppress(WorkerLostError))  # it is not needed any more
+            for env in envs:
+                if finished:
+                    stack.callback(env.close)
+                else:
+                    stack.callback(end_workers, env)  # perhaps in the middle of a step
+            if model is not None and model.num_timesteps > 0:
+                runs.save(model, discovery.bank, folder)
+            elif not resume:
+                runs.discard(folder)
     return finished
-
-
-def _say_what_begins(config: TrainConfig, *, resume: bool) -> None:
-    steps = f"{config.n_timesteps:,} primitive steps"
-    console.print(f"Training {config.algo.upper()} on {escape(config.env)} for {steps}.")
-    if resume:
-        return
-    if text := rounded_up(config):
-        console.print(escape(text))
-    if config.compare and config.discover:
-        console.print("Afterwards once more without discovery; --no-compare leaves that out.")
 
 
 def _bonus(config: TrainConfig) -> list[BaseCallback]:
     return [] if config.bonus == "none" else [IntrinsicRewardCallback(config.bonus, seed=config.seed)]
 
 
-def _evaluation(config: TrainConfig, folder: Path, envs: list[VecEnv], interrupts: Interrupts) -> list[BaseCallback]:
+def _evaluation(config: TrainConfig, folder: Path, envs: list[VecEnv]) -> list[BaseCallback]:
     """The callback of ``--eval-freq``; its environment is added to ``envs``."""
     if config.eval_freq == 0:
         return []
     seed = EVAL_SEED + config.seed
     env = runs.make_env(config, 1, seed, vec_env=config.vec_env, max_steps=config.eval_max_steps)
     envs.append(env)
-    # A rule for segments says nothing of episodes.
-    rule = success_rule(config.success) if config.discovery.segmentation == "episodes" else None
-    episodes = config.eval_episodes
-    callback = eval_callback_class(config.algo)(
-        interrupts, folder, rule, env, n_eval_episodes=episodes, eval_freq=1, verbose=0
+    of: type[_RuledEvalCallback] = _RuledEvalCallback
+    if config.algo == "maskableppo":
+        from sb3_contrib.common.maskable.callbacks import MaskableEvalCallback
+
+        of = type("MaskableEvalCallback", (_RuledEvalCallback, MaskableEvalCallback), {})
+    callback = of(
+        env,
+        n_eval_episodes=config.eval_episodes,
+        eval_freq=1,
+        log_path=str(folder),
+        best_model_save_path=str(folder),
+        verbose=0,
     )
+    if config.discovery.segmentation == "episodes":  # a rule for segments says nothing of episodes
+        callback.rule = success_rule(config.success)
     # EvalCallback counts calls of step, of which one may be many primitive steps.
     return [EveryNTimesteps(config.eval_freq, callback)]
 
@@ -263,6 +350,7 @@ def _checkpoints(
     model: BaseAlgorithm,
     callbacks: list[BaseCallback],
     interrupts: Interrupts,
+    console: Console,
     *,
     resume: bool,
 ) -> list[BaseCallback]:
@@ -273,45 +361,14 @@ def _checkpoints(
         return []
     interrupts.patience = PATIENCE
     where = folder / runs.CHECKPOINTS
-    checkpoints = CheckpointCallback(where, config.checkpoint_freq, end_when=lambda: interrupts.noted)
+    checkpoints = CheckpointCallback(where, config.checkpoint_freq, end_when=lambda: interrupts.signal is not None)
     if resume:
         steps = load_checkpoint(where, model, [*callbacks, checkpoints])
-        anew = "" if steps else " There is no later checkpoint."
-        console.print(f"Going on after {steps:,} primitive steps.{anew}")
-        _lengthen(folder, config.n_timesteps)
+        console.print(f"Going on after {steps:,} primitive steps.")
+        content = yaml_file.read_mapping(folder / runs.CONFIG)
+        if content.get("n_timesteps") != config.n_timesteps:  # for the next `resume`
+            _write(folder / runs.CONFIG, content | {"n_timesteps": config.n_timesteps})
     return [checkpoints]
-
-
-def _save(
-    config: TrainConfig,
-    model: BaseAlgorithm | None,
-    discovery: SubgoalDiscoveryCallback,
-    folder: Path,
-    *,
-    resume: bool,
-) -> None:
-    try:
-        if model is not None and model.num_timesteps > 0:
-            runs.save(model, discovery.bank, folder)
-        elif not resume:
-            runs.discard(folder)
-    except OSError as error:
-        error.add_note(how_to_resume(config, folder))
-        raise
-
-
-@contextmanager
-def _closed(envs: list[VecEnv], *, finished: bool) -> Iterator[None]:
-    """Close environments afterwards; workers of an unfinished training are ended, perhaps in the middle of a step."""
-    try:
-        yield
-    finally:
-        for env in envs:
-            if finished:
-                with suppress(WorkerLostError):  # it is not needed any more
-                    env.close()
-            else:
-                end_workers(env)
 
 
 def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path) -> None:

@@ -10,45 +10,33 @@ import contextlib
 import dataclasses
 import json
 import math
-import shlex
 import warnings
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import optuna
 from joblib import Parallel, delayed, parallel_config
-from matplotlib import pyplot
-from matplotlib.ticker import NullFormatter
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
-from optuna.visualization import matplotlib as optuna_plots
 from rich.console import Console
 from rich.markup import escape
 
-from sb3_options.atomic import atomic_write
 from sb3_options.execution.ray_cluster import connect
 from sb3_options.runs import config as configs
 from sb3_options.runs import yaml_file
 from sb3_options.runs.algorithms import class_of
 from sb3_options.runs.commands import TuneConfig
-from sb3_options.runs.compare import Goal, at_once, at_the_end, learned_after
-from sb3_options.runs.config import TrainConfig
-from sb3_options.runs.logged import NothingLoggedError, Run, read_run
-from sb3_options.runs.pictures import DPI
+from sb3_options.runs.compare import Goal, Run, at_the_end, learned_after, read_run
+from sb3_options.runs.config import IMPORTING, TrainConfig
 from sb3_options.runs.training import train
-from sb3_options.runs.under_way import held
-from sb3_options.runs.users_code import IMPORTING, flag, named_in_errors, with_trusted
 
 BEST = "best.yml"
 JOURNAL = "trials.log"
 RUNS = "runs"
 LOG = "output.txt"
-NAME = "settings"
-"""Of the study in the journal."""
 
 N_RANDOM = 8
 """Trials that are drawn at random before TPE proposes."""
@@ -57,20 +45,11 @@ P_THRESHOLD = 0.1
 N_BEFORE = 4
 """Runs of a trial before it may be stopped: with fewer, Wilcoxon's test says nothing."""
 
+COUNTED = (TrialState.COMPLETE, TrialState.PRUNED, TrialState.RUNNING)
+"""Trials that count; one that failed is made up for."""
+
 N_FAILED = 3
 """Failures that end a search in which no trial was completed."""
-
-FIXED = ("algo", "seed", "tensorboard_log", "compare", "progress", *IMPORTING, *configs.GROUPS, "algo_kwargs", "method")
-"""What cannot be varied: a search has one algorithm, and seeds and folders of its own."""
-
-IMPORTANCES = "importances.png"
-PICTURES: dict[str, Callable[..., Any]] = {
-    "history.png": optuna_plots.plot_optimization_history,
-    "slice.png": optuna_plots.plot_slice,
-    IMPORTANCES: partial(
-        optuna_plots.plot_param_importances, evaluator=optuna.importance.PedAnovaImportanceEvaluator()
-    ),
-}
 
 
 class SearchSpace(NamedTuple):
@@ -82,92 +61,88 @@ class SearchSpace(NamedTuple):
 
     def config(self, proposed: Mapping[str, Any], seed: int, folder: Path) -> TrainConfig:
         """The configuration of a run, whose run folder will be in ``folder``."""
-        own = {"seed": seed, "tensorboard_log": str(folder), "progress": False, "compare": False}
-        return configs.build({**self.base, **proposed, **own}, self.where)
-
-    def values(self, params: Mapping[str, Any]) -> dict[str, Any]:
-        """Settings of a trial's parameters."""
-        categorical = {name for name, of in self.search.items() if isinstance(of, CategoricalDistribution)}
-        return {name: json.loads(value) if name in categorical else value for name, value in params.items()}
+        read = {name: json.loads(v) if isinstance(v, str) else v for name, v in proposed.items()}
+        own = {"seed": seed, "tensorboard_log": str(folder), "progress": False, "compare": False, "checkpoint_freq": 0}
+        return configs.build({**self.base, **read, **own}, self.where)
 
 
 def read_space(path: Path, trusted: Mapping[str, str | None]) -> SearchSpace:
     """A file with ``base`` and ``search``; ``trusted`` are settings of the command line that may import modules."""
-    with named_in_errors("tune", path):
-        content = yaml_file.read_mapping(path)
-    if not content.keys() <= {"base", "search"} or not all(isinstance(part, dict) for part in content.values()):
+    content = yaml_file.read_mapping(path)
+    parts = [content.get("base", {}), content.get("search")]
+    if not content.keys() <= {"base", "search"} or not all(isinstance(part, dict) and part for part in parts[1:]):
         raise ValueError(f"{path}: write `base:` and `search:`, each with `name: value` lines, and nothing else.")
-    base = {str(name).replace("-", "_"): value for name, value in content.get("base", {}).items()}
-    search = {str(name).replace("-", "_"): value for name, value in content.get("search", {}).items()}
-    if not search:
-        raise ValueError(f"{path}: `search:` names nothing. Say what varies: `learning_rate: [0.001, 0.01]`.")
-    for name in search:
-        if name in FIXED:
-            raise ValueError(f"{path}: {name} cannot be varied. Search apart, or name a setting within it.")
+    base, search = ({str(name).replace("-", "_"): value for name, value in part.items()} for part in parts)
+    for name in search.keys() & {*IMPORTING, "seed", "tensorboard_log"}:
+        raise ValueError(f"{path}: {name} cannot be varied.")
     distributions = {name: _distribution(path, name, of) for name, of in search.items()}
-    space = SearchSpace(path, with_trusted(base, trusted, path), distributions)
-    ends = {name: of if isinstance(of, list) else [of["low"], of["high"]] for name, of in search.items()}
+    space = SearchSpace(path, configs.with_trusted(base, trusted, path), distributions)
     for end in (0, -1):  # names and both ends are right
-        class_of(space.config({name: of[end] for name, of in ends.items()}, 0, Path("runs")).algo)
+        proposed = {
+            name: of.choices[end] if isinstance(of, CategoricalDistribution) else (of.low, of.high)[end]
+            for name, of in distributions.items()
+        }
+        class_of(space.config(proposed, 0, Path("runs")).algo)
     return space
 
 
-def _distribution(path: Path, name: str, of: Any) -> BaseDistribution:
+def _distribution(path: Path, name: str, of: Any) -> Any:
     try:
-        if isinstance(of, list) and len(of) >= 2:
+        if isinstance(of, list):
             return CategoricalDistribution([json.dumps(value) for value in of])  # Optuna hashes values
         whole = isinstance(of["low"], int) and isinstance(of["high"], int)
         return IntDistribution(**of) if whole else FloatDistribution(**of)
     except (TypeError, ValueError, KeyError) as error:
-        example = "{low: 0.0001, high: 0.01, log: true} or a list of two values or more"
+        example = "{low: 0.0001, high: 0.01, log: true} or a list of values"
         raise ValueError(f"{path}: {name} takes {example}, got {of!r}: {error}") from error
 
 
 def tune(config: TuneConfig, console: Console) -> TrainConfig:
-    """Search, and leave ``best.yml`` and pictures; the best configuration is returned."""
-    goal = Goal.parsed(config.reach)
-    trusted = {name: getattr(config, name) for name in IMPORTING}
-    space = read_space(config.space, trusted)
+    """Search, and leave ``best.yml``; the best configuration is returned."""
+    Goal.parsed(config.reach)
+    space = read_space(config.space, {name: getattr(config, name) for name in IMPORTING})
     config.out.mkdir(parents=True, exist_ok=True)
-    with held(config.out):
-        study = _opened(config, goal, 0)
-        _check_same(study, config, space)
-        for cut_off in study.get_trials(states=(TrialState.RUNNING,)):
-            study.enqueue_trial(cut_off.params)
-            study.tell(cut_off.number, state=TrialState.FAIL)
-        with _backend(config):
-            Parallel(n_jobs=config.jobs)(delayed(_work)(config, space, job) for job in range(config.jobs))
-    best = dataclasses.replace(space.config(space.values(study.best_params), 0, Path("runs")), progress=True)
+    study = _opened(config, 0)
+    asked = [config.objective, config.reach, config.seeds, str(space[1:])]
+    if study.user_attrs.get("asked", asked) != asked:
+        raise ValueError(f"{config.out} holds another search: its file, goal or seeds differ. Give another --out.")
+    study.set_user_attr("asked", asked)
+    for cut_off in study.get_trials(states=(TrialState.RUNNING,)):
+        study.enqueue_trial(cut_off.params)
+        study.tell(cut_off.number, state=TrialState.FAIL)
+    where: contextlib.AbstractContextManager[Any] = contextlib.nullcontext()
+    if config.cluster is not None:
+        connect(config.cluster)
+        from ray.util.joblib import register_ray
+
+        register_ray()  # type: ignore[no-untyped-call]  # Ray's
+        where = parallel_config("ray")
+    with where:
+        Parallel(n_jobs=config.jobs)(delayed(_work)(config, space, job) for job in range(config.jobs))
+    best = dataclasses.replace(space.config(study.best_params, 0, Path("runs")), progress=True)
     configs.save(best, config.out / BEST)
-    _draw(study, config, goal)
-    states = [trial.state for trial in study.trials]
+    states = [trial.state.name.lower() for trial in study.trials]
+    found = ", ".join(f"{states.count(state)} {state}" for state in sorted(set(states)))
+    shown = f"{math.exp(study.best_value):,.0f} primitive steps" if config.objective == "steps" else study.best_value
     console.print(
-        f"Best of {states.count(TrialState.COMPLETE)} trials on {config.seeds} seeds "
-        f"({states.count(TrialState.PRUNED)} stopped early, {states.count(TrialState.FAIL)} failed): trial "
-        f"{study.best_trial.number + 1}, {_shown(study.best_value, config)}. The best of many is better on these "
-        "seeds than on others."
+        f"Of {found} trials on {config.seeds} seeds trial {study.best_trial.number + 1} is the best, {shown}. The best "
+        f"of many is better on these seeds than on others: judge {escape(str(config.out / BEST))} with --config on "
+        f"--seed {config.seeds} and more."
     )
-    runs = [read_run(path.parent) for path in config.out.glob(f"{RUNS}/*/*/*/*/{configs.CONFIG}")]
-    source = "eval" if all(run.curves["eval"] for run in runs) else "rollout"
-    if config.objective == "steps" and at_once(goal, runs, source):
-        console.print(f"[yellow]Warning:[/] most runs had {goal} at their first log entry, so chance chose. Search for")
-        console.print("another --reach, such as length=40, in another --out.")
-    words = ["--config", str(config.out / BEST), "--seed", str(config.seeds)]
-    words += [word for name, text in trusted.items() if text is not None for word in (flag(name), text)]
-    console.print(escape(f"Judge it on another seed: sb3-options train {shlex.join(words)}"), soft_wrap=True)
     return best
 
 
-def _opened(config: TuneConfig, goal: Goal, job: int) -> optuna.Study:
+def _opened(config: TuneConfig, job: int) -> optuna.Study:
     """The search in the folder, or a new one; each job draws other settings, and so does a search that goes on."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
+    less = config.objective == "steps" or Goal.parsed(config.reach).measure == "length"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
         study = optuna.create_study(
             storage=JournalStorage(JournalFileBackend(str(config.out / JOURNAL))),
-            study_name=NAME,
+            study_name="settings",
             pruner=optuna.pruners.WilcoxonPruner(p_threshold=P_THRESHOLD, n_startup_steps=N_BEFORE),
-            direction="minimize" if config.objective == "steps" or goal.measure == "length" else "maximize",
+            direction="minimize" if less else "maximize",
             load_if_exists=True,
         )
         seed = len(study.trials) + 10_000 * job
@@ -177,72 +152,34 @@ def _opened(config: TuneConfig, goal: Goal, job: int) -> optuna.Study:
     return study
 
 
-def _check_same(study: optuna.Study, config: TuneConfig, space: SearchSpace) -> None:
-    """Refuse a folder that holds another search."""
-    asked = {name: getattr(config, name) for name in ("objective", "reach", "seeds")}
-    asked["file"] = str((space.base, space.search))
-    for name, value in study.user_attrs.get("asked", asked).items():
-        if value != asked[name]:
-            raise ValueError(f"{config.out} holds a search with another {name}. Give another --out.")
-    study.set_user_attr("asked", asked)
-
-
-def _backend(config: TuneConfig) -> contextlib.AbstractContextManager[Any]:
-    """Where the jobs run: processes of this machine, or Ray's."""
-    if config.cluster is None:
-        return contextlib.nullcontext()
-    connect(config.cluster)
-    from ray.util.joblib import register_ray
-
-    register_ray()  # type: ignore[no-untyped-call]  # Ray's
-    backend: contextlib.AbstractContextManager[Any] = parallel_config("ray")
-    return backend
-
-
 def _work(config: TuneConfig, space: SearchSpace, job: int) -> None:
     """Try one set of settings after another until there are enough; one of several processes may do so."""
-    console = Console(highlight=False, soft_wrap=True)
-    goal = Goal.parsed(config.reach)
-    study = _opened(config, goal, job)
-    counted = (TrialState.COMPLETE, TrialState.PRUNED, TrialState.RUNNING)
-    while len(study.get_trials(deepcopy=False, states=counted)) < config.trials:
+    study = _opened(config, job)
+    while len(study.get_trials(deepcopy=False, states=COUNTED)) < config.trials:
         trial = study.ask(space.search)
-        text = "stopped, for it is worse than the best"
         try:
-            value = _mean_score(trial, config, space, goal)
-            state = TrialState.PRUNED if value is None else TrialState.COMPLETE
-            if value is not None:
-                text = _shown(value, config)
+            value = _mean_score(trial, config, space)
         except Exception as error:
-            value, state, text = None, TrialState.FAIL, f"failed: {error}"
-            trial.set_user_attr("failed", str(error))
-        study.tell(trial, value, state=state)
-        settings = ", ".join(
-            f"{name} {of:.3g}" if isinstance(of, float) else f"{name} {of}" for name, of in trial.params.items()
-        )
-        console.print(escape(f"Trial {trial.number + 1}: {text} ({settings})"))
-        _check_failures(study, config)
+            study.tell(trial, state=TrialState.FAIL)
+            states = [each.state for each in study.get_trials(deepcopy=False)]
+            print(f"Trial {trial.number + 1} failed: {error}", flush=True)
+            if states.count(TrialState.FAIL) >= (config.trials if TrialState.COMPLETE in states else N_FAILED):
+                raise
+            continue
+        study.tell(trial, value, state=TrialState.PRUNED if value is None else TrialState.COMPLETE)
+        print(f"Trial {trial.number + 1}: {'pruned' if value is None else value} ({trial.params})", flush=True)
 
 
-def _mean_score(trial: optuna.Trial, config: TuneConfig, space: SearchSpace, goal: Goal) -> float | None:
+def _mean_score(trial: optuna.Trial, config: TuneConfig, space: SearchSpace) -> float | None:
     """Over the seeds; None where the trial proves worse than the best before them all."""
     scores = []
     for seed in range(config.seeds):
-        folder = config.out / RUNS / f"{trial.number:04}" / str(seed)
-        scores.append(score(space.config(space.values(trial.params), seed, folder), goal, config.objective))
+        run = space.config(trial.params, seed, config.out / RUNS / f"{trial.number:04}" / str(seed))
+        scores.append(score(run, Goal.parsed(config.reach), config.objective))
         trial.report(scores[-1], len(scores))
         if trial.should_prune():
             return None
     return sum(scores) / len(scores)
-
-
-def _check_failures(study: optuna.Study, config: TuneConfig) -> None:
-    """End a search that leads nowhere."""
-    trials = study.get_trials(deepcopy=False)
-    failures = [trial.user_attrs["failed"] for trial in trials if "failed" in trial.user_attrs]
-    completed = any(trial.state in (TrialState.COMPLETE, TrialState.PRUNED) for trial in trials)
-    if len(failures) >= (max(N_RANDOM, config.trials) if completed else N_FAILED):
-        raise ValueError(f"{len(failures)} trials failed. The last one: {failures[-1]}")
 
 
 def score(run: TrainConfig, goal: Goal, objective: str) -> float:
@@ -252,16 +189,10 @@ def score(run: TrainConfig, goal: Goal, objective: str) -> float:
         log = stack.enter_context((run.tensorboard_log / LOG).open("w", encoding="utf-8"))
         stack.enter_context(contextlib.redirect_stdout(log))
         stack.enter_context(contextlib.redirect_stderr(log))
-        trained = train(dataclasses.replace(run, checkpoint_freq=0))
-    if not trained.finished:
+        trained = train(run)
+    if trained.signal is not None:
         raise KeyboardInterrupt
-    try:
-        return score_of(read_run(trained.folder), goal, objective, run.n_timesteps)
-    except NothingLoggedError as error:
-        raise ValueError(
-            f"No training episode ended within the budget of {run.n_timesteps:,} primitive steps. Give a larger "
-            "n_timesteps, or the environment a shorter time limit."
-        ) from error
+    return score_of(read_run(trained.folder), goal, objective, run.n_timesteps)
 
 
 def score_of(run: Run, goal: Goal, objective: str, n_timesteps: int) -> float:
@@ -276,26 +207,3 @@ def score_of(run: Run, goal: Goal, objective: str, n_timesteps: int) -> float:
     if objective == "end":
         return at_the_end(curve, n_timesteps)
     return math.log(max(1.0, learned_after(curve, goal) or n_timesteps))
-
-
-def _shown(value: float, config: TuneConfig) -> str:
-    return f"{math.exp(value):,.0f} primitive steps" if config.objective == "steps" else f"{value:.3g}"
-
-
-def _draw(study: optuna.Study, config: TuneConfig, goal: Goal) -> None:
-    """Optuna's own pictures, which are pyplot's."""
-    unit = f"ln(primitive steps to {goal})" if config.objective == "steps" else goal.measure
-    values = {trial.value for trial in study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))}
-    for name, plot in PICTURES.items():
-        if name == IMPORTANCES and (len(values) < 2 or len(study.best_params) < 2):
-            continue  # there is nothing to compare
-        with pyplot.rc_context(), warnings.catch_warnings():  # Optuna changes the style of all later pictures
-            warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-            warnings.simplefilter("ignore", UserWarning)  # of axes with a single value
-            plot(study, target_name=unit)
-            figure = pyplot.gcf()
-            for axes in figure.axes:
-                axes.xaxis.set_minor_formatter(NullFormatter())  # narrow logarithmic axes write numbers over another
-            with atomic_write(config.out / name) as temporary:
-                figure.savefig(temporary, dpi=DPI, format="png", bbox_inches="tight")
-            pyplot.close(figure)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import closing, contextmanager
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,8 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw
 
 from sb3_options.atomic import atomic_write
-from sb3_options.envs.minigrid import KEYWORDS, is_minigrid
-from sb3_options.runs.users_code import named_in_errors
+from sb3_options.runs.config import TrainConfig
+from sb3_options.runs.folder import make_env
 
 CAPTION_HEIGHT = 24
 """Pixels of the strip that names the running option."""
@@ -79,23 +79,20 @@ def captioned(picture: Any, text: str) -> npt.NDArray[np.uint8]:
 @contextmanager
 def video_file(path: Path, fps: float) -> Iterator[Callable[[Any], None]]:
     """Takes the pictures of an MP4 or GIF file, (height, width, 3) each; it is there, whole, once all are taken."""
-    if path.suffix.lower() == ".gif":
+    gif = path.suffix.lower() == ".gif"
+    if gif:
         settings: dict[str, Any] = {"format": "GIF", "duration": 1000 / fps, "loop": 0}
     else:  # the sides are padded below: macro_block_size would scale the picture instead
         settings = {"format": "FFMPEG", "fps": fps, "codec": "libx264", "pixelformat": "yuv420p", "macro_block_size": 1}
-    left = GIF_PICTURES if settings["format"] == "GIF" else math.inf
+    taken = count()
+    with atomic_write(path) as temporary, closing(imageio.get_writer(temporary, **settings)) as writer:
 
-    def take(picture: Any) -> None:
-        nonlocal left
-        left -= 1
-        if left >= 0:
-            height, width = picture.shape[:2]
-            writer.append_data(np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge"))  # for the codec
+        def take(picture: Any) -> None:
+            if next(taken) < GIF_PICTURES or not gif:
+                height, width = picture.shape[:2]
+                odd = ((0, height % 2), (0, width % 2), (0, 0))
+                writer.append_data(np.pad(picture, odd, mode="edge"))  # the codec takes even sides
 
-    with ExitStack() as stack:
-        with named_in_errors("--video", path, "cannot be written"):
-            temporary = stack.enter_context(atomic_write(path))
-            writer = stack.enter_context(closing(imageio.get_writer(temporary, **settings)))
         yield take
 
 
@@ -105,13 +102,11 @@ def mode_among(metadata: Mapping[str, Any]) -> str | None:
     return next((mode for mode in MODES if mode in modes), None)
 
 
-def render_mode_of(env_id: str, keywords: dict[str, Any]) -> tuple[str, float]:
+def render_mode_of(config: TrainConfig) -> tuple[str, float]:
     """The render mode that shows most of an environment, and its pictures per second."""
-    if is_minigrid(env_id):
-        keywords = {name: value for name, value in keywords.items() if name not in KEYWORDS}
-    with closing(gym.make(env_id, **keywords)) as env:
-        mode = mode_among(env.metadata)
+    with closing(make_env(config, 1, 0)) as env:
+        mode = mode_among(env.get_attr("metadata")[0])
     if mode is None:
-        raise ValueError(f"{env_id} draws no pictures, for it has no render_mode 'rgb_array': leave --video out.")
-    with closing(gym.make(env_id, **keywords, render_mode=mode)) as env:  # pictures of a list may come faster
-        return mode, float(env.metadata.get("render_fps", DEFAULT_FPS))
+        raise ValueError(f"{config.env} draws no pictures, for it has no render_mode 'rgb_array': leave --video out.")
+    with closing(make_env(config, 1, 0, render_mode=mode)) as env:  # pictures of a list may come faster
+        return mode, float(env.get_attr("metadata")[0].get("render_fps", DEFAULT_FPS))

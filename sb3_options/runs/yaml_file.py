@@ -15,7 +15,6 @@ MAX_CHARACTERS = 100_000
 MAX_DEPTH = 20
 """Deepest nesting that is read."""
 
-
 SCIENTIFIC = re.compile(r"[-+]?[0-9][0-9_]*(\.[0-9_]*)?[eE][-+]?[0-9]+$")
 """Numbers of YAML 1.2 that PyYAML, which follows 1.1, takes for texts: 1e4, 3e-4."""
 
@@ -56,11 +55,7 @@ def read_mapping(path: Path) -> dict[str, Any]:
 
 
 def parse(text: str) -> Any:
-    """Plain YAML: numbers, texts, truth values, dates, lists and mappings of these.
-
-    Tags, anchors and aliases are refused: a tag chooses how a value is made, and a few aliases stand for any number of
-    values.
-    """
+    """Plain values; no tags, which choose how a value is made, and no aliases, of which a few stand for any number."""
     if len(text) > MAX_CHARACTERS:
         raise ValueError(f"it has more than {MAX_CHARACTERS:,} characters.")
     depth = 0

@@ -5,24 +5,22 @@ from pathlib import Path
 import pytest
 
 from tests.integration.test_cli_run import Stopping, shell
-from tests.support.sb3_helpers import TAXI
 
 
 class TestErrors(Stopping):
     @pytest.mark.parametrize(
-        ("wrong", "right"),
+        ("wrong", "said"),
         [
-            ("sb3_options/TwoRoms-v0", "sb3_options/TwoRooms-v0"),
-            ("TwoRooms-v0", "sb3_options/TwoRooms-v0"),
-            ("CartPol-v1", "CartPole-v1"),
-            ("Taxi-v9", TAXI),
+            ("sb3_options/TwoRoms-v0", "Did you mean: `TwoRooms`?"),
+            ("CartPol-v1", "Did you mean: `CartPole`?"),
+            ("Taxi-v9", "Environment version `v9` for environment `Taxi` doesn't exist"),
         ],
     )
     def test_a_mistyped_environment(
-        self, wrong: str, right: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+        self, wrong: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
         text = self.stopped(capsys, "--env", wrong, "--tensorboard-log", str(tmp_path / "runs"))
-        assert f"There is no environment {wrong!r}. Did you mean {right!r}?" in text
+        assert said in text
         assert not (tmp_path / "runs").exists()
 
     @pytest.mark.parametrize(
@@ -30,7 +28,7 @@ class TestErrors(Stopping):
         [
             (
                 ["--env", "Blackjack-v1"],
-                "observation space is not supported",
+                "cannot learn from these observations",
             ),
             (["--env-kwargs", "mapp:1"], "unexpected keyword argument 'mapp'"),
             (["--env", "no_such_module:Env-v0"], "no_such_module"),
@@ -45,5 +43,5 @@ class TestErrors(Stopping):
     def test_from_the_shell(self, tmp_path: Path) -> None:
         done = shell("--env", "sb3_options/TwoRoms-v0", cwd=tmp_path)
         assert done.returncode == 1
-        assert "Did you mean 'sb3_options/TwoRooms-v0'?" in done.stderr
+        assert "TwoRooms" in done.stderr
         assert "Traceback" not in done.stderr + done.stdout

@@ -95,8 +95,6 @@ class TestTrain:
         assert lengths == [8, 8]
         without = configs.load(tmp_path / "maskableppo" / "sb3_options-TwoRooms-v0_2" / "config.yml")
         assert (without.discover, without.compare) == (False, False)
-        cli.main(args)
-        assert "Against --no-discover: train with --compare" in capsys.readouterr().out
 
     def test_an_interrupt_keeps_what_was_learned(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -57,7 +57,7 @@ def test_resumed_after_a_worker_was_killed(
     assert f"Environment 1 of 2 is gone: its worker process (pid {KillsOnce.killed[0]}) was killed by SIGKILL" in said
     assert f"What was learned until then is kept in {run_in(victim)}" in said
     assert (run_in(victim) / runs.MODEL).is_file()
-    command = said.partition("Go on from its last checkpoint: ")[2]
+    command = said.partition("Resume: ")[2]
     *_, resume, run = shlex.split(command)
     assert (resume, Path(run).resolve()) == ("resume", run_in(victim).resolve())
     cli.main(["resume", run, "--no-progress"])

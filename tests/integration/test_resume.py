@@ -18,8 +18,8 @@ from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
 from sb3_options.runs import training
+from sb3_options.runs.folder import held
 from sb3_options.runs.training import is_finished
-from sb3_options.runs.under_way import held
 
 CONFIG = """
 algo: ppo

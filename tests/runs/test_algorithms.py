@@ -9,7 +9,7 @@ import pytest
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
 
-from sb3_options.runs.algorithms import RESERVED, check_device, make_model
+from sb3_options.runs.algorithms import RESERVED, make_model
 from sb3_options.runs.config import ALGORITHMS, TrainConfig, build
 from sb3_options.runs.folder import make_env
 
@@ -86,11 +86,3 @@ def test_a_picture_too_small_for_convolutions_is_laid_flat(shape: tuple[int, ...
     model = make_model(build({"algo": "ppo"}, "here"), venv, playing=True)
     assert type(model.policy).__name__ == policy
     assert isinstance(model.predict(venv.reset())[0], np.ndarray)  # type: ignore[arg-type]
-
-
-def test_a_gpu_that_is_not_there_is_told_of(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
-    check_device("auto")
-    assert not caplog.records
-    check_device("cuda")
-    assert caplog.messages == ["--device cuda: torch finds no GPU, so training is on the CPU."]

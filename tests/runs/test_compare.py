@@ -10,17 +10,18 @@ import yaml
 from rich.console import Console
 from stable_baselines3.common.logger import TensorBoardOutputFormat
 
-from sb3_options.runs.commands import CompareConfig
 from sb3_options.runs.compare import (
+    Curve,
     Goal,
+    Run,
     compared,
     figure_of,
-    goal_of,
-    show_comparison,
+    grouped,
+    groups_of,
+    read_run,
     source_of,
     table_of,
 )
-from sb3_options.runs.logged import Curve, Run, grouped, groups_of, read_run
 
 STEPS = [1000, 2000, 3000, 4000]
 
@@ -193,37 +194,3 @@ def test_a_picture_has_a_row_for_each_measure(tmp_path: Path) -> None:
     assert [len(axes.lines) for axes in figure.axes] == [2, 2, 2, 2]
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["a (2)", "b (2)"]
     figure.savefig(tmp_path / "compare.png")
-
-
-def lasting(name: str, success: list[float], length: list[float]) -> Run:
-    steps = np.array(STEPS, dtype=np.float64)
-    curves = {"success": np.array(success), "length": np.array(length)}
-    return Run(Path(name), {}, {"eval": {}, "rollout": {m: Curve(steps, steps, v) for m, v in curves.items()}})  # type: ignore[misc]  # measures
-
-
-def test_where_success_comes_at_once_a_length_is_waited_for() -> None:
-    at_once = [1.0, 1.0, 1.0, 1.0]
-    groups = {"a": [lasting("a", at_once, [400, 300, 200, 41])], "b": [lasting("b", at_once, [400, 90, 90, 80])]}
-    goal, said = goal_of(None, groups, "rollout")
-    assert goal == Goal("length", 51)
-    assert said == (
-        "Most runs succeed from their first entry on, so episode length ≤ 51 is waited for: a quarter more than the "
-        "shortest at the end. Say --reach success=0.9 to wait for success all the same."
-    )
-    assert goal_of(Goal("success", 0.9), groups, "rollout") == (Goal("success", 0.9), "")
-
-
-def test_where_success_comes_later_it_is_waited_for() -> None:
-    learning = lasting("a", [0.0, 1.0, 1.0, 1.0], [400, 300, 200, 40])
-    groups = {"a": [learning], "b": [lasting("b", [1.0, 1.0, 1.0, 1.0], [40, 40, 40, 40])]}
-    assert goal_of(None, groups, "rollout") == (Goal("success", 0.9), "")
-    assert goal_of(Goal("length", 50), groups, "rollout") == (Goal("length", 50), "")
-
-
-def test_where_nothing_tells_runs_apart_that_is_said(tmp_path: Path) -> None:
-    run = logged(tmp_path / "run", [1.0, 1.0])  # no length was logged
-    console = Console(width=200, no_color=True)
-    with console.capture() as captured:
-        show_comparison(CompareConfig((str(run),), tmp_path / "a.png"), console)
-    assert "primitive steps to success rate ≥ 0.9" in captured.get()
-    assert "so that tells nothing: choose another --reach." in captured.get()

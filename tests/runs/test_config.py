@@ -71,7 +71,7 @@ def test_every_algorithm_has_defaults_that_its_class_takes(algo: str) -> None:
         ({"seed": "many"}, "seed should be a valid integer.*, got 'many'"),
         ({"discovery": 3}, "discovery should be"),
         ({"algo": "ppo", "learning_starts": 9}, "there is no setting 'learning_starts'"),
-        ({"env_kwargs": ["map"]}, "takes pairs name:value, got map"),
+        ({"env_kwargs": ["map"]}, "pairs name:value, got map"),
         ({"n_timesteps": True}, "n_timesteps should be a number, got True"),
         ({"learning_rate": True}, "learning_rate should be a number, got True"),
         ({"discovery": {"goal_radius": False}}, r"discovery\.goal_radius should be a number"),

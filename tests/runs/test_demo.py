@@ -26,14 +26,6 @@ SMALL = demo.CLAIMS["rooms"]._replace(
 )
 
 
-@pytest.mark.parametrize(
-    ("success", "after"),
-    [([0.0, 0.9, 0.95], 2), ([0.9, 0.5, 1.0], None), ([], None), ([1.0, 0.0, 1.0, 1.0], 3)],
-)
-def test_a_task_is_learned_at_the_first_of_two_evaluations(success: list[float], after: int | None) -> None:
-    assert demo.learned_after(list(range(1, len(success) + 1)), success) == after
-
-
 def test_a_demonstration_leaves_table_picture_film_and_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(demo.CLAIMS, "rooms", SMALL)
     printed = io.StringIO()
@@ -55,20 +47,13 @@ def test_a_demonstration_leaves_table_picture_film_and_options(tmp_path: Path, m
 
 def test_subgoals_on_a_map_with_a_key_are_marked_at_their_cells() -> None:
     key = DiscoveredOption(0, 1, 100, np.array([0.0, 7.0, 5.0]), "0, 7, 5", log_density=0.0, initiation_states=9)
-    learning = demo.Learning([1000], [1.0], cast("Any", None))
-    results = {demo.WITH: [learning], demo.WITHOUT: [learning]}
-    figure = demo.figure_of(results, demo.CLAIMS["key"], [key], np.zeros((80, 130, 3), np.uint8))
+    results = [demo.Learning(0, arm, [key], [1000], [1.0], cast("Any", None)) for arm in demo.COLOURS]
+    figure = demo.figure_of(results, demo.CLAIMS["key"], np.zeros((80, 130, 3), np.uint8))
     assert np.array_equal(figure.axes[0].lines[0].get_xydata(), [[5.0, 75.0]])
 
 
 def test_both_agents_have_the_same_settings(tmp_path: Path) -> None:
-    target = demo.CLAIMS["rooms"].target
-    one = demo._config(target, 1_000, 0, tmp_path / "options.safetensors")
-    other = demo._config(target, 1_000, 0)
+    claim = demo.CLAIMS["rooms"]
+    one, other = demo._target(claim, 0, tmp_path / "options.safetensors"), demo._target(claim, 0, None)
     different = {name for name, value in vars(one).items() if getattr(other, name) != value}
     assert different == {"options"}
-
-
-def test_a_demonstration_needs_a_seed() -> None:
-    with pytest.raises(ValueError, match="--seeds must be at least 1, got 0"):
-        demo.show_demo(DemoConfig(seeds=0), Console())

@@ -12,7 +12,8 @@ from sb3_options.runs import config as configs
 from sb3_options.runs import evaluation
 from sb3_options.runs import folder as runs
 from sb3_options.runs.config import configure
-from sb3_options.runs.evaluation import evaluate_run
+from sb3_options.runs.evaluation import Evaluation, evaluate_run
+from sb3_options.runs.intervals import Interval
 from tests.support.helpers import CountingEnv
 from tests.support.runs import train
 
@@ -23,20 +24,6 @@ def test_a_configuration_that_would_import_a_module_is_refused(tmp_path: Path) -
     (tmp_path / runs.CONFIG).write_text("env: evil_module:Foo-v0\n")
     with pytest.raises(ValueError, match=r"names the environment 'evil_module:Foo-v0', which would import a module"):
         evaluate_run(tmp_path)
-
-
-def test_an_episode_that_never_ends_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    config = configure(
-        algo="dqn", env_kwargs={"continuing": True, "max_steps": None}, n_timesteps=50, discover=False, progress=False,
-        tensorboard_log=tmp_path, device="cpu",
-    )  # fmt: skip
-    run = train(config)
-    monkeypatch.setattr(evaluation, "LONGEST_EPISODE", 300)
-    with pytest.raises(
-        ValueError,
-        match=r"^An episode has not ended after 300 primitive steps: only episodes .+ limit in .+config\.yml",
-    ):
-        evaluate_run(run, episodes=1)
 
 
 @pytest.fixture(scope="module")
@@ -66,9 +53,9 @@ def test_a_run_that_was_cut_off_is_refused(run: Path, tmp_path: Path) -> None:
     copy = tmp_path / "run"
     shutil.copytree(run, copy)
     (copy / runs.MODEL).unlink()
-    with pytest.raises(FileNotFoundError, match=r"was cut off: it lacks model\.zip"):
+    with pytest.raises(FileNotFoundError, match=r"lacks model\.zip"):
         evaluate_run(copy)
-    with pytest.raises(FileNotFoundError, match=r"is no run folder: it lacks config\.yml"):
+    with pytest.raises(FileNotFoundError, match=r"lacks config\.yml"):
         evaluate_run(tmp_path)
 
 
@@ -103,3 +90,15 @@ def test_a_run_without_options_lacks_none(tmp_path: Path, caplog: pytest.LogCapt
     )  # fmt: skip
     evaluate_run(train(config), episodes=1)
     assert "No slot holds an option" not in caplog.text
+
+
+def test_a_result_that_cannot_be_kept_is_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = Interval(1.0, 0.5, 1.5)
+    monkeypatch.setattr(evaluation, "evaluate_run", lambda **asked: Evaluation(7, one, one, one))
+    (tmp_path / "file").touch()
+    cli.main(["evaluate", str(tmp_path / "file")])
+    printed = capsys.readouterr().out
+    assert "0.500 to 1.500" in printed
+    assert "Not kept: " in printed

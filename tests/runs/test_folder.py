@@ -1,5 +1,9 @@
+import os
+import signal
+import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import minigrid  # noqa: F401  # registers its environments, before a test takes a copy of the registry
@@ -11,6 +15,7 @@ from sb3_options import cli
 from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import make_model
 from sb3_options.runs.config import configure
+from tests.support.helpers import CountingEnv
 
 
 @pytest.mark.parametrize("algo", ["dqn", "a2c"])
@@ -27,38 +32,12 @@ def test_runs_of_different_seeds_share_no_environment(algo: str, n_envs: int) ->
     assert seeds == list(range(3 * n_envs))
 
 
-@pytest.mark.parametrize(
-    ("env_id", "hint"),
-    [
-        ("MiniGrid-DorKey-5x5-v0", "Did you mean 'MiniGrid-DoorKey-5x5-v0'?"),
-        ("TwoRoms-v0", "Did you mean 'sb3_options/TwoRooms-v0'?"),
-        ("my/Puzzle-v3", "If a package registers it, name its module: --env module:ID."),
-    ],
-)
-def test_an_unknown_environment(env_id: str, hint: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gym, "registry", {key: spec for key, spec in gym.registry.items() if key != env_id})
-    with pytest.raises(ValueError, match="There is no environment") as error:
-        runs.check_env_id(env_id)
-    assert str(error.value) == f"There is no environment {env_id!r}. {hint}"
-
-
 def test_minigrid_is_ready_for_training_and_its_workers_know_it() -> None:
     for env_id in ("MiniGrid-Empty-5x5-v0", "minigrid:MiniGrid-Empty-5x5-v0"):
-        runs.check_env_id(env_id)
         config = configure(algo="maskableppo", env=env_id, device="cpu")
         env = runs.make_env(config, 1, 0, vec_env="subproc" if env_id.startswith("minigrid:") else "dummy")
         assert env.get_attr("traits")[0].feature_kind == "environment"
         env.close()
-
-
-def test_a_place_that_holds_no_folders_is_named_with_its_flag(tmp_path: Path) -> None:
-    (tmp_path / "a file").touch()
-    with pytest.raises(NotADirectoryError) as error:
-        runs.new_run_folder(configure(algo="dqn", tensorboard_log=tmp_path / "a file"))
-    assert str(error.value) == (
-        f"--tensorboard-log {tmp_path / 'a file'} cannot hold run folders: Not a directory "
-        f"({tmp_path / 'a file' / 'dqn'}). Name another one."
-    )
 
 
 def test_a_run_folder_that_is_discarded_takes_an_empty_one_along(tmp_path: Path) -> None:
@@ -91,3 +70,58 @@ def test_an_id_with_its_module_can_have_shorter_episodes(env_id: str) -> None:
     venv.reset()
     ends = [venv.step(np.array([0]))[2][0] for _ in range(3)]
     assert ends == [False, False, True]
+
+
+HOLDS = """
+import sys, time
+from pathlib import Path
+from sb3_options.runs.folder import held
+with held(Path(sys.argv[1])):
+    print("holds it", flush=True)
+    time.sleep(600)
+"""
+
+
+def test_another_process_is_refused_until_the_first_is_gone(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", HOLDS, str(tmp_path)], stdout=subprocess.PIPE) as other:
+        try:
+            assert other.stdout is not None
+            assert other.stdout.readline() == b"holds it\n"
+            with pytest.raises(ValueError, match="is being trained by another process"), runs.held(tmp_path):
+                pytest.fail("two hold it")
+        finally:
+            os.kill(other.pid, signal.SIGKILL)
+    assert (tmp_path / runs.LOCK).is_file()  # which keeps nobody
+    with runs.held(tmp_path):
+        pass
+    assert not (tmp_path / runs.LOCK).exists()
+
+
+def test_no_lock_is_written_through_a_link(tmp_path: Path) -> None:
+    (tmp_path / "users").write_text("own")
+    (tmp_path / runs.LOCK).symlink_to(tmp_path / "users")
+    with pytest.raises(OSError, match="symbolic links"), runs.held(tmp_path):
+        pytest.fail("it was followed")
+    assert (tmp_path / "users").read_text() == "own"
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (["dqn", "--buffer-size", "10" + "0" * 14], "Unable to allocate"),
+        (["ppo", "--n-steps", "10" + "0" * 11], "Unable to allocate"),
+        (["dqn", "--max-options", "1" + "0" * 11], "max_options should be less than or equal to 10000"),
+        (["dqn", "--device", "foo"], "device"),
+    ],
+)
+def test_what_cannot_be_is_said_in_one_line(flags: list[str], said: str, tmp_path: Path, capsys: Any) -> None:
+    gym.register("Small-v0", lambda: CountingEnv(terminate_at=5))  # type: ignore[arg-type]  # it takes no arguments
+    try:
+        with pytest.raises(SystemExit, match=r"1|2"):
+            cli.main([*flags, "--env", "Small-v0", "--no-progress", "--tensorboard-log", str(tmp_path)])
+    finally:
+        gym.registry.pop("Small-v0")
+    error = capsys.readouterr().err
+    assert said in error
+    assert len(error.strip().splitlines()) == 1
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]

@@ -71,7 +71,7 @@ def test_options_are_saved_where_the_model_cannot_be(limit: Any, when: Any, tmp_
     assert stopped.value.code == 1
     error = capsys.readouterr().err
     assert "File too large: '" in error
-    assert "model.zip' So there is no model.zip of this training." in error
+    assert "model.zip'" in error
     assert len(error.strip().splitlines()) == 1
     (folder,) = tmp_path.glob("dqn/*")
     assert {path.name for path in folder.iterdir() if path.is_file()} == {runs.CONFIG, runs.OPTIONS}
@@ -122,9 +122,8 @@ def test_older_checkpoints_make_room_for_the_model(
     if is_saved:
         runs.save(model, OptionBank(2, 4), tmp_path)
     else:
-        with pytest.raises(OSError, match=r"No space left on device: '.*model\.zip'") as raised:
+        with pytest.raises(OSError, match=r"No space left on device: '.*model\.zip'"):
             runs.save(model, OptionBank(2, 4), tmp_path)
-        assert raised.value.__notes__ == ["So there is no model.zip of this training."]
     assert (tmp_path / runs.MODEL).exists() == is_saved
     assert (tmp_path / runs.OPTIONS).exists()
     assert sorted(int(file.stem) for file in checkpoints) == left
