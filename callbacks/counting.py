@@ -74,8 +74,7 @@ class PrimitiveRollouts:
 
 def clip_schedules(model: BaseAlgorithm) -> dict[str, Schedule]:
     """Let no schedule of a model see a progress below 0, which an option makes of it that ends beyond the budget."""
-    schedules = {name: getattr(model, name, None) for name in SCHEDULES}
-    stock = {name: schedule for name, schedule in schedules.items() if callable(schedule)}
+    stock = {name: schedule for name in SCHEDULES if callable(schedule := getattr(model, name, None))}
     for name, schedule in stock.items():
         setattr(model, name, _clipped(schedule))
     return stock

@@ -33,20 +33,13 @@ class OptionInstaller:
     """Keeps the options of all environments, the heads of the network and the replay buffer equal to its `bank`.
 
     What the environments hold when it is made counts: what was learned of slots that are empty is forgotten, and what
-    an earlier training left behind is put right. The model carries the bank, so that SB3's ``save`` writes it too.
+    an earlier training left behind is put right. The model carries the bank, so that SB3's ``save`` writes it too. The
+    environments of an ``EvalCallback`` get the options too.
 
     Off-policy algorithms get an option at once. Algorithms that sample actions from a policy without masks get it when
     the next rollout starts: with a head that was closed at the start of a rollout and open at its end, the update
-    would use probabilities that the actions never had.
-
-    Args:
-        model: Being trained.
-        venv: Its environment.
-        callbacks: The tree that ``learn`` was given; environments of an ``EvalCallback`` in it get the options too.
-        max_option_exploration: Largest share of options among exploratory choices.
-        opening_share: Of a first option under MaskablePPO; 1 lets it open like a primitive.
-        interruption: Whether options end where going on is worth less than the best alternative (`Interruption`).
-        open_untrained: Whether the random heads of an untrained model are opened for the options that there are.
+    would use probabilities that the actions never had. ``open_untrained`` says whether the random heads of an untrained
+    model are opened for the options that there are; the other settings are those of `OptionUse`.
     """
 
     def __init__(
@@ -126,7 +119,7 @@ class OptionInstaller:
             self._pending[slot] = option
         else:
             self._send(slot, option)
-            if slot not in self._new and not _same_initiation(before, option):
+            if slot not in self._new and _initiation(before) is not _initiation(option):
                 self._new.append(slot)  # its availability has to be computed anew
         keep_options(self.model, self.bank)
 
@@ -177,8 +170,7 @@ class OptionInstaller:
         """For a checkpoint. Of a hand-made option, which is code, it holds the name."""
         return {
             "slots": [
-                {"option": option} if option is None or isinstance(option, SubgoalOption) else {"name": option.name}
-                for option in self.bank.slots
+                each if each is None or isinstance(each, SubgoalOption) else each.name for each in self.bank.slots
             ],
             "pending": list(self._pending),
             "new": list(self._new),
@@ -195,20 +187,20 @@ class OptionInstaller:
                 f"{self.bank.max_options}: pass max_options={len(state['slots'])} to OptionsWrapper."
             )
         for slot, (there, here) in enumerate(zip(state["slots"], self.bank.slots, strict=True)):
-            if "name" in there:
-                if here is None or here.name != there["name"]:
+            if isinstance(there, str):
+                if here is None or here.name != there:
                     raise ValueError(
-                        f"Slot {slot} held the hand-made option {there['name']!r}, which is code and not in the "
-                        "checkpoint: put it into the bank before training goes on."
+                        f"Slot {slot} held the hand-made option {there!r}, which is code and not in the checkpoint: "
+                        "put it into the bank before training goes on."
                     )
                 continue
             if here is not None:
                 self.bank.remove(slot)
                 self._set_slots(options={slot: None})
-            if there["option"] is not None and slot in pending:
-                self.bank.add(there["option"], slot)
-            elif there["option"] is not None:
-                self._send(slot, there["option"])
+            if there is not None and slot in pending:
+                self.bank.add(there, slot)
+            elif there is not None:
+                self._send(slot, there)
         if self.explored is not None:
             self.explored.filled = tuple(slot for slot in self.bank.filled if slot not in pending)
         self._pending = {slot: self.bank[slot] for slot in state["pending"]}  # type: ignore[misc]  # filled above
@@ -289,8 +281,6 @@ def _n_available(others: Sequence[Option | None], option: Option) -> float:
     )
 
 
-def _same_initiation(one: Option | None, other: Option) -> bool:
-    """Whether two options are known to start in the same states."""
-    if not (isinstance(one, SubgoalOption) and isinstance(other, SubgoalOption)):
-        return False
-    return one.initiation_set is other.initiation_set
+def _initiation(option: Option | None) -> object:
+    """What says where an option starts."""
+    return option.initiation_set if isinstance(option, SubgoalOption) else option

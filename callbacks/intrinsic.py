@@ -10,7 +10,7 @@ from gymnasium import spaces
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 
-from sb3_options.callbacks.counting import all_callbacks, check_every_step
+from sb3_options.callbacks.counting import check_every_step
 from sb3_options.checked import is_number
 from sb3_options.embedding.settings import LEARNED
 from sb3_options.execution.features import MAX_FEATURES, flat_size
@@ -27,14 +27,11 @@ from sb3_options.experience.observations import (
 )
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.novelty import (
-    Keys,
     NoveltyKind,
     RandomNetworkDistillation,
     ReturnScale,
     StateCounts,
     bin_widths,
-    binned_keys,
-    exact_keys,
     is_table_like,
 )
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
@@ -89,30 +86,14 @@ class IntrinsicRewardCallback(BaseCallback):
         self.scale: ReturnScale | None = None
         self._sums: list[list[float]] = []
         self._bonus_weight = 0.0
+        self._replay: OptionReplayBuffer | None = None
 
     def _on_training_start(self) -> None:
         check_every_step(self)
         gamma: float = self.model.gamma  # type: ignore[attr-defined]  # every algorithm has it
         if gamma >= 1.0:
             raise ValueError(f"A bonus needs gamma below 1, or its return has no bound, got gamma={gamma}.")
-        self._check_buffers()
-        if self.scale is None:
-            self.scale = ReturnScale(gamma, self.training_env.num_envs)
-        elif len(self.scale.returns) != self.training_env.num_envs:
-            self.scale.returns = np.zeros(self.training_env.num_envs)
-        if self.novelty is None:
-            self.novelty = self._new_novelty(space_of_environments(self.training_env))
-        self._has_options = any(self.training_env.env_is_wrapped(OptionsWrapper))
-        if self._replay is not None:
-            both = [each for each in all_callbacks(self.locals.get("callback")) if isinstance(each, type(self))]
-            if len(both) > 1:
-                raise ValueError(
-                    f"learn() got {len(both)} IntrinsicRewardCallbacks, and a replay buffer adds one bonus: leave the "
-                    "others out."
-                )
-
-    def _check_buffers(self) -> None:
-        """Refuse an algorithm without a buffer, or with one that does not hold what a bonus is for."""
+        self._replay = getattr(self.model, "replay_buffer", None)
         if not isinstance(getattr(self.model, "rollout_buffer", self._replay), RolloutBuffer | OptionReplayBuffer):
             raise TypeError(
                 f"{type(self.model).__name__} has no rollout buffer and no OptionReplayBuffer, which a bonus could be "
@@ -124,32 +105,29 @@ class IntrinsicRewardCallback(BaseCallback):
                 "The bonus of an option is that of the primitive steps inside it, which a replay buffer with "
                 "macro_q=False does not store: leave out replay_buffer_kwargs={'macro_q': False}."
             )
-
-    @property
-    def _replay(self) -> OptionReplayBuffer | None:
-        return getattr(self.model, "replay_buffer", None)
+        n_envs = self.training_env.num_envs
+        self.scale = self.scale or ReturnScale(gamma, n_envs)
+        if len(self.scale.returns) != n_envs:
+            self.scale.returns = np.zeros(n_envs)
+        self.novelty = self.novelty or self._new_novelty(space_of_environments(self.training_env))
+        self._has_options = any(self.training_env.env_is_wrapped(OptionsWrapper))
 
     def _new_novelty(self, space: spaces.Space[Any]) -> StateCounts | RandomNetworkDistillation:
-        if self.kind == "counts":
-            return StateCounts(self._keys(space))
-        return RandomNetworkDistillation(flat_size(space), self.seed)
-
-    def _keys(self, space: spaces.Space[Any]) -> Keys:
+        venv = self.training_env
+        if self.kind == "rnd":
+            return RandomNetworkDistillation(flat_size(space), self.seed)
         if is_table_like(space):
-            return exact_keys(space)
-        if self.training_env.has_attr("concept_features") and not self._learns_features():
-            return binned_keys(self._concept_features)
+            return StateCounts(flatten)
+        # What was counted in a feature map that is learned would be something else later.
+        learns = venv.has_attr("traits") and venv.get_attr("traits", [0])[0].feature_kind == LEARNED
+        if venv.has_attr("concept_features") and not learns:
+            return StateCounts(self._concept_features)
         if isinstance(space, spaces.Box) and np.prod(space.shape) <= MAX_FEATURES:
-            return binned_keys(flatten, bin_widths(space))
+            return StateCounts(flatten, bin_widths(space))
         raise ValueError(
             f"There is nothing to count in {space}: pass OptionsWrapper(feature_map=...) a function from a batch of "
             "observations to features (batch, d), or choose 'rnd'."
         )
-
-    def _learns_features(self) -> bool:
-        """Whether φ is learned while training goes on: what was counted in it would be something else later."""
-        venv = self.training_env
-        return venv.has_attr("traits") and venv.get_attr("traits", [0])[0].feature_kind == LEARNED
 
     def _concept_features(self, observations: Observations) -> FloatArray:
         features: FloatArray = self.training_env.env_method("concept_features", observations, indices=[0])[0]
@@ -162,11 +140,19 @@ class IntrinsicRewardCallback(BaseCallback):
             self._replay.bonus = None
 
     def _on_step(self) -> bool:
+        assert self.novelty is not None  # made when training started
+        assert self.scale is not None  # too
         runs = [OptionRun.from_info(info) if self._has_options else None for info in self.locals["infos"]]
         arrived = [_arrived_in(run, last) for run, last in zip(runs, self._last_observations(), strict=True)]
-        bonuses = self._visit(arrived)
-        self._bonus_weight = self._weight_after(bonuses)
+        ends = np.cumsum([batch_size(each) for each in arrived])[:-1]
+        bonuses = np.split(self.novelty.visit(concatenate(arrived)), ends)  # of primitive steps, (k,) each
         self._sums.append([_discounted(run, of_run) for run, of_run in zip(runs, bonuses, strict=True)])
+        self.scale.update(bonuses)
+        self._bonus_weight = self.weight / self.scale.std
+        self.logger.record_mean("intrinsic/bonus", self._bonus_weight * float(np.mean(np.concatenate(bonuses))))
+        self.logger.record("intrinsic/return_std", self.scale.std)
+        for name, value in self.novelty.records().items():
+            self.logger.record(f"intrinsic/{name}", value)
         return True
 
     def _on_rollout_end(self) -> None:
@@ -199,25 +185,6 @@ class IntrinsicRewardCallback(BaseCallback):
             if done and info.get("terminal_observation") is not None:
                 last[i] = as_wrapper_sees(venv, batch_of_one(info["terminal_observation"]), normalized=True)
         return last
-
-    def _visit(self, arrived: list[Observations]) -> list[FloatArray]:
-        """The bonuses of the primitive steps of each environment, not yet weighted, (k,) each."""
-        together = concatenate(arrived)
-        assert self.novelty is not None  # made when training started
-        ends = np.cumsum([batch_size(each) for each in arrived])[:-1]
-        return np.split(self.novelty.visit(together), ends)
-
-    def _weight_after(self, bonuses: list[FloatArray]) -> float:
-        """Let σ go on by these bonuses; then w / σ, which is logged."""
-        assert self.novelty is not None  # made when training started
-        assert self.scale is not None  # likewise
-        self.scale.update(bonuses)
-        weight = self.weight / self.scale.std
-        self.logger.record_mean("intrinsic/bonus", weight * float(np.mean(np.concatenate(bonuses))))
-        self.logger.record("intrinsic/return_std", self.scale.std)
-        for name, value in self.novelty.records().items():
-            self.logger.record(f"intrinsic/{name}", value)
-        return weight
 
 
 def _arrived_in(run: OptionRun | None, last: Observations) -> Observations:

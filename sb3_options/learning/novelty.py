@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -19,9 +19,6 @@ from sb3_options.experience.observations import FeatureMap, FloatArray, Observat
 from sb3_options.state import declare
 
 declare(RunningMeanStd, "mean", "var", "count")
-
-Keys: TypeAlias = Callable[[Observations], list[bytes]]
-"""A batch of observations → what each of them is counted as."""
 
 NoveltyKind: TypeAlias = Literal["counts", "rnd"]
 """How novelty is measured: by `StateCounts` or by `RandomNetworkDistillation`."""
@@ -55,14 +52,23 @@ class StateCounts:
     """1 / √N(s) of the number of visits N(s), those of all environments together (Strehl & Littman 2008; MBIE-EB).
 
     Args:
-        keys: What is counted.
+        features: What observations are counted by, (batch, d): those with equal bins are one state.
+        widths: Of the bins, a number or (d,).
     """
 
     STATE = ("visits",)
 
-    def __init__(self, keys: Keys) -> None:
-        self.keys = keys
+    def __init__(self, features: FeatureMap, widths: float | FloatArray = 1.0) -> None:
+        self.features = features
+        self.widths = widths
         self.visits: dict[bytes, int] = {}
+
+    def keys(self, observations: Observations) -> list[bytes]:
+        """What each observation of a batch is counted as."""
+        rows = np.asarray(self.features(observations), dtype=np.float64)
+        if not np.isfinite(rows).all():
+            raise ValueError("The feature map of the bonus gave NaN or infinite features.")
+        return [short_key(row.tobytes()) for row in np.rint(rows / self.widths).astype(np.int64)]
 
     def visit(self, observations: Observations) -> FloatArray:
         """Count each observation, then 1 / √N, (batch,): 1 the first time; one that is there twice counts twice."""
@@ -88,34 +94,10 @@ def is_table_like(space: spaces.Space[Any]) -> bool:
     return space.dtype is not None and np.issubdtype(space.dtype, np.integer)
 
 
-def exact_keys(space: spaces.Space[Any]) -> Keys:
-    """Each observation of a space that `is_table_like` is counted as itself."""
-    parts = space.spaces if isinstance(space, spaces.Dict) else {"": space}
-
-    def keys(observations: Observations) -> list[bytes]:
-        given = observations if isinstance(observations, Mapping) else {"": observations}
-        rows = [np.asarray(given[name], dtype=part.dtype) for name, part in sorted(parts.items())]
-        return [short_key(b"".join(row[i].tobytes() for row in rows)) for i in range(batch_size(observations))]
-
-    return keys
-
-
 def bin_widths(space: spaces.Box) -> FloatArray:
     """Widths of the bins of a flat observation, (d,): the range of each number in `BINS` parts, 1 where it has none."""
     spans = space.high.ravel().astype(np.float64) - space.low.ravel()
     return np.where(np.isfinite(spans) & (spans > 0.0) & (spans < LARGEST_SPAN), spans / BINS, 1.0)
-
-
-def binned_keys(features: FeatureMap, bin_width: float | FloatArray = 1.0) -> Keys:
-    """Each observation is counted as the bin of its features, (batch, d): the nearest multiples of ``bin_width``."""
-
-    def keys(observations: Observations) -> list[bytes]:
-        rows = np.asarray(features(observations), dtype=np.float64)
-        if not np.isfinite(rows).all():
-            raise ValueError("The feature map of the bonus gave NaN or infinite features.")
-        return [short_key(row.tobytes()) for row in np.rint(rows / bin_width).astype(np.int64)]
-
-    return keys
 
 
 class RandomNetworkDistillation:

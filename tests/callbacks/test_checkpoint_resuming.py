@@ -138,7 +138,7 @@ def test_runs_that_say_where_options_work(tmp_path: Path) -> None:
 
 def filled(file: Path) -> list[int]:
     (discovery,) = (each["own"] for each in read(file)["callbacks"] if each["class"] == "SubgoalDiscoveryCallback")
-    return [i for i, slot in enumerate(discovery["_installer"].state["slots"]) if slot["option"] is not None]
+    return [i for i, slot in enumerate(discovery["_installer"].state["slots"]) if slot is not None]
 
 
 @pytest.mark.slow

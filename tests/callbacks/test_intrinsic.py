@@ -309,11 +309,3 @@ class TestErrors:
         model = OptionDQN("MlpPolicy", optioned_rooms(), gamma=0.9, replay_buffer_kwargs={"macro_q": False})
         with pytest.raises(ValueError, match=r"macro_q=False does not store: leave out replay_buffer_kwargs"):
             model.learn(10, callback=[PrimitiveStepsCallback(), IntrinsicRewardCallback()])
-
-
-def test_a_second_bonus_is_refused_where_one_would_be_lost() -> None:
-    model = DQN(
-        "MlpPolicy", optioned_rooms(1), gamma=0.9, replay_buffer_class=OptionReplayBuffer, buffer_size=50, device="cpu"
-    )
-    with pytest.raises(ValueError, match=r"^learn\(\) got 2 IntrinsicRewardCallbacks, and a replay buffer adds one bo"):
-        model.learn(10, callback=[IntrinsicRewardCallback(), PrimitiveStepsCallback(), IntrinsicRewardCallback("rnd")])

@@ -175,7 +175,7 @@ class TestCheckpoints:
 
         _, files = check_resumes(make, lambda: [PrimitiveStepsCallback()], tmp_path, cuts=(0.6,), steps=900)
         (state,) = (each["own"] for each in read(files[-1])["callbacks"] if each["class"] == "PrimitiveStepsCallback")
-        assert state["_installer"].state["slots"][0] == {"name": "steady"}
+        assert state["_installer"].state["slots"][0] == "steady"
 
     @pytest.mark.usefixtures("keep_all")
     def test_a_checkpoint_is_refused_without_its_hand_made_option(self, tmp_path: Path) -> None:
