@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,6 +12,7 @@ from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.preprocessing import is_image_space
 from stable_baselines3.common.torch_layers import FlattenExtractor
+from stable_baselines3.common.utils import obs_as_tensor
 from stable_baselines3.common.vec_env import (
     VecEnv,
     VecFrameStack,
@@ -26,34 +27,12 @@ from sb3_options.execution.interruption import Interruption
 from sb3_options.experience.observations import FloatArray, batch_of_one, flatten
 from sb3_options.learning import heads
 from sb3_options.learning.families import family_of
-from sb3_options.state import restore, storable
+from sb3_options.state import declare, restore
+
+declare(VecNormalize, "obs_rms")
 
 REFRESH = 500
 """Primitive steps after which `Interrupter` sends newer values."""
-
-
-@storable
-class Scale(NamedTuple):
-    """What ``VecNormalize`` does to an observation."""
-
-    mean: FloatArray
-    std: FloatArray
-    clip: float
-
-    def __call__(self, batch: Any) -> Any:
-        """A normalised batch."""
-        return np.clip((batch - self.mean) / self.std, -self.clip, self.clip).astype(np.float32)
-
-
-def _scales(normalizer: VecNormalize | None) -> dict[str, Scale]:
-    """The normalised observations by key; the empty key where observations are no ``Dict``."""
-    if normalizer is None or not normalizer.norm_obs:
-        return {}
-    statistics = normalizer.obs_rms if isinstance(normalizer.obs_rms, dict) else {"": normalizer.obs_rms}
-    return {
-        key: Scale(np.array(rms.mean), np.sqrt(rms.var + normalizer.epsilon), normalizer.clip_obs)
-        for key, rms in statistics.items()
-    }
 
 
 class ValueSnapshot:
@@ -63,13 +42,16 @@ class ValueSnapshot:
     several times faster than torch; any other network is copied.
     """
 
-    STATE = ("_layers", "_scales", "_network")
+    STATE = ("_layers", "_normalizer", "_network")
 
     def __init__(self, model: BaseAlgorithm, venv: VecEnv | None = None) -> None:
         network = heads.networks(model.policy)[0]
         _, self._outputs = heads.option_outputs(model.policy)[0]
         venv = model.get_env() or venv
-        self._scales = _scales(unwrap_vec_normalize(venv))  # type: ignore[arg-type]  # None is no wrapper
+        normalizer = unwrap_vec_normalize(venv)  # type: ignore[arg-type]  # None is no wrapper
+        self._normalizer = copy.deepcopy(normalizer) if normalizer is not None and normalizer.norm_obs else None
+        if self._normalizer is not None:  # what a copy lacks, as it lacks the environments, and is to be copied again
+            vars(self._normalizer).update(class_attributes={}, returns=None)
         self._transposed = _transposed_keys(venv, model.observation_space)
         self._layers = _numpy_layers(network, self._outputs)
         self._states = int(model.observation_space.n) if isinstance(model.observation_space, spaces.Discrete) else 0
@@ -81,9 +63,10 @@ class ValueSnapshot:
         parts = batch if isinstance(batch, dict) else {"": batch}
         for key in self._transposed:
             parts[key] = np.moveaxis(parts[key], -1, 1)
-        for key, scale in self._scales.items():
-            parts[key] = scale(parts[key])
-        return self._by_numpy(parts[""]) if self._layers else self._by_torch(parts)
+        seen: Any = parts.get("", parts)
+        if self._normalizer is not None:
+            seen = self._normalizer.normalize_obs(seen)
+        return self._by_numpy(seen) if self._layers else self._by_torch(seen)
 
     def _by_numpy(self, batch: Any) -> FloatArray:
         hidden = np.eye(self._states)[np.ravel(batch)] if self._states else flatten(batch)
@@ -94,10 +77,9 @@ class ValueSnapshot:
         return values
 
     @torch.no_grad()
-    def _by_torch(self, parts: dict[str, Any]) -> FloatArray:
+    def _by_torch(self, batch: Any) -> FloatArray:
         assert self._network is not None  # there are no layers
-        tensors = {key: torch.as_tensor(part) for key, part in parts.items()}
-        outputs = self._network(tensors.get("", tensors))[0].double()
+        outputs = self._network(obs_as_tensor(batch, torch.device("cpu")))[0].double()
         values: FloatArray = outputs.reshape(self._outputs, -1).mean(dim=0).numpy()
         return values
 
