@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -49,21 +50,21 @@ class FilteredBags:
 
 @dataclass(eq=False)
 class _Bag(Way):
-    """A way, and the bag that was made of it.
+    """A way, and which of its states may be instances.
 
     The way has the states that the trajectory led through, or all that it visited. Each is in it once: a state that is
     visited often would count often in the noisy-or (McGovern & Barto 2001, §3).
 
     Attributes:
         allowed: Which states the static filter leaves, (k,).
-        kept: Which of them also stand out; None before the bag is made.
-        instances: Of the bag.
+        far: Which states are far from all other subgoals, (k,); empty before that is asked for.
+        free: The states that are allowed and far.
         numbers: Of the states in the `LocalCuts`, (k,); None before they are asked for.
     """
 
     allowed: BoolArray
-    kept: BoolArray | None = None
-    instances: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    far: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    free: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     numbers: IntArray | None = None
 
 
@@ -77,7 +78,7 @@ class BagMaker:
         self.filters = filters
         self.contrast = contrast
         self._passing = PassingShare(settings.subgoal_radius)
-        self._known: dict[int, _Bag] = {}
+        self._known: dict[LabelledTrajectory, _Bag] = {}
         self._others: list[Region] = []
         has_cuts = settings.min_cut > 0.0 and settings.min_passing > 0.0 and filters.group is None
         self.cuts = LocalCuts() if has_cuts else None
@@ -89,15 +90,14 @@ class BagMaker:
         if len(positive) < self.settings.min_positive:
             return None
         self._know(database if self.settings.negative_bags else positive, others)
-        known = [self._known[id(t)] for t in positive]
-        self._remake(known, self._standing_out(known))
-        positive_bags = [k.instances for k in known if len(k.instances)]
+        known = [self._known[t] for t in positive]
+        outstanding = np.split(self._standing_out(known), np.cumsum([len(k.rows) for k in known])[:-1])
+        bags = [k.states[keep & k.far] for k, keep in zip(known, outstanding, strict=True)]
+        positive_bags = [bag for bag in bags if len(bag)]
         if len(positive_bags) < self.settings.min_positive:
             return None
-        known = [self._known[id(t)] for t in database if not t.success and id(t) in self._known]
-        if known:
-            self._remake(known, np.concatenate([k.allowed for k in known]))
-        return FilteredBags(positive_bags, [k.instances for k in known if len(k.instances)])
+        negative = [k.free for t, k in self._known.items() if not t.success]
+        return FilteredBags(positive_bags, [bag for bag in negative if len(bag)])
 
     def cuts_off(self, instance: FloatArray) -> bool:
         """Whether an instance (d,) is known to cut off `min_cut`; with less it would be no instance."""
@@ -114,13 +114,18 @@ class BagMaker:
         self._known = {}
 
     def _know(self, trajectories: Sequence[LabelledTrajectory], others: Sequence[Region]) -> None:
-        """Make the ways of these trajectories that are new, and forget all others."""
-        old = {id(known.labelled): known for known in self._known.values()}
-        self._known = {id(t): old.get(id(t)) or self._way(t) for t in trajectories}
-        if len(others) != len(self._others) or any(a is not b for a, b in zip(others, self._others, strict=True)):
-            self._others = list(others)
-            for known in self._known.values():
-                known.kept = None
+        """Make the ways of these trajectories that are new, forget all others, and keep away from other subgoals."""
+        self._known = {t: self._known.get(t) or self._way(t) for t in trajectories}
+        same = len(others) == len(self._others) and all(map(operator.is_, others, self._others))
+        self._others = list(others)
+        late = [k for k in self._known.values() if not (same and len(k.far) == len(k.rows))]
+        at_once = max(AT_ONCE // max((k.states.size for k in late), default=1), 1)
+        for first in range(0, len(late), at_once):
+            some = late[first : first + at_once]
+            far = np.split(self.filters.far_from(some, others), np.cumsum([len(k.rows) for k in some])[:-1])
+            for k, own in zip(some, far, strict=True):
+                k.far = own
+                k.free = k.states[k.allowed & own]
 
     def _way(self, labelled: LabelledTrajectory) -> _Bag:
         states, visits = self.filters.own(labelled), labelled.trajectory.visits
@@ -138,10 +143,8 @@ class BagMaker:
         allowed: BoolArray = np.concatenate([k.allowed for k in known])
         if self.contrast is not None:
             least = self.settings.min_contrast
-            outstanding: BoolArray = np.concatenate(
-                [self.contrast.stands_out(k.labelled, least)[k.rows] for k in known]
-            )
-            return allowed & outstanding
+            outstanding = [self.contrast.stands_out(k.labelled, least)[k.rows] for k in known]
+            return np.concatenate(outstanding) & allowed
         if self.settings.min_passing == 0.0:
             return allowed
         passages: BoolArray = allowed & (self._passing.update([k.scaled for k in known]) >= self.settings.min_passing)
@@ -151,23 +154,3 @@ class BagMaker:
             numbers = np.concatenate([k.numbers for k in known if k.numbers is not None])
             passages[passages] = self.cuts.shares(numbers[passages]) >= self.settings.min_cut
         return passages
-
-    def _remake(self, known: Sequence[_Bag], keep: BoolArray) -> None:
-        """Make the bags that change, of the states to ``keep`` way after way."""
-        ends = np.cumsum([len(k.rows) for k in known])
-        changed = {i for i, k in enumerate(known) if k.kept is None}
-        if len(changed) < len(known):  # a new way has no mask that could differ
-            kept = np.concatenate([k.allowed if k.kept is None else k.kept for k in known])
-            changed.update(np.searchsorted(ends, np.flatnonzero(keep != kept), side="right").tolist())
-        some = [(known[i], keep[ends[i] - len(known[i].rows) : ends[i]].copy()) for i in sorted(changed)]
-        at_once = max(AT_ONCE // max((k.states.size for k, _ in some), default=1), 1)
-        for first in range(0, len(some), at_once):
-            self._remake_these(some[first : first + at_once])
-
-    def _remake_these(self, known: Sequence[tuple[_Bag, BoolArray]]) -> None:
-        far = np.concatenate([kept for _, kept in known]) & self.filters.far_from([k for k, _ in known], self._others)
-        at = 0
-        for k, kept in known:
-            k.kept = kept
-            k.instances = k.states[far[at : at + len(kept)]]
-            at += len(kept)

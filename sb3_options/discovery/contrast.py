@@ -50,15 +50,14 @@ class Contrast:
         self._values: FloatArray = np.zeros(0)
         self._or_no_place: FloatArray = np.full(1, NO_PLACE)
         self._numbers: dict[bytes, int] = {}
-        self._visits: dict[int, _Visits] = {}
+        self._visits: dict[LabelledTrajectory, _Visits] = {}
 
     def update(self, trajectories: Sequence[LabelledTrajectory]) -> None:
         """Count the visits of these trajectories, and of no others."""
         if len(self._numbers) > MAX_FORMER_STATES + 2 * int((self._values > ABSENT).sum()):
             self._forget()  # most are of trajectories that are gone
-        old = {id(visits.labelled): visits for visits in self._visits.values()}  # a copied object has another id
-        self._visits = {id(t): old.get(id(t)) or _Visits(t, self.group, self._numbers) for t in trajectories}
-        visits = [self._visits[id(t)] for t in trajectories]
+        self._visits = {t: self._visits.get(t) or _Visits(t, self.group, self._numbers) for t in trajectories}
+        visits = list(self._visits.values())
         success = np.array([t.success for t in trajectories], dtype=bool)
         states = np.concatenate([v.states for v in visits])
         if not len(states):
@@ -115,7 +114,7 @@ class Contrast:
 
     def of_visited(self, labelled: LabelledTrajectory) -> FloatArray:
         """The contrast of the states of a trajectory, (m,), which is one of the updated."""
-        values: FloatArray = self._or_no_place[self._visits[id(labelled)].numbers]
+        values: FloatArray = self._or_no_place[self._visits[labelled].numbers]
         return values
 
     def stands_out(self, labelled: LabelledTrajectory, least: float) -> BoolArray:
@@ -154,7 +153,6 @@ class _Visits:
     """What a trajectory visited."""
 
     def __init__(self, labelled: LabelledTrajectory, group: FeatureGroup, numbers: dict[bytes, int]) -> None:
-        self.labelled = labelled  # kept, so that no other takes its id
         places = group.is_place(labelled.features)
         self.numbers = np.full(len(places), -1)
         self.states, self.times, self.first = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp), -1

@@ -15,12 +15,6 @@ STEPS = 3
 MAX_STATES = 10_000
 """As many are in the graph; of states that come later nothing is known."""
 
-NO_STATE: IntArray = np.array([-1])
-"""Between the states of one trajectory and those of the next."""
-
-PENDING, PENDING_BYTES = 64, 1 << 20
-"""So many trajectories wait to be added, and so much of them: a call for each takes longer than what it computes."""
-
 UNKNOWN = 0.5
 """The share of a state of which nothing is known: as far as anybody knows it parts its surroundings in two."""
 
@@ -42,11 +36,8 @@ class LocalCuts:
 
     def __init__(self) -> None:
         self.n_computed = 0
-        self._pending: list[tuple[FloatArray, IntArray]] = []  # what was given to `add` and is not in the graph yet
-        self._pending_bytes = 0
         self._number: dict[bytes, int] = {}
         self._neighbours: list[set[int]] = []
-        self._edges = set[int]()  # the same, to compare at once: the smaller number times `MAX_STATES`, and the larger
         # By number, and at last for states that have none.
         self._n_trajectories: IntArray = np.zeros(MAX_STATES + 1, dtype=np.int64)
         self._shares: FloatArray = np.full(MAX_STATES + 1, np.nan)  # NaN where it has to be computed
@@ -54,51 +45,30 @@ class LocalCuts:
 
     def add(self, features: FloatArray, visits: IntArray) -> None:
         """Add the steps of a trajectory."""
-        self._pending.append((features, visits))
-        self._pending_bytes += features.nbytes
-        if len(self._pending) == PENDING or self._pending_bytes > PENDING_BYTES:
-            self._enter()
-
-    def _enter(self) -> None:
-        """Bring the graph up to date."""
-        if not self._pending:
-            return
-        states, visits = zip(*self._pending, strict=True)
-        self._pending = []
-        self._pending_bytes = 0
-        known, way = self._number, list[IntArray]()
-        keys = keys_of(np.concatenate(states))
-        numbers = np.array([known[key] if key in known else self._numbered(key) for key in keys])
-        for own, times in zip(np.split(numbers, np.cumsum([len(each) for each in states])[:-1]), visits, strict=True):
-            self._n_trajectories[own] += 1  # by one, however often a number is among these
-            way += [own[times], NO_STATE]
-        at = np.concatenate(way)
-        low, high = np.minimum(at[:-1], at[1:]), np.maximum(at[:-1], at[1:])
-        leads = (low >= 0) & (low < high)
-        new = set((low[leads] * MAX_STATES + high[leads]).tolist()) - self._edges
+        known = self._number
+        numbers = np.array([known[key] if key in known else self._numbered(key) for key in keys_of(features)])
+        self._n_trajectories[numbers] += 1  # by one, however often a number is among these
+        way = numbers[visits]
+        steps = set(zip(way[:-1].tolist(), way[1:].tolist(), strict=True))
+        near = self._neighbours
+        new = [(one, other) for one, other in steps if -1 < one != other > -1 and other not in near[one]]
         if new:
-            self._edges |= new
-            changed = set[int]()
-            for one, other in (divmod(edge, MAX_STATES) for edge in new):
-                self._neighbours[one].add(other)
-                self._neighbours[other].add(one)
-                changed |= {one, other}
-            self._shares[list(self._around(changed))] = np.nan
+            for one, other in new:
+                near[one].add(other)
+                near[other].add(one)
+            self._shares[list(self._around({number for step in new for number in step}))] = np.nan
 
     def numbers(self, features: FloatArray) -> IntArray:
         """The numbers of some states that were added, (n,), which do not change; −1 for those that have none."""
-        self._enter()
         return np.array([self._number.get(key, -1) for key in keys_of(features)], dtype=np.int64)
 
     def are_known(self, numbers: IntArray) -> BoolArray:
         """Whether more than one trajectory visited each of some states, so that its share says something, (n,)."""
-        self._enter()
         known: BoolArray = (numbers >= 0) & (self._n_trajectories[numbers] > 1)
         return known
 
     def shares(self, numbers: IntArray) -> FloatArray:
         """What share of its surroundings each of some states cuts off from their largest part, (n,), in [0, 0.5]."""
-        self._enter()
         once = self._n_trajectories[numbers] == 1
         for number in set(numbers[np.isnan(self._shares[numbers]) & ~once].tolist()):
             self._shares[number] = self._computed(number)
@@ -106,9 +76,8 @@ class LocalCuts:
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint."""
-        self._enter()
         known = np.flatnonzero(~np.isnan(self._shares[:-1]))
-        edges = [divmod(edge, MAX_STATES) for edge in sorted(self._edges)]
+        edges = [(one, other) for one, near in enumerate(self._neighbours) for other in sorted(near) if one < other]
         return {
             "states": np.array([np.frombuffer(key) for key in self._number]),
             "edges": np.array(edges, dtype=np.int64).reshape(-1, 2),
@@ -121,11 +90,8 @@ class LocalCuts:
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave."""
         self.n_computed = state["n_computed"]
-        self._pending = []
-        self._pending_bytes = 0
         self._number = {short_key(each.tobytes()): number for number, each in enumerate(state["states"])}
         self._neighbours = [set() for _ in self._number]
-        self._edges = {one * MAX_STATES + other for one, other in state["edges"].tolist()}
         for one, other in state["edges"].tolist():
             self._neighbours[one].add(other)
             self._neighbours[other].add(one)

@@ -74,7 +74,7 @@ class EpisodeRecord(NamedTuple):
 
 
 @storable
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LabelledTrajectory:
     """A trajectory with its features and its label, as discovery needs them.
 

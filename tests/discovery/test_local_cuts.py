@@ -95,31 +95,6 @@ def test_states_of_many_features_have_short_keys_and_the_same_shares() -> None:
         assert shares_of(each, many).tolist() == [0.5, 0.5, 0.0]
 
 
-def test_what_waits_is_entered_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    square = [(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)]
-    ways = [square, [(1, 0), (2, 0), (2, 1), (1, 1)], square, [(2, 0), (3, 0)], [(3, 0), (2, 0)]]
-    cells = [cell for way in ways for cell in way]
-    late, asked = walked(LocalCuts(), ways), LocalCuts()
-    for way in ways:
-        shares_of(walked(asked, [way]), cells)
-    monkeypatch.setattr(local_cuts, "PENDING", 1)
-    at_once = walked(LocalCuts(), ways)
-    assert len(at_once._number) == 7
-    assert len(late._number) == 0
-    expected = shares_of(at_once, cells).tolist()
-    assert shares_of(late, cells).tolist() == shares_of(asked, cells).tolist() == expected
-    assert 0.0 < max(expected) <= 0.5
-
-
-def test_little_memory_waits() -> None:
-    wide = np.eye(8, local_cuts.PENDING_BYTES // 64)
-    cuts = LocalCuts()
-    cuts.add(wide[:4], np.arange(4))
-    assert len(cuts._pending) == 1
-    cuts.add(wide, np.arange(8))
-    assert (len(cuts._pending), len(cuts._number)) == (0, 8)
-
-
 def test_goes_on_from_a_state(rng: np.random.Generator) -> None:
     def walk(n: int) -> list[tuple[float, ...]]:
         place: npt.NDArray[np.float64] = np.zeros(2)
