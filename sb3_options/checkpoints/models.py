@@ -29,6 +29,11 @@ COUNTERS = (
     "_n_calls",
     "_current_progress_remaining",
     "exploration_rate",
+    "_steps_seen",
+    "_primitive_steps",
+    "_untrained_steps",
+    "_untrained_decisions",
+    "_steps_with_options",
 )
 LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts")
 """What the environments gave last."""

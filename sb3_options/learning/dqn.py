@@ -11,6 +11,7 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv
+from stable_baselines3.common.utils import polyak_update
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.dqn.policies import DQNPolicy
 from torch.nn import functional
@@ -23,6 +24,9 @@ from sb3_options.learning.masked import MaskedPrediction, n_actions_of, stored_a
 from sb3_options.learning.replay_buffer import OptionReplayBuffer, OptionReplayBufferSamples
 from sb3_options.learning.saved_model import put_back
 
+FASTER_WITH_OPTIONS = 4
+"""From the first available option on, ε falls this many times as fast: measured in docs/studies/deep.md."""
+
 
 class OptionDQN(MaskedPrediction, DQN):
     """DQN whose greedy, ε-random and warm-up actions and bootstrap targets are limited to the available options.
@@ -30,11 +34,15 @@ class OptionDQN(MaskedPrediction, DQN):
     Stock DQN takes every slot for an action, and its target is a maximum over all of them. Here an option is available
     only in its initiation set, and an empty slot never.
 
+    ``gradient_steps`` and ``target_update_interval`` keep their pace per primitive step: an option that took k steps is
+    followed by k times the updates. From the first available option on, ε falls `FASTER_WITH_OPTIONS` times as fast,
+    because options explore, too.
+
     Args:
         policy: As for ``DQN``.
         env: Wrapped in `OptionsWrapper`.
         replay_buffer_class: `OptionReplayBuffer` or a subclass.
-        n_steps: Decisions of an n-step return.
+        n_steps: Decisions of an n-step return; with options, each of several steps, 3 was better than 1 and 10.
         **kwargs: As for ``DQN``.
 
     Raises:
@@ -49,12 +57,18 @@ class OptionDQN(MaskedPrediction, DQN):
         env: GymEnv | str | None,
         *,
         replay_buffer_class: type[OptionReplayBuffer] = OptionReplayBuffer,
-        n_steps: int = 1,
+        n_steps: int = 3,
         **kwargs: Any,
     ) -> None:
         # SB3 hands its own `n_steps` to its own buffers only.
         kwargs["replay_buffer_kwargs"] = {"n_steps": n_steps, **(kwargs.get("replay_buffer_kwargs") or {})}
         super().__init__(policy, env, replay_buffer_class=replay_buffer_class, **kwargs)  # type: ignore[arg-type]  # SB3 passes None when loading
+        self._steps_seen = 0
+        self._primitive_steps = 0
+        self._untrained_steps = 0
+        self._untrained_decisions = 0
+        self._steps_with_options = 0
+        self._has_options = False
 
     def _setup_model(self) -> None:
         super()._setup_model()
@@ -74,6 +88,9 @@ class OptionDQN(MaskedPrediction, DQN):
     def _setup_learn(self, *args: Any, **kwargs: Any) -> Any:
         result = super()._setup_learn(*args, **kwargs)
         assert self.env is not None  # it has just been reset
+        self._steps_seen = self.num_timesteps
+        if self.num_timesteps == 0:  # the schedule of ε begins anew
+            self._steps_with_options = 0
         check_gamma(self, self.env)
         self.env.env_method("set_slots", report_availability=True)
         buffer = self._option_buffer()
@@ -115,16 +132,38 @@ class OptionDQN(MaskedPrediction, DQN):
             greedy[i] = self._explore(masks[i])
         return greedy
 
+    def _on_step(self) -> None:
+        """Update the target network and ε as DQN does, by primitive steps."""
+        steps = self.num_timesteps - self._steps_seen
+        self._steps_seen = self.num_timesteps
+        self._n_calls += 1
+        self._untrained_steps += steps
+        self._untrained_decisions += self.n_envs
+        before = self._primitive_steps
+        self._primitive_steps += steps
+        interval = max(self.target_update_interval // self.n_envs, 1) * self.n_envs
+        if self._primitive_steps // interval > before // interval:
+            polyak_update(self.q_net.parameters(), self.q_net_target.parameters(), self.tau)
+            polyak_update(self.batch_norm_stats, self.batch_norm_stats_target, 1.0)
+        if self._has_options or self._steps_with_options:
+            self._steps_with_options += steps
+        with_options = FASTER_WITH_OPTIONS * self._steps_with_options / self._total_timesteps
+        self.exploration_rate = min(
+            map(self.exploration_schedule, (self._current_progress_remaining, 1 - with_options))
+        )
+        self.logger.record("rollout/exploration_rate", self.exploration_rate)
+
     def _sample_action(
         self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
     ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         assert self._last_obs is not None  # SB3 resets the environment before it collects
+        masks = self._masks_now()
+        self._has_options = bool(masks[:, masks.shape[1] - self._n_slots :].any())
         if self.num_timesteps < learning_starts:
-            masks = self._masks_now()
             actions = np.array([self._explore(mask) for mask in masks])
         else:
             last_obs = cast("npt.NDArray[Any]", self._last_obs)
-            actions, _ = self.predict(last_obs, deterministic=False, action_masks=self._masks_now())
+            actions, _ = self.predict(last_obs, deterministic=False, action_masks=masks)
         return actions, actions
 
     def _explore(self, mask: BoolArray) -> int:
@@ -134,7 +173,11 @@ class OptionDQN(MaskedPrediction, DQN):
         return int(self.action_space.np_random.choice(np.flatnonzero(mask)))
 
     def train(self, gradient_steps: int, batch_size: int = 100) -> None:
-        """DQN's update with the maximum taken over available actions."""
+        """DQN's update with the maximum taken over available actions, as often for a primitive step as DQN makes it."""
+        if self._untrained_decisions:
+            gradient_steps = round(gradient_steps * self._untrained_steps / self._untrained_decisions)
+            self._untrained_steps = 0
+            self._untrained_decisions = 0
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
         losses = []

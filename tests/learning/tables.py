@@ -53,7 +53,7 @@ def filled(algorithm: type[OffPolicyAlgorithm], task: Task, macro_q: bool, monke
     quantiles = {"n_quantiles": N_QUANTILES} if algorithm is QRDQN else {}
     model = algorithm(
         "MlpPolicy", task.env, gamma=GAMMA, replay_buffer_class=OptionReplayBuffer,
-        replay_buffer_kwargs={"macro_q": macro_q},
+        replay_buffer_kwargs={"macro_q": macro_q, "n_steps": 1},
         **TABULAR | RANDOM | {"policy_kwargs": {"net_arch": [], **quantiles}},
     )  # fmt: skip
     monkeypatch.setattr(model, "train", lambda gradient_steps, batch_size: None)

@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 import torch
 from stable_baselines3 import DQN
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize, VecTransposeImage
 
 from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper
+from sb3_options.callbacks import PrimitiveStepsCallback
 from sb3_options.learning import heads
+from sb3_options.learning.dqn import FASTER_WITH_OPTIONS
 from tests.learning.tables import (
     GAMMA,
     N_ACTIONS,
@@ -23,6 +26,7 @@ from tests.learning.tables import (
     random_task,
     tables,
 )
+from tests.support.helpers import steady_option
 from tests.support.sb3_helpers import (
     RANDOM,
     TINY,
@@ -170,3 +174,39 @@ class TestOptionDQN:
         model = OptionDQN("MlpPolicy", env, gamma=GAMMA, **TINY)
         model.learn(10)
         assert [heads.is_closed(model.policy, 4 + slot) for slot in range(2)] == [True, False]
+
+
+class Pace(BaseCallback):
+    """Counts target updates, by weights that have changed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.rates: list[tuple[int, float]] = []
+        self.targets: list[int] = []
+
+    def _on_step(self) -> bool:
+        weights = float(sum(w.detach().double().sum() for w in cast("Any", self.model).q_net_target.parameters()))
+        if not self.targets or weights != self.last:
+            self.targets.append(self.num_timesteps)
+        self.last = weights
+        self.rates.append((self.num_timesteps, cast("Any", self.model).exploration_rate))
+        return True
+
+
+@pytest.mark.parametrize("k", [1, 5])
+def test_updates_and_epsilon_keep_their_pace_by_primitive_steps(k: int) -> None:
+    env = optioned_rooms(1)
+    if k > 1:
+        env.bank.add(steady_option(max_duration=k))
+    pace = Pace()
+    model = OptionDQN(
+        "MlpPolicy", env, gamma=0.9, learning_starts=0, train_freq=1, gradient_steps=1, target_update_interval=100,
+        buffer_size=5000, exploration_fraction=0.4, exploration_final_eps=0.1, policy_kwargs={"net_arch": []}, seed=0,
+    )  # fmt: skip
+    model.learn(2000, callback=[PrimitiveStepsCallback(), pace])
+    decisions = model._n_calls
+    assert decisions == model.num_timesteps if k == 1 else decisions < 0.9 * model.num_timesteps
+    assert abs(model._n_updates - model.num_timesteps) <= k  # the first decision is not trained on
+    assert abs(len(pace.targets) - model.num_timesteps // 100) <= 1
+    ends = next(at for at, rate in pace.rates if rate == pytest.approx(0.1))
+    assert ends == pytest.approx(800 if k == 1 else 800 / FASTER_WITH_OPTIONS, abs=k + 1)
