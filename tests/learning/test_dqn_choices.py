@@ -183,6 +183,7 @@ class Pace(BaseCallback):
         super().__init__()
         self.rates: list[tuple[int, float]] = []
         self.targets: list[int] = []
+        self.last = 0.0
 
     def _on_step(self) -> bool:
         weights = float(sum(w.detach().double().sum() for w in cast("Any", self.model).q_net_target.parameters()))
