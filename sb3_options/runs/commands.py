@@ -35,17 +35,33 @@ class DemoConfig:
     progress: bool = True
 
 
+@dataclass(frozen=True, kw_only=True)
+class Trusting:
+    """Settings that import a module: the file of a run is not trusted with them.
+
+    Attributes:
+        env: Environment, module:Id, where the run had such a one; evaluate takes any.
+        env_wrapper: Wrapper for it, module:Class, where the run had one.
+        feature_map: Feature map φ, module:function, where the run had one.
+    """
+
+    env: str | None = None
+    env_wrapper: str | None = None
+    feature_map: str | None = None
+
+    def trusted(self) -> dict[str, str | None]:
+        """These settings by name."""
+        return {"env": self.env, "env_wrapper": self.env_wrapper, "feature_map": self.feature_map}
+
+
 @dataclass(frozen=True)
-class EvaluateConfig:
+class EvaluateConfig(Trusting):
     """Load a run in a new process and act greedily: mean return, success rate and primitive steps an episode.
 
     Attributes:
         run: The run folder that training named.
         episodes: How many to play.
         seed: Of the environment.
-        env: Environment to play in; by default the run's.
-        env_wrapper: Wrapper for it, module:Class, where the run had one.
-        feature_map: Feature map φ, module:function, where the run had one.
         video: Write the first ten episodes to this file, MP4 or GIF.
         best: Play the best model of --eval-freq, not the last.
     """
@@ -53,31 +69,22 @@ class EvaluateConfig:
     run: Annotated[Path, tyro.conf.Positional]
     episodes: int = 100
     seed: int = EVAL_SEED
-    env: str | None = None
-    env_wrapper: str | None = None
-    feature_map: str | None = None
     video: Path | None = None
     best: bool = False
 
 
 @dataclass(frozen=True)
-class ResumeConfig:
+class ResumeConfig(Trusting):
     """Go on with a run that was killed or interrupted, from its last checkpoint, as if it had never ended.
 
     Attributes:
         run: The run folder that training named.
         n_timesteps: Primitive steps in all; more than before lengthens a run, also a finished one.
-        env: Environment, module:Id, where the run had such a one.
-        env_wrapper: Wrapper for it, module:Class, where the run had one.
-        feature_map: Feature map φ, module:function, where the run had one.
         progress: Show a progress bar.
     """
 
     run: Annotated[Path, tyro.conf.Positional]
     n_timesteps: int | None = None
-    env: str | None = None
-    env_wrapper: str | None = None
-    feature_map: str | None = None
     progress: bool = True
 
 
@@ -101,7 +108,7 @@ class CompareConfig:
 
 
 @dataclass(frozen=True)
-class TuneConfig:
+class TuneConfig(Trusting):
     """Search for settings of training with Optuna: a file says what stays (base) and what varies (search).
 
     Attributes:
@@ -114,9 +121,6 @@ class TuneConfig:
         reach: As of ``compare``: success=0.9, return=1.5 or length=40; nothing that runs have from their start.
         jobs: Trials at a time.
         cluster: Train on the Ray cluster at HOST:PORT, or "auto". All machines share the folder.
-        env: Environment, module:Id, where the file names such a one.
-        env_wrapper: Wrapper for it, module:Class, where the file names one.
-        feature_map: Feature map φ, module:function, where the file names one.
     """
 
     space: Annotated[Path, tyro.conf.Positional]
@@ -127,9 +131,6 @@ class TuneConfig:
     reach: str = "success=0.9"
     jobs: int = 1
     cluster: str | None = None
-    env: str | None = None
-    env_wrapper: str | None = None
-    feature_map: str | None = None
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import glob
 import json
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
@@ -52,6 +52,9 @@ CAPTION = (
     "Interquartile means with 95 % stratified bootstrap intervals. A run that never gets there counts with the whole "
     "budget, that of the shortest run."
 )
+Numbers: TypeAlias = dict[str, Interval | int | str]
+"""Of a group, by what the table calls them."""
+
 UNITS: dict[Measure, str] = {"success": "success rate", "return": "return", "length": "primitive steps of an episode"}
 
 
@@ -108,7 +111,7 @@ def show_comparison(config: CompareConfig, console: Console) -> None:
     goal = Goal.parsed(config.reach)
     groups = groups_of(config.runs)
     source = source_of([run for members in groups.values() for run in members], config.source)
-    console.print(table_of(compared(groups, goal, source), goal))
+    console.print(table_of(compared(groups, goal, source)))
     with atomic_write(config.out) as temporary:
         figure_of(groups, source).savefig(temporary, dpi=110)
     console.print(f"Picture: {escape(str(config.out))}")
@@ -207,23 +210,11 @@ def source_of(runs: Sequence[Run], wanted: str) -> str:
     raise ValueError(f"--source {wanted}: not all runs logged the same. {lacking}. Leave some out.")
 
 
-class Compared(NamedTuple):
-    """Numbers of one group; a single run has points for intervals.
+def compared(groups: Mapping[str, Sequence[Run]], goal: Goal, source: str) -> dict[str, Numbers]:
+    """The numbers of every group, compared with the first one; all are cut to the shortest run.
 
-    A run that never reaches the goal counts with the budget, and with its whole length in seconds. ``sooner`` is the
-    probability that a run takes fewer steps than one of the first group.
+    A run that never reaches the goal counts with the budget, and with its whole length in seconds.
     """
-
-    runs: int
-    never: int
-    steps: Interval
-    seconds: Interval
-    end: dict[Measure, Interval]
-    sooner: Interval | None
-
-
-def compared(groups: Mapping[str, Sequence[Run]], goal: Goal, source: str) -> dict[str, Compared]:
-    """The numbers of every group, compared with the first one; all are cut to the shortest run."""
     everything = [run for runs in groups.values() for run in runs]
     for run in everything:
         if goal.measure not in run.curves[source]:
@@ -232,25 +223,32 @@ def compared(groups: Mapping[str, Sequence[Run]], goal: Goal, source: str) -> di
                 f"{', '.join(run.curves[source])}."
             )
     limit = budget(everything, source)
-    measures = [m for m in UNITS if all(m in run.curves[source] for run in everything)]
     first: FloatArray | None = None
-    numbers: dict[str, Compared] = {}
+    numbers: dict[str, Numbers] = {}
     for name, runs in groups.items():
         curves = [cut(run.curves[source][goal.measure], limit) for run in runs]
         at = [goal.reached(curve) for curve in curves]
         steps = np.array([limit if i is None else c.steps[i] for i, c in zip(at, curves, strict=True)])
         seconds = np.array([c.seconds[-1 if i is None else i] for i, c in zip(at, curves, strict=True)])
-        ends = {m: np.array([at_the_end(cut(run.curves[source][m], limit), limit) for run in runs]) for m in measures}
-        numbers[name] = Compared(
-            len(runs),
-            sum(i is None for i in at),
-            iqm_interval(steps),
-            iqm_interval(seconds),
-            {m: iqm_interval(values) for m, values in ends.items()},
-            None if first is None else probability_of_improvement(steps, first),
-        )
+        numbers[name] = {
+            "runs": len(runs),
+            f"primitive steps to {goal}": iqm_interval(steps),
+            "runs that never get there": at.count(None),
+            "seconds until then": iqm_interval(seconds),
+            f"Pr(sooner than {next(iter(groups))})": (
+                "" if first is None else probability_of_improvement(steps, first)
+            ),
+        }
+        for measure in _measures(everything, source):
+            ends = [at_the_end(cut(run.curves[source][measure], limit), limit) for run in runs]
+            numbers[name][f"{UNITS[measure]}, at the end"] = iqm_interval(np.array(ends))
         first = steps if first is None else first
     return numbers
+
+
+def _measures(runs: Sequence[Run], source: str) -> list[Measure]:
+    """What all runs logged."""
+    return [m for m in UNITS if all(m in run.curves[source] for run in runs)]
 
 
 def budget(runs: Sequence[Run], source: str) -> float:
@@ -270,34 +268,26 @@ def at_the_end(curve: Curve, limit: float) -> float:
     return float(last.mean() if len(last) else curve.values[-1])
 
 
-def table_of(numbers: Mapping[str, Compared], goal: Goal) -> Table:
-    """A column for every group."""
-    first = next(iter(numbers))
+def table_of(numbers: Mapping[str, Numbers]) -> Table:
+    """A column for every group; a single run has no intervals."""
     table = Table("", *numbers, caption=CAPTION)
-    rows: dict[str, Callable[[Compared], str]] = {
-        "runs": lambda of: str(of.runs),
-        f"primitive steps to {goal}": lambda of: _text(of.steps, of.runs),
-        "runs that never get there": lambda of: str(of.never),
-        "seconds until then": lambda of: _text(of.seconds, of.runs),
-        f"Pr(sooner than {first})": lambda of: "" if of.sooner is None else _text(of.sooner, of.runs),
-    }
-    for measure in numbers[first].end:
-        rows[f"{UNITS[measure]}, at the end"] = lambda of, m=measure: _text(of.end[m], of.runs)  # type: ignore[misc]  # bound now
-    for name, text in rows.items():
-        table.add_row(name, *map(text, numbers.values()))
+    for row in next(iter(numbers.values())):
+        cells = []
+        for of in numbers.values():
+            number = of[row]
+            if isinstance(number, Interval):
+                mean, low, high = (f"{x:,.0f}" if abs(number.mean) >= 100 else f"{x:.3g}" for x in number)
+                number = mean if of["runs"] == 1 else f"{mean} ({low} to {high})"
+            cells.append(str(number))
+        table.add_row(row, *cells)
     return table
-
-
-def _text(interval: Interval, runs: int) -> str:
-    mean, low, high = (f"{x:,.0f}" if abs(interval.mean) >= 100 else f"{x:.3g}" for x in interval)
-    return mean if runs == 1 else f"{mean} ({low} to {high})"
 
 
 def figure_of(groups: Mapping[str, Sequence[Run]], source: str) -> Figure:
     """Each measure over primitive steps and over seconds: interquartile means with 95 % bootstrap bands."""
     everything = [run for runs in groups.values() for run in runs]
     limit = budget(everything, source)
-    measures = [m for m in UNITS if all(m in run.curves[source] for run in everything)]
+    measures = _measures(everything, source)
     figure = Figure(figsize=(9.5, 2.6 * len(measures) + 0.6), layout="constrained")
     panels = figure.subplots(len(measures), 2, squeeze=False, sharey="row")
     for row, measure in zip(panels, measures, strict=True):

@@ -6,11 +6,10 @@ import json
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import gymnasium as gym
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
@@ -41,6 +40,9 @@ FILM_FPS = 12.0
 
 GAP = 8
 """White pixels between the two agents of a film."""
+
+Result: TypeAlias = dict[str, Any]
+"""One training in the target, as ``demo.json`` has it."""
 
 WITH, WITHOUT = "with the option", "without"
 COLOURS = {WITH: "#d62728", WITHOUT: "0.45"}
@@ -110,68 +112,30 @@ CLAIMS = {
 }
 
 
-class Learning(NamedTuple):
-    """One training in the target.
-
-    Attributes:
-        seed: Its seed.
-        arm: `WITH` or `WITHOUT`.
-        options: Discovered in the source.
-        steps: Primitive steps before each evaluation.
-        success: Success rate of each evaluation.
-        model: The trained model.
-    """
-
-    seed: int
-    arm: str
-    options: list[DiscoveredOption]
-    steps: list[int]
-    success: list[float]
-    model: BaseAlgorithm
-
-    @property
-    def subgoals(self) -> str:
-        """The subgoals of the options, for people."""
-        return "; ".join(option.where for option in self.options) or "none"
-
-    @property
-    def learned_after(self) -> int | None:
-        """Primitive steps at which the task was learned (`learned_at`); None if it was not."""
-        first = learned_at([rate >= LEARNED for rate in self.success])
-        return None if first is None else self.steps[first]
-
-
 def show_demo(config: DemoConfig, console: Console) -> None:
     """Run the demonstration, print its table, and write ``demo.png``, ``demo.json`` and ``demo.gif``."""
     claim = CLAIMS[config.task]
     config.out.mkdir(parents=True, exist_ok=True)
-    results: list[Learning] = []
+    results: list[Result] = []
+    found: list[list[DiscoveredOption]] = []
+    models: list[BaseAlgorithm] = []
     console.print(f"1. {claim.first}\n2. {claim.second}")
     for seed in range(config.seed, config.seed + config.seeds):
         path = config.out / f"options-{seed}.safetensors"
-        options = _discover(claim, seed, path, progress=config.progress)
+        found.append(_discover(claim, seed, path, progress=config.progress))
+        subgoals = "; ".join(option.where for option in found[-1]) or "none"
         for arm, file in ((WITH, path), (WITHOUT, None)):
-            steps, success, model = _learn(claim, seed, file, progress=config.progress)
-            results.append(Learning(seed, arm, options, steps, success, model))
+            model, learning = _learn(claim, seed, file, progress=config.progress)
+            results.append({"seed": seed, "arm": arm, "subgoals": subgoals, **learning})
+            models.append(model)
     console.print(table_of(results))
-    numbers = [
-        {
-            "seed": each.seed,
-            "arm": each.arm,
-            "subgoals": each.subgoals,
-            "learned_after": each.learned_after,
-            "steps": each.steps,
-            "success": each.success,
-        }
-        for each in sorted(results, key=lambda each: each.arm == WITHOUT)
-    ]
-    (config.out / "demo.json").write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
-    picture = config.out / "demo.png"
-    figure_of(results, claim, _pictures(claim, config.seed)[0]).savefig(picture, dpi=110)
+    numbers = json.dumps(sorted(results, key=lambda each: each["arm"] == WITHOUT), indent=2)
+    (config.out / "demo.json").write_text(numbers + "\n", encoding="utf-8")
+    picture, film = config.out / "demo.png", config.out / "demo.gif"
+    figure_of(results, claim, found[0], _pictures(claim, config.seed)[0]).savefig(picture, dpi=110)
     console.print(f"Picture: {picture}")
     if config.video:
-        film = config.out / "demo.gif"
-        _film(claim, results[:2], config.out / f"options-{config.seed}.safetensors", film)
+        _film(claim, config.seed, models[:2], config.out / f"options-{config.seed}.safetensors", film)
         console.print(f"Film:    {film}")
     console.print("Now in your environment: sb3-options train --env YOUR-ENV-ID   (or the lines in README)")
 
@@ -190,19 +154,18 @@ class _Evaluations(MaskableEvalCallback):
         super()._on_step()
         self.steps.append(self.num_timesteps)
         self.success.append(float(np.mean(self._is_success_buffer)))
-        return learned_at([rate >= LEARNED for rate in self.success]) is None
+        return self.learned() is None
+
+    def learned(self) -> int | None:
+        """Primitive steps after which the task was learned; None if it was not."""
+        first = learned_at([rate >= LEARNED for rate in self.success])
+        return None if first is None else self.steps[first]
 
 
 def _target(claim: Claim, seed: int, options: Path | None) -> TrainConfig:
     """The settings that ``sb3-options train`` has by default, with the options of a file or with none."""
-    return configure(
-        algo="maskableppo",
-        **claim.target,
-        n_timesteps=claim.target_steps,
-        seed=seed,
-        options=options,
-        discover=False,
-    )
+    own = {"n_timesteps": claim.target_steps, "seed": seed, "options": options, "discover": False}
+    return configure(algo="maskableppo", **claim.target, **own)
 
 
 def _discover(claim: Claim, seed: int, options: Path, *, progress: bool) -> list[DiscoveredOption]:
@@ -215,10 +178,8 @@ def _discover(claim: Claim, seed: int, options: Path, *, progress: bool) -> list
         return discovery.discoveries
 
 
-def _learn(
-    claim: Claim, seed: int, options: Path | None, *, progress: bool
-) -> tuple[list[int], list[float], BaseAlgorithm]:
-    """Train in the target until it is learned: the steps and success rates of evaluations, and the model."""
+def _learn(claim: Claim, seed: int, options: Path | None, *, progress: bool) -> tuple[BaseAlgorithm, Result]:
+    """Train in the target until it is learned: the model, and the steps and success rates of its evaluations."""
     config = _target(claim, seed, options)
     with (
         closing(make_env(config, config.n_envs, seed)) as env,
@@ -228,60 +189,59 @@ def _learn(
         model = make_model(config, env)
         callbacks = [discovery_callback(config), EveryNTimesteps(claim.evaluate_every, evaluations)]
         model.learn(config.n_timesteps, callbacks, progress_bar=progress)
-    return evaluations.steps, evaluations.success, model
+    learned = evaluations.learned()
+    return model, {"learned_after": learned, "steps": evaluations.steps, "success": evaluations.success}
 
 
-def table_of(results: Sequence[Learning]) -> Table:
+def table_of(results: Sequence[Result]) -> Table:
     """Primitive steps until the task is learned, a row for each seed."""
     table = Table("seed", "subgoals discovered", *COLOURS, title="Primitive steps until 90 % of the episodes succeed")
-    for one, other in zip(results[::2], results[1::2], strict=True):
-        table.add_row(str(one.seed), one.subgoals, _steps_text(one), _steps_text(other))
+    texts = [
+        f"not within {each['steps'][-1]:,} (success rate {each['success'][-1]:.0%})"
+        if each["learned_after"] is None
+        else f"{each['learned_after']:,}"
+        for each in results
+    ]
+    for i in range(0, len(results), 2):
+        table.add_row(str(results[i]["seed"]), results[i]["subgoals"], *texts[i : i + 2])
     return table
 
 
-def _steps_text(learning: Learning) -> str:
-    if (after := learning.learned_after) is None:
-        return f"not within {learning.steps[-1]:,} (success rate {learning.success[-1]:.0%})"
-    return f"{after:,}"
-
-
-def figure_of(results: Sequence[Learning], claim: Claim, task: Any) -> Figure:
+def figure_of(results: Sequence[Result], claim: Claim, options: Sequence[DiscoveredOption], task: Any) -> Figure:
     """The learning curves, thin for each seed and thick for their mean, beside a picture of the target.
 
     Args:
-        results: The trainings of all arms.
+        results: The trainings of both arms.
         claim: Their tasks.
-        task: A picture of the target, (height, width, 3), in which the first seed's subgoals are marked.
+        options: Their subgoals are marked.
+        task: A picture of the target, (height, width, 3).
     """
     figure = Figure(figsize=(10.0, 3.4), layout="compressed")
     left, right = figure.subplots(1, 2)
     left.imshow(task)
     left.set_axis_off()
     left.set_title("the second task", fontsize="medium")
-    options = results[0].options
     if claim.cells is not None and options:
         size = np.array([task.shape[1], task.shape[0]]) / claim.cells
         cells = np.array([option.subgoal[:2] for option in options])  # column and row; with a key, also the key
         x, y = (cells + 0.5).T * size[:, None]
         left.plot(x, y, "*", color=COLOURS[WITH], markersize=14, label="discovered subgoal")
         left.legend(loc="lower right", fontsize="small")
-    right.set_title("success rate while training", fontsize="medium")
-    _draw_curves(right, results, claim.target_steps)
-    return figure
-
-
-def _draw_curves(axes: Axes, results: Sequence[Learning], longest: int) -> None:
+    longest = claim.target_steps
     grid = np.linspace(0, longest, 61)
     for arm, colour in COLOURS.items():
         # Training ends once the task is learned; the last success rate stands for the rest.
-        curves = [np.interp(grid, [0, *each.steps], [0.0, *each.success]) for each in results if each.arm == arm]
+        own = [each for each in results if each["arm"] == arm]
+        curves = [np.interp(grid, [0, *each["steps"]], [0.0, *each["success"]]) for each in own]
         for curve in curves:
-            axes.plot(grid, curve, color=colour, linewidth=0.8, alpha=0.4)
-        axes.plot(grid, np.mean(curves, axis=0), color=colour, linewidth=2.5, label=arm)
-    axes.set(xlabel="primitive steps", xlim=(0, longest * 1.02), ylim=(-0.02, 1.02))
-    axes.xaxis.set_major_formatter("{x:,.0f}")
-    axes.grid(alpha=0.3)
-    axes.legend(loc="center right", frameon=False)
+            right.plot(grid, curve, color=colour, linewidth=0.8, alpha=0.4)
+        right.plot(grid, np.mean(curves, axis=0), color=colour, linewidth=2.5, label=arm)
+    right.set_title("success rate while training", fontsize="medium")
+    right.set(xlabel="primitive steps", xlim=(0, longest * 1.02), ylim=(-0.02, 1.02))
+    right.xaxis.set_major_formatter("{x:,.0f}")
+    right.grid(alpha=0.3)
+    right.legend(loc="center right", frameon=False)
+    return figure
 
 
 def _pictures(claim: Claim, seed: int, model: BaseAlgorithm | None = None, options: Path | None = None) -> list[Any]:
@@ -301,12 +261,11 @@ def _pictures(claim: Claim, seed: int, model: BaseAlgorithm | None = None, optio
     return pictures
 
 
-def _film(claim: Claim, learnings: Sequence[Learning], options: Path, path: Path) -> None:
+def _film(claim: Claim, seed: int, models: Sequence[BaseAlgorithm], options: Path, path: Path) -> None:
     """Write both agents side by side; the one that is done first waits in its last picture."""
     sides = []
-    for each in learnings:
-        pictures = _pictures(claim, each.seed, each.model, options if each.arm == WITH else None)
-        sides.append([captioned(picture, each.arm) for picture in pictures])
+    for model, arm, file in zip(models, COLOURS, (options, None), strict=True):
+        sides.append([captioned(picture, arm) for picture in _pictures(claim, seed, model, file)])
     gap = np.full((sides[0][0].shape[0], GAP, 3), 255, dtype=np.uint8)
     with video_file(path, FILM_FPS) as film:
         for i in range(max(map(len, sides))):

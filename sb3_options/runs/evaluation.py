@@ -27,7 +27,7 @@ from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import make_model
 from sb3_options.runs.commands import EvaluateConfig
-from sb3_options.runs.config import IMPORTING, OFF_POLICY, TrainConfig
+from sb3_options.runs.config import OFF_POLICY, TrainConfig
 from sb3_options.runs.intervals import Interval, mean_interval, share_interval
 from sb3_options.runs.video import RecordFrames, render_mode_of, video_file
 
@@ -76,7 +76,7 @@ def evaluate_run(run: Path, **settings: Any) -> Evaluation:
                 f"checkpoint){', or had no --eval-freq' if asked.best else ''}."
             )
     # What the run started with is in its own options file, too.
-    config = replace(configs.load(run / runs.CONFIG, {name: getattr(asked, name) for name in IMPORTING}), options=None)
+    config = replace(configs.load(run / runs.CONFIG, asked.trusted()), options=None)
     if asked.video is not None:
         mode, fps = render_mode_of(config)
         with video_file(asked.video, fps) as film:

@@ -34,7 +34,7 @@ from sb3_options.runs import folder as runs
 from sb3_options.runs import yaml_file
 from sb3_options.runs.algorithms import class_of, make_model
 from sb3_options.runs.commands import EVAL_SEED, ResumeConfig
-from sb3_options.runs.config import HOW_IT_RAN, IMPORTING, TrainConfig
+from sb3_options.runs.config import HOW_IT_RAN, TrainConfig
 from sb3_options.runs.folder import held
 from sb3_options.runs.report import Trained, closing_report, how_to_resume
 from sb3_options.runs.video import mode_among
@@ -191,7 +191,7 @@ def config_of(resumed: ResumeConfig) -> TrainConfig:
             f"There is no checkpoint in {resumed.run} to go on from: it was cut off before its first one, or trained "
             "with --checkpoint-freq 0."
         )
-    config = configs.load(resumed.run / runs.CONFIG, {name: getattr(resumed, name) for name in IMPORTING})
+    config = configs.load(resumed.run / runs.CONFIG, resumed.trusted())
     total = resumed.n_timesteps or config.n_timesteps
     if total < config.n_timesteps:
         raise ValueError(f"--n-timesteps must be at least {config.n_timesteps:,}, as {resumed.run} has it.")
@@ -223,12 +223,13 @@ def _write(path: Path, content: dict[str, Any]) -> None:
 
 def _train_once(config: TrainConfig, interrupts: Interrupts, console: Console, resumed: Path | None = None) -> Trained:
     """Train, and leave all of a run folder; none without a step taken, unless it was there before."""
-    options = config.options
-    if resumed is not None:
-        began_with = yaml_file.read_mapping(resumed / runs.CONFIG).get("options")
-        options = None if began_with is None else Path(str(began_with))
     discovery = discovery_callback(config, verbose=1)
-    discovery.hparams = _hparams_of(config, options)
+    hparams = configs.as_values(config)
+    if resumed is not None:
+        hparams["options"] = yaml_file.read_mapping(resumed / runs.CONFIG).get("options")
+    if hparams["options"] is not None:
+        hparams["options"] = "/".join(Path(str(hparams["options"])).parts[-2:])  # run folders are moved
+    discovery.hparams = {name: value for name, value in hparams.items() if name not in HOW_IT_RAN}
     folder = runs.new_run_folder(config) if resumed is None else resumed
     discovery.save_path = folder / runs.OPTIONS
     with nullcontext() if resumed else held(folder):  # `resume` holds it already
@@ -239,12 +240,6 @@ def _train_once(config: TrainConfig, interrupts: Interrupts, console: Console, r
             # Last: a process that was killed before does the end again.
             _write(folder / FINISHED, {"n_timesteps": config.n_timesteps})
     return Trained(config, folder, discovery, finished, None)
-
-
-def _hparams_of(config: TrainConfig, options: Path | None) -> dict[str, object]:
-    """The settings for TensorBoard's HParams tab; of ``options`` the last two parts, because run folders are moved."""
-    values = configs.as_values(config) | {"options": None if options is None else "/".join(options.parts[-2:])}
-    return {name: value for name, value in values.items() if name not in HOW_IT_RAN}
 
 
 def _learn(
@@ -269,7 +264,12 @@ def _learn(
             configs.save(config, folder / runs.CONFIG)
         model.tensorboard_log = str(folder)
         stop = _StopWhenDue(interrupts)
-        callbacks = [discovery, *_bonus(config), *_evaluation(config, folder, envs), stop]
+        callbacks: list[BaseCallback] = [discovery]
+        if config.bonus != "none":
+            callbacks.append(IntrinsicRewardCallback(config.bonus, seed=config.seed))
+        if config.eval_freq > 0:
+            callbacks.append(_evaluation(config, folder, envs))
+        callbacks.append(stop)
         if config.checkpoint_freq > 0:
             callbacks += _checkpoints(config, folder, model, callbacks, interrupts, console, resume=resume)
         if interrupts.signal is None:
@@ -314,14 +314,8 @@ def _learn(
     return finished
 
 
-def _bonus(config: TrainConfig) -> list[BaseCallback]:
-    return [] if config.bonus == "none" else [IntrinsicRewardCallback(config.bonus, seed=config.seed)]
-
-
-def _evaluation(config: TrainConfig, folder: Path, envs: list[VecEnv]) -> list[BaseCallback]:
+def _evaluation(config: TrainConfig, folder: Path, envs: list[VecEnv]) -> BaseCallback:
     """The callback of ``--eval-freq``; its environment is added to ``envs``."""
-    if config.eval_freq == 0:
-        return []
     seed = EVAL_SEED + config.seed
     env = runs.make_env(config, 1, seed, vec_env=config.vec_env, max_steps=config.eval_max_steps)
     envs.append(env)
@@ -341,7 +335,7 @@ def _evaluation(config: TrainConfig, folder: Path, envs: list[VecEnv]) -> list[B
     if config.discovery.segmentation == "episodes":  # a rule for segments says nothing of episodes
         callback.rule = success_rule(config.success)
     # EvalCallback counts calls of step, of which one may be many primitive steps.
-    return [EveryNTimesteps(config.eval_freq, callback)]
+    return EveryNTimesteps(config.eval_freq, callback)
 
 
 def _checkpoints(

@@ -100,7 +100,7 @@ def _distribution(path: Path, name: str, of: Any) -> Any:
 def tune(config: TuneConfig, console: Console) -> TrainConfig:
     """Search, and leave ``best.yml``; the best configuration is returned."""
     Goal.parsed(config.reach)
-    space = read_space(config.space, {name: getattr(config, name) for name in IMPORTING})
+    space = read_space(config.space, config.trusted())
     config.out.mkdir(parents=True, exist_ok=True)
     study = _opened(config, 0)
     asked = [config.objective, config.reach, config.seeds, str(space[1:])]

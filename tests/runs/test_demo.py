@@ -3,7 +3,6 @@
 import io
 import json
 from pathlib import Path
-from typing import Any, cast
 
 import imageio.v3 as iio
 import numpy as np
@@ -47,8 +46,8 @@ def test_a_demonstration_leaves_table_picture_film_and_options(tmp_path: Path, m
 
 def test_subgoals_on_a_map_with_a_key_are_marked_at_their_cells() -> None:
     key = DiscoveredOption(0, 1, 100, np.array([0.0, 7.0, 5.0]), "0, 7, 5", log_density=0.0, initiation_states=9)
-    results = [demo.Learning(0, arm, [key], [1000], [1.0], cast("Any", None)) for arm in demo.COLOURS]
-    figure = demo.figure_of(results, demo.CLAIMS["key"], np.zeros((80, 130, 3), np.uint8))
+    results = [{"arm": arm, "steps": [1000], "success": [1.0]} for arm in demo.COLOURS]
+    figure = demo.figure_of(results, demo.CLAIMS["key"], [key], np.zeros((80, 130, 3), np.uint8))
     assert np.array_equal(figure.axes[0].lines[0].get_xydata(), [[5.0, 75.0]])
 
 
