@@ -19,19 +19,10 @@ STALE = 3600.0
 
 @contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary path to write to, which replaces ``path`` once everything is on the disk.
+    """A temporary path beside ``path``, which it replaces once everything is on the disk.
 
-    A full disk, an error or a killed process leaves an older file as it was. What killed processes left beside it is
-    removed (`remove_stale`).
-
-    Args:
-        path: The final place; folders are made. Who may read a new file the system decides; an older one's rights stay.
-
-    Yields:
-        Where to write, beside ``path`` and with the same ending.
-
-    Raises:
-        OSError: It cannot be written; the error names ``path``.
+    A full disk, an error or a killed process leaves an older file as it was, with its rights. Remains of killed
+    processes are removed (`remove_stale`). An `OSError` names ``path``.
     """
     final = Path(path)
     temporary: Path | None = None

@@ -31,21 +31,8 @@ USAGE = 2
 TRY_AGAIN = 75
 """Exit status where a worker process was killed: ``EX_TEMPFAIL`` of sysexits.h."""
 
-SHORT_HELP = (
-    "env",
-    "env_kwargs",
-    "n_timesteps",
-    "seed",
-    "n_envs",
-    "options",
-    "max_options",
-    "max_new_options",
-    "discover",
-    "compare",
-    "eval_freq",
-    "tensorboard_log",
-)
-"""What ``--help`` shows."""
+LAST_IN_SHORT_HELP = "tensorboard_log"
+"""``--help`` shows the settings as far as this one."""
 
 COMMANDS: dict[str, tuple[type[Any], str]] = {
     "demo": (DemoConfig, "demo:show_demo"),
@@ -98,22 +85,17 @@ def main(args: Sequence[str] | None = None) -> None:
     except (ValueError, TypeError, OSError, MemoryError, NotImplementedError) as error:
         _stop(error, str(error), status)
     except Exception as error:
-        _stop_on(error)
+        from gymnasium.error import Error
+
+        from sb3_options.execution.workers import WorkerLostError
+
+        if isinstance(error, WorkerLostError):
+            _stop(error, error.what, TRY_AGAIN if error.killed else 1)
+        if not isinstance(error, Error):
+            raise
+        _stop(error, str(error), 1)
     if number := getattr(done, "signal", None):
         sys.exit(128 + number)
-
-
-def _stop_on(error: Exception) -> NoReturn:
-    """Exit with one line where an error of a library has a known cause; raise any other."""
-    import gymnasium as gym
-
-    from sb3_options.execution.workers import WorkerLostError
-
-    if isinstance(error, WorkerLostError):
-        _stop(error, error.what, TRY_AGAIN if error.killed else 1)
-    if isinstance(error, gym.error.Error):
-        _stop(error, str(error), 1)
-    raise error
 
 
 def _stop(error: BaseException, text: str, status: int) -> NoReturn:
@@ -138,7 +120,10 @@ def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
         print(f"sb3-options {version('sb3-options')}")
         sys.exit()
     trusted = {name: value for name in IMPORTING if (value := getattr(known, name)) is not None}
-    values = {} if known.config is None else _read(Path(known.config), trusted)
+    values: dict[str, Any] = {}
+    if known.config is not None:
+        path = Path(known.config)
+        values = configs.read(path / configs.CONFIG if path.is_dir() else path, trusted)
     values |= trusted
     if (asked := known.algo or word) is not None:
         if values.get("algo", asked.lower()) != asked.lower():
@@ -178,13 +163,8 @@ def _value(name: str, texts: list[str]) -> tuple[str, Any]:
         return f"{group}{dot}{inner.removeprefix('no_')}", not inner.startswith("no_")
     if name in ("options", "tensorboard_log") and texts != ["None"]:
         return name, " ".join(texts)
-    values = [configs.value_of(name, text) for text in texts]
+    values = [configs.value_of(text) for text in texts]
     return name, values if len(values) > 1 or name == "net_arch" else values[0]
-
-
-def _read(path: Path, trusted: dict[str, str]) -> dict[str, Any]:
-    """The settings of ``--config``: a file, or a run folder that has one."""
-    return configs.read(path / configs.CONFIG if path.is_dir() else path, trusted)
 
 
 def _show_help(default: TrainConfig, section: str, prog: str) -> NoReturn:
@@ -192,7 +172,8 @@ def _show_help(default: TrainConfig, section: str, prog: str) -> NoReturn:
     whole = section in GROUPS
     texts = _texts_of(GROUPS[section] if whole else TrainConfig)
     values = vars(getattr(default, section) if whole else default)
-    names = SHORT_HELP if section == "short" else [name for name in values if name not in ("algo", *GROUPS)]
+    names = [name for name in values if name not in ("algo", *GROUPS)]
+    names = names[: names.index(LAST_IN_SHORT_HELP) + 1] if section == "short" else names
     table = Table(box=None, show_header=False, pad_edge=False, expand=True)
     table.add_column(no_wrap=True)
     table.add_column(no_wrap=True, max_width=20)

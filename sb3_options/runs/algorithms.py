@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import importlib
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from copy import deepcopy
-from functools import reduce
-from operator import or_
-from types import UnionType
-from typing import Any, Union, get_args, get_origin
+from typing import Any
 
 import gymnasium as gym
 from pydantic import ConfigDict, ValidationError, create_model
@@ -62,7 +59,7 @@ def checked_arguments(algo: str, values: Mapping[str, Any]) -> dict[str, Any]:
     for name in values:
         if name not in arguments:
             raise ValueError(unknown(str(name), arguments))
-    fields: dict[str, Any] = {name: (_without_functions(arguments[name].annotation), ...) for name in values}
+    fields: dict[str, Any] = {name: (arguments[name].annotation, ...) for name in values}
     config = ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=False)
     try:
         model = create_model("Arguments", __config__=config, **fields)(**values)
@@ -71,14 +68,6 @@ def checked_arguments(algo: str, values: Mapping[str, Any]) -> dict[str, Any]:
     if wrong := truth_values(values, model):
         raise ValueError(wrong)
     return {name: getattr(model, name) for name in values}
-
-
-def _without_functions(annotation: Any) -> Any:
-    """A type that takes no function, such as SB3's schedules: a file or a flag cannot give one."""
-    if get_origin(annotation) not in (Union, UnionType):
-        return annotation
-    kinds = [kind for kind in get_args(annotation) if get_origin(kind) is not Callable]
-    return reduce(or_, kinds)
 
 
 def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> BaseAlgorithm:

@@ -113,7 +113,7 @@ class TuneConfig(Trusting):
 
     Attributes:
         space: YAML file with ``base`` (settings) and ``search`` (name: [values] or {low, high, log}).
-        out: Folder for trials, runs, pictures and best.yml. A search in it goes on.
+        out: Folder for trials, runs and best.yml. A search in it goes on.
         trials: Sets of settings to try, earlier ones included.
         seeds: Each is run on this many seeds, from 0, or until it proves worse than the best. Judge it on others.
         objective: "steps": fewest primitive steps to --reach, mean of logarithms; "end": best of the measure of

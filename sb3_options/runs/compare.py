@@ -88,10 +88,9 @@ class Goal(NamedTuple):
             number = float(value)
         except ValueError:
             number = math.nan
-        if name not in get_args(Measure) or not math.isfinite(number):
-            raise ValueError(f"--reach takes success=0.9, return=1.5 or length=40, not {text!r}.")
-        if name == "success" and not 0.0 < number <= 1.0:
-            raise ValueError(f"--reach {text}: a success rate is more than 0 and at most 1, as in success=0.9.")
+        possible = math.isfinite(number) and (name != "success" or 0.0 < number <= 1.0)
+        if name not in get_args(Measure) or not possible:
+            raise ValueError(f"--reach takes success=0.9 (at most 1), return=1.5 or length=40, not {text!r}.")
         return cls(name, number)  # type: ignore[arg-type]  # checked
 
     def reached(self, curve: Curve) -> int | None:

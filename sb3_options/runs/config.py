@@ -65,16 +65,13 @@ def keywords_of(pairs: Any) -> Any:
         name, colon, value = str(pair).partition(":")
         if not colon:
             raise ValueError(f"keyword arguments are pairs name:value, got {pair}.")
-        keywords[name] = value_of(name, value)
+        keywords[name] = value_of(value)
     return keywords
 
 
-def value_of(name: str, text: str) -> Any:
+def value_of(text: str) -> Any:
     """A value of the command line, read as YAML; None is None."""
-    try:
-        return None if text == "None" else yaml_file.parse(text)
-    except ValueError as error:
-        raise ValueError(f"the value of {name!r} is no YAML that can be read safely: {error}") from error
+    return None if text == "None" else yaml_file.parse(text)
 
 
 Keywords: TypeAlias = Annotated[dict[str, Any], BeforeValidator(keywords_of)]

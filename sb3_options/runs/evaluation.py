@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import asdict, replace
 from pathlib import Path
 from pickle import UnpicklingError
@@ -77,11 +77,12 @@ def evaluate_run(run: Path, **settings: Any) -> Evaluation:
             )
     # What the run started with is in its own options file, too.
     config = replace(configs.load(run / runs.CONFIG, asked.trusted()), options=None)
-    if asked.video is not None:
-        mode, fps = render_mode_of(config)
-        with video_file(asked.video, fps) as film:
-            _play(run / model, config, min(asked.episodes, VIDEO_EPISODES), asked.seed, film, mode)
-    return _play(run / model, config, asked.episodes, asked.seed)
+    with ExitStack() as stack:
+        film, mode = None, None
+        if asked.video is not None:
+            mode, fps = render_mode_of(config)
+            film = stack.enter_context(video_file(asked.video, fps))
+        return _play(run / model, config, asked.episodes, asked.seed, film, mode)
 
 
 def _play(
@@ -89,14 +90,14 @@ def _play(
     config: TrainConfig,
     episodes: int,
     seed: int,
-    film: Callable[[Any], None] | None = None,
-    mode: str | None = None,
+    film: Callable[[Any], None] | None,
+    mode: str | None,
 ) -> Evaluation:
     cameras: list[RecordFrames] = []
 
     def record(env: gym.Env[Any, Any]) -> RecordFrames:
         assert film is not None  # it is not called then
-        cameras.append(RecordFrames(env, film, episodes))
+        cameras.append(RecordFrames(env, film, min(episodes, VIDEO_EPISODES)))
         return cameras[0]
 
     beneath = None if film is None else record

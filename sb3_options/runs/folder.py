@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal
 
 import gymnasium as gym
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -42,12 +42,6 @@ SUBGOALS = "subgoals.png"
 
 LOCK = ".training"
 """File in the run folder; it is removed when training ends."""
-
-VecEnvKind: TypeAlias = Literal["dummy", "subproc", "ray"]
-"""Where environments live."""
-
-OWN_NAMESPACE = "sb3_options/"
-"""Of the environments that come with the library."""
 
 
 def new_run_folder(config: TrainConfig) -> Path:
@@ -130,7 +124,7 @@ def make_env(
     monitor_dir: Path | None = None,
     beneath: Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]] | None = None,
     render_mode: str | None = None,
-    vec_env: VecEnvKind = "dummy",
+    vec_env: Literal["dummy", "subproc", "ray"] = "dummy",
     max_steps: int = 0,
 ) -> VecEnv:
     """Environments with option slots, and a ``Monitor`` beneath these, so that it counts primitive steps.
@@ -145,7 +139,7 @@ def make_env(
     if of_minigrid:
         minigrid.require()
         env_id = minigrid.qualified(env_id)  # nobody has registered it in a worker
-    elif elsewhere and env_id.startswith(OWN_NAMESPACE):
+    elif elsewhere and env_id.startswith("sb3_options/"):
         env_id = f"sb3_options.envs:{env_id}"  # nobody has registered it there
 
     keywords = config.env_kwargs | ({} if render_mode is None else {"render_mode": render_mode})

@@ -172,8 +172,6 @@ def discovery_callback(config: TrainConfig, *, verbose: int = 0) -> SubgoalDisco
 def resume(resumed: ResumeConfig, console: Console) -> Trained | None:
     """Go on with a run. A finished run is left as it is."""
     run = resumed.run
-    if not (run / runs.CONFIG).is_file():
-        raise FileNotFoundError(f"{run} is no run folder: there is no {runs.CONFIG} in it.")
     with held(run):
         config = config_of(resumed)
         if not is_finished(config, run):
@@ -192,9 +190,7 @@ def config_of(resumed: ResumeConfig) -> TrainConfig:
             "with --checkpoint-freq 0."
         )
     config = configs.load(resumed.run / runs.CONFIG, resumed.trusted())
-    total = resumed.n_timesteps or config.n_timesteps
-    if total < config.n_timesteps:
-        raise ValueError(f"--n-timesteps must be at least {config.n_timesteps:,}, as {resumed.run} has it.")
+    total = max(resumed.n_timesteps or 0, config.n_timesteps)
     return dataclasses.replace(config, n_timesteps=total, options=None, progress=resumed.progress)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Hashable, Mapping
 from pathlib import Path
 from typing import Any
@@ -24,13 +25,10 @@ class Loader(yaml.SafeLoader):
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         """The values of a mapping by their names, of which none may be there twice."""
-        lines: dict[tuple[str, str], int] = {}
-        for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
-            name, line = (key.tag, key.value.replace("-", "_")), key.start_mark.line + 1
-            if name in lines:
-                where = f"in line {line}" if line == lines[name] else f"in lines {lines[name]} and {line}"
-                raise ValueError(f"it has {key.value!r} twice, {where}; give it once.")
-            lines[name] = line
+        keys = (key for key, _ in node.value if isinstance(key, yaml.ScalarNode))
+        for (_, name), n in Counter((key.tag, key.value.replace("-", "_")) for key in keys).items():
+            if n > 1:
+                raise ValueError(f"it has {name!r} twice; give it once.")
         return super().construct_mapping(node, deep)
 
 
@@ -61,10 +59,9 @@ def parse(text: str) -> Any:
     depth = 0
     try:
         for event in yaml.parse(text, Loader):
-            if isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent) and event.tag is not None:
-                raise ValueError(f"it has the tag {event.tag!r}; write plain values.")
-            if isinstance(event, yaml.NodeEvent) and event.anchor is not None:
-                raise ValueError(f"it has the anchor or alias {event.anchor!r}; write the value out.")
+            for what in ("tag", "anchor"):
+                if (value := getattr(event, what, None)) is not None:
+                    raise ValueError(f"it has the {what} {value!r}; write plain values.")
             depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
             if depth > MAX_DEPTH:
                 raise ValueError(f"it is nested deeper than {MAX_DEPTH} levels.")

@@ -86,7 +86,7 @@ def test_values_out_of_range_are_refused(values: dict[str, Any], text: str) -> N
 
 def test_keyword_arguments_run_nothing(tmp_path: Path) -> None:
     pairs: Any = (f"map:!!python/object/apply:os.mkdir ['{tmp_path / 'ran'}']",)
-    with pytest.raises(ValueError, match=r"the value of 'map' is no YAML that can be read safely"):
+    with pytest.raises(ValueError, match="has the tag"):
         configure(env_kwargs=pairs)
     assert not (tmp_path / "ran").exists()
 
