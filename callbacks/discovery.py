@@ -29,7 +29,7 @@ from sb3_options.execution.slots import Traits
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.success import SuccessRule, judged, reported_success, success_rule, tell_success
 from sb3_options.experience.trajectories import EpisodeRecord, Trajectory
-from sb3_options.options.bank import OptionBank, PresentOptions
+from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.settings import OptionLearningSettings, UsefulnessSettings
 from sb3_options.state import restore
@@ -120,8 +120,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     @property
     def bank(self) -> OptionBank:
-        """A copy of the present options, which takes no others; an empty bank before training starts."""
-        return PresentOptions(OptionBank(1, 0) if self._installer is None else self._installer.bank)
+        """A copy of the present options; an empty bank before training starts. Environments are given others."""
+        return OptionBank(1, 0) if self._installer is None else self._installer.bank.copy()
 
     def _on_training_start(self) -> None:
         self._ended = True

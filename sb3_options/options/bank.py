@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import Any, NoReturn, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -206,24 +206,3 @@ class OptionBank:
         """Refuse an unknown slot."""
         if not 0 <= slot < self.max_options:
             raise ValueError(f"slot must be between 0 and {self.max_options - 1}, got {slot}.")
-
-
-class PresentOptions(OptionBank):
-    """The options that a training has at the moment: a copy, by which nothing can be changed.
-
-    Args:
-        bank: Of the training.
-    """
-
-    def __init__(self, bank: OptionBank) -> None:
-        self.__dict__.update(bank.copy().__dict__)
-
-    def _refuse(self, *args: Any, **kwargs: Any) -> NoReturn:
-        """Refuse; the text says how options are changed."""
-        raise TypeError(
-            "callback.bank tells which options a training has, and changes none of them. Between two trainings change "
-            'those of the environments: model.get_env().env_method("set_option", SLOT, OPTION), or '
-            "sb3_options.load_options(FILE, model.get_env())."
-        )
-
-    add = remove = load = _refuse

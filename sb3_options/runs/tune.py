@@ -24,7 +24,7 @@ from optuna.trial import TrialState
 from rich.console import Console
 from rich.markup import escape
 
-from sb3_options.execution.ray_cluster import connect
+from sb3_options.execution.ray_vec_env import connect
 from sb3_options.runs import config as configs
 from sb3_options.runs import yaml_file
 from sb3_options.runs.algorithms import class_of
