@@ -40,13 +40,9 @@ class Bags:
     def pack(cls, positive: Sequence[ArrayLike], negative: Sequence[ArrayLike] = ()) -> Self:
         """Pack bags of shape (n_i, d). An instance given twice counts twice: pass first visits only.
 
-        Args:
-            positive: Bags that hold an instance of the concept.
-            negative: Bags that hold none.
-
         Raises:
-            ValueError: No bag at all, an empty bag, bags that disagree about d, or features that are NaN, infinite, too
-                large to square, masked or no real numbers.
+            ValueError: No bag at all, an empty bag, bags that disagree about d, or features that are no real numbers,
+                NaN, infinite, masked or too large to square.
         """
         names = [f"positive bag {i}" for i in range(len(positive))]
         names += [f"negative bag {i}" for i in range(len(negative))]

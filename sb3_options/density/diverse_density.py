@@ -187,13 +187,9 @@ class DiverseDensity:
     def certain(self, positive: Sequence[FloatArray], starts: FloatArray | None = None) -> list[Peak]:
         """Peaks that take no search: a point in every bag has density 1, the most there is, if no bag is negative.
 
-        Args:
-            positive: All bags, (n_i, d) each, at least one, instances in the order in which they were visited.
-            starts: As of `search`, (m, d).
-
-        Returns:
-            Those points in the order of `search`, which would find no better ones; none where none is in every bag, or
-            where instances lie closer than `APART`, so that points between them have density 1 as well.
+        Of positive bags (n_i, d), instances in the order in which they were visited, they are what `search` finds from
+        the same starts. There are none where instances lie closer than `APART`: points between them then have density 1
+        as well.
         """
         scale = self._scale(positive[0].shape[1])
         longest = max(positive, key=len)

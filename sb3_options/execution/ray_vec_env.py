@@ -60,15 +60,10 @@ def require_ray() -> ModuleType:
 
 
 def connect(address: str | None = None) -> Any:
-    """Ray, connected to a cluster. Where this process is connected already, it stays so.
+    """Ray, connected to a cluster as ``ray.init`` takes its address; what is connected already stays so.
 
-    Args:
-        address: As ``ray.init`` takes it: the cluster's head, ``HOST:PORT``, or "auto". None is the cluster that the
-            variable ``RAY_ADDRESS`` names, else a new one of this machine alone, which ends with the process.
-
-    Raises:
-        ModuleNotFoundError: Ray is not installed.
-        ConnectionError: There is no such cluster.
+    None is the cluster that the variable ``RAY_ADDRESS`` names, else a new one of this machine alone, which ends with
+    the process.
     """
     ray = require_ray()
     if ray.is_initialized():

@@ -88,10 +88,6 @@ class OptionBank:
         """Put an option into a slot, by default the first empty one, and return the slot.
 
         A `SubgoalOption` is bound to the bank's feature map, if it has one.
-
-        Raises:
-            TypeError: ``option`` is no `Option`.
-            ValueError: No slot is empty, or there is no such slot.
         """
         if not isinstance(option, Option):
             raise TypeError(f"option must be an Option, got {type(option).__name__}.")

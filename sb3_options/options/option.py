@@ -59,11 +59,7 @@ class SingleCache(Generic[Result]):
 
 
 class KnownFeatures:
-    """A feature map that caches the features of single observations, which all options of a bank need.
-
-    Args:
-        of: φ, which gives the same for the same observation always.
-    """
+    """A feature map φ that caches the features of single observations, which all options of a bank need."""
 
     def __init__(self, of: FeatureMap) -> None:
         self.of = of
