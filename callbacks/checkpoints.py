@@ -41,8 +41,8 @@ class CheckpointCallback(BaseCallback):
         verbose: 1 says when training goes on from one.
 
     Raises:
-        ValueError: ``freq`` < 1; or, when training starts, something cannot be in a checkpoint, or the folder has those
-            of another training.
+        ValueError: When training starts: something cannot be in a checkpoint, or the folder has those of another
+            training.
     """
 
     STATE = ("_last",)
@@ -56,11 +56,6 @@ class CheckpointCallback(BaseCallback):
         verbose: int = 0,
     ) -> None:
         super().__init__(verbose)
-        if not whole(freq, 1):
-            raise ValueError(
-                f"freq must be a whole number of at least 1 primitive step, got {freq!r}. The folder comes first here: "
-                "CheckpointCallback(folder, freq); SB3's callback of this name has save_freq first."
-            )
         self.folder, self.freq, self.end_when = CheckpointFolder(folder), freq, end_when
         self._there: int | None = None
         self._resumed: State | None = None

@@ -18,12 +18,11 @@ from sb3_options.callbacks.records import ClosedOption
 from sb3_options.callbacks.settings import ConceptSettings, OptionUse
 from sb3_options.callbacks.summaries import draw_discovery, log_discovery, log_results, save_or_warn
 from sb3_options.callbacks.usefulness import Verdict
-from sb3_options.checked import given_as, whole
+from sb3_options.checked import given_as
 from sb3_options.density.groups import FeatureGroup, checked_groups
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods import DiscoveryMethod, MethodName, checked_method
 from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.embedding.settings import EmbeddingSettings
 from sb3_options.execution.above import monitor_primitive_steps
 from sb3_options.execution.slots import Traits
 from sb3_options.experience.option_run import OptionRun
@@ -98,11 +97,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.method = checked_method(method)
         self.option_settings = given_as(OptionLearningSettings, {} if option_settings is None else option_settings)
         self.concepts = given_as(ConceptSettings, {} if concepts is None else concepts)
-        self.embedding = given_as(EmbeddingSettings, self.concepts.embedding)
-        if max_new_options is not None and not whole(max_new_options, 0):
-            raise ValueError(f"max_new_options must be at least 0, got {max_new_options!r}.")
-        if not whole(seed, 0):
-            raise ValueError(f"seed must be at least 0, a whole number, got {seed!r}.")
+        self.embedding = self.concepts.embedding
         self.success = success_rule(success)
         self.max_new_options = max_new_options
         self.save_path: str | os.PathLike[str] | None = None

@@ -86,8 +86,6 @@ class Peak(NamedTuple):
 
     def region(self, level: float = 0.5) -> Region:
         """Where Pr(x ∈ concept) ≥ level, in (0, 1): a subgoal that β can test."""
-        if not 0 < level < 1:
-            raise ValueError(f"level must lie between 0 and 1, got {level}")
         return Region(self.point[None], self.scale, math.sqrt(-math.log(level)))
 
     def probability(self, instances: ArrayLike) -> FloatArray:
@@ -208,12 +206,11 @@ class DiverseDensity:
 
     def evidence(self, bags: Bags) -> Evidence:
         """The bags in scaled features, as the searches see them."""
-        d = bags.n_features
-        if np.ndim(self.scale) and np.shape(self.scale) != (d,):
-            raise ValueError(f"scale has shape {np.shape(self.scale)}, the bags have {d} features")
         # In the middle of the data products of features are smallest, and lose the fewest digits.
         middle = bags.instances.mean(0).numpy()
-        return Evidence(bags, self.concept, middle, self._scale(d), Likelihood(self.negative_strength, self.leak))
+        return Evidence(
+            bags, self.concept, middle, self._scale(bags.n_features), Likelihood(self.negative_strength, self.leak)
+        )
 
     def starts(self, evidence: Evidence, points: FloatArray | None = None) -> Tensor:
         """θ (P, S) of every start of a thorough search: at scaled points (m, d), by default the instances."""

@@ -12,8 +12,6 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from sb3_options.checked import whole
-
 PAIRS = 6
 """Curvature pairs kept."""
 
@@ -78,8 +76,6 @@ class BatchedLBFGS:
         With ``contest`` it stops as soon as no start promises to reach the best value so far, or to improve by more
         than the tolerance. What it promises is twice the decrease of a quadratic: its slope along the direction.
         """
-        if not whole(steps, 0):
-            raise ValueError(f"steps must be a whole number of at least 0, got {steps!r}")
         for _ in range(steps):
             done = self.converged
             if contest:

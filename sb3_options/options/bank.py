@@ -45,12 +45,8 @@ class OptionBank:
         feature_size: int | None = None,
         signature: SpaceSignature | None = None,
     ) -> None:
-        if not whole(n_primitive, 1):
-            raise ValueError(f"n_primitive must be at least 1, got {n_primitive!r}.")
-        if not whole(max_options, 0):
-            raise ValueError(f"max_options must be a whole number of at least 0, got {max_options!r}.")
-        if max_options > MAX_SLOTS:
-            raise ValueError(f"max_options must be at most {MAX_SLOTS:,}, got {max_options:,}.")
+        if not (whole(max_options, 0) and max_options <= MAX_SLOTS):
+            raise ValueError(f"max_options must be a whole number from 0 to {MAX_SLOTS:,}, got {max_options!r}.")
         self.n_primitive = n_primitive
         self.max_options = max_options
         self.feature_map = feature_map
@@ -89,8 +85,6 @@ class OptionBank:
 
         A `SubgoalOption` is bound to the bank's feature map, if it has one.
         """
-        if not isinstance(option, Option):
-            raise TypeError(f"option must be an Option, got {type(option).__name__}.")
         if slot is None:
             if len(self) == self.max_options:
                 raise ValueError(
@@ -102,12 +96,10 @@ class OptionBank:
         self._put(slot, self._bound(option))
         return slot
 
-    def remove(self, slot: int) -> Option:
+    def remove(self, slot: int) -> Option | None:
         """Empty a slot and return its option."""
         self.check_slot(slot)
         option = self._slots[slot]
-        if option is None:
-            raise ValueError(f"Slot {slot} is empty already.")
         self._put(slot, None)
         return option
 

@@ -103,11 +103,6 @@ class Option:
         max_duration: int = 100,
         name: str = "option",
     ) -> None:
-        for argument, value in (("initiation", initiation), ("policy", policy), ("termination", termination)):
-            if not callable(value):
-                raise TypeError(
-                    f"{argument} must be a function of a batch of observations, got {type(value).__name__}."
-                )
         self._initiation = initiation
         self._policy = policy
         self._termination = termination
