@@ -160,7 +160,10 @@ def _value(name: str, texts: list[str]) -> tuple[str, Any]:
         return name, texts
     if not texts:
         group, dot, inner = name.rpartition(".")
-        return f"{group}{dot}{inner.removeprefix('no_')}", not inner.startswith("no_")
+        switch = inner.removeprefix("no_")
+        if GROUPS.get(group, TrainConfig).__annotations__.get(switch) != "bool":
+            raise ValueError(f"{flag(name)} takes a value, or there is no such flag.")
+        return f"{group}{dot}{switch}", switch == inner
     if name in ("options", "tensorboard_log") and texts != ["None"]:
         return name, " ".join(texts)
     values = [configs.value_of(text) for text in texts]
