@@ -37,7 +37,6 @@ CAPTIONS = {
 FACES = (
     "sb3_options",
     "sb3_options.callbacks",
-    "sb3_options.discovery",
     "sb3_options.discovery.methods",
     "sb3_options.envs",
     "sb3_options.envs.minigrid",

@@ -69,11 +69,11 @@ FEATURE_SECONDS = 2e-8
 """Of another method's update beside its own estimate, for each step, and for each feature of each state."""
 
 
-def seconds_of_bags(n_trajectories: int, n_new: int, n_instances: int, n_features: int) -> float:
-    """Nominal seconds of making the bags of a database."""
+def seconds_of_bags(n_trajectories: int, n_new: int, n_instances: int, n_features: int, n_cuts: int = 0) -> float:
+    """Nominal seconds of making the bags of a database, where so many states are new, and so many cuts."""
     of_pairs = WAY_PAIR_SECONDS * n_instances * (n_features + POINT_FEATURES)
     of_a_state = STATE_SECONDS + STATE_FEATURE_SECONDS * n_features + of_pairs
-    return n_trajectories * TRAJECTORY_SECONDS + n_new * of_a_state
+    return n_trajectories * TRAJECTORY_SECONDS + n_new * of_a_state + CUT_SECONDS * n_cuts
 
 
 def seconds_of_search(
@@ -92,11 +92,6 @@ def seconds_of_search(
 def seconds_of_certain(n_instances: int, n_features: int) -> float:
     """Nominal seconds where the peaks are certain without a search."""
     return CERTAIN_SECONDS + HELD_SECONDS * n_instances * n_features
-
-
-def seconds_of_cuts(n_states: int) -> float:
-    """Nominal seconds of computing what some states cut off."""
-    return CUT_SECONDS * n_states
 
 
 def seconds_of_contrast(n_trajectories: int, n_states: int) -> float:

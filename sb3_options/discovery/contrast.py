@@ -47,22 +47,18 @@ class Contrast:
         self._forget()
 
     def _forget(self) -> None:
-        self._values: FloatArray = np.zeros(0)
-        self._or_no_place: FloatArray = np.full(1, NO_PLACE)
         self._numbers: dict[bytes, int] = {}
+        self._values: FloatArray = np.full(1, NO_PLACE)  # by number; the last is that of number -1, which is no place
         self._visits: dict[LabelledTrajectory, _Visits] = {}
 
     def update(self, trajectories: Sequence[LabelledTrajectory]) -> None:
         """Count the visits of these trajectories, and of no others."""
-        if len(self._numbers) > MAX_FORMER_STATES + 2 * int((self._values > ABSENT).sum()):
+        if len(self._numbers) > MAX_FORMER_STATES + 2 * self.n_states:
             self._forget()  # most are of trajectories that are gone
         self._visits = {t: self._visits.get(t) or _Visits(t, self.group, self._numbers) for t in trajectories}
         visits = list(self._visits.values())
         success = np.array([t.success for t in trajectories], dtype=bool)
         states = np.concatenate([v.states for v in visits])
-        if not len(states):
-            self._values, self._or_no_place = np.full(len(self._numbers), ABSENT), np.full(1, NO_PLACE)
-            return
         of_whom = np.repeat(np.arange(len(visits)), [len(v.states) for v in visits])
         weights = np.ones(len(states))
         if success.any():
@@ -81,40 +77,30 @@ class Contrast:
         values = _share(reached.positive, n_positive) - _share(reached.negative, n_negative)
         values[(begun.positive + begun.negative) / len(visits) > MAX_START_SHARE] = NO_PLACE
         values[~present] = ABSENT
-        self._values, self._or_no_place = values, np.append(values, NO_PLACE)  # the last has number -1
+        self._values = np.append(values, NO_PLACE)
 
     def _neighbours(self, present: BoolArray) -> list[tuple[int, IntArray]]:
         """Of each state that has others within the radius: its number, and the numbers of all of them and of itself."""
         numbers = np.flatnonzero(present)
         if len(numbers) < 2:
             return []
-        scaled = self._states()[numbers] * np.asarray(self.group.scale)
+        states = np.frombuffer(b"".join(self._numbers)).reshape(-1, len(self.group.features))
+        scaled = states[numbers] * np.asarray(self.group.scale)
         near = cKDTree(scaled).query_ball_point(scaled, self.radius)
         return [(int(numbers[i]), numbers[these]) for i, these in enumerate(near) if len(these) > 1]
-
-    def _states(self) -> FloatArray:
-        """The states by their numbers, (n, k)."""
-        return np.frombuffer(b"".join(self._numbers)).reshape(-1, len(self.group.features))
 
     @property
     def n_states(self) -> int:
         """Distinct states of the group in the trajectories."""
-        return int(np.count_nonzero(self._values != ABSENT))
+        return int((self._values > ABSENT).sum()) - 1
 
     def largest(self) -> float:
         """Of all states; `NO_PLACE` where there is none."""
-        return max(float(self._values.max(initial=NO_PLACE)), NO_PLACE)
-
-    def of(self, features: FloatArray) -> FloatArray:
-        """The contrast of states by all their features (m, d), shape (m,); they were in an updated trajectory."""
-        places = self.group.is_place(features)
-        values = np.full(len(features), NO_PLACE)
-        values[places] = [self._values[self._numbers[_key(state)]] for state in self.group.own(features[places])]
-        return values
+        return float(self._values.max())
 
     def of_visited(self, labelled: LabelledTrajectory) -> FloatArray:
         """The contrast of the states of a trajectory, (m,), which is one of the updated."""
-        values: FloatArray = self._or_no_place[self._visits[labelled].numbers]
+        values: FloatArray = self._values[self._visits[labelled].numbers]
         return values
 
     def stands_out(self, labelled: LabelledTrajectory, least: float) -> BoolArray:

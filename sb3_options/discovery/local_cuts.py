@@ -51,7 +51,7 @@ class LocalCuts:
         way = numbers[visits]
         steps = set(zip(way[:-1].tolist(), way[1:].tolist(), strict=True))
         near = self._neighbours
-        new = [(one, other) for one, other in steps if -1 < one != other > -1 and other not in near[one]]
+        new = [(a, b) for a, b in steps if a != b and min(a, b) >= 0 and b not in near[a]]
         if new:
             for one, other in new:
                 near[one].add(other)

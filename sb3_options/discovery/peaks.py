@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import rustworkx as rx
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
 from sb3_options.experience.observations import FloatArray
@@ -21,16 +21,11 @@ def plateau_centres(points: FloatArray, scale: FloatArray, radius: float) -> tup
     In two rooms every crossing visits the doorway and both its neighbours, so that the three tie exactly: the middle
     of them is the doorway, any other choice is an accident.
     """
-    if len(points) == 1:
-        return points.copy(), 0.0
     distances = cdist(points * scale, points * scale)
-    touching: rx.PyGraph[None, None] = rx.PyGraph()
-    touching.add_nodes_from([None] * len(points))
-    one, other = np.nonzero(np.triu(distances <= radius, 1))
-    touching.add_edges_from_no_data(list(zip(one.tolist(), other.tolist(), strict=True)))
+    n_plateaus, plateau = connected_components(distances <= radius, directed=False)
     centres, extent = [], 0.0
-    for plateau in sorted(rx.connected_components(touching), key=min):
-        members = np.array(sorted(plateau))
+    for number in range(n_plateaus):
+        members = np.flatnonzero(plateau == number)
         centre = members[distances[members][:, members].sum(axis=1).argmin()]
         centres.append(centre)
         extent = max(extent, float(distances[centre, members].max()))
@@ -94,14 +89,9 @@ class PeakTracker:
             concept.average = self.decay * (concept.average + concept.found)
         self.concepts = [c for c in self.concepts if c.found or c.average > self.FORGOTTEN]
 
-    def leading(self) -> TrackedConcept | None:
-        """The concept with the largest average; None before the first peak."""
-        return max(self.concepts, key=lambda c: c.average, default=None)
-
     def leading_average(self) -> float:
         """The largest average; 0 before the first peak."""
-        leading = self.leading()
-        return 0.0 if leading is None else leading.average
+        return max((concept.average for concept in self.concepts), default=0.0)
 
     def persistent(self, threshold: float | None = None) -> list[TrackedConcept]:
         """The concepts of the last search whose average exceeds the threshold, largest first."""

@@ -164,9 +164,6 @@ class RewardPeaks:
         max_segment: A segment of this many primitive steps without a peak is cut, and failed. No more steps are held
             in memory. The next segment starts at the cut, so this should be more than a randomly exploring agent takes
             from peak to peak.
-
-    Raises:
-        ValueError: A field is out of its range.
     """
 
     max_segment: Annotated[int, Field(ge=1)] = 10_000

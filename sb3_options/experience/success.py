@@ -17,13 +17,9 @@ SuccessRule: TypeAlias = Callable[[Trajectory], bool]
 
 
 def success_in(info: Mapping[str, Any]) -> bool | None:
-    """What the info that ends an episode says of it; None where it says nothing.
+    """What ``is_success`` of the info that ends an episode says: a truth value, or 0 or 1 of any type; None without.
 
-    Args:
-        info: Its ``is_success``, if any, is a truth value, or 0 or 1 of any type, perhaps as an array of one element.
-
-    Raises:
-        ValueError: It is anything else, which might count as success by being something: NaN, "no".
+    Anything else is refused, because it might count as success by being something: NaN, "no".
     """
     said = info.get("is_success")
     if said is None:
@@ -52,11 +48,7 @@ def reported_success(trajectory: Trajectory) -> bool:
 
 
 def judged(rule: SuccessRule, trajectory: Trajectory) -> bool:
-    """What a rule says of a trajectory.
-
-    Raises:
-        TypeError: That is no truth value, and might count as success by being something, as "no" does.
-    """
+    """What a rule says of a trajectory; no truth value is refused, which might count as success by being something."""
     said: object = rule(trajectory)
     if not (said is None or isinstance(said, (bool, np.bool_)) or is_number(said)):
         raise TypeError(f"success must return True or False, got {said!r}.")
@@ -64,22 +56,14 @@ def judged(rule: SuccessRule, trajectory: Trajectory) -> bool:
 
 
 def success_by_return(threshold: float) -> SuccessRule:
-    """Success is an undiscounted return of at least ``threshold``; one that is infinite is an error, and no success.
-
-    Raises:
-        ValueError: ``threshold`` is NaN.
-    """
+    """Success is an undiscounted return of at least ``threshold``; one that is infinite is an error, and no success."""
     if math.isnan(threshold):
         raise ValueError("threshold must be a number, got nan.")
     return lambda trajectory: threshold <= float(trajectory.rewards.sum()) < math.inf
 
 
 def success_by_steps(limit: int) -> SuccessRule:
-    """Success is reported success within ``limit`` primitive steps (McGovern & Barto 2001, §4).
-
-    Raises:
-        ValueError: ``limit`` < 1.
-    """
+    """Success is reported success within ``limit`` primitive steps (McGovern & Barto 2001, §4)."""
     if limit < 1:
         raise ValueError(f"limit must be at least 1 primitive step, got {limit}.")
     return lambda trajectory: reported_success(trajectory) and len(trajectory) <= limit
@@ -147,14 +131,7 @@ def _terminated(trajectory: Trajectory) -> bool:
 
 
 def learned_at(reached: Sequence[bool] | npt.NDArray[np.bool_]) -> int | None:
-    """When a task counts as learned: at the first of two entries in a row that reach the goal.
-
-    Args:
-        reached: Of every evaluation, or entry of a log, whether it reached the goal.
-
-    Returns:
-        The index of that entry; None if there is none.
-    """
+    """When a task counts as learned: index of the first of two evaluations in a row that reach the goal, or None."""
     entries = np.asarray(reached, dtype=bool)
     first = np.flatnonzero(entries[:-1] & entries[1:])
     return int(first[0]) if len(first) else None

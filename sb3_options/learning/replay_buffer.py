@@ -54,7 +54,11 @@ class OptionReplayBufferSamples(NamedTuple):
 class Growing(NamedTuple):
     """How far an array has come that is written row by row, and over its oldest rows once it is full.
 
-    ``changes`` counts how often rows were changed in another way.
+    Attributes:
+        array: All of it.
+        written: Rows written so far.
+        at: The row that is written next.
+        changes: How often rows were changed in another way.
     """
 
     array: npt.NDArray[Any]

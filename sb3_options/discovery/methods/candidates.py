@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
-from sb3_options.checked import Field
 from sb3_options.density.arrays import row_keys
 from sb3_options.density.regions import Region
 from sb3_options.discovery.methods.method import Experience, Method
 from sb3_options.experience.observations import FloatArray, IntArray
-
-Count: TypeAlias = Annotated[int, Field(ge=1)]
-Share: TypeAlias = Annotated[float, Field(gt=0, lt=1)]
-Positive: TypeAlias = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-"""Arguments of methods, which `pydantic.validate_call` checks."""
 
 Accept = Callable[[FloatArray, FloatArray], FloatArray]
 """How often places were seen and how often they were candidates, (n,) each → by how much each is accepted, (n,).

@@ -11,7 +11,7 @@ from sb3_options.density.diverse_density import DiverseDensity, Peak
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.bags import BagMaker, FilteredBags
-from sb3_options.discovery.budget import seconds_of_bags, seconds_of_certain, seconds_of_cuts, seconds_of_search
+from sb3_options.discovery.budget import seconds_of_bags, seconds_of_certain, seconds_of_search
 from sb3_options.discovery.contrast import Contrast
 from sb3_options.discovery.diary import Diary
 from sb3_options.discovery.filters import Filters
@@ -136,14 +136,13 @@ class PersistentPeaks(Method):
         """The bags of the database; None while there are too few positive ones to search."""
         database, cuts = experience.database, self.maker.cuts
         n_computed = 0 if cuts is None else cuts.n_computed
-        self._cost = 0.0
         if database.n_successful >= self.settings.min_positive:
             self.filters.find_scale(database)
         avoided = [region for region in experience.avoided if region.group == self.filters.group]
         evidence = self.maker.make(database, avoided)
         n, d = (0, 0) if evidence is None else (evidence.n_instances, evidence.positive[0].shape[1])
-        self._cost += seconds_of_bags(len(database), self._n_new, n, d)
-        self._cost += 0.0 if cuts is None else seconds_of_cuts(cuts.n_computed - n_computed)
+        n_cuts = 0 if cuts is None else cuts.n_computed - n_computed
+        self._cost = seconds_of_bags(len(database), self._n_new, n, d, n_cuts)
         self._n_new = 0
         return evidence
 
@@ -221,8 +220,9 @@ class PersistentPeaks(Method):
         if (diary.successes if n_positive is None else n_positive) >= self.settings.min_positive:
             why += (
                 " They leave out what is near start and goal (start_radius, goal_radius), near the subgoal of an "
-                "option (spacing), and what few ways lead through (min_passing, min_cut). Where observations hardly "
-                "ever repeat, a feature map that says where the agent is helps, OptionsWrapper(feature_map=...)."
+                "option (spacing), what few ways lead through (min_passing, min_cut), and, in groups of features, what "
+                "failures visit as often (min_contrast). Where observations hardly ever repeat, a feature map that "
+                "says where the agent is helps, OptionsWrapper(feature_map=...)."
             )
         return why
 

@@ -1,8 +1,6 @@
 """Methods on the graph of the transitions of one trajectory: L-cut, and local betweenness."""
 
-from __future__ import annotations
-
-from typing import Annotated, TypeAlias
+from typing import Annotated
 
 import numpy as np
 import rustworkx as rx
@@ -10,7 +8,7 @@ from pydantic import Field, validate_call
 from scipy.linalg import eigh
 
 from sb3_options.density.regions import Region
-from sb3_options.discovery.methods.candidates import CandidateMethod, Count, Share, often_enough
+from sb3_options.discovery.methods.candidates import CandidateMethod, often_enough
 from sb3_options.discovery.methods.method import Experience
 from sb3_options.experience.observations import FloatArray, IntArray
 
@@ -22,8 +20,6 @@ place and transition."""
 
 TOLERANCE = 1e-9
 """Betweenness that differs by less, relative to the largest, is equal."""
-
-Horizon: TypeAlias = Annotated[int, Field(ge=2)]
 
 
 class LCut(CandidateMethod):
@@ -46,10 +42,10 @@ class LCut(CandidateMethod):
     def __init__(
         self,
         *,
-        horizon: Horizon = 1000,
+        horizon: Annotated[int, Field(ge=2)] = 1000,
         max_cut: Annotated[float, Field(gt=0, le=2)] = 0.05,
-        min_seen: Count = 10,
-        min_share: Share = 0.2,
+        min_seen: Annotated[int, Field(ge=1)] = 10,
+        min_share: Annotated[float, Field(gt=0, lt=1)] = 0.2,
     ) -> None:
         self.horizon, self.max_cut, self.min_seen, self.min_share = horizon, max_cut, min_seen, min_share
         super().__init__(often_enough(min_seen, min_share))
@@ -91,7 +87,13 @@ class Betweenness(CandidateMethod):
     """
 
     @validate_call
-    def __init__(self, *, horizon: Horizon = 1000, min_seen: Count = 10, min_share: Share = 0.5) -> None:
+    def __init__(
+        self,
+        *,
+        horizon: Annotated[int, Field(ge=2)] = 1000,
+        min_seen: Annotated[int, Field(ge=1)] = 10,
+        min_share: Annotated[float, Field(gt=0, lt=1)] = 0.5,
+    ) -> None:
         self.horizon, self.min_seen, self.min_share = horizon, min_seen, min_share
         super().__init__(often_enough(min_seen, min_share))
 

@@ -11,7 +11,7 @@ import numpy as np
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.budget import seconds_of_contrast
-from sb3_options.discovery.contrast import NO_PLACE, Contrast
+from sb3_options.discovery.contrast import Contrast
 from sb3_options.discovery.diary import Diary
 from sb3_options.discovery.filters import Filters
 from sb3_options.discovery.methods.diverse_density import PersistentPeaks
@@ -34,7 +34,7 @@ class GroupedPeaks(Method):
         members: The search of each group.
     """
 
-    STATE: ClassVar[tuple[str, ...]] = ("_members", "_leading", "_searched", "_largest", "_n_successful", "_n_standing")
+    STATE: ClassVar[tuple[str, ...]] = ("_members", "_leading", "_searched", "_n_successful", "_n_standing")
 
     needs_success = True
     searches = True
@@ -44,7 +44,6 @@ class GroupedPeaks(Method):
         self._contrasts: list[Contrast] = []  # of the smaller groups first, for each is compared with its parts
         self._members: list[PersistentPeaks] = []
         self._leading = 0
-        self._largest = NO_PLACE
         self._searched = 0
         self._n_successful = 0
         self._n_standing = 0
@@ -90,7 +89,6 @@ class GroupedPeaks(Method):
             for contrast in self._contrasts:
                 contrast.update(trajectories)
                 self._cost += seconds_of_contrast(len(trajectories), contrast.n_states)
-            self._largest = max(contrast.largest() for contrast in self._contrasts)
             for member in self._members:
                 assert member.contrast is not None  # each has one
                 if member.contrast.largest() >= self.settings.min_contrast:
@@ -123,16 +121,6 @@ class GroupedPeaks(Method):
 
     def why_nothing(self, diary: Diary) -> str:
         """Why it proposed nothing, where it might have."""
-        enough = self._n_successful >= self.settings.min_positive
-        if enough and self._largest < self.settings.min_contrast:
-            why = (
-                "successful trajectories visit no state of a group of features much oftener than the others do; "
-                f"min_contrast is {self.settings.min_contrast:g}."
-            )
-        else:
-            why = self._members[self._leading].why_nothing(diary, self._n_successful)
-        if self._n_standing == 1:
-            why += " 1 failure that came upon something rare stands for a success (salient_share)."
-        elif self._n_standing:
-            why += f" {self._n_standing} failures that came upon something rare stand for successes (salient_share)."
-        return why
+        why = self._members[self._leading].why_nothing(diary, self._n_successful)
+        n = self._n_standing
+        return f"{why} Failures that stand for successes (salient_share): {n}." if n else why

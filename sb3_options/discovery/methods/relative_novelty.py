@@ -1,12 +1,12 @@
 """Relative novelty: a subgoal leads from states that were visited often to states that were not."""
 
-from __future__ import annotations
+from typing import Annotated
 
 import numpy as np
-from pydantic import validate_call
+from pydantic import Field, validate_call
 
 from sb3_options.density.regions import Region
-from sb3_options.discovery.methods.candidates import CandidateMethod, Count, Positive, Share, more_likely
+from sb3_options.discovery.methods.candidates import CandidateMethod, more_likely
 from sb3_options.discovery.methods.method import Experience
 from sb3_options.experience.observations import FloatArray, IntArray
 
@@ -31,11 +31,11 @@ class RelativeNovelty(CandidateMethod):
     def __init__(
         self,
         *,
-        lag: Count = 7,
-        threshold: Positive = 2.0,
-        p_target: Share = 0.0712,
-        p_other: Share = 0.0056,
-        odds: Positive = 10_000.0,
+        lag: Annotated[int, Field(ge=1)] = 7,
+        threshold: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 2.0,
+        p_target: Annotated[float, Field(gt=0, lt=1)] = 0.0712,
+        p_other: Annotated[float, Field(gt=0, lt=1)] = 0.0056,
+        odds: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 10_000.0,
     ) -> None:
         if p_target <= p_other:
             raise ValueError(f"p_target must be above p_other, got {p_target} and {p_other}.")

@@ -1,14 +1,12 @@
 """Visit frequencies, and a control: random places."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, validate_call
 
 from sb3_options.density.regions import Region
-from sb3_options.discovery.methods.candidates import PLACE_SECONDS, Candidates, Count, Positive, Share
+from sb3_options.discovery.methods.candidates import PLACE_SECONDS, Candidates
 from sb3_options.discovery.methods.method import Experience, Method
 from sb3_options.discovery.peaks import MOST_TIED, PeakTracker, plateau_centres
 from sb3_options.experience.observations import FloatArray
@@ -22,7 +20,7 @@ class VisitFrequency(Method):
     Args:
         count: The ``first`` visit of a place in a trajectory, or ``every`` one.
         decay: λ of the running averages.
-        threshold: Share of the limit λ/(1−λ).
+        threshold: Annotated[float, Field(gt=0, lt=1)] of the limit λ/(1−λ).
         min_successes: Successful trajectories before the first place counts.
         radius: Places within this distance of each other are one, in scaled units.
     """
@@ -36,10 +34,10 @@ class VisitFrequency(Method):
         self,
         count: Literal["first", "every"] = "first",
         *,
-        decay: Share = 0.75,
+        decay: Annotated[float, Field(gt=0, lt=1)] = 0.75,
         threshold: Annotated[float, Field(ge=0, lt=1)] = 0.6,
-        min_successes: Count = 4,
-        radius: Positive = 1.5,
+        min_successes: Annotated[int, Field(ge=1)] = 4,
+        radius: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.5,
     ) -> None:
         self.count, self.min_successes, self.radius = count, min_successes, radius
         self.decay, self.threshold = decay, threshold
@@ -89,7 +87,9 @@ class RandomPlaces(Method):
     needs_success = True
 
     @validate_call
-    def __init__(self, *, min_successes: Count = 4, seed: Annotated[int, Field(ge=0)] = 0) -> None:
+    def __init__(
+        self, *, min_successes: Annotated[int, Field(ge=1)] = 4, seed: Annotated[int, Field(ge=0)] = 0
+    ) -> None:
         self.min_successes = min_successes
         self._random = np.random.default_rng(seed)
         self._successes = 0
