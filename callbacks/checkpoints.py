@@ -15,7 +15,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from sb3_options.callbacks import checkpoint_state
 from sb3_options.callbacks.counting import all_callbacks, check_every_step, evaluation_envs
 from sb3_options.checked import whole
-from sb3_options.checkpoints import environments, event_files, models
+from sb3_options.checkpoints import environments, models
 from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.checkpoints.tree import State
 
@@ -41,8 +41,8 @@ class CheckpointCallback(BaseCallback):
         verbose: 1 says when training goes on from one.
 
     Raises:
-        ValueError: ``freq`` < 1; or, when training starts, something cannot be in a checkpoint, or the folder has those
-            of another training.
+        ValueError: When training starts: something cannot be in a checkpoint, or the folder has those of another
+            training.
     """
 
     STATE = ("_last",)
@@ -56,11 +56,6 @@ class CheckpointCallback(BaseCallback):
         verbose: int = 0,
     ) -> None:
         super().__init__(verbose)
-        if not whole(freq, 1):
-            raise ValueError(
-                f"freq must be a whole number of at least 1 primitive step, got {freq!r}. The folder comes first here: "
-                "CheckpointCallback(folder, freq); SB3's callback of this name has save_freq first."
-            )
         self.folder, self.freq, self.end_when = CheckpointFolder(folder), freq, end_when
         self._there: int | None = None
         self._resumed: State | None = None
@@ -164,24 +159,13 @@ class CheckpointCallback(BaseCallback):
             "environments": [environments.get_state(venv) for venv in (self.training_env, *self._evaluated())],
             "model": models.get_state(self.model),
             "logged": models.logged(self.model.logger),
-            "event_files": event_files.sizes(self.model.logger),
+            "event_files": models.event_file_sizes(self.model.logger),
             "random": models.random_states(),
         }
 
     def _put_back(self, state: State) -> None:
         model = self.model
         before = model.num_timesteps
-        if state["model"]["total"] != model._total_timesteps:
-            logger.warning(
-                "The checkpoint is of a training for %d primitive steps, and learn() was called for %d: schedules "
-                "differ from here on.",
-                state["model"]["total"],
-                model._total_timesteps,
-            )
-        if len(state["environments"]) != 1 + len(self._evaluated()):
-            raise ValueError(
-                "The checkpoint is of training with other environments for evaluation than there are here."
-            )
         checkpoint_state.set_states(self._root, state["callbacks"])  # first: options go into the environments
         trained, *evaluated = state["environments"]
         failures = environments.set_state(self.training_env, trained)
@@ -196,12 +180,10 @@ class CheckpointCallback(BaseCallback):
             )
             models.begin_episodes(model)
         models.set_logged(model.logger, state["logged"])
-        event_files.cut(model.logger, state["event_files"])
+        models.cut_event_files(model.logger, state["event_files"])
         for callback in all_callbacks(self._root):
             if isinstance(callback, ProgressBarCallback):
                 callback.pbar.update(model.num_timesteps - before)
-            if state["logged"]["figures"] and hasattr(callback, "draw"):
-                callback.draw()
         models.set_random_states(state["random"])  # last: nothing of the above has drawn then
         if self.verbose:
             print(f"Going on after {model.num_timesteps:,} primitive steps.")
@@ -243,11 +225,10 @@ def load_checkpoint(
     file, state = CheckpointFolder(folder).newest()
     try:
         there, steps = state["model"]["class"], state["model"]["counters"]["num_timesteps"]
+        steps = int(steps) if whole(steps, 0) else steps["no number"]
     except (KeyError, TypeError) as error:
         raise ValueError(f"{file} is no checkpoint of a training: {error!r}") from error
-    if not whole(steps, 0):
-        raise ValueError(f"{file} is no checkpoint of a training: it has taken {steps!r} steps")
     if there != type(model).__name__:
         raise ValueError(f"The checkpoint is of {there}, the model is {type(model).__name__}.")
     own[0].resume_from(state)
-    return int(steps)
+    return steps

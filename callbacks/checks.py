@@ -55,11 +55,6 @@ def _check_same(what: str, values: Sequence[Any]) -> None:
 
 def check_options(model: BaseAlgorithm, venv: VecEnv) -> None:
     """Refuse a model or environments with which options would spoil what is learned."""
-    if not isinstance(venv.action_space, spaces.Discrete):
-        raise TypeError(
-            f"Options need a Discrete action space, got {venv.action_space}: discretise the actions, then wrap the "
-            "environment in OptionsWrapper."
-        )
     check_wrapped(venv, "The model's environment")
     family = family_of(model)
     family.check_buffer()
@@ -138,10 +133,4 @@ def check_same_slots(venv: VecEnv, eval_env: VecEnv) -> None:
         raise ValueError(
             f"The environment of EvalCallback has actions {actions[1]}, the training environment {actions[0]}: give "
             "both the same max_options."
-        )
-    limits = [{each.max_runs for each in env.get_attr("traits")} for env in (venv, eval_env)]
-    if limits[0] != limits[1]:
-        raise ValueError(
-            f"The environment of EvalCallback has max_runs {limits[1].pop()}, the training environment "
-            f"{limits[0].pop()}: give both the same max_runs."
         )

@@ -42,10 +42,9 @@ def count_inner_steps(callback: BaseCallback, runs: Sequence[OptionRun]) -> None
 class PrimitiveRollouts:
     """Keeps the rollouts of an on-policy algorithm at about ``n_steps`` primitive steps of each environment.
 
-    SB3 fixes the number of decisions when a rollout starts. So each has as many decisions as would have taken so long
-    in the one before, in multiples that fill the minibatches, and never more than ``n_steps``. SB3 reads ``n_steps``
-    before a rollout starts, and only between two of them it is the number of decisions: whoever saves the model in
-    a rollout saves what it was made with.
+    SB3 fixes the number of decisions when a rollout starts: as many as would have taken so long in the one before, in
+    multiples that fill the minibatches, never more than ``n_steps``. SB3 reads ``n_steps`` before a rollout starts, and
+    only between two it is the number of decisions: whoever saves the model in a rollout saves what it was made with.
     """
 
     def __init__(self, model: Any, buffer: SMDPAdvantages) -> None:

@@ -18,18 +18,17 @@ from sb3_options.callbacks.records import ClosedOption
 from sb3_options.callbacks.settings import ConceptSettings, OptionUse
 from sb3_options.callbacks.summaries import draw_discovery, log_discovery, log_results, save_or_warn
 from sb3_options.callbacks.usefulness import Verdict
-from sb3_options.checked import given_as, whole
+from sb3_options.checked import given_as
 from sb3_options.density.groups import FeatureGroup, checked_groups
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods import DiscoveryMethod, MethodName, checked_method
 from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.embedding.settings import EmbeddingSettings
 from sb3_options.execution.above import monitor_primitive_steps
 from sb3_options.execution.slots import Traits
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.success import SuccessRule, judged, reported_success, success_rule, tell_success
 from sb3_options.experience.trajectories import EpisodeRecord, Trajectory
-from sb3_options.options.bank import OptionBank, PresentOptions
+from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.settings import OptionLearningSettings, UsefulnessSettings
 from sb3_options.state import restore
@@ -98,11 +97,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.method = checked_method(method)
         self.option_settings = given_as(OptionLearningSettings, {} if option_settings is None else option_settings)
         self.concepts = given_as(ConceptSettings, {} if concepts is None else concepts)
-        self.embedding = given_as(EmbeddingSettings, self.concepts.embedding)
-        if max_new_options is not None and not whole(max_new_options, 0):
-            raise ValueError(f"max_new_options must be at least 0, got {max_new_options!r}.")
-        if not whole(seed, 0):
-            raise ValueError(f"seed must be at least 0, a whole number, got {seed!r}.")
+        self.embedding = self.concepts.embedding
         self.success = success_rule(success)
         self.max_new_options = max_new_options
         self.save_path: str | os.PathLike[str] | None = None
@@ -120,8 +115,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     @property
     def bank(self) -> OptionBank:
-        """A copy of the present options, which takes no others; an empty bank before training starts."""
-        return PresentOptions(OptionBank(1, 0) if self._installer is None else self._installer.bank)
+        """A copy of the present options; an empty bank before training starts. Environments are given others."""
+        return OptionBank(1, 0) if self._installer is None else self._installer.bank.copy()
 
     def _on_training_start(self) -> None:
         self._ended = True

@@ -23,10 +23,9 @@ from sb3_options.options.settings import OptionLearningSettings
 class LearnedFeatures:
     """Learns the feature map of all environments, and keeps subgoals and initiation sets at their observations.
 
-    The map is learned here, from the trajectories of discovery. Each time it has changed, every environment gets it,
-    and the options that were made here get the regions around the same observations in the new space. Their policies
-    act on observations, and stay as they are. A map that came with options stays as it is: of those the observations
-    are not known.
+    Each time the map has changed, every environment gets it, and the options that were made here get the regions around
+    the same observations in the new space. Their policies act on observations, and stay as they are. A map that came
+    with options stays as it is: of those the observations are not known.
     """
 
     STATE = ("learner", "_anchors")
@@ -91,10 +90,10 @@ class LearnedFeatures:
             print(f"Feature map: {self.learner.updates} gradient steps begin, {when}, a second in 1,000 steps")
 
     def remember(self, slot: int, option: SubgoalOption, search: Discovery) -> None:
-        """Take note of the observations behind an option's regions.
+        """Take note of the observations behind an option's regions, which were made of features in the database.
 
-        They were made of features in the database. Where an initiation set has only lost points, its observations are
-        those that are known: their trajectories may have left the database.
+        Where an initiation set has only lost points, its observations are known: their trajectories may have left the
+        database.
         """
         known, points = self._anchors.get(slot), option.initiation_set.points
         if known is None:

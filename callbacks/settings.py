@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
-from typing import Annotated, Any
+from dataclasses import field
+from typing import Annotated
 
-from sb3_options.checked import Field, given_as, settings
+from sb3_options.checked import Field, settings
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.discovery.static_filter import StaticFilter
 from sb3_options.embedding.settings import EmbeddingSettings
@@ -39,7 +38,7 @@ class OptionUse:
         return self.max_option_exploration if self.opening_share is None else self.opening_share
 
 
-@dataclass(frozen=True)
+@settings
 class ConceptSettings:
     """The space in which subgoals are searched.
 
@@ -50,19 +49,8 @@ class ConceptSettings:
             last state, (d,) each, to (m,) truth values. None leaves out what is near its start and end.
         embedding: How a map is learned, for environments in ``OptionsWrapper(feature_map="temporal-distance")``:
             an `EmbeddingSettings`, or a mapping of its fields.
-
-    Raises:
-        TypeError: ``groups`` are no groups, or a mapping has an unknown field.
-        ValueError: A field of a group is out of its range.
     """
 
-    groups: Iterable[FeatureGroup | Mapping[str, Any]] | None = None
+    groups: tuple[FeatureGroup, ...] | None = None
     static_filter: StaticFilter | None = None
-    embedding: EmbeddingSettings | Mapping[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        """Make groups of mappings."""
-        if not isinstance(self.groups, Iterable | None):
-            raise TypeError(f"groups must be FeatureGroups, or mappings of their fields, got {self.groups!r}.")
-        if self.groups is not None:
-            object.__setattr__(self, "groups", tuple(given_as(FeatureGroup, group) for group in self.groups))
+    embedding: EmbeddingSettings = field(default_factory=EmbeddingSettings)

@@ -97,15 +97,10 @@ def helps(episodes: Iterable[Episode]) -> bool:
 @storable
 @dataclass
 class SlotRecord:
-    """What is known of the option in one slot, since it is there or became another.
+    """What is known of the option in one slot, since it is there or became another."""
 
-    Attributes:
-        new: Runs since the last judgement, with the observations that they passed.
-        judged: Runs before, with what the initiation set sees of those.
-        episodes: The last ones.
-        needed: Whether each of the last successes passed the subgoal.
-    """
-
+    # Runs since the last judgement with the observations that they passed, runs before with what I sees of those, the
+    # last episodes, and whether each of the last successes passed the subgoal.
     new: deque[tuple[Observations, Ending]] = field(default_factory=lambda: deque(maxlen=WINDOW))
     judged: deque[tuple[FloatArray, Ending]] = field(default_factory=lambda: deque(maxlen=WINDOW))
     episodes: deque[Episode] = field(default_factory=lambda: deque(maxlen=WINDOW))

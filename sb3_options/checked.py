@@ -7,8 +7,6 @@ the same class.
 
 from __future__ import annotations
 
-import dataclasses
-import difflib
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral, Real
@@ -17,7 +15,7 @@ from typing import Any, TypeVar, dataclass_transform
 from pydantic import ConfigDict, Field, ValidationError
 from pydantic.dataclasses import dataclass
 
-__all__ = ["Field", "given_as", "is_number", "readable", "settings", "truth_values", "whole"]
+__all__ = ["Field", "given_as", "is_number", "readable", "settings", "whole"]
 
 from sb3_options.state import storable
 
@@ -42,8 +40,6 @@ def settings(cls: type[T]) -> type[T]:
         except ValidationError as error:
             unknown = any(e["type"].startswith("unexpected_") for e in error.errors())  # by keyword or position
             raise (TypeError if unknown else ValueError)(f"{cls.__name__}: {readable(error, names)}") from None
-        if wrong := truth_values({**dict(zip(names, args, strict=False)), **kwargs}, self):
-            raise ValueError(f"{cls.__name__}: {wrong}")
 
     made.__init__ = __init__  # type: ignore[method-assign]  # it takes what the generated one takes
     return storable(made)  # type: ignore[arg-type]  # pydantic types it as a class of its own, and it is ``cls`` itself
@@ -65,31 +61,7 @@ def given_as(cls: type[T], given: T | Mapping[str, Any]) -> T:
         raise TypeError(f"{cls.__name__} must be given as one, or as a mapping of its fields, got {given!r}.")
     if isinstance(given, Mapping) and "self" in given:  # SB3 calls a class with the variables of learn()
         raise TypeError(f"{cls.__name__} got no settings. Pass an object, callback=NAME(), and not the class.")
-    names = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]  # all settings are dataclasses
-    for name in given if isinstance(given, Mapping) else ():
-        if name not in names:
-            near = difflib.get_close_matches(str(name), names, n=1, cutoff=0.0)[0]
-            raise TypeError(f"{cls.__name__}: there is no setting {name!r}. Did you mean {near!r}?")
     return cls(**given) if isinstance(given, Mapping) else given
-
-
-def truth_values(given: Mapping[str, Any], made: object) -> str:
-    """What is wrong with truth values where a number is meant: pydantic takes True, and YAML's ``yes``, for 1."""
-    wrong = []
-    for name, value in given.items():
-        got = getattr(made, name, value)
-        if isinstance(value, Mapping) and dataclasses.is_dataclass(got):
-            inner = truth_values(value, got)
-            wrong += [f"{name}.{inner}"] if inner else []
-        elif _stands_for_a_number(value, got):
-            wrong.append(f"{name} should be a number, got {value}")
-    return "; ".join(wrong)
-
-
-def _stands_for_a_number(value: Any, got: Any) -> bool:
-    if isinstance(value, list | tuple) and isinstance(got, list | tuple):
-        return any(map(_stands_for_a_number, value, got))
-    return isinstance(value, bool) and is_number(got)
 
 
 def readable(error: ValidationError, names: Sequence[str] = ()) -> str:

@@ -5,7 +5,6 @@ What a command runs is imported when it runs, so the help is shown at once.
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import inspect
 import re
@@ -106,35 +105,27 @@ def _stop(error: BaseException, text: str, status: int) -> NoReturn:
 
 def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
     """The configuration that a command line describes: a flag is a line of a file of settings."""
-    early = argparse.ArgumentParser(prog=prog, add_help=False, allow_abbrev=False, exit_on_error=False)
-    for name in ("algo", "config", *IMPORTING):
-        early.add_argument(flag(name))
-    early.add_argument("-h", "--help", nargs="?", const="short", choices=(*GROUPS, "short", "all"))
-    early.add_argument("--version", action="store_true")
     word, rest = (args[0], args[1:]) if args and not args[0].startswith("-") else (None, args)
-    try:
-        known, words = early.parse_known_args(rest)
-    except argparse.ArgumentError as error:
-        raise ValueError(str(error)) from None
-    if known.version:
+    if word is not None:
+        configs.check_algo(word.lower())  # a mistyped command is no algorithm
+    flags = _flags(["--help" if each == "-h" else each for each in rest])
+    if "version" in flags:
         print(f"sb3-options {version('sb3-options')}")
         sys.exit()
-    trusted = {name: value for name in IMPORTING if (value := getattr(known, name)) is not None}
+    file, section, asked = flags.pop("config", None), flags.pop("help", None), flags.pop("algo", word)
+    trusted = {name: flags[name] for name in IMPORTING if name in flags}
     values: dict[str, Any] = {}
-    if known.config is not None:
-        path = Path(known.config)
-        values = configs.read(path / configs.CONFIG if path.is_dir() else path, trusted)
-    values |= trusted
-    if (asked := known.algo or word) is not None:
-        if values.get("algo", asked.lower()) != asked.lower():
+    if file is not None:
+        values = configs.read(Path(file) / configs.CONFIG if Path(file).is_dir() else Path(file), trusted)
+    if asked is not None:
+        asked = asked.lower()
+        if values.get("algo", asked) != asked:
             values = {name: value for name, value in values.items() if name in FIELDS and name not in configs.OWN}
-        values["algo"] = asked.lower()
-        configs.check_algo(values["algo"])
-    if known.help is not None:
-        _show_help(configs.build(values, prog), known.help, prog)
-    if known.config is not None:
-        configs.build(values, known.config)  # what is wrong with the file is told of the file
-    flags = _flags(words)
+        values["algo"] = asked
+    if section is not None:
+        _show_help(configs.build(values | trusted, prog), section, prog)
+    if file is not None:
+        configs.build(values, file)  # what is wrong with the file is told of the file
     flags |= configs.keywords_of(flags.pop("algo_kwargs", {}))
     return configs.build(values | flags, prog)
 
@@ -158,10 +149,14 @@ def _value(name: str, texts: list[str]) -> tuple[str, Any]:
     """A flag with its value: nothing is a truth value, several are a list."""
     if name in ("env_kwargs", "algo_kwargs"):
         return name, texts
+    group, dot, inner = name.rpartition(".")
+    switch = inner.removeprefix("no_")
+    kind = GROUPS.get(group, TrainConfig).__annotations__.get(switch)
     if not texts:
-        group, dot, inner = name.rpartition(".")
-        return f"{group}{dot}{inner.removeprefix('no_')}", not inner.startswith("no_")
-    if name in ("options", "tensorboard_log") and texts != ["None"]:
+        if kind != "bool" and name not in ("help", "version"):
+            raise ValueError(f"{flag(name)} takes a value, or there is no such flag.")
+        return f"{group}{dot}{switch}", "short" if name == "help" else switch == inner
+    if texts != ["None"] and (name in ("config", "help") or (kind or "").startswith(("str", "Path"))):
         return name, " ".join(texts)
     values = [configs.value_of(text) for text in texts]
     return name, values if len(values) > 1 or name == "net_arch" else values[0]

@@ -30,9 +30,8 @@ PLAYERS = ("enjoy", "record_video", "push_to_hub")
 class ZooOptionsWrapper(OptionsWrapper):
     """`OptionsWrapper` that starts with the options of the run that rl-zoo3 loads.
 
-    In ``rl_zoo3.enjoy``, ``record_video`` and ``push_to_hub`` these are the options in the folder of the run played;
-    in ``rl_zoo3.train --trained-agent FILE`` those beside that file; else there are none to start with. The file is
-    what `ZooDiscoveryCallback` wrote. A model whose zip has options brings its own.
+    In `PLAYERS` these are the options of the run played; in ``rl_zoo3.train --trained-agent FILE`` those of that model;
+    else there are none to start with. `ZooDiscoveryCallback` wrote them beside the model, or they are in its zip.
 
     Args:
         env: Its action space must be ``Discrete`` and start at 0.
@@ -64,7 +63,7 @@ class ZooOptionsWrapper(OptionsWrapper):
         self._primitive = OptionRun(-1, 1, self.gamma, self.gamma, "primitive").as_info()
 
     def run_folder(self) -> str | None:
-        """The folder of the run that is being trained: where ``Monitor`` writes; None where it writes nothing."""
+        """The folder of the run in training, where ``Monitor`` writes; None where it writes nothing."""
         env: Any = self
         while isinstance(env, gym.Wrapper):
             if isinstance(env, Monitor) and env.results_writer is not None:

@@ -21,7 +21,7 @@ from experiments.cluster.calculation import Assumptions
 from experiments.cluster.measured import PIONEER, WORKERS, Turn
 from experiments.common.intervals import ratio_interval
 from experiments.common.study import show, write
-from sb3_options.execution.ray_cluster import connect
+from sb3_options.execution.ray_vec_env import connect
 from sb3_options.runs.intervals import mean_interval
 
 BAR = 0.9

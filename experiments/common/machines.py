@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from joblib import Parallel, delayed
 
 import sb3_options.envs  # noqa: F401  # registers them, in worker processes too
-from sb3_options.execution.ray_cluster import connect
+from sb3_options.execution.ray_vec_env import connect
 
 T = TypeVar("T")
 

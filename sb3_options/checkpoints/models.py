@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import random
 import time
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 
 from sb3_options.checked import is_number, whole
 from sb3_options.checkpoints.tree import State
@@ -67,7 +69,6 @@ def get_state(model: BaseAlgorithm) -> State:
         "own": family_of(model).get_state(),
         "counters": {name: getattr(model, name) for name in COUNTERS if hasattr(model, name)},
         "last": {name: getattr(model, name, None) for name in LAST},
-        "total": model._total_timesteps,
         "rollout": _rollout(model),
         "elapsed": time.time_ns() - model.start_time,
         "episodes": list(model.ep_info_buffer or ()),
@@ -115,8 +116,6 @@ def prepare(model: BaseAlgorithm, state: State) -> None:
 
 def set_state(model: BaseAlgorithm, state: State) -> None:
     """Go on with what `get_state` gave, in a model that was made with the same arguments."""
-    if state["class"] != type(model).__name__:
-        raise ValueError(f"The checkpoint is of {state['class']}, the model is {type(model).__name__}.")
     for name, value in ((name, state["counters"][name]) for name in COUNTERS if name in state["counters"]):
         if not (is_number(value) if isinstance(getattr(model, name, 0), float) else whole(value, 0)):
             raise ValueError(f"The checkpoint has {name}={value!r}, which is no count of steps, or no rate.")
@@ -180,7 +179,7 @@ def set_random_states(state: State) -> None:
 
 
 def logged(logger: Logger) -> State:
-    """What was recorded and is not yet written: numbers, and which figures there were."""
+    """The numbers that were recorded and are not yet written."""
     numbers = {
         name: value for name, value in logger.name_to_value.items() if isinstance(value, int | float | np.number | str)
     }
@@ -188,12 +187,11 @@ def logged(logger: Logger) -> State:
         "values": numbers,
         "counts": dict(logger.name_to_count),
         "excluded": {name: tuple(to) for name, to in logger.name_to_excluded.items() if name in numbers},
-        "figures": [name for name in logger.name_to_value if name not in numbers],
     }
 
 
 def set_logged(logger: Logger, state: State) -> None:
-    """Record what `logged` gave, and nothing else; figures have to be drawn anew."""
+    """Record what `logged` gave, and nothing else."""
     for there, here in (
         (state["values"], logger.name_to_value),
         (state["counts"], logger.name_to_count),
@@ -201,6 +199,36 @@ def set_logged(logger: Logger, state: State) -> None:
     ):
         here.clear()
         here.update(there)
+
+
+def event_file_sizes(logger: Logger) -> dict[str, int]:
+    """Bytes of each event file of a logger, by name, with everything that was logged in them."""
+    for output in logger.output_formats:
+        if isinstance(output, TensorBoardOutputFormat):
+            output.writer.flush()
+    return {file.name: file.stat().st_size for file in _event_files(logger)}
+
+
+def cut_event_files(logger: Logger, before: dict[str, int]) -> None:
+    """Remove the points that ended processes logged after a checkpoint."""
+    files = _event_files(logger)
+    if not any(file.name in before for file in files):
+        return  # the logger writes to another folder than before: nothing in it is touched
+    own = {
+        Path(output.writer.file_writer.event_writer._file_name).name  # type: ignore[attr-defined]  # a writer that was not closed has it
+        for output in logger.output_formats
+        if isinstance(output, TensorBoardOutputFormat)
+    }
+    for file in files:
+        if file.name in before:
+            os.truncate(file, min(before[file.name], file.stat().st_size))
+        elif file.name not in own:
+            file.unlink()
+
+
+def _event_files(logger: Logger) -> list[Path]:
+    has_any = any(isinstance(output, TensorBoardOutputFormat) for output in logger.output_formats)
+    return sorted(Path(logger.dir).glob("*tfevents*")) if has_any and logger.dir is not None else []
 
 
 def _random_of(space: gym.Space[Any]) -> Any:

@@ -40,13 +40,9 @@ class Bags:
     def pack(cls, positive: Sequence[ArrayLike], negative: Sequence[ArrayLike] = ()) -> Self:
         """Pack bags of shape (n_i, d). An instance given twice counts twice: pass first visits only.
 
-        Args:
-            positive: Bags that hold an instance of the concept.
-            negative: Bags that hold none.
-
         Raises:
-            ValueError: No bag at all, an empty bag, bags that disagree about d, or features that are NaN, infinite, too
-                large to square, masked or no real numbers.
+            ValueError: No bag at all, an empty bag, bags that disagree about d, or features that are no real numbers,
+                NaN, infinite, masked or too large to square.
         """
         names = [f"positive bag {i}" for i in range(len(positive))]
         names += [f"negative bag {i}" for i in range(len(negative))]
@@ -54,12 +50,11 @@ class Bags:
             raise ValueError("there are no bags: pass at least one positive or negative bag")
         arrays = [real_array(name, bag) for name, bag in zip(names, (*positive, *negative), strict=True)]
         for name, array in zip(names, arrays, strict=True):
-            if array.size == 0:
-                raise ValueError(f"{name} is empty, of shape {array.shape}: leave empty bags out")
-            if array.ndim != 2:
-                raise ValueError(f"{name} must have shape (instances, features), got {array.shape}")
-            if array.shape[1] != arrays[0].shape[1]:
-                raise ValueError(f"{name} has {array.shape[1]} features, {names[0]} has {arrays[0].shape[1]}")
+            if array.ndim != 2 or array.size == 0 or array.shape[1:] != arrays[0].shape[1:]:
+                raise ValueError(
+                    f"{name} must have shape (instances, features), at least one of each and as many features as "
+                    f"{names[0]}, {arrays[0].shape}, got {array.shape}"
+                )
         instances = np.concatenate(arrays)
         if not np.abs(instances).max() <= LARGEST_FEATURE:  # nor if it is NaN
             for name, array in zip(names, arrays, strict=True):

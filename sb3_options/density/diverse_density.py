@@ -86,8 +86,6 @@ class Peak(NamedTuple):
 
     def region(self, level: float = 0.5) -> Region:
         """Where Pr(x ∈ concept) ≥ level, in (0, 1): a subgoal that β can test."""
-        if not 0 < level < 1:
-            raise ValueError(f"level must lie between 0 and 1, got {level}")
         return Region(self.point[None], self.scale, math.sqrt(-math.log(level)))
 
     def probability(self, instances: ArrayLike) -> FloatArray:
@@ -187,13 +185,9 @@ class DiverseDensity:
     def certain(self, positive: Sequence[FloatArray], starts: FloatArray | None = None) -> list[Peak]:
         """Peaks that take no search: a point in every bag has density 1, the most there is, if no bag is negative.
 
-        Args:
-            positive: All bags, (n_i, d) each, at least one, instances in the order in which they were visited.
-            starts: As of `search`, (m, d).
-
-        Returns:
-            Those points in the order of `search`, which would find no better ones; none where none is in every bag, or
-            where instances lie closer than `APART`, so that points between them have density 1 as well.
+        Of positive bags (n_i, d), instances in the order in which they were visited, they are what `search` finds from
+        the same starts. There are none where instances lie closer than `APART`: points between them then have density 1
+        as well.
         """
         scale = self._scale(positive[0].shape[1])
         longest = max(positive, key=len)
@@ -212,12 +206,11 @@ class DiverseDensity:
 
     def evidence(self, bags: Bags) -> Evidence:
         """The bags in scaled features, as the searches see them."""
-        d = bags.n_features
-        if np.ndim(self.scale) and np.shape(self.scale) != (d,):
-            raise ValueError(f"scale has shape {np.shape(self.scale)}, the bags have {d} features")
         # In the middle of the data products of features are smallest, and lose the fewest digits.
         middle = bags.instances.mean(0).numpy()
-        return Evidence(bags, self.concept, middle, self._scale(d), Likelihood(self.negative_strength, self.leak))
+        return Evidence(
+            bags, self.concept, middle, self._scale(bags.n_features), Likelihood(self.negative_strength, self.leak)
+        )
 
     def starts(self, evidence: Evidence, points: FloatArray | None = None) -> Tensor:
         """θ (P, S) of every start of a thorough search: at scaled points (m, d), by default the instances."""

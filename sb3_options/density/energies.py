@@ -24,26 +24,17 @@ LOG2_E = math.log2(math.e)
 
 
 class Likelihood(NamedTuple):
-    """What bags say of a concept.
-
-    Attributes:
-        strength: η in (0, 1] of negative instances.
-        leak: λ in [0, 1).
-    """
+    """What bags say of a concept: η in (0, 1] of negative instances, λ in [0, 1)."""
 
     strength: float = 1.0
     leak: float = 0.0
 
 
 class Columns(NamedTuple):
-    """Concepts as the kernels read them, one a column.
+    """Concepts as the kernels read them: coefficients (2 d + 1, S) of 1, x_k and x_k², and centres (d, S).
 
-    Attributes:
-        coefficients: (2 d + 1, S), of 1, x_k and x_k².
-        centre: (d, S): the energy is Σ_k c_kk (x_k − centre_k)², so that small ones can be measured without
-            cancellation; a column that is not finite is not.
-        exact: Whether small energies are measured so for every start, in double precision, and their part of the
-            gradient comes in ``Evaluation.near``; else only for starts that are done carefully.
+    The energy is Σ_k c_kk (x_k − centre_k)². Where a column is ``exact``, in double precision, small energies are
+    measured so, without cancellation, and their part of the gradient comes in ``Evaluation.near``.
     """
 
     coefficients: Tensor
@@ -56,14 +47,10 @@ class Columns(NamedTuple):
 
 
 class Evaluation(NamedTuple):
-    """Log densities and their gradients.
+    """Log densities (S,), in nats, and their gradients in the coefficients (K, S).
 
-    Attributes:
-        log_density: (S,), in nats.
-        gradient: (K, S), in the coefficients; (0, S) if it is not wanted.
-        near: What is left out of the gradient of exact columns (2 d, S): Σ_j w_j (x_j − centre) and
-            Σ_j w_j (x_j − centre)² over the instances close to the centre, with w_j = ∂ log DD / ∂z_j. In the gradient
-            their moments would cancel. (0, S) if nothing is.
+    ``near`` is what the gradient of exact columns leaves out, (2 d, S), because moments would cancel there: Σ_j w_j
+    (x_j − centre) and Σ_j w_j (x_j − centre)² over instances close to the centre, with w_j = ∂ log DD / ∂z_j.
     """
 
     log_density: Tensor

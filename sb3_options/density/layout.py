@@ -30,27 +30,18 @@ FEW_STARTS = 9
 class Segment(NamedTuple):
     """Some bags, as the kernels read them; R rows, N instances, B positive bags.
 
-    Attributes:
-        powers: (N, K): 1, x_k and x_k², and, if there are negative instances, a column that is 1 for those, else 0.
-        powers_by_power: (K, N), the same.
-        reach: (K,), the largest magnitude of each power.
-        counts: Rows that have a first, second, … instance; their sum is N.
-        negative_rows: Numbers of the rows of negative bags.
-        n_positive: B, the number of positive bags.
-        bag_of_row: (R,): positive bag of each row, B for rows of negative bags.
-        rows_by_bag: The first rows of all positive bags, the second rows of those that have one, …
-        rows_of_bags: The same in parts.
+    Powers are 1, x_k and x_k², and, if there are negative instances, a column that is 1 for those, else 0.
     """
 
-    powers: Tensor
-    powers_by_power: Tensor
-    reach: Tensor
-    counts: tuple[int, ...]
-    negative_rows: Tensor
-    n_positive: int
-    bag_of_row: Tensor
-    rows_by_bag: Tensor
-    rows_of_bags: tuple[Tensor, ...]
+    powers: Tensor  # (N, K)
+    powers_by_power: Tensor  # (K, N)
+    reach: Tensor  # (K,), the largest magnitude of each power
+    counts: tuple[int, ...]  # rows that have a first, second, … instance; their sum is N
+    negative_rows: Tensor  # numbers of the rows of negative bags
+    n_positive: int  # B
+    bag_of_row: Tensor  # (R,): positive bag of each row, B for rows of negative bags
+    rows_by_bag: Tensor  # the first rows of all positive bags, the second rows of those that have one, …
+    rows_of_bags: tuple[Tensor, ...]  # the same in parts
 
 
 class BagArrays(NamedTuple):

@@ -12,8 +12,6 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from sb3_options.checked import whole
-
 PAIRS = 6
 """Curvature pairs kept."""
 
@@ -37,26 +35,15 @@ Objective = Callable[[Tensor], tuple[Tensor, Tensor]]
 
 
 class BatchedLBFGS:
-    """Many starts on their way down.
+    """Many starts (P, S) on their way down, each with its value (S,) and whether it has ``converged``.
 
-    Every call of the objective moves every start: those whose step decreased their value go on from there, the
-    others try a shorter one. A value or gradient that is not finite counts as no decrease.
+    Every call of the objective moves every start: those whose step decreased their value go on from there, the others
+    try a shorter one. A value or gradient that is not finite counts as no decrease. Bounds are (P, 1) each.
 
-    Args:
-        objective: Values and gradients of all columns, in the precision of its argument.
-        theta: (P, S) starts.
-        bounds: Smallest and largest parameters, (P, 1).
-        curvature: What to take for the curvature of the objective before a step has shown it; without it the first
-            step has length 1 at most, which from near a minimum is too far.
-        tolerance: A start has converged when two accepted steps running decrease its value by less than this times
-            ``max(1, |value|)``, or no component of its gradient that is free exceeds this. In single precision, where a
-            smaller decrease is rounding, at least `FINEST` times its precision.
-
-    Attributes:
-        theta: (P, S), where each start is.
-        value: (S,), never above the start's.
-        converged: (S,): also if no step, however short, decreases the value any more.
-        evaluations: Calls of the objective so far.
+    Before a step has shown the ``curvature``, the first step has length 1 at most, unless it is given. A start has
+    converged when two accepted steps running decrease its value by less than ``tolerance`` times ``max(1, |value|)``,
+    when no component of its gradient that is free exceeds that, or when no step, however short, decreases the value. In
+    single precision, where a smaller decrease is rounding, the tolerance is at least `FINEST` times its precision.
     """
 
     @torch.inference_mode()
@@ -89,8 +76,6 @@ class BatchedLBFGS:
         With ``contest`` it stops as soon as no start promises to reach the best value so far, or to improve by more
         than the tolerance. What it promises is twice the decrease of a quadratic: its slope along the direction.
         """
-        if not whole(steps, 0):
-            raise ValueError(f"steps must be a whole number of at least 0, got {steps!r}")
         for _ in range(steps):
             done = self.converged
             if contest:
@@ -177,10 +162,9 @@ def _ring_orders() -> tuple[list[Tensor], list[Tensor]]:
 class CurvaturePairs:
     """The last steps s and changes of gradient y of every start, and the direction they make of a gradient.
 
-    In the compact form of Byrd, Nocedal & Schnabel (1994, theorem 2.2), which takes a few products of small matrices
-    for all starts at once where the two-loop recursion takes a hundred operations on vectors:
-    H g = γ g + S q − γ Y p with p = R⁻¹ Sᵀg, q = R⁻ᵀ ((D + γ YᵀY) p − γ Yᵀg), R the upper triangle of SᵀY, D its
-    diagonal.
+    The compact form of Byrd, Nocedal & Schnabel (1994, theorem 2.2) takes a few products of small matrices for all
+    starts: H g = γ g + S q − γ Y p with p = R⁻¹ Sᵀg, q = R⁻ᵀ ((D + γ YᵀY) p − γ Yᵀg), R the upper triangle of SᵀY, D
+    its diagonal.
     """
 
     def __init__(self, theta: Tensor, size: float = 0.0) -> None:

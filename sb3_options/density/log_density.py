@@ -78,8 +78,6 @@ def log_diverse_density(
     )
     if t.ndim != 2 or t.shape[1] != bags.n_features:
         raise ValueError(f"points must have shape (S, {bags.n_features}) as in the bags, got {tuple(t.shape)}")
-    if s.shape not in (t.shape, t.shape[1:], ()):
-        raise ValueError(f"scales must be a number, (d,) or (S, d) = {tuple(t.shape)}, got {tuple(s.shape)}")
     check_finite("one of the points", t.detach().numpy())
     if not positive_scale(s.detach().flatten()):
         raise ValueError("scales must be positive and finite: a scale is one over a width")

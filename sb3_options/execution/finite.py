@@ -13,16 +13,7 @@ LARGEST = float(np.finfo(np.float32).max)
 
 
 def check_finite(env: gym.Env[Any, Any], observation: Any, reward: Any = 0.0) -> None:
-    """Refuse NaN, infinity and what single precision cannot hold, of which SB3 would learn a policy of NaN.
-
-    Args:
-        env: Where they come from, for the message.
-        observation: One, or a mapping of arrays.
-        reward: Of the step that led there.
-
-    Raises:
-        ValueError: There is such a number.
-    """
+    """Refuse NaN, infinity and what single precision cannot hold, of which SB3 would learn a policy of NaN."""
     wrong = f"the reward {reward}" if not abs(float(reward)) <= LARGEST else None  # NaN compares as false
     for key, part in (observation if isinstance(observation, Mapping) else {None: observation}).items():
         array = np.asarray(part)

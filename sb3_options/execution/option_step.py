@@ -31,26 +31,12 @@ def run_option(
 ) -> tuple[StepReturn, OptionRun]:
     """Run an option until the episode, β, I, its longest duration or an interruption ends it, asked in this order.
 
-    It also ends, as if it had left I, where the environment masks the primitive action that it would take next.
+    It also ends, as if it had left I, where the environment masks the primitive action that it would take next:
+    ``legal`` says which may be taken now. Outside I it runs for one step. ``interrupted`` says of each observation
+    whether to end there (`Interruption.watch`), ``available`` which slots may start in the k observations arrived in,
+    for the record.
 
-    Args:
-        option: At least one step of it is run.
-        slot: Where it is.
-        observation: Where it begins.
-        step: Runs a primitive action.
-        inside: Whether it begins in its initiation set; outside it runs for one step.
-        interrupted: Whether to end in the observation arrived in (`Interruption.watch`); None for never.
-        available: Which slots may start in the k observations arrived in; None leaves that out of the record.
-        n_primitive: Number of primitive actions.
-        gamma: γ per primitive step.
-        random: Draws whether an option with 0 < β < 1 ends.
-        legal: Which primitive actions may be taken now, (n_primitive,); None where the environment masks none.
-
-    Returns:
-        What the last step returned, with Σ γⁱ rᵢ in the place of its reward, and the record of the run.
-
-    Raises:
-        ValueError: The option's policy chooses no primitive action.
+    Returns what the last step returned, with Σ γⁱ rᵢ in the place of its reward, and the record of the run.
     """
     total, discount = 0.0, 1.0
     observations: list[Any] = [copy_of(observation)]

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import copy
 import logging
+import os
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from types import ModuleType
 from typing import Any, TypeAlias
 
 import gymnasium as gym
@@ -18,9 +20,9 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 from stable_baselines3.common.vec_env.patch_gym import _patch_env
 
 from sb3_options.execution.above import Outermost
-from sb3_options.execution.ray_cluster import connect
 from sb3_options.execution.slots import SlotState
 from sb3_options.execution.workers import PATIENCE, WorkerLostError
+from sb3_options.extras import how_to_install
 
 logger = logging.getLogger("sb3_options")
 
@@ -37,6 +39,41 @@ FIRST_WAIT = 0.25
 
 LEAST_WAIT = 1.0
 """Seconds in which an answer that is there can be fetched, though another one has used up the time."""
+
+
+OBJECT_STORE = 200 * 2**20
+"""Bytes of shared memory of a cluster that is started here. Ray's default is 30 % of the machine's memory; what
+environments and studies send is small and passes it by, but for images."""
+
+
+def require_ray() -> ModuleType:
+    """Ray, imported."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # read on import; by default Ray reports to its makers
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # without it Ray warns that this will be so
+    try:
+        import ray
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            f"Ray is not installed: {how_to_install('cluster')}, on every machine.", name=error.name
+        ) from error
+    return ray
+
+
+def connect(address: str | None = None) -> Any:
+    """Ray, connected to a cluster as ``ray.init`` takes its address; what is connected already stays so.
+
+    None is the cluster that the variable ``RAY_ADDRESS`` names, else a new one of this machine alone, which ends with
+    the process.
+    """
+    ray = require_ray()
+    if ray.is_initialized():
+        return ray
+    address = address or os.environ.get("RAY_ADDRESS")
+    if address is None:
+        ray.init(address="local", include_dashboard=False, object_store_memory=OBJECT_STORE)
+    else:
+        ray.init(address=address)
+    return ray
 
 
 class HostedEnvironments:
@@ -83,26 +120,21 @@ class HostedEnvironments:
 
     def begin(
         self,
-        settings: Sequence[tuple[SlotState | None, Mapping[str, Any]]],
+        slots: Sequence[SlotState | None],
         seeds: Sequence[int | None],
         last: Sequence[Any] | None,
     ) -> list[Any]:
-        """Take the place of environments that are lost; returns answers to a step whose outcome is lost with them.
+        """Take the place of environments that are lost, with their slots, and answer a step that is lost with them.
 
-        ``settings`` are what was set in each, slots and attributes. ``last`` are their last known observations; None
-        where they were not yet reset.
+        ``last`` are their last known observations; None where they were not yet reset.
         """
         self._make()
         answers = []
-        for i, (env, seed, (slots, attributes)) in enumerate(
-            zip(self.envs, seeds, copy.deepcopy(settings), strict=True)
-        ):
+        for i, (env, seed, state) in enumerate(zip(self.envs, seeds, copy.deepcopy(slots), strict=True)):
             if seed is not None:
                 env.action_space.seed(seed)
-            for name, value in attributes.items():
-                setattr(env, name, value)
-            if slots is not None and is_wrapped(env, Outermost):  # type: ignore[arg-type]  # it is asked of each
-                env.get_wrapper_attr("set_slots")(**vars(slots))
+            if state is not None and is_wrapped(env, Outermost):  # type: ignore[arg-type]  # it is asked of each
+                env.get_wrapper_attr("set_slots")(**vars(state))
             self._known[i] = _slots_of(env)
             if last is not None:
                 observation, self._reset_infos[i] = env.reset(seed=seed)
@@ -157,10 +189,9 @@ class RayVecEnv(SubprocVecEnv):
     than the environments, so it is for environments that cost. Every machine needs the same Python and packages.
 
     The loss of a machine, or of a process, ends no training. The environments of its actors start anew elsewhere, with
-    seeds of their own, what their slots held (`SlotState`) and the attributes that ``set_attr`` has set. The episodes
-    that were in flight end as truncated: reward 0, ``info["TimeLimit.truncated"]``, the last observation that is known
-    as ``terminal_observation``, and ``info["lost"]``. There is one warning a loss. What is lost before the first reset
-    starts anew and is not counted.
+    seeds of their own and what their slots held (`SlotState`). The episodes that were in flight end as truncated:
+    reward 0, ``info["TimeLimit.truncated"]``, the last observation that is known as ``terminal_observation``, and
+    ``info["lost"]``. There is one warning a loss. What is lost before the first reset starts anew and is not counted.
 
     Args:
         env_fns: Each makes an environment.
@@ -199,7 +230,6 @@ class RayVecEnv(SubprocVecEnv):
         self._groups = [group.tolist() for group in np.array_split(np.arange(n_envs), n_actors)]
         self._env_fns = list(env_fns)
         self._slots: list[SlotState | None] = [None] * n_envs
-        self._attributes: list[dict[str, Any]] = [{} for _ in env_fns]
         self._first_seeds: list[int | None] = [None] * n_envs
         self._seen: list[Any] = [None] * n_envs
         self._losses_in_a_row = [0] * n_actors
@@ -261,18 +291,14 @@ class RayVecEnv(SubprocVecEnv):
 
     def _deliver(self, actor: int, messages: Sequence[Message], answers: Sequence[Any]) -> None:
         # What Ray hands out cannot be written to.
-        for (i, command, data), answer in zip(messages, copy.deepcopy(answers), strict=True):
+        for (i, command, _), answer in zip(messages, copy.deepcopy(answers), strict=True):
             env = self._groups[actor][i]
             if command in ("step", "reset"):
                 self._seen[env] = answer[0]
-            elif command == "set_attr":
-                self._attributes[env].update([data])
             self.remotes[env].inbox.append(answer)
 
     def _collect(self, references: dict[int, Any], until: float | None) -> tuple[dict[int, Any], dict[int, Exception]]:
         """What actors answer, and why those that are lost do not."""
-        with suppress(*self._lost_errors()):
-            return dict(zip(references, self._get(list(references.values()), until), strict=True)), {}
         results: dict[int, Any] = {}
         lost: dict[int, Exception] = {}
         for a, reference in references.items():
@@ -337,9 +363,9 @@ class RayVecEnv(SubprocVecEnv):
 
     def _begin(self, actor: int) -> None:
         group = self._groups[actor]
-        settings = [(self._slots[i], self._attributes[i]) for i in group]
+        slots = [self._slots[i] for i in group]
         last = None if self._seen[group[0]] is None else [self._seen[i] for i in group]
-        answers = self._get(self._actors[actor].begin.remote(settings, [self._later_seed(i) for i in group], last))
+        answers = self._get(self._actors[actor].begin.remote(slots, [self._later_seed(i) for i in group], last))
         if answers:
             self._anew[actor] = answers
 

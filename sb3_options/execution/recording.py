@@ -15,10 +15,7 @@ from sb3_options.experience.trajectories import Trajectory
 class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
     """Records the primitive steps of an environment, and changes nothing.
 
-    `OptionsWrapper` puts it beneath itself when recording is first asked for, and takes from it what is finished.
-
-    Attributes:
-        finished: What is complete and was not yet taken.
+    `OptionsWrapper` puts it beneath itself when recording is first asked for, and takes from it what is ``finished``.
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:

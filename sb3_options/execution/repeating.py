@@ -27,12 +27,8 @@ OTHERWISE = "it took another course the second time"
 class RecordActions(gym.Wrapper[Any, Any, Any, Any]):
     """Notes how an episode began and its actions, and changes nothing.
 
-    Attributes that others set, as ``VecEnv.set_attr`` does, are those of the environment.
-
-    Args:
-        env: Any.
-        just_reset: Whether it has been reset and no step was taken; if not, its first episode is the one that begins
-            with the next ``reset``.
+    Attributes that others set, as ``VecEnv.set_attr`` does, are those of the environment. If it was not ``just_reset``,
+    its first episode is the one that begins with the next ``reset``.
     """
 
     def __init__(self, env: gym.Env[Any, Any], *, just_reset: bool = False) -> None:

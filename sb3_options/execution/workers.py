@@ -21,10 +21,7 @@ PATIENCE = 1.0
 class WorkerLostError(RuntimeError):
     """A worker process has ended unexpectedly; the others were ended too.
 
-    Args:
-        what: Which one, and how it ended.
-        advice: What to do in a script.
-        killed: Whether a signal ended it, so that the same training may succeed another time.
+    Where a signal ``killed`` it, the same training may succeed another time.
     """
 
     def __init__(self, what: str, advice: str = "", *, killed: bool = False) -> None:

@@ -33,29 +33,21 @@ KEPT_KWARGS = frozenset({"handle_timeout_termination", "n_steps", "gamma"})
 
 
 class Family:
-    """An algorithm without network heads and buffer.
+    """An algorithm without network heads and buffer."""
 
-    Attributes:
-        has_heads: Whether each action has outputs of a network, which are closed while its slot is empty.
-        has_rollouts: Whether it learns from rollouts, and so from the probabilities that actions had.
-        step_seconds: What training takes for a primitive step, in nominal seconds (`budget`).
-        masks: Whether it chooses among available options only.
-    """
-
-    has_heads: ClassVar[bool] = False
-    has_rollouts: ClassVar[bool] = False
-    step_seconds: ClassVar[float] = STEP_SECONDS
-    masks: bool = False
+    has_heads: ClassVar[bool] = False  # whether each action has outputs of a network, closed while its slot is empty
+    has_rollouts: ClassVar[bool] = False  # whether it learns from rollouts, and so from probabilities of actions
+    step_seconds: ClassVar[float] = STEP_SECONDS  # of training, for a primitive step, nominal
+    masks: bool = False  # whether it chooses among available options only
 
     def __init__(self, model: Any) -> None:
         self.model = model
 
     @property
     def waits_for_rollout(self) -> bool:
-        """Whether options are installed between rollouts only.
+        """Whether options are installed between rollouts only, because updates use the probabilities that actions had.
 
-        With a head that was closed at the start of a rollout and open at its end, the update would use probabilities
-        that the actions never had. Masks are stored with the rollout, so a masked head may open at any time.
+        Masks are stored with the rollout, so a masked head may open at any time.
         """
         return self.has_rollouts and not self.masks
 
@@ -148,10 +140,7 @@ class Networks(Family):
         raise NotImplementedError
 
     def is_untrained(self, n_primitive: int) -> bool:
-        """Whether the heads of option slots still have their random initial weights.
-
-        No update was made, no optimizer moments were loaded (as ``set_parameters`` does), and no head was closed.
-        """
+        """Whether option slots have their random initial weights: nothing was learned, loaded or closed."""
         policy = self.model.policy
         if self.has_learned() or policy.optimizer.state:
             return False

@@ -18,12 +18,10 @@ END = -1
 
 
 class NStepReturns(NamedTuple):
-    """Returns over the next n decisions, or fewer where the episode ends or nothing more is stored.
+    """Returns over the next n decisions, or fewer where the episode ends or nothing more is stored, (batch,) each.
 
-    Attributes:
-        last: Row of the last decision, in whose next observation the value is bootstrapped, (batch,).
-        rewards: R₁ + γ^k₁ R₂ + γ^(k₁+k₂) R₃ + …, each Rᵢ over the kᵢ primitive steps of its decision, (batch,).
-        discounts: γ to the power of all their primitive steps, (batch,).
+    They are R₁ + γ^k₁ R₂ + γ^(k₁+k₂) R₃ + …, each Rᵢ over the kᵢ primitive steps of its decision, and γ to the power of
+    all of these. ``last`` is the row of the last decision, in whose next observation the value is bootstrapped.
     """
 
     last: Indices

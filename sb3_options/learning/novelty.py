@@ -51,9 +51,8 @@ BATCH = 64
 class StateCounts:
     """1 / √N(s) of the number of visits N(s), those of all environments together (Strehl & Littman 2008; MBIE-EB).
 
-    Args:
-        features: What observations are counted by, (batch, d): those with equal bins are one state.
-        widths: Of the bins, a number or (d,).
+    Observations are counted by features (batch, d): those with equal bins of these widths, a number or (d,), are one
+    state.
     """
 
     STATE = ("visits",)
@@ -106,10 +105,6 @@ class RandomNetworkDistillation:
     Flat observations are normalised by their running mean and standard deviation, and clipped. The error is the mean of
     squares over what the random network makes of them. Each visited observation is learned from once, as in the paper
     (4 epochs of a quarter of the batch).
-
-    Args:
-        size: Numbers of a flat observation.
-        seed: Of the networks' weights.
     """
 
     STATE = ("statistics", "loss", "target", "predictor", "_optimizer", "_visited")
@@ -179,10 +174,6 @@ class ReturnScale:
     """The running standard deviation of the intrinsic return, by which bonuses are divided (Burda et al. 2018, §2.4).
 
     The return is Gₜ = γ Gₜ₋₁ + bₜ over the primitive steps of each environment, on across the ends of episodes.
-
-    Args:
-        gamma: γ, below 1.
-        n_envs: Parallel environments.
     """
 
     STATE = ("returns", "statistics")
@@ -193,11 +184,7 @@ class ReturnScale:
         self.statistics = RunningMeanStd(shape=())
 
     def update(self, bonuses: Sequence[FloatArray]) -> None:
-        """Go on by some primitive steps.
-
-        Args:
-            bonuses: Of each environment, those of its last primitive steps, (k,) each.
-        """
+        """Go on by some primitive steps, with the bonuses of each environment, (k,) each."""
         passed = []
         for env, of_env in enumerate(bonuses):
             for bonus in of_env:

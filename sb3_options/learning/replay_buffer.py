@@ -54,11 +54,7 @@ class OptionReplayBufferSamples(NamedTuple):
 class Growing(NamedTuple):
     """How far an array has come that is written row by row, and over its oldest rows once it is full.
 
-    Attributes:
-        array: All of it.
-        written: Rows written so far.
-        at: The row that is written next.
-        changes: How often rows were changed in another way.
+    ``changes`` counts how often rows were changed in another way.
     """
 
     array: npt.NDArray[Any]

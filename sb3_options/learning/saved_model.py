@@ -49,8 +49,6 @@ def load_model(algorithm: type[M], path: str | os.PathLike[str], env: gym.Env[An
     path = Path(path)
     if not path.is_file() and path.suffix != ".zip":
         path = Path(f"{os.fspath(path)}.zip")  # as SB3 does
-    if not path.is_file():
-        raise FileNotFoundError(f"There is no model at {path}.")
     content = content_in(path)
     try:
         model = algorithm.load(path, env=env, **kwargs)
@@ -142,6 +140,5 @@ _carried_for: weakref.WeakKeyDictionary[BaseAlgorithm, weakref.ref[VecEnv]] = we
 
 def _env_of(model: BaseAlgorithm) -> VecEnv:
     venv = model.get_env()
-    if venv is None:
-        raise ValueError("The model has no environment to put options into: pass env=.")
+    assert venv is not None  # `load_model` was given one, and a training has one
     return venv

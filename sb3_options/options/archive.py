@@ -34,7 +34,7 @@ def content_in(source: Source) -> bytes:
         return source
     path = Path(source)
     if not path.is_file():
-        raise FileNotFoundError(f"There is no options file at {path}.")
+        raise FileNotFoundError(f"There is no file of options or of a model at {path}.")
     with path.open("rb") as file:
         if file.read(4) != b"PK\3\4":
             file.seek(0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import Any, NoReturn, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -45,12 +45,8 @@ class OptionBank:
         feature_size: int | None = None,
         signature: SpaceSignature | None = None,
     ) -> None:
-        if not whole(n_primitive, 1):
-            raise ValueError(f"n_primitive must be at least 1, got {n_primitive!r}.")
-        if not whole(max_options, 0):
-            raise ValueError(f"max_options must be a whole number of at least 0, got {max_options!r}.")
-        if max_options > MAX_SLOTS:
-            raise ValueError(f"max_options must be at most {MAX_SLOTS:,}, got {max_options:,}.")
+        if not (whole(max_options, 0) and max_options <= MAX_SLOTS):
+            raise ValueError(f"max_options must be a whole number from 0 to {MAX_SLOTS:,}, got {max_options!r}.")
         self.n_primitive = n_primitive
         self.max_options = max_options
         self.feature_map = feature_map
@@ -88,13 +84,7 @@ class OptionBank:
         """Put an option into a slot, by default the first empty one, and return the slot.
 
         A `SubgoalOption` is bound to the bank's feature map, if it has one.
-
-        Raises:
-            TypeError: ``option`` is no `Option`.
-            ValueError: No slot is empty, or there is no such slot.
         """
-        if not isinstance(option, Option):
-            raise TypeError(f"option must be an Option, got {type(option).__name__}.")
         if slot is None:
             if len(self) == self.max_options:
                 raise ValueError(
@@ -106,12 +96,10 @@ class OptionBank:
         self._put(slot, self._bound(option))
         return slot
 
-    def remove(self, slot: int) -> Option:
+    def remove(self, slot: int) -> Option | None:
         """Empty a slot and return its option."""
         self.check_slot(slot)
         option = self._slots[slot]
-        if option is None:
-            raise ValueError(f"Slot {slot} is empty already.")
         self._put(slot, None)
         return option
 
@@ -206,24 +194,3 @@ class OptionBank:
         """Refuse an unknown slot."""
         if not 0 <= slot < self.max_options:
             raise ValueError(f"slot must be between 0 and {self.max_options - 1}, got {slot}.")
-
-
-class PresentOptions(OptionBank):
-    """The options that a training has at the moment: a copy, by which nothing can be changed.
-
-    Args:
-        bank: Of the training.
-    """
-
-    def __init__(self, bank: OptionBank) -> None:
-        self.__dict__.update(bank.copy().__dict__)
-
-    def _refuse(self, *args: Any, **kwargs: Any) -> NoReturn:
-        """Refuse; the text says how options are changed."""
-        raise TypeError(
-            "callback.bank tells which options a training has, and changes none of them. Between two trainings change "
-            'those of the environments: model.get_env().env_method("set_option", SLOT, OPTION), or '
-            "sb3_options.load_options(FILE, model.get_env())."
-        )
-
-    add = remove = load = _refuse

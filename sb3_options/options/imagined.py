@@ -25,13 +25,7 @@ MOST_POINTS = 2000
 
 
 class Displacement(NamedTuple):
-    """What an action does to the coordinates, whatever they are.
-
-    Attributes:
-        action: Primitive.
-        context: The other features, before it and after it, (k − c,).
-        move: What it adds to the coordinates, (c,).
-    """
+    """What an action does to the coordinates (c,) in a context, the other features before and after it (k − c,)."""
 
     action: int
     context: FloatArray

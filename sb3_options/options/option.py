@@ -59,11 +59,7 @@ class SingleCache(Generic[Result]):
 
 
 class KnownFeatures:
-    """A feature map that caches the features of single observations, which all options of a bank need.
-
-    Args:
-        of: φ, which gives the same for the same observation always.
-    """
+    """A feature map φ that caches the features of single observations, which all options of a bank need."""
 
     def __init__(self, of: FeatureMap) -> None:
         self.of = of
@@ -107,11 +103,6 @@ class Option:
         max_duration: int = 100,
         name: str = "option",
     ) -> None:
-        for argument, value in (("initiation", initiation), ("policy", policy), ("termination", termination)):
-            if not callable(value):
-                raise TypeError(
-                    f"{argument} must be a function of a batch of observations, got {type(value).__name__}."
-                )
         self._initiation = initiation
         self._policy = policy
         self._termination = termination

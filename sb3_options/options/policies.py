@@ -15,13 +15,9 @@ from sb3_options.state import storable
 
 @storable
 class TabularPolicy:
-    """Greedy in a table of action values, for observations that repeat.
+    """Greedy in a table of action values (m, n_primitive) of known observations as flat rows (m, size).
 
-    An observation that is not in the table takes the action of the nearest one that is.
-
-    Args:
-        states: Known observations as flat rows, shape (m, size of an observation), m ≥ 1.
-        values: Action values, −∞ for actions never tried there, shape (m, n_primitive).
+    An observation that is not in the table takes the action of the nearest one that is. Actions never tried have −∞.
     """
 
     STATE = ("states", "values")
@@ -77,15 +73,9 @@ class TabularPolicy:
 
 @storable
 class NetworkPolicy:
-    """Greedy in a small network of action values, for observations that do not repeat.
+    """Greedy in a small network of action values, for observations that do not repeat: layers with ReLU between them.
 
     The forward pass is numpy's: for one observation it is several times faster than torch's.
-
-    Args:
-        mean: Subtracted from the flat observation, shape (size,).
-        std: Divides the centred observation, > 0, shape (size,).
-        weights: Of the layers, each (inputs, outputs).
-        biases: Of the layers, each (outputs,); ReLU between layers.
     """
 
     STATE = ("mean", "std", "weights", "biases")

@@ -14,7 +14,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.preprocessing import is_image_space
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_options.checked import readable, truth_values
+from sb3_options.checked import readable
 from sb3_options.embedding.encoders import MIN_IMAGE
 from sb3_options.extras import how_to_install
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
@@ -65,8 +65,6 @@ def checked_arguments(algo: str, values: Mapping[str, Any]) -> dict[str, Any]:
         model = create_model("Arguments", __config__=config, **fields)(**values)
     except ValidationError as error:
         raise ValueError(readable(error)) from None
-    if wrong := truth_values(values, model):
-        raise ValueError(wrong)
     return {name: getattr(model, name) for name in values}
 
 

@@ -98,13 +98,11 @@ class CompareConfig:
         out: The picture.
         reach: When a run has learned: "success", "return" or "length" and a value, at the first of two entries in a
             row that have it.
-        source: Evaluations or training episodes; by default evaluations if every run has them.
     """
 
     runs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")]
     out: Path = Path("compare.png")
     reach: str = "success=0.9"
-    source: Literal["auto", "eval", "rollout"] = "auto"
 
 
 @dataclass(frozen=True)

@@ -109,7 +109,7 @@ def show_comparison(config: CompareConfig, console: Console) -> None:
     """Print a table of runs side by side, and draw them."""
     goal = Goal.parsed(config.reach)
     groups = groups_of(config.runs)
-    source = source_of([run for members in groups.values() for run in members], config.source)
+    source = source_of([run for members in groups.values() for run in members])
     console.print(table_of(compared(groups, goal, source)))
     with atomic_write(config.out) as temporary:
         figure_of(groups, source).savefig(temporary, dpi=110)
@@ -149,12 +149,11 @@ def groups_of(words: Sequence[str]) -> dict[str, list[Run]]:
         name, equals, pattern = word.partition("=")
         if not equals or Path(word).exists():
             name, pattern = "", word
-        for each in pattern.split(",") if name else [pattern]:
-            found = [Path(each)] if Path(each).is_dir() else sorted(map(Path, glob.glob(each)))  # noqa: PTH207  # absolute patterns, too
-            folders = [folder for folder in found if folder.is_dir()]
-            if not folders:
-                raise FileNotFoundError(f"There is no run folder {each}.")
-            named.setdefault(name, []).extend(read_run(run) for folder in folders for run in runs_in(folder))
+        found = [Path(pattern)] if Path(pattern).is_dir() else sorted(map(Path, glob.glob(pattern)))  # noqa: PTH207  # absolute patterns, too
+        folders = [folder for folder in found if folder.is_dir()]
+        if not folders:
+            raise FileNotFoundError(f"There is no run folder {pattern}.")
+        named.setdefault(name, []).extend(read_run(run) for folder in folders for run in runs_in(folder))
     return (grouped(named.pop("")) if "" in named else {}) | named
 
 
@@ -200,13 +199,9 @@ def _unnumbered(folder: Path) -> str:
     return f"{folder.parent.name}/{re.sub(r'_[0-9]+$', '', folder.name)}"
 
 
-def source_of(runs: Sequence[Run], wanted: str) -> str:
-    """``eval`` or ``rollout``: where all runs have measures."""
-    for source in TAGS if wanted == "auto" else (wanted,):
-        if all(run.curves[source] for run in runs):
-            return source
-    lacking = "; ".join(f"{run.folder} has {', '.join(s for s in TAGS if run.curves[s])} only" for run in runs)
-    raise ValueError(f"--source {wanted}: not all runs logged the same. {lacking}. Leave some out.")
+def source_of(runs: Sequence[Run]) -> str:
+    """Evaluations where all runs have them, else training episodes."""
+    return "eval" if all(run.curves["eval"] for run in runs) else "rollout"
 
 
 def compared(groups: Mapping[str, Sequence[Run]], goal: Goal, source: str) -> dict[str, Numbers]:
@@ -218,7 +213,7 @@ def compared(groups: Mapping[str, Sequence[Run]], goal: Goal, source: str) -> di
     for run in everything:
         if goal.measure not in run.curves[source]:
             raise ValueError(
-                f"{run.folder} did not log {TAGS[source][goal.measure]}: say --reach with one of "
+                f"{run.folder} did not log {TAGS[source][goal.measure]}: leave it out, or say --reach with one of "
                 f"{', '.join(run.curves[source])}."
             )
     limit = budget(everything, source)

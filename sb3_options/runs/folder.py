@@ -93,11 +93,6 @@ def named(text: str, source: str) -> Callable[..., Any]:
     return found  # type: ignore[no-any-return]  # of a user's module
 
 
-def options_file(config: TrainConfig) -> Path | None:
-    """The file behind ``--options``; None where there is none."""
-    return config.options / OPTIONS if config.options is not None and config.options.is_dir() else config.options
-
-
 def save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
     """Save options and model, each whole or not at all; where there is no room, older checkpoints make room."""
     try:
@@ -143,13 +138,15 @@ def make_env(
         env_id = f"sb3_options.envs:{env_id}"  # nobody has registered it there
 
     keywords = config.env_kwargs | ({} if render_mode is None else {"render_mode": render_mode})
-    if max_steps:
-        with_module, _, name = env_id.rpartition(":")
-        if with_module:
-            importlib.import_module(with_module)
-        own = keywords.get("max_episode_steps", gym.spec(name).max_episode_steps)
+
+    def made(**kwargs: Any) -> gym.Env[Any, Any]:
+        if of_minigrid and wrapper is None:
+            env: gym.Env[Any, Any] = minigrid.make(env_id, **kwargs)
+        else:
+            env = gym.make(env_id, **kwargs)
+            env = env if wrapper is None else wrapper(env)
         # Beneath the Monitor, for SB3 counts the episodes that a Monitor reports.
-        keywords = keywords | {"max_episode_steps": max_steps if own is None else min(own, max_steps)}
+        return gym.wrappers.TimeLimit(env, max_steps) if max_steps else env
 
     override = monitor_dir is None or not monitor_dir.exists()
     if vec_env == "ray" and monitor_dir is not None:
@@ -158,7 +155,9 @@ def make_env(
     feature_map: Any = config.feature_map
     if feature_map is not None and feature_map != LEARNED:
         feature_map = named(feature_map, "--feature-map")
-    options = options_file(config)
+    options = config.options
+    if options is not None and options.is_dir():
+        options /= OPTIONS
 
     def with_options(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
         if elsewhere:
@@ -172,12 +171,9 @@ def make_env(
             check_finite=True,
         )
 
-    def wrapped(**kwargs: Any) -> gym.Env[Any, Any]:
-        return minigrid.make(env_id, **kwargs) if wrapper is None else wrapper(gym.make(env_id, **kwargs))
-
     classes = {"dummy": DummyVecEnv, "subproc": watched_workers, "ray": RayVecEnv}
     return make_vec_env(
-        wrapped if wrapper is not None or of_minigrid else env_id,
+        made,
         n_envs=n_envs,
         seed=seed,
         env_kwargs=keywords,

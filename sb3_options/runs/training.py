@@ -16,7 +16,7 @@ import torch
 from rich.console import Console
 from rich.markup import escape
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback, EvalCallback, EveryNTimesteps
+from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback, EvalCallback, EveryNTimesteps
 from stable_baselines3.common.preprocessing import get_obs_shape
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -87,21 +87,6 @@ class Interrupts:
         self.signal, self._at = number, time.monotonic()
         with suppress(OSError):  # no print: the signal may have come in the middle of one, and the terminal may be gone
             os.write(2, b"\nInterrupted: training ends soon and is saved. Once more to end it at once.\n")
-
-
-class _StopWhenDue(BaseCallback):
-    """Ends training after a step, once an interrupt is due."""
-
-    remembers_nothing = True
-
-    def __init__(self, interrupts: Interrupts) -> None:
-        super().__init__()
-        self.interrupts = interrupts
-        self.stopped = False
-
-    def _on_step(self) -> bool:
-        self.stopped = self.interrupts.due()
-        return not self.stopped
 
 
 class _RuledEvalCallback(EvalCallback):
@@ -259,13 +244,12 @@ def _learn(
         if not resume:
             configs.save(config, folder / runs.CONFIG)
         model.tensorboard_log = str(folder)
-        stop = _StopWhenDue(interrupts)
         callbacks: list[BaseCallback] = [discovery]
         if config.bonus != "none":
             callbacks.append(IntrinsicRewardCallback(config.bonus, seed=config.seed))
         if config.eval_freq > 0:
             callbacks.append(_evaluation(config, folder, envs))
-        callbacks.append(stop)
+        callbacks.append(ConvertCallback(lambda *_: not interrupts.due()))
         if config.checkpoint_freq > 0:
             callbacks += _checkpoints(config, folder, model, callbacks, interrupts, console, resume=resume)
         if interrupts.signal is None:
@@ -280,7 +264,7 @@ def _learn(
                 tb_log_name="tensorboard",
                 reset_num_timesteps=not resume,
             )
-            finished = not stop.stopped
+            finished = model.num_timesteps >= config.n_timesteps
     except EndedAtCheckpointError:
         pass
     except KeyboardInterrupt:

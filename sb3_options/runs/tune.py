@@ -24,7 +24,7 @@ from optuna.trial import TrialState
 from rich.console import Console
 from rich.markup import escape
 
-from sb3_options.execution.ray_cluster import connect
+from sb3_options.execution.ray_vec_env import connect
 from sb3_options.runs import config as configs
 from sb3_options.runs import yaml_file
 from sb3_options.runs.algorithms import class_of
@@ -172,10 +172,11 @@ def _work(config: TuneConfig, space: SearchSpace, job: int) -> None:
 
 def _mean_score(trial: optuna.Trial, config: TuneConfig, space: SearchSpace) -> float | None:
     """Over the seeds; None where the trial proves worse than the best before them all."""
+    goal = Goal.parsed(config.reach)
     scores = []
     for seed in range(config.seeds):
         run = space.config(trial.params, seed, config.out / RUNS / f"{trial.number:04}" / str(seed))
-        scores.append(score(run, Goal.parsed(config.reach), config.objective))
+        scores.append(score(run, goal, config.objective))
         trial.report(scores[-1], len(scores))
         if trial.should_prune():
             return None
@@ -185,10 +186,8 @@ def _mean_score(trial: optuna.Trial, config: TuneConfig, space: SearchSpace) -> 
 def score(run: TrainConfig, goal: Goal, objective: str) -> float:
     """Train once in a folder for this run alone, and say how good the run was, as `score_of` does."""
     run.tensorboard_log.mkdir(parents=True, exist_ok=True)
-    with contextlib.ExitStack() as stack:
-        log = stack.enter_context((run.tensorboard_log / LOG).open("w", encoding="utf-8"))
-        stack.enter_context(contextlib.redirect_stdout(log))
-        stack.enter_context(contextlib.redirect_stderr(log))
+    log = (run.tensorboard_log / LOG).open("w", encoding="utf-8")
+    with log, contextlib.redirect_stdout(log), contextlib.redirect_stderr(log):
         trained = train(run)
     if trained.signal is not None:
         raise KeyboardInterrupt

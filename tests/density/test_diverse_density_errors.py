@@ -18,10 +18,10 @@ from tests.density.definition import ONE
     ("positive", "negative", "text"),
     [
         ([], [], "there are no bags: pass at least one"),
-        ([ONE, np.zeros((0, 2))], [], "positive bag 1 is empty, of shape (0, 2): leave empty bags out"),
-        ([ONE], [[]], "negative bag 0 is empty"),
-        ([[1.0, 2.0]], [], "positive bag 0 must have shape (instances, features), got (2,)"),
-        ([ONE], [np.zeros((1, 3))], "negative bag 0 has 3 features, positive bag 0 has 2"),
+        ([ONE, np.zeros((0, 2))], [], "positive bag 1 must have shape (instances, features), at least one of each"),
+        ([ONE], [[]], "negative bag 0 must have shape (instances, features)"),
+        ([[1.0, 2.0]], [], "positive bag 0 must have shape (instances, features)"),
+        ([ONE], [np.zeros((1, 3))], "as many features as positive bag 0, (1, 2), got (1, 3)"),
         ([ONE, ONE * np.nan], [], "positive bag 1 holds NaN or infinite features"),
         ([ONE], [ONE + np.inf], "negative bag 0 holds NaN or infinite features"),
     ],
@@ -47,7 +47,6 @@ def test_features_whose_squares_overflow() -> None:
         ([[0.0]], 1.0, 1.0, "points must have shape (S, 2) as in the bags, got (1, 1)"),
         ([[0.0, np.nan]], 1.0, 1.0, "one of the points holds NaN"),
         ([[0.0, 1e200]], 1.0, 1.0, "one of the points holds features beyond ±1e+100, whose squares overflow"),
-        ([[0.0, 0.0]], [1.0, 1.0, 1.0], 1.0, "scales must be a number, (d,) or (S, d) = (1, 2), got (3,)"),
         ([[0.0, 0.0]], [1.0, 0.0], 1.0, "scales must be positive and finite"),
         ([[0.0, 0.0]], [1.0, 1e60], 1.0, "scales must be positive and finite"),
         ([[0.0, 0.0]], 1.0, 0.0, "negative_strength must be in (0, 1]"),
@@ -75,5 +74,5 @@ def test_bad_searches() -> None:
         gradient.search(Bags.pack([ONE]), starts=np.zeros((1, 3)))
     with pytest.raises(ValueError, match="starts must be finite"):
         exhaustive.search(Bags.pack([ONE]), starts=ONE * np.nan)
-    with pytest.raises(ValueError, match=re.escape("scale has shape (3,), the bags have 2 features")):
+    with pytest.raises(ValueError, match="could not be broadcast"):
         DiverseDensity(scale=[1.0, 1.0, 1.0]).search(Bags.pack([ONE]))

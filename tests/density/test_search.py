@@ -148,8 +148,6 @@ def test_regions_are_level_sets() -> None:
     points = np.random.default_rng(0).uniform(-10, 10, size=(2000, 2))
     for level in (0.2, 0.8):
         np.testing.assert_array_equal(best.region(level).contains(points), best.probability(points) >= level)
-    with pytest.raises(ValueError, match=re.escape("level must lie between 0 and 1, got 1")):
-        best.region(1)
 
 
 @pytest.mark.parametrize(
@@ -238,8 +236,6 @@ def test_bad_searches() -> None:
         search.search(Bags.pack([], [np.zeros((1, 2))]))
     with pytest.raises(ValueError, match=re.escape("starts must be finite, of shape (m, 2), got (1, 3)")):
         search.search(bags, starts=np.zeros((1, 3)))
-    with pytest.raises(ValueError, match=re.escape("scale has shape (3,), the bags have 2 features")):
-        DiverseDensity(scale=[1.0, 1.0, 1.0]).search(bags)
 
 
 @pytest.mark.parametrize(

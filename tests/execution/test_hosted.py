@@ -32,13 +32,12 @@ def test_what_was_set_is_set_again() -> None:
     lost.answer([(1, *call("set_slots", report_availability=True))])
     _, changed = lost.answer([(1, *call("set_slots", options={0: steady_option()}))])
     hosted = HostedEnvironments([make_optioned_rooms] * 2)
-    assert hosted.begin([(None, {"mark": [7]}), (changed[1], {"mark": [7]})], [3, 4], None) == []
+    assert hosted.begin([None, changed[1]], [3, 4], None) == []
     one, other = hosted.envs
     assert not one.slot_state.expect_empty
     assert other.slot_state.expect_empty
     assert other.slot_state.report_availability
     assert (one.bank.filled, other.bank.filled) == ((), (0, 2))
-    assert one.mark == other.mark == [7]
     draws = [[env.action_space.sample() for _ in range(20)] for env in hosted.envs]
     assert draws[0] != draws[1]
 
@@ -51,6 +50,6 @@ def test_what_is_said_of_a_lost_step() -> None:
     seen = np.zeros(2, dtype=np.float32)
     assert env.lost_step(seen) == {"option": plain}
     assert env._primitive["termination"] == "primitive"
-    ((_, reward, done, info, _),) = HostedEnvironments([CountingEnv]).begin([(None, {})], [1], [seen])
+    ((_, reward, done, info, _),) = HostedEnvironments([CountingEnv]).begin([None], [1], [seen])
     assert (reward, done) == (0.0, True)
     assert info == {"TimeLimit.truncated": True, "terminal_observation": seen, "lost": True}

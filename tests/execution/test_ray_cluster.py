@@ -5,7 +5,7 @@ import pytest
 
 from experiments.common.machines import Machines
 from experiments.common.seeds import run_seeds
-from sb3_options.execution.ray_cluster import require_ray
+from sb3_options.execution.ray_vec_env import require_ray
 
 
 def test_without_ray_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -174,11 +174,10 @@ def test_one_run_says_nothing_of_others(tmp_path: Path) -> None:
 def test_evaluations_count_where_all_have_them(tmp_path: Path) -> None:
     evaluated = read_run(logged(tmp_path / "a", [1.0, 1.0], source="eval"))
     trained = read_run(logged(tmp_path / "b", [1.0, 1.0]))
-    assert source_of([evaluated], "auto") == "eval"
-    assert source_of([trained, trained], "auto") == "rollout"
-    for wanted in ("auto", "eval"):
-        with pytest.raises(ValueError, match=r"not all runs logged the same.* has eval only.* has rollout only"):
-            source_of([evaluated, trained], wanted)
+    assert source_of([evaluated]) == "eval"
+    assert source_of([trained, evaluated]) == "rollout"
+    with pytest.raises(ValueError, match="did not log rollout/success_rate: leave it out"):
+        compared({"a": [evaluated, trained]}, Goal("success", 0.9), "rollout")
     with pytest.raises(ValueError, match="ep_len_mean"):
         compared({"b": [trained]}, Goal("length", 40), "rollout")
 

@@ -8,8 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from sb3_options.execution.ray_cluster import require_ray
-from sb3_options.execution.ray_vec_env import RayVecEnv
+from sb3_options.execution.ray_vec_env import RayVecEnv, require_ray
 
 STORE = 80 * 2**20
 """Bytes of shared memory of a node; Ray asks for 75 MB at least."""
