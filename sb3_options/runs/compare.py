@@ -109,7 +109,14 @@ def show_comparison(config: CompareConfig, console: Console) -> None:
     """Print a table of runs side by side, and draw them."""
     goal = Goal.parsed(config.reach)
     groups = groups_of(config.runs)
-    source = source_of([run for members in groups.values() for run in members])
+    everything = [run for members in groups.values() for run in members]
+    source = source_of(everything)
+    for run in everything:
+        if goal.measure not in run.curves[source]:
+            raise ValueError(
+                f"{run.folder} did not log {TAGS[source][goal.measure]}: leave it out, or say --reach with one of "
+                f"{', '.join(run.curves[source])}."
+            )
     console.print(table_of(compared(groups, goal, source)))
     with atomic_write(config.out) as temporary:
         figure_of(groups, source).savefig(temporary, dpi=110)
@@ -204,43 +211,37 @@ def source_of(runs: Sequence[Run]) -> str:
     return "eval" if all(run.curves["eval"] for run in runs) else "rollout"
 
 
-def compared(groups: Mapping[str, Sequence[Run]], goal: Goal, source: str) -> dict[str, Numbers]:
+def compared(groups: Mapping[str, Sequence[Run]], goal: Goal | None, source: str) -> dict[str, Numbers]:
     """The numbers of every group, compared with the first one; all are cut to the shortest run.
 
     A run that never reaches the goal counts with the budget, and with its whole length in seconds.
     """
     everything = [run for runs in groups.values() for run in runs]
-    for run in everything:
-        if goal.measure not in run.curves[source]:
-            raise ValueError(
-                f"{run.folder} did not log {TAGS[source][goal.measure]}: leave it out, or say --reach with one of "
-                f"{', '.join(run.curves[source])}."
-            )
     limit = budget(everything, source)
     first: FloatArray | None = None
     numbers: dict[str, Numbers] = {}
     for name, runs in groups.items():
-        curves = [cut(run.curves[source][goal.measure], limit) for run in runs]
-        at = [goal.reached(curve) for curve in curves]
-        steps = np.array([limit if i is None else c.steps[i] for i, c in zip(at, curves, strict=True)])
-        seconds = np.array([c.seconds[-1 if i is None else i] for i, c in zip(at, curves, strict=True)])
-        numbers[name] = {
-            "runs": len(runs),
-            f"primitive steps to {goal}": iqm_interval(steps),
-            "runs that never get there": at.count(None),
-            "seconds until then": iqm_interval(seconds),
-            f"Pr(sooner than {next(iter(groups))})": (
-                "" if first is None else probability_of_improvement(steps, first)
-            ),
-        }
-        for measure in _measures(everything, source):
+        numbers[name] = {"runs": len(runs)}
+        if goal is not None:
+            curves = [cut(run.curves[source][goal.measure], limit) for run in runs]
+            at = [goal.reached(curve) for curve in curves]
+            steps = np.array([limit if i is None else c.steps[i] for i, c in zip(at, curves, strict=True)])
+            seconds = np.array([c.seconds[-1 if i is None else i] for i, c in zip(at, curves, strict=True)])
+            sooner = "" if first is None else probability_of_improvement(steps, first)
+            numbers[name] |= {
+                f"primitive steps to {goal}": iqm_interval(steps),
+                "runs that never get there": at.count(None),
+                "seconds until then": iqm_interval(seconds),
+                f"Pr(sooner than {next(iter(groups))})": sooner,
+            }
+            first = steps if first is None else first
+        for measure in measures_of(everything, source):
             ends = [at_the_end(cut(run.curves[source][measure], limit), limit) for run in runs]
             numbers[name][f"{UNITS[measure]}, at the end"] = iqm_interval(np.array(ends))
-        first = steps if first is None else first
     return numbers
 
 
-def _measures(runs: Sequence[Run], source: str) -> list[Measure]:
+def measures_of(runs: Sequence[Run], source: str) -> list[Measure]:
     """What all runs logged."""
     return [m for m in UNITS if all(m in run.curves[source] for run in runs)]
 
@@ -281,7 +282,7 @@ def figure_of(groups: Mapping[str, Sequence[Run]], source: str) -> Figure:
     """Each measure over primitive steps and over seconds: interquartile means with 95 % bootstrap bands."""
     everything = [run for runs in groups.values() for run in runs]
     limit = budget(everything, source)
-    measures = _measures(everything, source)
+    measures = measures_of(everything, source)
     figure = Figure(figsize=(9.5, 2.6 * len(measures) + 0.6), layout="constrained")
     panels = figure.subplots(len(measures), 2, squeeze=False, sharey="row")
     for row, measure in zip(panels, measures, strict=True):

@@ -1,4 +1,4 @@
-"""What came out of a run: the table at the end of training, and the options of a file."""
+"""What came out of a run: the tables at the end of training, and the options of a file."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -22,11 +21,8 @@ from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from sb3_options.runs import folder as runs
 from sb3_options.runs.commands import InspectConfig
-from sb3_options.runs.compare import Goal, learned_after, read_run
+from sb3_options.runs.compare import Goal, compared, measures_of, read_run, source_of, table_of
 from sb3_options.runs.config import TrainConfig, flag, importing, program
-
-LAST = 100
-"""Episodes at the end of training that are averaged."""
 
 HEADINGS = ("slot", "option", "subgoal", "found after primitive steps", "initiation states", "policy", "longest run")
 
@@ -91,8 +87,16 @@ def closing_report(console: Console, trained: Trained, other: Trained | None, *,
         console.print("Options:", _table(HEADINGS, rows), sep="\n")
     elif discovery.max_new_options == 0:  # else the callback has said why
         console.print(escape(str(discovery.why_nothing())))
-    columns = {"this run": trained} | ({} if other is None else {"--no-discover": other})
-    console.print(_table(["", *columns], measures(columns)))
+    try:
+        groups = {"this run": [read_run(folder)]} | (
+            {} if other is None else {"--no-discover": [read_run(other.folder)]}
+        )
+        everything = [run for members in groups.values() for run in members]
+        source = source_of(everything)
+        goal = Goal("success", 0.9) if "success" in measures_of(everything, source) else None
+        console.print(table_of(compared(groups, goal, source)))
+    except ValueError as error:  # nothing was logged
+        console.print(escape(str(error)))
     if other is not None:
         console.print("Both trained for as many primitive steps on the same seed. That is one seed, and no study.")
     path = shlex.quote(str(folder))
@@ -105,34 +109,6 @@ def closing_report(console: Console, trained: Trained, other: Trained | None, *,
     if not trained.finished and (how := how_to_resume(config, folder)):
         lines.append(how)
     console.print(*map(escape, lines), sep="\n")
-
-
-def measures(columns: Mapping[str, Trained]) -> list[list[str]]:
-    """How training went, exploration included: a row for each measure, a cell for each run.
-
-    A run has learned at the first of two log entries in a row that reach the goal, as in ``compare``.
-    """
-    histories = [each.discovery.history for each in columns.values()]
-    rows = []
-    for length, which in ((LAST, f"last {LAST} episodes"), (0, "all episodes")):
-        rows.append([f"return, {which}", *(_mean([e.total_reward for e in h[-length:]]) for h in histories)])
-        rows.append([f"success rate, {which}", *(_mean([e.success for e in h[-length:]]) for h in histories)])
-        rows.append([f"primitive steps, {which}", *(_mean([e.steps for e in h[-length:]]) for h in histories)])
-    rows.append(["episodes", *(f"{len(history):,}" for history in histories)])
-    goal = Goal("success", 0.9)
-    cells = [f"{goal} after"]
-    for each in columns.values():
-        try:
-            curves = read_run(each.folder).curves
-            after = learned_after((curves["eval"] or curves["rollout"]).get(goal.measure), goal)
-        except (ValueError, OSError):  # nothing was logged
-            after = None
-        cells.append("–" if after is None else f"{after:,.0f} steps")
-    return [*rows, cells]
-
-
-def _mean(values: Sequence[float]) -> str:
-    return f"{np.mean(values):,.4g}" if values else "–"
 
 
 def _table(headings: Iterable[str], rows: Iterable[Sequence[str]]) -> Table:

@@ -10,6 +10,7 @@ import yaml
 from rich.console import Console
 from stable_baselines3.common.logger import TensorBoardOutputFormat
 
+from sb3_options.runs.commands import CompareConfig
 from sb3_options.runs.compare import (
     Curve,
     Goal,
@@ -19,6 +20,7 @@ from sb3_options.runs.compare import (
     grouped,
     groups_of,
     read_run,
+    show_comparison,
     source_of,
     table_of,
 )
@@ -177,9 +179,7 @@ def test_evaluations_count_where_all_have_them(tmp_path: Path) -> None:
     assert source_of([evaluated]) == "eval"
     assert source_of([trained, evaluated]) == "rollout"
     with pytest.raises(ValueError, match="did not log rollout/success_rate: leave it out"):
-        compared({"a": [evaluated, trained]}, Goal("success", 0.9), "rollout")
-    with pytest.raises(ValueError, match="ep_len_mean"):
-        compared({"b": [trained]}, Goal("length", 40), "rollout")
+        show_comparison(CompareConfig((str(evaluated.folder), str(trained.folder))), Console())
 
 
 def test_a_picture_has_a_row_for_each_measure(tmp_path: Path) -> None:

@@ -1,7 +1,6 @@
 """What came out of a run: the closing table, and the options of a file."""
 
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,13 +10,11 @@ from rich.console import Console
 from sb3_options import OptionBank
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
-from sb3_options.experience.trajectories import EpisodeRecord
 from sb3_options.options.file import opened
 from sb3_options.options.option import Option, SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
 from sb3_options.runs.commands import InspectConfig
-from sb3_options.runs.config import configure
-from sb3_options.runs.report import LAST, Trained, measures, option_rows, show_options
+from sb3_options.runs.report import option_rows, show_options
 
 ONE = np.ones(2)
 
@@ -49,12 +46,6 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "options.safetensors"
 
 
-def trained(folder: Path, history: list[EpisodeRecord] | None = None, **settings: Any) -> Trained:
-    discovered = [SimpleNamespace(slot=0, timestep=4_000), SimpleNamespace(slot=2, timestep=5_000)]
-    discovery: Any = SimpleNamespace(history=history or [], discoveries=discovered)
-    return Trained(configure(**settings), folder, discovery, finished=True, signal=None)
-
-
 def test_every_option_has_a_row(file: Path) -> None:
     rows = option_rows(opened(file), {0: 4_000})
     policy = "table of 1 states on the observation"
@@ -78,16 +69,3 @@ def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "options.safetensors").write_bytes(b"\x08" * 40)
     with pytest.raises(ValueError, match="options file"):
         show_options(InspectConfig(tmp_path), Console())
-
-
-def episodes(outcomes: list[bool], steps: int = 10) -> list[EpisodeRecord]:
-    return [EpisodeRecord(steps * (i + 1), float(good), good, steps) for i, good in enumerate(outcomes)]
-
-
-def test_the_last_episodes_apart_from_all(tmp_path: Path) -> None:
-    history = episodes([False] * LAST, 50) + episodes([True] * LAST, 10)
-    shown = {name: cells for name, *cells in measures({"a": trained(tmp_path, history), "b": trained(tmp_path)})}
-    assert shown["success rate, last 100 episodes"] == ["1", "–"]
-    assert shown["success rate, all episodes"] == ["0.5", "–"]
-    assert shown["primitive steps, all episodes"] == ["30", "–"]
-    assert shown["episodes"] == ["200", "0"]
