@@ -265,7 +265,7 @@ def at_the_end(curve: Curve, limit: float) -> float:
 
 def table_of(numbers: Mapping[str, Numbers]) -> Table:
     """A column for every group; a single run has no intervals."""
-    table = Table("", *numbers, caption=CAPTION)
+    table = Table("", *numbers, caption=CAPTION if any(of["runs"] != 1 for of in numbers.values()) else None)
     for row in next(iter(numbers.values())):
         cells = []
         for of in numbers.values():

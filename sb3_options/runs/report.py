@@ -88,10 +88,10 @@ def closing_report(console: Console, trained: Trained, other: Trained | None, *,
     elif discovery.max_new_options == 0:  # else the callback has said why
         console.print(escape(str(discovery.why_nothing())))
     try:
-        groups = {"this run": [read_run(folder)]} | (
-            {} if other is None else {"--no-discover": [read_run(other.folder)]}
-        )
-        everything = [run for members in groups.values() for run in members]
+        groups = {"this run": [read_run(folder)]}
+        if other is not None:
+            groups["--no-discover"] = [read_run(other.folder)]
+        everything = [run for (run,) in groups.values()]
         source = source_of(everything)
         goal = Goal("success", 0.9) if "success" in measures_of(everything, source) else None
         console.print(table_of(compared(groups, goal, source)))

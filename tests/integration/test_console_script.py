@@ -79,7 +79,7 @@ def test_a_missing_extra_is_named(tmp_path: Path) -> None:
     ("words", "said"),
     [
         (["compare", "nowhere"], "no run folder nowhere"),
-        (["options", "nowhere"], "no options file"),
+        (["options", "nowhere"], "nowhere"),
     ],
 )
 def test_what_cannot_be_shown_is_said_in_one_line(
