@@ -10,9 +10,8 @@ from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from sb3_options import MacroQ, OptionReplayBuffer, OptionsWrapper, load_model
+from sb3_options import OptionReplayBuffer, OptionsWrapper, load_model
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
-from sb3_options.discovery.budget import STEP_SECONDS, TABLE_STEP_SECONDS
 from sb3_options.learning import heads
 from tests.support.helpers import CountingEnv, steady_option
 from tests.support.sb3_helpers import RANDOM, TINY, fast_callback, optioned_rooms
@@ -27,15 +26,6 @@ def with_option() -> OptionsWrapper:
     env = optioned_rooms(2)
     env.bank.add(steady_option(1, max_duration=3))
     return env
-
-
-def test_a_step_of_a_table_affords_fewer_searches_than_one_of_a_network() -> None:
-    steps = []
-    for model in (MacroQ(with_option(), gamma=0.9, seed=0), model_of(with_option())):
-        model.learn(50, callback=(callback := SubgoalDiscoveryCallback()))
-        assert callback.discovery is not None
-        steps.append(callback.discovery.diary.step_seconds)
-    assert steps == [TABLE_STEP_SECONDS, STEP_SECONDS]
 
 
 def test_going_on_without_the_options_says_so(caplog: pytest.LogCaptureFixture) -> None:

@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -123,19 +122,6 @@ def test_rollouts_in_primitive_steps(tmp_path: Path) -> None:
     assert model.n_steps == 32
 
 
-@pytest.mark.usefixtures("keep_all")
-def test_runs_that_say_where_options_work(tmp_path: Path) -> None:
-    callbacks, _ = check_resumes(
-        lambda: model_of("PPO", venv_of()),
-        lambda: [discovering(usefulness={"min_reached": 0.9})],
-        tmp_path,
-        cuts=(0.7, 0.95),
-    )
-    discovery = callbacks[0]
-    assert isinstance(discovery, SubgoalDiscoveryCallback)
-    assert discovery._keeper.useful._slots
-
-
 def filled(file: Path) -> list[int]:
     (discovery,) = (each["own"] for each in read(file)["callbacks"] if each["class"] == "SubgoalDiscoveryCallback")
     return [i for i, slot in enumerate(discovery["_installer"].state["slots"]) if slot is not None]
@@ -181,22 +167,6 @@ def test_bonuses(name: str, kind: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("keep_all")
-def test_searches_that_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A schedule by the clock would be another one after a kill."""
-    monkeypatch.setattr("sb3_options.discovery.diary.SHORTEST", 0)
-
-    def others() -> Callbacks:
-        callback = discovering()
-        callback.settings = replace(callback.settings, threshold=0.99, cut_threshold=0.99)
-        return [callback]
-
-    callbacks, _ = check_resumes(lambda: model_of("A2C", venv_of()), others, tmp_path, cuts=(0.4, 0.8))
-    budget = callbacks[0].discovery.diary  # type: ignore[attr-defined]  # of discovery
-    assert 0 < budget.skipped < callbacks[0].episodes  # type: ignore[attr-defined]  # likewise
-    assert budget.spent > 0
-
-
-@pytest.mark.usefixtures("keep_all")
 def test_evaluations(tmp_path: Path) -> None:
     def others() -> Callbacks:
         env = venv_of(1)
@@ -228,18 +198,6 @@ def test_methods_of_discovery(make: Callable[..., DiscoveryMethod], tmp_path: Pa
         lambda: model_of("A2C", venv_of()), lambda: [discovering(method=make(**soon[make]))], tmp_path, cuts=(0.2, 0.7)
     )
     assert callbacks[0].discoveries  # type: ignore[attr-defined]  # of discovery
-
-
-def test_states_of_other_seeds_differ(tmp_path: Path) -> None:
-    states = []
-    for seed in (0, 1):
-        model = model_of("PPO", venv_of())
-        model.set_random_seed(seed)
-        _, state = trained([model].pop, [discovering(), CheckpointCallback(tmp_path)], steps=128)
-        states.append(state)
-    wrong = differing(*states)
-    assert any(".random.numpy" in each for each in wrong)
-    assert any(".model.policy" in each for each in wrong)
 
 
 @pytest.mark.usefixtures("keep_all")

@@ -143,14 +143,6 @@ def test_masks_of_the_environments_own_actions_are_refused_above_options() -> No
         model.learn(16, callback=SubgoalDiscoveryCallback())
 
 
-def test_a_rule_by_name() -> None:
-    callback = SubgoalDiscoveryCallback(success="return:0.5")
-    dqn(optioned_rooms(2)).learn(300, callback=callback)
-    assert [each.success for each in callback.history] == [each.total_reward >= 0.5 for each in callback.history]
-    with pytest.raises(ValueError, match="success takes 'reported', 'terminated'"):
-        SubgoalDiscoveryCallback(success="sometimes")
-
-
 def test_a_rule_that_says_no_in_words_ends_training() -> None:
     callback = SubgoalDiscoveryCallback(success=lambda _: "no")  # type: ignore[arg-type, return-value]
     with pytest.raises(TypeError, match="success must return True or False, got 'no'"):

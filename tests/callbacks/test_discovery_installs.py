@@ -12,11 +12,10 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import SubprocVecEnv
 
-from sb3_options import OptionDQN, OptionsWrapper
+from sb3_options import OptionDQN
 from sb3_options.learning import heads
 from sb3_options.options.option import SubgoalOption
 from tests.callbacks.doorway import N_PRIMITIVE, STEPS, banks, model_of, same_options
-from tests.support.helpers import DictEnv, place_of
 from tests.support.sb3_helpers import DOORWAY, RANDOM, env_of, fast_callback, make_optioned_rooms, optioned_rooms
 
 
@@ -111,14 +110,6 @@ def test_other_observations(observation: str) -> None:
     model.learn(2500, callback=callback)
     assert len(callback.discoveries) == 1
     assert model._option_buffer().next_available.any()
-
-
-def test_dict_observations() -> None:
-    env = OptionsWrapper(DictEnv(), gamma=0.9, feature_map=place_of)
-    model = OptionDQN("MultiInputPolicy", env, gamma=0.9, learning_starts=50, buffer_size=1000, seed=0, **RANDOM)
-    callback = fast_callback(concepts={"static_filter": lambda f, s, e: np.abs(f[:, 0] - 5) < 2})
-    model.learn(1500, callback=callback)
-    assert [abs(d.subgoal[0] - 5) < 2 for d in callback.discoveries] == [True]
 
 
 @pytest.mark.parametrize(

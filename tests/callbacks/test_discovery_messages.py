@@ -74,17 +74,6 @@ class TestSavePath:
         bank.load(path)
         assert same_options([bank, callback.bank])
 
-    def test_prints_if_asked(self, capsys: pytest.CaptureFixture[str]) -> None:
-        callback = fast_callback(verbose=1)
-        model_of().learn(STEPS, callback=callback)
-        (found,) = callback.discoveries
-        place = ", ".join(f"{x:g}" for x in found.subgoal)
-        text = f"Option 0: reach {place}, after {found.episode} episodes and {found.timestep:,} steps"
-        said = capsys.readouterr().out
-        assert text in said
-        assert "No subgoal" not in said
-        assert callback.why_nothing() is None
-
     @pytest.mark.parametrize(
         ("asked", "why", "said"),
         [

@@ -1,12 +1,10 @@
 """Rollouts of so many primitive steps: `PrimitiveStepsCallback(primitive_rollouts=True)`."""
 
-import warnings
 from typing import Any, cast
 
 import numpy as np
 import pytest
-import torch
-from sb3_contrib import MaskablePPO, RecurrentPPO
+from sb3_contrib import RecurrentPPO
 from stable_baselines3 import A2C, PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
@@ -14,8 +12,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from sb3_options.callbacks import PrimitiveStepsCallback
 from sb3_options.learning.rollout_buffer import n_decisions
 from tests.callbacks.test_primitive_steps import counting
-from tests.support.helpers import steady_option
-from tests.support.sb3_helpers import optioned_rooms
 
 
 class Rollouts(BaseCallback):
@@ -103,41 +99,6 @@ def test_a_model_saved_meanwhile_has_the_n_steps_that_it_was_made_with(first: bo
     assert {size for size, _ in rollouts.sizes} == {60}
 
 
-@pytest.mark.parametrize("primitive_rollouts", [False, True])
-def test_an_exception_in_a_shorter_rollout_leaves_n_steps_as_it_was(primitive_rollouts: bool) -> None:
-    model = PPO("MlpPolicy", counting(), gamma=0.9, n_steps=60, batch_size=12, n_epochs=1, seed=0, device="cpu")
-
-    class Raises(BaseCallback):
-        def _on_step(self) -> bool:
-            if cast("PPO", self.model).rollout_buffer.buffer_size < 60:
-                raise KeyboardInterrupt
-            return True
-
-    with pytest.raises(KeyboardInterrupt):
-        model.learn(600, callback=[PrimitiveStepsCallback(primitive_rollouts=True), Raises()])
-    rollouts = Rollouts()
-    model.learn(600, callback=[PrimitiveStepsCallback(primitive_rollouts=primitive_rollouts), rollouts])
-    assert rollouts.sizes[0][0] == 60
-    assert (rollouts.sizes[1][0] == 60) is not primitive_rollouts
-
-
-@pytest.mark.parametrize("algorithm", [PPO, MaskablePPO, RecurrentPPO])
-def test_no_rollout_has_more_decisions_than_n_steps(algorithm: Any) -> None:
-    """Where all of them do not fill a minibatch, and where options are so long that one would do."""
-    env = counting(terminate_at=170)
-    env.set_option(0, steady_option(max_duration=60))
-    policy = "MlpLstmPolicy" if algorithm is RecurrentPPO else "MlpPolicy"
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="You have specified a mini-batch size of 64")
-        model = algorithm(policy, env, gamma=0.9, n_steps=12, batch_size=64, n_epochs=1, seed=0, device="cpu")
-    rollouts = Rollouts()
-    model.learn(3000, callback=[PrimitiveStepsCallback(primitive_rollouts=True), rollouts])
-    sizes = [size for size, _ in rollouts.sizes]
-    assert max(sizes) == 12
-    assert min(sizes) == 2
-    assert all(torch.isfinite(weight).all() for weight in model.policy.parameters())
-
-
 def test_decisions_for_primitive_steps() -> None:
     durations = np.array([[1.0, 3.0], [5.0, 3.0]])  # 3 in the mean
     assert n_decisions(128, durations) == 43
@@ -148,12 +109,3 @@ def test_decisions_for_primitive_steps() -> None:
     assert n_decisions(12, durations, multiple=16) == 4
     assert n_decisions(12, np.full((4, 2), 1000.0), multiple=16) == 1
     assert n_decisions(12, np.full((4, 2), 1000.0), multiple=16, least=2) == 2
-
-
-def test_training_may_end_twice() -> None:
-    """rl-zoo3 ends its first callback once more before it saves the model."""
-    callback = PrimitiveStepsCallback(primitive_rollouts=True)
-    model = PPO("MlpPolicy", optioned_rooms(1), gamma=0.9, n_steps=64, batch_size=64, n_epochs=1)
-    model.learn(64, callback=callback)
-    callback.on_training_end()
-    assert model.n_steps == 64

@@ -10,9 +10,6 @@ from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import (
     BaseCallback,
-    CallbackList,
-    EvalCallback,
-    EveryNTimesteps,
     ProgressBarCallback,
 )
 from stable_baselines3.common.env_util import make_vec_env
@@ -21,9 +18,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from sb3_options import Option, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
-from sb3_options.callbacks.counting import all_callbacks
 from sb3_options.execution.above import monitor_primitive_steps
-from sb3_options.learning import heads
 from tests.support.helpers import CountingEnv, steady_option
 from tests.support.sb3_helpers import RANDOM, StepLog, optioned_rooms, small_rooms
 
@@ -174,31 +169,6 @@ class TestMonitor:
         monitor = bare.envs[0]
         monitor_primitive_steps(bare)
         assert bare.envs[0] is monitor
-
-
-def test_finds_every_callback() -> None:
-    inner, best, new_best = PrimitiveStepsCallback(), Spy(), Spy()
-    evaluation = EvalCallback(optioned_rooms(), callback_after_eval=best, callback_on_new_best=new_best)
-    every = EveryNTimesteps(10, CallbackList([evaluation]))
-    root = CallbackList([inner, every])
-    found = list(all_callbacks(root))
-    assert {id(c) for c in found} >= {id(c) for c in (root, inner, every, evaluation, best, new_best)}
-    assert list(all_callbacks(None)) == []
-
-
-@pytest.mark.parametrize("algorithm", [PPO, DQN])
-def test_an_option_that_is_added_between_two_trainings_can_be_chosen(algorithm: Any) -> None:
-    """Its head was closed while the slot was empty."""
-    env = optioned_rooms(2)
-    model = dqn(env) if algorithm is DQN else PPO("MlpPolicy", env, gamma=0.9, n_steps=64, seed=0, device="cpu")
-    model.learn(200, callback=PrimitiveStepsCallback())
-    assert heads.is_closed(model.policy, 4)
-    env.bank.add(steady_option(3, max_duration=2))
-    model.learn(1, callback=PrimitiveStepsCallback(), reset_num_timesteps=False)
-    assert [heads.is_closed(model.policy, action) for action in range(6)] == [False] * 5 + [True]
-    if algorithm is PPO:
-        chosen = [int(model.predict(np.eye(45, dtype=np.float32)[i % 45])[0]) for i in range(400)]
-        assert chosen.count(4) > 20
 
 
 class Updates(BaseCallback):

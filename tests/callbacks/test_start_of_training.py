@@ -18,7 +18,7 @@ from sb3_options.checkpoints.file import read
 from sb3_options.execution.exploration import CappedActions
 from sb3_options.learning import heads
 from tests.callbacks.test_checkpoint_resuming import check_resumes, keep_all
-from tests.callbacks.test_installer import available, option_from
+from tests.callbacks.test_installer import option_from
 from tests.support.helpers import steady_option
 from tests.support.sb3_helpers import RANDOM, TINY, env_of, optioned_rooms
 
@@ -147,21 +147,6 @@ class TestInterruption:
         discovery = finds_nothing()
         model.learn(300, callback=[PrimitiveStepsCallback(), discovery][::order])
         assert env.slot_state.interruption is not None
-
-
-@both
-def test_what_is_stored_knows_where_options_may_start_that_a_user_has_changed(callback: Any) -> None:
-    env = optioned_rooms(2)
-    env.bank.add(option_from(0, 1))
-    model = model_of(env, OptionDQN)
-    model.learn(200, callback=callback())
-    env.set_option(0, option_from(2, 3))
-    env.set_option(1, option_from(0, 3))
-    go_on(model, callback(), 40)
-    size = model.replay_buffer.size()
-    for slot in (0, 1):
-        assert available(model, slot)[:200].any()
-        np.testing.assert_array_equal(model.replay_buffer.next_available[:size, slot], available(model, slot))
 
 
 class TestCheckpoints:

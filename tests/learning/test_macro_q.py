@@ -11,7 +11,6 @@ import numpy.typing as npt
 import pytest
 from gymnasium import spaces
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import KVWriter, Logger
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from experiments.pioneer.tiles import TileCoding
@@ -181,18 +180,6 @@ def test_greedy_ties_are_broken_evenly_and_epsilon_explores_all() -> None:
     assert np.bincount(chosen).tolist() == pytest.approx([1000, 4000, 1000], abs=150)
 
 
-def test_one_hot_names_the_state() -> None:
-    assert OneHot(4, coded=False).active(np.array([2, 0])).tolist() == [[2], [0]]
-    assert OneHot(3, coded=True).active(np.eye(3)[[1, 2]]).tolist() == [[1], [2]]
-
-
-def test_without_options_the_wrapper_changes_nothing() -> None:
-    plain = MacroQ(small_rooms(), seed=4).learn(3000)
-    wrapped = MacroQ(optioned_rooms(2), seed=4).learn(3000)
-    assert (table_of(plain) == table_of(wrapped)[:, :4]).all()
-    assert (table_of(wrapped)[:, 4:] == 0).all()
-
-
 def value_iteration(world: GridWorld) -> npt.NDArray[np.float64]:
     """Q* of a gridworld whose moves always succeed, shape (cells, 4)."""
     n = world.walls.size
@@ -271,39 +258,6 @@ def test_refuses_what_it_cannot_learn() -> None:
     env.action_space = spaces.Box(-1.0, 1.0, (1,))
     with pytest.raises(TypeError, match="MacroQ needs a Discrete action space, got Box"):
         MacroQ(env)
-
-
-class Entries(KVWriter):
-    """Keeps what is written to a log."""
-
-    def __init__(self) -> None:
-        self.written: list[dict[str, Any]] = []
-
-    def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
-        assert {key for key, formats in key_excluded.items() if "tensorboard" in formats} == {
-            "time/episodes",
-            "time/total_timesteps",
-        }
-        self.written.append({**key_values, "step": step})
-
-
-def logged(env: gym.Env[Any, Any], total: int, log_interval: int | None) -> list[dict[str, Any]]:
-    entries = Entries()
-    model = MacroQ(env, seed=0)
-    model.set_logger(Logger(None, [entries]))
-    model.learn(total, log_interval=log_interval)
-    return entries.written
-
-
-def test_every_so_many_episodes_are_logged() -> None:
-    """Episodes of two steps, rewarded with 1 + 2."""
-    mean = {"rollout/ep_rew_mean": 3.0, "rollout/ep_len_mean": 2.0}
-    entries = logged(Script(terminate_at=2), 14, 3)
-    assert entries == [
-        {**mean, "time/episodes": 3, "time/total_timesteps": 6, "step": 6},
-        {**mean, "time/episodes": 6, "time/total_timesteps": 12, "step": 12},
-    ]
-    assert logged(Script(terminate_at=2), 14, None) == []
 
 
 class Ring(gym.Env[int, int]):

@@ -24,7 +24,7 @@ from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import batch_size
 from sb3_options.experience.option_run import OptionRun
-from sb3_options.learning.rollout_buffer import SMDPAdvantages, smdp_advantages
+from sb3_options.learning.rollout_buffer import SMDPAdvantages
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from tests.support.helpers import CountingEnv, DictEnv, place_of, steady_option
@@ -154,17 +154,6 @@ def test_advantages_and_returns_are_exact_with_timeouts_inside_options(algorithm
         values = np.array([s["values"][env] for s in kept.steps], dtype=np.float64)
         np.testing.assert_allclose(kept.advantages[:, env], [float(a) for a in expected], rtol=0, atol=1e-6)
         np.testing.assert_allclose(kept.returns[:, env], [float(a) for a in expected] + values, rtol=0, atol=1e-6)
-
-
-def test_one_option_by_hand() -> None:
-    # R = 2 over 3 steps, then a primitive with reward 1 that ends the episode; V = 0.5, 0.25.
-    rewards, values = np.array([[2.0], [1.0]]), np.array([[0.5], [0.25]])
-    next_values, goes_on = np.array([[0.25], [9.0]]), np.array([[1.0], [0.0]])
-    discounts = np.array([[0.9**3], [0.9]])
-    last = 1.0 - 0.25
-    first = 2.0 + 0.729 * 0.25 - 0.5
-    advantages = smdp_advantages(rewards, values, next_values, discounts, goes_on, 0.8)
-    np.testing.assert_allclose(advantages[:, 0], [first + 0.729 * 0.8 * last, last])
 
 
 def test_without_options_it_is_the_stock_buffer() -> None:

@@ -7,13 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 from sb3_contrib import MaskablePPO
-from sb3_contrib.common.maskable.evaluation import evaluate_policy as evaluate_masked
 from stable_baselines3 import DQN, PPO
-from stable_baselines3.common.callbacks import CheckpointCallback, EvalCallback
-from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNormalize
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
 from sb3_options import MacroQ, OptionBank, OptionDQN, OptionReplayBuffer, OptionsWrapper, load_model, load_options
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
@@ -23,7 +20,7 @@ from sb3_options.options.archive import content_in
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from tests.support.helpers import steady_option
-from tests.support.sb3_helpers import TINY, env_of, make_optioned_rooms, optioned_rooms, small_rooms
+from tests.support.sb3_helpers import TINY, env_of, optioned_rooms, small_rooms
 
 SLOT = 2
 DQN_KIND = {"replay_buffer_class": OptionReplayBuffer, **TINY}
@@ -98,34 +95,6 @@ def test_what_sb3_loads_and_saves_by_itself_keeps_them(tmp_path: Path) -> None:
     DQN.load(tmp_path / "model.zip").save(tmp_path / "pushed.zip")
     assert content_in(tmp_path / "pushed.zip") == content_in(tmp_path / "model.zip")
     assert of_env(load_model(DQN, tmp_path / "pushed.zip", optioned_rooms())) == (SLOT,)
-
-
-def test_checkpoints_and_the_best_model_keep_them(tmp_path: Path) -> None:
-    eval_env = make_vec_env(small_rooms, wrapper_class=OptionsWrapper, wrapper_kwargs={"gamma": 0.9})
-    callbacks = [
-        SubgoalDiscoveryCallback(max_new_options=0),
-        CheckpointCallback(100, str(tmp_path / "checkpoints")),
-        EvalCallback(eval_env, eval_freq=100, n_eval_episodes=1, best_model_save_path=str(tmp_path), verbose=0),
-    ]
-    trained(DQN, callback=callbacks)
-    checkpoints = list((tmp_path / "checkpoints").iterdir())
-    assert len(checkpoints) >= 1
-    for path in [*checkpoints, tmp_path / "best_model.zip"]:
-        assert held(path) == (SLOT,)
-
-
-@pytest.mark.parametrize("kind", [DummyVecEnv, SubprocVecEnv])
-def test_vectorised_environments(kind: Any, tmp_path: Path) -> None:
-    trained(MaskablePPO).save(tmp_path / "model.zip")
-    venv = kind([make_optioned_rooms] * 2)
-    try:
-        model = load_model(MaskablePPO, tmp_path / "model.zip", VecNormalize(venv, training=False))
-        assert [bank.filled for bank in venv.get_attr("bank")] == [(SLOT,)] * 2
-        evaluate_masked(model, env_of(model), n_eval_episodes=2, warn=False)
-    finally:
-        venv.close()
-    model.save(tmp_path / "later.zip")  # the worker processes have ended
-    assert held(tmp_path / "later.zip") == (SLOT,)
 
 
 def test_an_option_that_waits_for_a_rollout_is_saved(tmp_path: Path) -> None:
