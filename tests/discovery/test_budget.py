@@ -74,9 +74,6 @@ class TestDiary:
         diary.steps += 1
         assert diary.affords()
 
-    def test_none_sets_no_limit(self) -> None:
-        assert Diary(spent=1e9).affords()
-
     @pytest.mark.parametrize(
         "estimate",
         [

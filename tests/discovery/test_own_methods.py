@@ -12,7 +12,6 @@ from sb3_options.discovery.budget import SHORTEST, TABLE_STEP_SECONDS
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods import Experience
 from sb3_options.discovery.methods.graphs import LCut
-from sb3_options.discovery.methods.visits import RandomPlaces
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.state import state_of
 from tests.discovery.told import Told, line, of
@@ -75,18 +74,6 @@ def test_what_a_method_takes_that_does_not_say_is_measured() -> None:
             discovery.search()
         told[share] = len(method.told)
     assert told == {0.05: 1, None: 3}
-
-
-def test_no_method_of_the_library_is_measured() -> None:
-    """Two runs with one seed, and one that was resumed, spend the same."""
-    spent = []
-    for _ in range(2):
-        discovery = of(RandomPlaces())
-        for _ in range(5):
-            discovery.add(*line())
-            discovery.search()
-        spent.append(discovery.diary.spent)
-    assert spent[0] == spent[1]
 
 
 def test_methods_see_the_trajectory() -> None:

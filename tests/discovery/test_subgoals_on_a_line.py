@@ -229,26 +229,6 @@ class TestNothingToFind:
         assert peaks_of(discovery).evidence is None
         assert peaks_of(discovery).peaks == []
 
-    def test_successes_only(self) -> None:
-        discovery = Discovery(settings_of())
-        discovery.add(*on_a_line(0, 5, 20))
-        assert found(discovery) == [5.0]
-
-    def test_too_few_successes(self) -> None:
-        discovery = Discovery(settings_of(min_positive=3))
-        discovery.add(*on_a_line(0, 5, 20))
-        discovery.add(*on_a_line(0, 5, 20))
-        assert discovery.search() is None
-        discovery.add(*on_a_line(0, 5, 20))
-        assert found(discovery) == [5.0]
-
-    def test_the_filter_leaves_nothing(self) -> None:
-        discovery = Discovery(settings_of(start_radius=100.0))
-        for _ in range(3):
-            discovery.add(*on_a_line(0, 5, 20))
-            discovery.add(*on_a_line(0, 5, 20, success=False))
-            assert discovery.search() is None
-
     @pytest.mark.parametrize("search", SEARCHES)
     def test_duplicates(self, search: str) -> None:
         discovery = Discovery(settings_of(search=search))

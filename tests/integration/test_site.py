@@ -9,7 +9,6 @@ from sphinx.util.inventory import InventoryFile
 
 import sb3_options
 from sb3_options import callbacks, envs
-from sb3_options.discovery import methods
 from tests.support import processes
 from tests.support.documents import PAGES, ROOT, name_of, python_of, text_of
 
@@ -60,7 +59,7 @@ def test_every_page_is_on_the_site(built: Built) -> None:
 @pytest.mark.slow
 def test_all_that_is_exported_is_in_the_reference(built: Built) -> None:
     names = documented(built.folder)
-    for face in (sb3_options, callbacks, methods, envs):
+    for face in (sb3_options, callbacks, envs):
         for name in face.__all__:
             if isinstance(getattr(face, name), type) or callable(getattr(face, name)):
                 assert f"{face.__name__}.{name}" in names, name
